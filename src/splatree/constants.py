@@ -1,0 +1,62 @@
+"""Every number of standard 3D Gaussian Splatting, each with its unit and source.
+
+Kerbl 2023 is "3D Gaussian Splatting for Real-Time Radiance Field Rendering" and its public code.
+"""
+
+from typing import Final
+
+ALPHA_THRESHOLD: Final = 1.0 / 255.0
+"""Smallest opacity that is blended: below it 8-bit colour cannot change (Kerbl 2023, rasterizer)."""
+
+ALPHA_MAX: Final = 0.99
+"""Largest opacity of one splat at one pixel (Kerbl 2023, rasterizer)."""
+
+TRANSMITTANCE_MIN: Final = 1e-4
+"""A pixel is finished once less than this share of light passes (Kerbl 2023, rasterizer)."""
+
+DILATION_PX2: Final = 0.3
+"""Variance added to both axes of a projected splat, px² (Kerbl 2023: about one pixel wide at least)."""
+
+NEAR: Final = 0.2
+"""Gaussians whose centre is nearer than this, in world units along the view axis, are not drawn (Kerbl 2023)."""
+
+TILE_PX: Final = 16
+"""Edge of a screen tile, px (Kerbl 2023)."""
+
+FRUSTUM_CLAMP: Final = 1.3
+"""View directions are clamped to this multiple of the half field of view in the projection's Jacobian (Kerbl 2023)."""
+
+SIGMAS: Final = 3.0
+"""Standard deviations that bound a Gaussian where opacity is not considered (Kerbl 2023)."""
+
+PIXEL_ERROR: Final = 3.0
+"""Default τ_R: a node whose projected radius is at most this, px, stands for its subtree (FilterGS §3.2)."""
+
+SH_C0: Final = 0.28209479177387814
+"""Y_00 = 1 / (2 √π)."""
+
+SH_C1: Final = 0.4886025119029199
+"""√(3 / (4π))."""
+
+SH_C2: Final = (
+    1.0925484305920792,
+    -1.0925484305920792,
+    0.31539156525252005,
+    -1.0925484305920792,
+    0.5462742152960396,
+)
+"""Real spherical harmonics of degree 2 with the signs of Kerbl 2023."""
+
+SH_C3: Final = (
+    -0.5900435899266435,
+    2.890611442640554,
+    -0.4570457994644658,
+    0.3731763325901154,
+    -0.4570457994644658,
+    1.445305721320277,
+    -0.5900435899266435,
+)
+"""Real spherical harmonics of degree 3 with the signs of Kerbl 2023."""
+
+SH_MAX_DEGREE: Final = 3
+"""Degree 3 has 16 coefficients a channel."""

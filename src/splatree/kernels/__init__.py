@@ -1,0 +1,18 @@
+"""The hot stages: one contract, several implementations with the same file names.
+
+A stage ``x`` is a function of the same name and signature in ``kernels/reference/x.py`` (NumPy float64, the specification)
+and in ``kernels/cpu/x.py`` (glue) over ``kernels/cpu/x.cpp`` (loops) with the maths in ``kernels/shared/x.h``:
+
+==========  =====================================================================================
+select      tree, gaussians, camera, options            → rows of the cut                (per frame)
+project     gaussians, ids, rows, camera, options       → Splats, in depth order         (per frame)
+bin         splats, camera, options                     → TileBins                       (per frame)
+blend       splats, bins, camera, options               → image, alpha, depth, counters  (per frame)
+thin        means, colors, importance, radius           → representative of each row     (per level)
+merge       gaussians, groups, options                  → Gaussians, one a group         (per level)
+==========  =====================================================================================
+
+A fast kernel agrees with its reference within rounding; at a step (a threshold, a tile's edge) within a band around it. It
+gives the same bits for any number of threads and any order of rows: a thread writes only what its chunk owns, rows are
+computed in full vectors that never depend on their place, and equal keys are ordered by the row's id.
+"""

@@ -1,0 +1,26 @@
+// Instruction sets: which variants were compiled, which the processor runs, which is in use.
+//
+// A vector source (VECTOR_SOURCES in CMakeLists.txt) is compiled once for each level, inside the namespace SPLATREE_ISA:
+//
+//   namespace splatree::SPLATREE_ISA { void project(const ProjectJob& job) { ... } }
+//
+// and listed in the table `Kernels` below; callers write `kernels().project(job)`. Such a source must not use std
+// templates: their weak symbols would be shared between variants.
+#pragma once
+
+namespace splatree {
+
+struct Kernels {
+  const char* isa;
+};
+
+// The table of the best level that the processor runs, or of the level set by use_isa().
+const Kernels& kernels();
+
+// Chooses a level by name (tests run them all in turn); false if the processor or the build lacks it.
+bool use_isa(const char* name);
+
+// Calls visit(name) for each level that the build has and the processor runs, best first.
+void each_isa(void (*visit)(void* context, const char* name), void* context);
+
+}  // namespace splatree

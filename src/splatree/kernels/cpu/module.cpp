@@ -1,0 +1,34 @@
+// The extension module: each stage's glue file adds its functions.
+#include <nanobind/nanobind.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/vector.h>
+
+#include <string>
+#include <vector>
+
+#include "cpu/isa.h"
+#include "cpu/pool.h"
+
+namespace nb = nanobind;
+using namespace splatree;
+
+NB_MODULE(_core, m) {
+  m.doc() = "Native kernels of splatree; use them through splatree.kernels.cpu.";
+
+  m.def("hardware_threads", &hardware_threads, "Processors this process may use.");
+  m.def("isa", [] { return kernels().isa; }, "Instruction-set level in use.");
+  m.def(
+      "isas",
+      [] {
+        std::vector<std::string> names;
+        each_isa([](void* c, const char* n) { static_cast<std::vector<std::string>*>(c)->push_back(n); }, &names);
+        return names;
+      },
+      "Levels that this build has and this processor runs, best first.");
+  m.def(
+      "use_isa",
+      [](const std::string& name) {
+        if (!use_isa(name.c_str())) throw nb::value_error(("this processor or build lacks level " + name).c_str());
+      },
+      nb::arg("name"), "Switch to another level; for tests, not while kernels run.");
+}

@@ -1,0 +1,1 @@
+"""Pure functions on arrays: rotations, covariance, harmonics, Morton codes."""

@@ -1,0 +1,1 @@
+"""Frozen structs of a scene and of a frame; no algorithms."""

@@ -1,0 +1,104 @@
+"""Pinhole cameras with OpenCV axes: x right, y down, z forward; pixel centres at +½."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from splatree.constants import NEAR
+from splatree.errors import InputError
+from splatree.shapes import Array, Float64, check_fields
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """One view."""
+
+    camera_from_world: Float64[Array, "4 4"]
+    """Rigid transform: ``x_camera = R x_world + t``."""
+    K: Float64[Array, "3 3"]
+    """Intrinsics in px: fx, fy on the diagonal, cx, cy in the last column, no skew."""
+    width: int
+    """Image width, px."""
+    height: int
+    """Image height, px."""
+    near: float = NEAR
+    """Gaussians whose centre has a smaller view depth, world units, are not drawn."""
+    name: str = ""
+    """Name of the picture that it belongs to, if any."""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        if not (self.width > 0 and self.height > 0):
+            raise InputError(f"camera {self.name!r}: found size {self.width} × {self.height}, wanted at least 1 × 1 px")
+        if not (np.isfinite(self.camera_from_world).all() and np.isfinite(self.K).all()):
+            raise InputError(f"camera {self.name!r}: found NaN or infinity in its pose or intrinsics")
+        if not (self.K[0, 0] > 0 and self.K[1, 1] > 0):
+            raise InputError(f"camera {self.name!r}: found focal lengths {self.K[0, 0]}, {self.K[1, 1]}, wanted > 0 px")
+        rotation = self.camera_from_world[:3, :3]
+        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4) or np.linalg.det(rotation) < 0:
+            raise InputError(f"camera {self.name!r}: its rotation is not orthonormal with determinant +1")
+        if not (np.isfinite(self.near) and self.near > 0):
+            raise InputError(f"camera {self.name!r}: found near = {self.near}, wanted > 0")
+
+    @property
+    def position(self) -> Float64[Array, "3"]:
+        """Centre of projection in the world."""
+        rotation, translation = self.camera_from_world[:3, :3], self.camera_from_world[:3, 3]
+        return np.asarray(-rotation.T @ translation)
+
+    def scaled(self, factor: float) -> "Camera":
+        """The same view with ``factor`` times the pixels along each side (rounded)."""
+        width, height = max(1, round(self.width * factor)), max(1, round(self.height * factor))
+        K = self.K.copy()
+        K[0] *= width / self.width
+        K[1] *= height / self.height
+        return replace(self, K=K, width=width, height=height)
+
+    @staticmethod
+    def look_at(
+        position: Array,
+        target: Array,
+        *,
+        up: Array = (0.0, -1.0, 0.0),  # type: ignore[assignment]
+        width: int = 960,
+        height: int = 540,
+        fov_y_deg: float = 50.0,
+    ) -> "Camera":
+        """A camera at ``position`` that looks at ``target`` with ``up`` upwards in the picture.
+
+        3DGS scenes are usually y-down, hence the default ``up``. ``fov_y_deg`` is the vertical field of view in degrees.
+        """
+        position, target, up = (np.asarray(v, np.float64) for v in (position, target, up))
+        forward = target - position
+        if not np.linalg.norm(forward) > 0:
+            raise InputError("look_at: position and target are the same point")
+        forward = forward / np.linalg.norm(forward)
+        right = np.cross(forward, up)
+        if np.linalg.norm(right) < 1e-9:  # looking along `up`: any horizontal will do
+            right = np.cross(forward, np.roll(forward, 1) + np.array([0.0, 0.0, 1e-3]))
+        right = right / np.linalg.norm(right)
+        down = np.cross(forward, right)
+        pose = np.eye(4)
+        pose[:3, :3] = np.stack([right, down, forward])
+        pose[:3, 3] = -pose[:3, :3] @ position
+        focal = 0.5 * height / np.tan(np.radians(fov_y_deg) / 2)
+        K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
+        return Camera(pose, K, width, height)
+
+
+@dataclass(frozen=True, eq=False)
+class Cameras:
+    """Views in order."""
+
+    views: tuple[Camera, ...]
+    """One camera a view."""
+
+    def __len__(self) -> int:
+        return len(self.views)
+
+    def __iter__(self) -> Iterator[Camera]:
+        return iter(self.views)
+
+    def __getitem__(self, index: int) -> Camera:
+        return self.views[index]

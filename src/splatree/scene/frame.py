@@ -1,0 +1,134 @@
+"""What each stage of a frame leaves behind: selection, splats, tile bins, picture.
+
+`render` drops the intermediates, `trace` keeps them in a `Frame`; tests, overlays, evaluation and simulators read these.
+"""
+
+from dataclasses import dataclass
+
+from splatree.constants import TILE_PX
+from splatree.scene.cameras import Camera
+from splatree.shapes import Array, Float32, Int32, Int64, check_fields
+
+
+@dataclass(frozen=True, eq=False)
+class Selection:
+    """The rows drawn for a view: a cut of the tree, less what cannot be seen."""
+
+    rows: Int32[Array, "v"]
+    """Rows of the scene, ascending, none twice."""
+    rule: str
+    """Rule set that chose them (spec lod-selection §2.9)."""
+    profile: str
+    """Radius function that it used."""
+    pixel_error: float
+    """τ_R, px: a node whose radius is at most this stands for its subtree."""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+
+@dataclass(frozen=True, eq=False)
+class Splats:
+    """Projected Gaussians that touch the image, ordered by depth, nearest first; equal depths by the row's id."""
+
+    rows: Int32[Array, "v"]
+    """Row of the scene that each splat comes from."""
+    means_px: Float32[Array, "v 2"]
+    """Centre on the image, px; the centre of the first pixel is (½, ½)."""
+    conics: Float32[Array, "v 3"]
+    """Inverse of the dilated 2D covariance, px⁻²: the entries 00, 01, 11."""
+    depths: Float32[Array, "v"]
+    """View depth of the centre, world units."""
+    opacities: Float32[Array, "v"]
+    """Opacity at the centre after antialiasing compensation, 0 to 1."""
+    colors: Float32[Array, "v 3"]
+    """Linear sum of the harmonics + ½, clipped below at 0."""
+    extents_px: Float32[Array, "v 2"]
+    """Half width and half height, px, of the box outside of which the opacity is below τ."""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+
+@dataclass(frozen=True, eq=False)
+class TileBins:
+    """For each tile of 16 × 16 px, the splats whose ellipse touches it, nearest first."""
+
+    tile_start: Int64[Array, "t+1"]
+    """Pairs of tile ``t`` are ``tile_start[t] : tile_start[t + 1]``; tiles row by row."""
+    splat_from_pair: Int32[Array, "m"]
+    """Index into the `Splats`."""
+    num_tiles_x: int
+    """Tiles in a row of the image."""
+    num_tiles_y: int
+    """Rows of tiles."""
+
+    def __post_init__(self) -> None:
+        check_fields(self, t=self.num_tiles_x * self.num_tiles_y)
+
+    @property
+    def num_pairs(self) -> int:
+        """N_P: pairs of splat and tile."""
+        return len(self.splat_from_pair)
+
+
+@dataclass(frozen=True)
+class Counters:
+    """How much work a frame took."""
+
+    num_selected: int
+    """Nodes of the cut that the selection handed on."""
+    num_visible: int
+    """Splats that touch the image."""
+    num_pairs: int
+    """N_P: pairs of splat and tile."""
+    num_evaluated: int
+    """Evaluations of a splat's opacity at a pixel."""
+    num_blended: int
+    """Evaluations that passed τ and were added to a pixel."""
+
+
+@dataclass(frozen=True, eq=False)
+class RenderResult:
+    """A picture and what it cost."""
+
+    image: Float32[Array, "h w 3"]
+    """Colour over the background, nominally 0 to 1, not clipped above."""
+    alpha: Float32[Array, "h w"]
+    """Share of light that the splats stop, 0 to 1."""
+    depth: Float32[Array, "h w"]
+    """Blended view depth of the splats divided by alpha, world units; 0 where nothing is drawn."""
+    counters: Counters
+    """Work done."""
+    milliseconds: dict[str, float]
+    """Wall time of each stage."""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """All that a frame computed."""
+
+    camera: Camera
+    """The view."""
+    selection: Selection
+    """Rows chosen."""
+    splats: Splats
+    """Rows projected, in depth order."""
+    bins: TileBins
+    """Splats of each tile."""
+    result: RenderResult
+    """The picture."""
+
+
+def tiles_of(camera: Camera) -> tuple[int, int]:
+    """Tiles across and down that cover the image."""
+    return -(-camera.width // TILE_PX), -(-camera.height // TILE_PX)

@@ -1,0 +1,74 @@
+"""Gaussians in the encoding in which they are stored and trained: the name of a field carries its encoding."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from splatree.errors import ShapeError
+from splatree.shapes import Array, Float32, check_fields
+
+
+@dataclass(frozen=True, eq=False)
+class Gaussians:
+    """``n`` Gaussians as columns."""
+
+    means: Float32[Array, "n 3"]
+    """Centres, world units."""
+    quats: Float32[Array, "n 4"]
+    """Rotations wxyz from the Gaussian's axes to the world; any length but zero."""
+    log_scales: Float32[Array, "n 3"]
+    """Natural logarithm of the standard deviation along each axis, world units."""
+    logit_opacities: Float32[Array, "n"]
+    """Opacity before the sigmoid."""
+    sh: Float32[Array, "n k 3"]
+    """Spherical harmonics, coefficient by coefficient with RGB inside, DC first; k = (degree + 1)², k in 1, 4, 9, 16."""
+
+    def __post_init__(self) -> None:
+        k = check_fields(self)["k"]
+        if k not in (1, 4, 9, 16):
+            raise ShapeError(f"Gaussians.sh: found {k} coefficients, wanted 1, 4, 9 or 16 (degree 0 to 3)")
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+    @property
+    def sh_degree(self) -> int:
+        """Degree of the spherical harmonics, 0 to 3."""
+        return int(np.sqrt(self.sh.shape[1])) - 1
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all columns."""
+        return sum(getattr(self, f.name).nbytes for f in fields(self))
+
+    def take(self, rows: Array) -> "Gaussians":
+        """The rows of an index or mask, in its order, copied."""
+        return Gaussians(*(np.ascontiguousarray(getattr(self, f.name)[rows]) for f in fields(self)))
+
+    def with_sh_degree(self, degree: int) -> "Gaussians":
+        """The same Gaussians with higher harmonics cut off, or missing ones set to zero."""
+        if not 0 <= degree <= 3:
+            raise ShapeError(f"with_sh_degree: found degree {degree}, wanted 0 to 3")
+        k = (degree + 1) ** 2
+        if k == self.sh.shape[1]:
+            return self
+        sh = np.zeros((len(self), k, 3), np.float32)
+        shared = min(k, self.sh.shape[1])
+        sh[:, :shared] = self.sh[:, :shared]
+        return Gaussians(self.means, self.quats, self.log_scales, self.logit_opacities, sh)
+
+    @staticmethod
+    def concatenate(parts: Sequence["Gaussians"]) -> "Gaussians":
+        """All rows of ``parts`` in order, at the highest degree among them (missing harmonics are zero)."""
+        if not parts:
+            return Gaussians.empty()
+        degree = max(part.sh_degree for part in parts)
+        raised = [part.with_sh_degree(degree) for part in parts]
+        return Gaussians(*(np.concatenate([getattr(p, f.name) for p in raised]) for f in fields(Gaussians)))
+
+    @staticmethod
+    def empty(degree: int = 0) -> "Gaussians":
+        """No Gaussians."""
+        shapes = ((0, 3), (0, 4), (0, 3), (0,), (0, (degree + 1) ** 2, 3))
+        return Gaussians(*(np.zeros(shape, np.float32) for shape in shapes))

@@ -1,0 +1,71 @@
+"""A scene: what one file holds."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from splatree.constants import ALPHA_THRESHOLD
+from splatree.errors import InputError, ShapeError
+from splatree.scene.gaussians import Gaussians
+from splatree.scene.tree import GaussianTree
+from splatree.shapes import Array, UInt32, check_fields
+
+Mode = Literal["classic", "antialiased"]
+"""How a scene was trained and is drawn: `classic` adds 0.3 px² to each splat (Kerbl 2023); `antialiased` also lowers its
+opacity so that its mass is kept (Yu 2024, Mip-Splatting, Eq. 9 without the 3D filter, as in gsplat)."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where a scene came from."""
+
+    paths: tuple[str, ...] = ()
+    """Files or folders read, in order."""
+    format: str = ""
+    """Name of the format in the registry; empty if made in memory."""
+    metadata: Mapping[str, str] = field(default_factory=dict)
+    """Rules and provenance: what made the levels, credits, the writer's name; JSON strings where structured."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Gaussians, their level-of-detail tree, and how they are meant to be drawn."""
+
+    gaussians: Gaussians
+    """Every node, leaves and merged ones, in the order of the tree."""
+    tree: GaussianTree
+    """Levels of detail; a forest of leaves if there are none."""
+    ids: UInt32[Array, "n"] | None = None
+    """Identity of each row, kept by permutations: equal depths are blended in its order. None: the row number."""
+    mode: Mode = "classic"
+    """How the scene is drawn."""
+    threshold: float = ALPHA_THRESHOLD
+    """τ: a splat ends where its opacity falls below this."""
+    source: Source = Source()
+    """Where it came from."""
+
+    def __post_init__(self) -> None:
+        if len(self.tree) != len(self.gaussians):
+            raise ShapeError(f"Scene.tree: found {len(self.tree)} rows, wanted {len(self.gaussians)}")
+        check_fields(self, n=len(self.gaussians))
+        if self.mode not in ("classic", "antialiased"):
+            raise InputError(f"Scene.mode: found {self.mode!r}, wanted 'classic' or 'antialiased'")
+        if not 0 < self.threshold < 1:
+            raise InputError(f"Scene.threshold: found {self.threshold}, wanted between 0 and 1")
+
+    def __len__(self) -> int:
+        return len(self.gaussians)
+
+    @staticmethod
+    def flat(gaussians: Gaussians, *, mode: Mode = "classic", source: Source | None = None) -> "Scene":
+        """A scene without levels: each Gaussian is a root and a leaf."""
+        n = len(gaussians)
+        reach = 3.0 * np.exp(gaussians.log_scales.max(axis=1, initial=-np.inf).astype(np.float64))
+        tree = GaussianTree(
+            subtree_end=np.arange(1, n + 1, dtype=np.int32),
+            depth=np.zeros(n, np.uint8),
+            extents=np.minimum(reach, np.finfo(np.float32).max).astype(np.float32),
+        )
+        return Scene(gaussians, tree, mode=mode, source=source or Source())
