@@ -79,7 +79,8 @@ def check_fields(struct: Any, **sizes: int) -> dict[str, int]:
     """
     bound = dict(sizes)
     owner = type(struct).__name__
-    for name, axes in _axes_from_field(type(struct)).items():
+    struct_type: Any = type(struct)
+    for name, axes in _axes_from_field(struct_type).items():
         value = getattr(struct, name)
         if value is None:
             continue

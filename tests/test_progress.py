@@ -1,0 +1,27 @@
+from splatree.progress import Event, listen, task, track
+
+
+def test_without_a_listener_work_goes_on_unseen():
+    assert list(track([1, 2, 3], "count")) == [1, 2, 3]
+
+
+def test_listener_sees_each_step_and_the_end():
+    events: list[Event] = []
+    with listen(events.append):
+        assert list(track("ab", "letters")) == ["a", "b"]
+    assert [(e.done, e.total, e.finished) for e in events] == [
+        (0, 2, False),
+        (1, 2, False),
+        (2, 2, False),
+        (2, 2, True),
+    ]
+
+
+def test_a_failed_task_is_reported_as_ended():
+    events: list[Event] = []
+    try:
+        with listen(events.append), task("fails"):
+            raise KeyError
+    except KeyError:
+        pass
+    assert events[-1].finished
