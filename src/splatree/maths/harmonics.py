@@ -1,0 +1,43 @@
+"""Real spherical harmonics up to degree 3, with the order and the signs of Kerbl 2023.
+
+The colour seen along direction d is c(d) = Σ_k Y_k(d) sh_k, plus ½, clipped below at 0.
+"""
+
+import numpy as np
+
+from splatree.constants import SH_C0, SH_C1, SH_C2, SH_C3
+from splatree.shapes import Array, Float64
+
+__all__ = ["basis_from_directions", "colors_from_harmonics"]
+
+
+def basis_from_directions(directions: Array, degree: int) -> Float64[Array, "n k"]:
+    """Y_k of unit directions, k = (degree + 1)² of them."""
+    d = np.asarray(directions, np.float64)
+    x, y, z = d[..., 0], d[..., 1], d[..., 2]
+    xx, yy, zz = x * x, y * y, z * z
+    columns = [np.full_like(x, SH_C0)]
+    if degree >= 1:
+        columns += [-SH_C1 * y, SH_C1 * z, -SH_C1 * x]
+    if degree >= 2:
+        quadratic = (x * y, y * z, 2 * zz - xx - yy, x * z, xx - yy)
+        columns += [c * p for c, p in zip(SH_C2, quadratic, strict=True)]
+    if degree >= 3:
+        cubic = (
+            y * (3 * xx - yy),
+            x * y * z,
+            y * (4 * zz - xx - yy),
+            z * (2 * zz - 3 * xx - 3 * yy),
+            x * (4 * zz - xx - yy),
+            z * (xx - yy),
+            x * (xx - 3 * yy),
+        )
+        columns += [c * p for c, p in zip(SH_C3, cubic, strict=True)]
+    return np.stack(columns, axis=-1)
+
+
+def colors_from_harmonics(sh: Array, directions: Array, degree: int) -> Float64[Array, "n 3"]:
+    """Colours seen along unit directions from the eye to each Gaussian, up to ``degree``."""
+    basis = basis_from_directions(directions, degree)
+    sums = np.einsum("nk,nkc->nc", basis, np.asarray(sh, np.float64)[:, : basis.shape[-1]])
+    return np.asarray(np.maximum(sums + 0.5, 0.0))

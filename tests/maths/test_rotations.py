@@ -1,0 +1,22 @@
+import numpy as np
+
+from splatree.maths.rotations import matrices_from_quats
+
+
+def test_matrices_are_rotations_whatever_the_length() -> None:
+    rng = np.random.default_rng(1)
+    quats = rng.normal(size=(200, 4)) * 10.0 ** rng.uniform(-10, 10, (200, 1))
+    R = matrices_from_quats(quats)
+    np.testing.assert_allclose(R @ np.swapaxes(R, 1, 2), np.broadcast_to(np.eye(3), R.shape), atol=1e-14)
+    np.testing.assert_allclose(np.linalg.det(R), 1.0, atol=1e-13)  # a few roundings of float64
+
+
+def test_half_angle_about_an_axis() -> None:
+    angle = 0.7
+    R = matrices_from_quats(np.array([[np.cos(angle / 2), 0, 0, np.sin(angle / 2)]]))[0]
+    c, s = np.cos(angle), np.sin(angle)
+    np.testing.assert_allclose(R, [[c, -s, 0], [s, c, 0], [0, 0, 1]], atol=1e-15)
+
+
+def test_zero_quaternion_is_no_rotation() -> None:
+    np.testing.assert_array_equal(matrices_from_quats(np.zeros((1, 4)))[0], np.eye(3))
