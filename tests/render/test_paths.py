@@ -1,0 +1,104 @@
+import numpy as np
+import pytest
+
+from splatree.errors import InputError
+from splatree.render.paths import PathOptions, bounds_of, flyout, orbit
+from splatree.scene.gaussians import Gaussians
+from splatree.scene.scene import Scene
+
+
+def scene_of(means, opacity_logits=2.0, log_scale=-3.0):
+    n = len(means)
+    return Scene.flat(
+        Gaussians(
+            np.asarray(means, np.float32),
+            np.tile(np.float32([1, 0, 0, 0]), (n, 1)),
+            np.full((n, 3), log_scale, np.float32),
+            np.broadcast_to(np.float32(opacity_logits), n).copy(),
+            np.zeros((n, 1, 3), np.float32),
+        )
+    )
+
+
+@pytest.fixture(scope="module")
+def ball():
+    """Points in a ball of radius 2 around (10, 20, 30)."""
+    rng = np.random.default_rng(0)
+    directions = rng.normal(size=(4000, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    return np.array([10, 20, 30]) + directions * 2 * rng.random((4000, 1)) ** (1 / 3)
+
+
+def test_bounds_of_a_ball(ball):
+    centre, radius = bounds_of(scene_of(ball))
+    # Standard error of a median of 4000 points over a diameter of 4: about 0.03.
+    assert centre == pytest.approx([10, 20, 30], abs=0.1)
+    assert radius == pytest.approx(2 * 0.9 ** (1 / 3), abs=0.05)
+
+
+def test_far_and_transparent_gaussians_hardly_move_the_bounds(ball):
+    centre, radius = bounds_of(scene_of(ball))
+    far = np.full((40, 3), 1e5)  # 1 % of the points
+    fog = ball + np.array([50.0, 0, 0])
+    logits = np.concatenate([np.full(4000, 2.0), np.full(40, 2.0), np.full(4000, -8.0)])
+    other_centre, other_radius = bounds_of(scene_of(np.concatenate([ball, far, fog]), logits))
+    assert other_centre == pytest.approx(centre, abs=0.1)
+    assert other_radius == pytest.approx(radius, rel=0.05)
+
+
+def test_orbit_shows_the_whole_scene_upright(ball):
+    scene = scene_of(ball)
+    centre, radius = bounds_of(scene)
+    cameras = orbit(scene, PathOptions(views=8, width=640, height=360, elevation_deg=20))
+    assert len(cameras) == 8
+    for camera in cameras:
+        assert camera.near < np.linalg.norm(camera.position - centre) - radius
+        x = camera.camera_from_world[:3, :3] @ centre + camera.camera_from_world[:3, 3]
+        assert x[:2] == pytest.approx([0, 0], abs=1e-9)
+        # A sphere of angular radius asin(r/d) is in the picture if it fits in half the vertical field of view.
+        assert np.arcsin(radius / x[2]) <= np.radians(25) + 1e-9
+        # A point that is up in the world (−y) is up in the picture, and the camera is above the target.
+        assert (camera.camera_from_world[:3, :3] @ [0, -1, 0])[1] < 0
+        assert camera.position[1] < centre[1]
+
+
+@pytest.mark.parametrize("up", [(0, 0, 1), (0, 1, 0), (1, 2, -3)])
+def test_elevation_is_measured_from_the_given_up(ball, up):
+    scene = scene_of(ball)
+    centre, _ = bounds_of(scene)
+    for camera in orbit(scene, PathOptions(views=3, up=up, elevation_deg=35)):
+        direction = (camera.position - centre) / np.linalg.norm(camera.position - centre)
+        assert direction @ up / np.linalg.norm(up) == pytest.approx(np.sin(np.radians(35)), abs=1e-9)
+
+
+def test_flyout_moves_away_by_a_constant_factor(ball):
+    scene = scene_of(ball)
+    centre, radius = bounds_of(scene)
+    cameras = flyout(scene, PathOptions(views=4), nearest=0.5, farthest=4)
+    distances = [np.linalg.norm(camera.position - centre) / radius for camera in cameras]
+    assert distances == pytest.approx([0.5, 1, 2, 4], rel=1e-9)
+
+
+def test_single_gaussian_can_be_looked_at():
+    centre, radius = bounds_of(scene_of(np.array([[1.0, 2, 3]])))
+    assert centre == pytest.approx([1, 2, 3])
+    assert radius == pytest.approx(3 * np.exp(-3))
+    assert len(orbit(scene_of(np.zeros((1, 3))), PathOptions(views=2))) == 2
+
+
+def test_view_from_straight_above_is_a_camera(ball):
+    for camera in orbit(scene_of(ball), PathOptions(views=2, elevation_deg=90)):
+        assert np.isfinite(camera.camera_from_world).all()
+
+
+def test_empty_scene_has_no_path():
+    with pytest.raises(InputError, match="empty"):
+        orbit(scene_of(np.zeros((0, 3))))
+
+
+@pytest.mark.parametrize("wrong", [{"views": 0}, {"up": (0, 0, 0)}, {"elevation_deg": 91}, {"fov_y_deg": 180}])
+def test_impossible_paths_are_refused(wrong):
+    with pytest.raises(InputError, match=next(iter(wrong))):
+        PathOptions(**wrong)
+    with pytest.raises(InputError, match="nearest"):
+        flyout(scene_of(np.ones((2, 3))), nearest=2, farthest=1)
