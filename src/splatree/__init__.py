@@ -1,6 +1,7 @@
 """splatree makes large 3D Gaussian Splatting scenes small, fast and streamable."""
 
 from splatree.errors import FormatError, InputError, MissingExtraError, OutputError, ShapeError, SplatreeError
+from splatree.lod.select import select
 from splatree.scene.cameras import Camera, Cameras
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.options import RenderOptions, SelectOptions
@@ -21,4 +22,5 @@ __all__ = [
     "SelectOptions",
     "ShapeError",
     "SplatreeError",
+    "select",
 ]

@@ -32,6 +32,15 @@ SIGMAS: Final = 3.0
 PIXEL_ERROR: Final = 3.0
 """Default τ_R: a node whose projected radius is at most this, px, stands for its subtree (FilterGS §3.2)."""
 
+EIGENVALUE_FLOOR_PX4: Final = 0.1
+"""Floor, px⁴, under the root in the larger eigenvalue of a splat's covariance (Kerbl 2023, rasterizer)."""
+
+CENTRE_PAD: Final = 0.1
+"""Share of the half image by which a centre may lie outside in the visibility test `centre` (code of FilterGS)."""
+
+BLOCK_ROWS: Final = 256
+"""Rows of a block: 64 of them are decided in less than the time of a thread's hand-over, and their bounds take 0.2 B a row."""
+
 SH_C0: Final = 0.28209479177387814
 """Y_00 = 1 / (2 √π)."""
 

@@ -17,11 +17,15 @@ class Selection:
     rows: Int32[Array, "v"]
     """Rows of the scene, ascending, none twice."""
     rule: str
-    """Rule set that chose them (spec lod-selection §2.9)."""
+    """Rule set that chose them (docs/algorithms/select.md)."""
     profile: str
     """Radius function that it used."""
     pixel_error: float
-    """τ_R, px: a node whose radius is at most this stands for its subtree."""
+    """τ_R, px: a node whose radius is at most this stands for its subtree; as raised to meet a budget."""
+    num_visited: int = 0
+    """Rows looked at."""
+    notes: tuple[str, ...] = ()
+    """What the caller should know of this selection, for instance that pixel_error is too small to choose any level."""
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -1,7 +1,7 @@
 """How a view is selected and drawn: defaults live here alone; the command line's help is these docstrings."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 from splatree.constants import DILATION_PX2, PIXEL_ERROR
 from splatree.errors import InputError
@@ -31,12 +31,20 @@ class SelectOptions:
     """Radius of a node, px: `exact` is 3 √λ of the dilated splat."""
     visibility: Visibility = "footprint"
     """What is dropped as out of view: splats that miss the image, centres outside of it, or nothing."""
+    max_radius: float | None = None
+    """Also drop nodes of a larger radius, px, leaves too (700 in the code of FilterGS); None: draw them."""
 
     def __post_init__(self) -> None:
         if not self.pixel_error >= 0:
             raise InputError(f"pixel_error: found {self.pixel_error}, wanted 0 px or more")
         if self.budget is not None and self.budget < 1:
             raise InputError(f"budget: found {self.budget}, wanted at least 1 node")
+        if self.max_radius is not None and not self.max_radius > 0:
+            raise InputError(f"max_radius: found {self.max_radius}, wanted more than 0 px")
+        for name, kind in (("rule", Rule), ("profile", Profile), ("visibility", Visibility)):
+            if getattr(self, name) not in get_args(kind):
+                wanted = ", ".join(get_args(kind))
+                raise InputError(f"{name}: found {getattr(self, name)!r}, wanted one of {wanted}")
 
 
 @dataclass(frozen=True)

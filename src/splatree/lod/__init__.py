@@ -1,0 +1,1 @@
+"""Levels of detail: building the tree, choosing the cut."""

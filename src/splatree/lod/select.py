@@ -1,0 +1,131 @@
+"""Choose the rows of a scene to draw in a view.
+
+The rule `cut` (kernels/reference/select.py has its definition) runs in the compiled kernel, whose work grows with the blocks
+that can be seen, not with the scene. The rules that reproduce published code, `paper-strict`, `release` and `log-serial`,
+run in NumPy over all rows: they are there to be compared with.
+
+A budget is met by raising τ_R: coarser cuts are nested in finer ones, so the number of nodes falls as τ_R grows (but for
+the few at the border of the image), and bisection finds where it fits.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from splatree.constants import DILATION_PX2, EIGENVALUE_FLOOR_PX4, SIGMAS
+from splatree.errors import InputError
+from splatree.kernels.reference import select as reference
+from splatree.lod.serial import select_serial
+from splatree.scene.cameras import Camera
+from splatree.scene.frame import Selection
+from splatree.scene.options import Profile, SelectOptions
+from splatree.scene.scene import Scene
+from splatree.scene.tree import GaussianTree
+from splatree.shapes import Array
+
+__all__ = ["count_nested", "select", "smallest_radius"]
+
+BUDGET_SHARE = 0.98
+"""A selection that holds this share of its budget is not refined further."""
+BUDGET_PRECISION = 1.005
+"""Nor is one whose τ_R is known to this factor; near the border of the image counts may jump by more than 2 %."""
+COARSEST_PX = 2.0**24
+"""Largest finite τ_R that a budget tries: beyond any image. Only nodes that reach behind the near plane are larger: infinite."""
+
+
+def select(
+    scene: Scene,
+    camera: Camera,
+    options: SelectOptions | None = None,
+    *,
+    dilation_px2: float = DILATION_PX2,
+    threshold: float | None = None,
+    threads: int = 0,
+) -> Selection:
+    """Choose the rows to draw.
+
+    ``dilation_px2`` is what the drawing adds to each splat's variance; ``threshold`` the opacity τ at which a splat ends (None:
+    the scene's), below which the visibility test `footprint` drops it.
+
+    Raises:
+        InputError: a budget that not even the roots in view meet.
+    """
+    options = options or SelectOptions()
+    threshold = scene.threshold if threshold is None else threshold
+
+    def rows_at(pixel_error: float) -> tuple[Array, int]:
+        at = replace(options, pixel_error=pixel_error)
+        return _rows(scene, camera, at, dilation_px2, threshold, threads)
+
+    rows, visited = rows_at(options.pixel_error)
+    pixel_error = options.pixel_error
+    smallest = smallest_radius(options.profile, dilation_px2)
+    if options.budget is not None and len(rows) > options.budget:
+        rows, visited, pixel_error = _meet_budget(rows_at, options.budget, max(pixel_error, smallest), camera)
+    notes = []
+    if 0 < pixel_error < smallest:
+        notes.append(
+            f"pixel_error {pixel_error:g} px is below {smallest:.3g} px, the smallest radius that profile "
+            f"{options.profile!r} gives: all leaves are drawn"
+        )
+    return Selection(rows, options.rule, options.profile, pixel_error, visited, tuple(notes))
+
+
+def smallest_radius(profile: Profile, dilation_px2: float = DILATION_PX2) -> float:
+    """The radius, px, that a profile gives to a point: with a τ_R below it, levels of detail are off."""
+    if profile == "sphere":
+        return 0.0
+    floor = 0.0 if profile == "exact" else EIGENVALUE_FLOOR_PX4
+    dilation = DILATION_PX2 if profile == "ref" else dilation_px2
+    return float(SIGMAS * np.sqrt(dilation + np.sqrt(floor)))
+
+
+def count_nested(tree: GaussianTree, rows: Array) -> int:
+    """Selected rows that lie below another selected row, so that both are drawn on top of each other: 0 for a cut."""
+    chosen = np.zeros(len(tree), bool)
+    chosen[rows] = True
+    return int((chosen & reference.shadowed(chosen, tree.subtree_end)).sum())
+
+
+def _rows(
+    scene: Scene, camera: Camera, options: SelectOptions, dilation_px2: float, threshold: float, threads: int
+) -> tuple[Array, int]:
+    gaussians, tree = scene.gaussians, scene.tree
+    if options.rule == "log-serial":
+        rows, visited = select_serial(gaussians, tree, camera, options, dilation_px2=dilation_px2, threshold=threshold)
+    else:
+        rows = reference.select(gaussians, tree, camera, options, dilation_px2=dilation_px2, threshold=threshold)
+        visited = len(scene)
+    if options.max_radius is not None:
+        drawn, extents = gaussians.take(rows), tree.extents[rows]
+        rows = rows[reference.radii(drawn, extents, camera, options.profile, dilation_px2) <= options.max_radius]
+    return rows, visited
+
+
+def _meet_budget(
+    rows_at: Callable[[float], tuple[Array, int]], budget: int, finest: float, camera: Camera
+) -> tuple[Array, int, float]:
+    """The rows at the smallest τ_R above ``finest`` whose number is within the budget, the rows visited, and that τ_R."""
+    coarse, coarse_rows = np.inf, rows_at(np.inf)
+    if len(coarse_rows[0]) > budget:
+        raise InputError(
+            f"budget: found {len(coarse_rows[0])} roots in view of camera {camera.name!r}, wanted at most {budget} nodes; "
+            f"build levels with fewer roots or allow more nodes"
+        )
+    fine = finest
+    step = max(2 * finest, 1e-3)
+    while step < COARSEST_PX:
+        found = rows_at(step)
+        if len(found[0]) <= budget:
+            coarse, coarse_rows = step, found
+            break
+        fine, step = step, 2 * step
+    while np.isfinite(coarse) and coarse > BUDGET_PRECISION * fine and len(coarse_rows[0]) < BUDGET_SHARE * budget:
+        middle = float(np.sqrt(coarse * max(fine, coarse / 4)))
+        found = rows_at(middle)
+        if len(found[0]) <= budget:
+            coarse, coarse_rows = middle, found
+        else:
+            fine = middle
+    return *coarse_rows, float(coarse)
