@@ -2,6 +2,7 @@
 
 from splatree.errors import FormatError, InputError, MissingExtraError, OutputError, ShapeError, SplatreeError
 from splatree.lod.select import select
+from splatree.render.pipeline import render, trace
 from splatree.scene.cameras import Camera, Cameras
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.options import RenderOptions, SelectOptions
@@ -22,5 +23,7 @@ __all__ = [
     "SelectOptions",
     "ShapeError",
     "SplatreeError",
+    "render",
     "select",
+    "trace",
 ]

@@ -26,6 +26,13 @@ TILE_PX: Final = 16
 FRUSTUM_CLAMP: Final = 1.3
 """View directions are clamped to this multiple of the half field of view in the projection's Jacobian (Kerbl 2023)."""
 
+DILATION_MIN_PX2: Final = 1e-6
+"""Variance that a splat has at least, px²: without any dilation a needle seen end on would have no inverse."""
+
+SIGMA_MAX_PX: Final = 5e8
+"""Standard deviations are drawn as at most this, px, so that the float32 determinant (σ⁴) stays finite: far beyond any
+picture, where the splat is flat to the last bit."""
+
 SIGMAS: Final = 3.0
 """Standard deviations that bound a Gaussian where opacity is not considered (Kerbl 2023)."""
 

@@ -5,9 +5,9 @@ and in ``kernels/cpu/x.py`` (glue) over ``kernels/cpu/x.cpp`` (loops) with the m
 
 ==========  =====================================================================================
 select      tree, gaussians, camera, options            → rows of the cut                (per frame)
-project     gaussians, ids, rows, camera, options       → Splats, in depth order         (per frame)
+project     gaussians, ids, rows, camera, options       → Splats and their depth order   (per frame)
 bin         splats, camera, options                     → TileBins                       (per frame)
-blend       splats, bins, camera, options               → image, alpha, depth, counters  (per frame)
+blend       splats, bins, camera, options               → Picture                        (per frame)
 thin        means, colors, importance, radius           → representative of each row     (per level)
 merge       gaussians, groups, options                  → Gaussians, one a group         (per level)
 ==========  =====================================================================================
@@ -16,3 +16,35 @@ A fast kernel agrees with its reference within rounding; at a step (a threshold,
 gives the same bits for any number of threads and any order of rows: a thread writes only what its chunk owns, rows are
 computed in full vectors that never depend on their place, and equal keys are ordered by the row's id.
 """
+
+from collections.abc import Callable
+from typing import Literal, NamedTuple
+
+from splatree.errors import InputError
+from splatree.kernels import cpu, reference
+from splatree.scene.frame import Picture, Splats, TileBins
+
+__all__ = ["Backend", "FrameStages", "backend_for"]
+
+Backend = Literal["cpu", "reference"]
+"""Named implementations of the stages of a frame."""
+
+
+class FrameStages(NamedTuple):
+    """The stages of a frame after the selection, of one implementation."""
+
+    project: Callable[..., Splats]
+    """Gaussians of the selected rows to splats."""
+    bin: Callable[..., TileBins]
+    """Splats to tiles."""
+    blend: Callable[..., Picture]
+    """Tiles to the picture."""
+
+
+def backend_for(name: Backend) -> FrameStages:
+    """The stages of the implementation ``name``."""
+    modules = {"cpu": cpu, "reference": reference}
+    if name not in modules:
+        raise InputError(f"backend: found {name!r}, wanted one of {sorted(modules)}")
+    stages = modules[name]
+    return FrameStages(stages.project.project, stages.bin.bin, stages.blend.blend)

@@ -5,6 +5,8 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from splatree.constants import TILE_PX
 from splatree.scene.cameras import Camera
 from splatree.shapes import Array, Float32, Int32, Int64, check_fields
@@ -36,28 +38,61 @@ class Selection:
 
 @dataclass(frozen=True, eq=False)
 class Splats:
-    """Projected Gaussians that touch the image, ordered by depth, nearest first; equal depths by the row's id."""
+    """Projected Gaussians that touch the image, in the order of their rows, and their order by depth.
+
+    A splat is one record of 64 bytes, a cache line, because the blend visits them in no order of memory; its columns have
+    names below. The conic is kept as its triangular factor L = ((a, b), (0, c)), with which the opacity at offset d from the
+    centre is o exp(-½ |L d|²): the quadratic form of a long thin splat would cancel in float32, a sum of squares cannot.
+    """
 
     rows: Int32[Array, "v"]
-    """Row of the scene that each splat comes from."""
-    means_px: Float32[Array, "v 2"]
-    """Centre on the image, px; the centre of the first pixel is (½, ½)."""
-    conics: Float32[Array, "v 3"]
-    """Inverse of the dilated 2D covariance, px⁻²: the entries 00, 01, 11."""
-    depths: Float32[Array, "v"]
-    """View depth of the centre, world units."""
-    opacities: Float32[Array, "v"]
-    """Opacity at the centre after antialiasing compensation, 0 to 1."""
-    colors: Float32[Array, "v 3"]
-    """Linear sum of the harmonics + ½, clipped below at 0."""
-    extents_px: Float32[Array, "v 2"]
-    """Half width and half height, px, of the box outside of which the opacity is below τ."""
+    """Row of the scene that each splat comes from, ascending if the selection is."""
+    records: Float32[Array, "v 16"]
+    """Centre x y, factor a b c, opacity, its log2, colour r g b, depth, half width and height of the box, three unused."""
+    order: Int32[Array, "v"]
+    """Splats from the nearest to the farthest; equal depths by the row's id."""
 
     def __post_init__(self) -> None:
         check_fields(self)
 
     def __len__(self) -> int:
         return len(self.rows)
+
+    @property
+    def means_px(self) -> Float32[Array, "v 2"]:
+        """Centre on the image, px; the centre of the first pixel is (½, ½)."""
+        return self.records[:, 0:2]
+
+    @property
+    def factors(self) -> Float32[Array, "v 3"]:
+        """Entries a, b, c of the triangular factor L of the conic LᵀL, px⁻¹."""
+        return self.records[:, 2:5]
+
+    @property
+    def conics(self) -> Float32[Array, "v 3"]:
+        """Inverse of the dilated 2D covariance, px⁻²: the entries 00, 01, 11 (computed)."""
+        a, b, c = self.factors.T
+        return np.stack([a * a, a * b, b * b + c * c], axis=1)
+
+    @property
+    def opacities(self) -> Float32[Array, "v"]:
+        """Opacity at the centre after antialiasing compensation, 0 to 1."""
+        return self.records[:, 5]
+
+    @property
+    def colors(self) -> Float32[Array, "v 3"]:
+        """Linear sum of the harmonics + ½, clipped below at 0."""
+        return self.records[:, 7:10]
+
+    @property
+    def depths(self) -> Float32[Array, "v"]:
+        """View depth of the centre, world units."""
+        return self.records[:, 10]
+
+    @property
+    def extents_px(self) -> Float32[Array, "v 2"]:
+        """Half width and half height, px, of the box outside of which the opacity is below τ."""
+        return self.records[:, 11:13]
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +115,25 @@ class TileBins:
     def num_pairs(self) -> int:
         """N_P: pairs of splat and tile."""
         return len(self.splat_from_pair)
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """What the blend leaves."""
+
+    image: Float32[Array, "h w 3"]
+    """Colour over the background."""
+    alpha: Float32[Array, "h w"]
+    """Share of light that the splats stop."""
+    depth: Float32[Array, "h w"]
+    """Blended view depth of the splats divided by alpha, world units; 0 where nothing is drawn."""
+    num_evaluated: int
+    """Evaluations of a splat's opacity at a pixel."""
+    num_blended: int
+    """Evaluations that were added to a pixel."""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from typing import Literal, get_args
 
 from splatree.constants import DILATION_PX2, PIXEL_ERROR
 from splatree.errors import InputError
-from splatree.scene.scene import Mode
+from splatree.scene.scene import Mode, Scene
 
 Rule = Literal["cut", "paper-strict", "release", "log-serial"]
 """Named rule sets of the selection (FilterGS §3.2 and its code; docs/algorithms/select.md)."""
@@ -69,3 +69,29 @@ class RenderOptions:
             raise InputError(f"threshold: found {self.threshold}, wanted between 0 and 1")
         if self.sh_degree is not None and not 0 <= self.sh_degree <= 3:
             raise InputError(f"sh_degree: found {self.sh_degree}, wanted 0 to 3")
+
+    def resolved(self, scene: Scene) -> "ResolvedOptions":
+        """The options with everything that is left to the scene filled in."""
+        return ResolvedOptions(
+            background=self.background,
+            mode=self.mode if self.mode is not None else scene.mode,
+            dilation_px2=self.dilation_px2,
+            threshold=self.threshold if self.threshold is not None else scene.threshold,
+            sh_degree=self.sh_degree if self.sh_degree is not None else scene.gaussians.sh_degree,
+        )
+
+
+@dataclass(frozen=True)
+class ResolvedOptions:
+    """`RenderOptions` for one scene, as the kernels take them: nothing left open."""
+
+    background: tuple[float, float, float]
+    """Colour behind everything, RGB 0 to 1."""
+    mode: Mode
+    """How dilation changes the opacity."""
+    dilation_px2: float
+    """Variance added to both axes of each splat, px²."""
+    threshold: float
+    """τ: opacity below which a splat ends."""
+    sh_degree: int
+    """Highest degree of harmonics evaluated."""

@@ -3,11 +3,27 @@
 #include <atomic>
 #include <cstring>
 
+// The functions of one variant, and their table.
+#define SPLATREE_DECLARE(isa)                      \
+  namespace splatree::isa {                        \
+  int64_t project(const ProjectJob&, int64_t*);    \
+  void blend(const BlendJob&);                     \
+  }
+#define SPLATREE_TABLE(name, isa) {name, isa::project, isa::blend}
+
+#if defined(__x86_64__)
+SPLATREE_DECLARE(isa_v4)
+SPLATREE_DECLARE(isa_v3)
+SPLATREE_DECLARE(isa_v2)
+#else
+SPLATREE_DECLARE(isa_native)
+#endif
+
 namespace splatree {
 namespace {
 
 #if defined(__x86_64__)
-const Kernels tables[] = {{"v4"}, {"v3"}, {"v2"}};
+const Kernels tables[] = {SPLATREE_TABLE("v4", isa_v4), SPLATREE_TABLE("v3", isa_v3), SPLATREE_TABLE("v2", isa_v2)};
 
 bool runs(const Kernels& table) {
   // The levels of the x86-64 psABI.
@@ -23,7 +39,7 @@ bool runs(const Kernels& table) {
   }
 }
 #else
-const Kernels tables[] = {{"native"}};
+const Kernels tables[] = {SPLATREE_TABLE("native", isa_native)};
 
 bool runs(const Kernels&) { return true; }
 #endif

@@ -7,11 +7,17 @@
 // and listed in the table `Kernels` below; callers write `kernels().project(job)`. Such a source must not use std
 // templates: their weak symbols would be shared between variants.
 #pragma once
+#include <cstdint>
 
 namespace splatree {
 
+struct ProjectJob;
+struct BlendJob;
+
 struct Kernels {
   const char* isa;
+  int64_t (*project)(const ProjectJob& job, int64_t* place);
+  void (*blend)(const BlendJob& job);
 };
 
 // The table of the best level that the processor runs, or of the level set by use_isa().

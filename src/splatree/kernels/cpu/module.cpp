@@ -12,6 +12,10 @@
 namespace nb = nanobind;
 using namespace splatree;
 
+namespace splatree {
+void bind_render(nb::module_& m);
+}
+
 NB_MODULE(_core, m) {
   m.doc() = "Native kernels of splatree; use them through splatree.kernels.cpu.";
 
@@ -31,4 +35,6 @@ NB_MODULE(_core, m) {
         if (!use_isa(name.c_str())) throw nb::value_error(("this processor or build lacks level " + name).c_str());
       },
       nb::arg("name"), "Switch to another level; for tests, not while kernels run.");
+
+  bind_render(m);
 }

@@ -1,0 +1,117 @@
+// Glue of the frame's stages: project, order, bin, blend. Sizes are checked by the callers in kernels/cpu/*.py.
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/tuple.h>
+
+#include <cmath>
+#include <numeric>
+#include <optional>
+#include <tuple>
+#include <vector>
+
+#include "cpu/bin.h"
+#include "cpu/blend.h"
+#include "cpu/isa.h"
+#include "cpu/project.h"
+
+namespace nb = nanobind;
+
+namespace splatree {
+namespace {
+
+template <class T>
+using In = nb::ndarray<const T, nb::c_contig, nb::device::cpu>;
+template <class T>
+using Out = nb::ndarray<T, nb::c_contig, nb::device::cpu>;
+
+// Column by column what kernels/cpu/project.py packs into its array of doubles.
+View view_of(const double* v, double threshold, bool antialiased) {
+  View view{};
+  for (int i = 0; i < 9; ++i) view.rotation[i] = float(*v++);
+  for (int i = 0; i < 3; ++i) {
+    view.center_high[i] = float(*v);
+    view.center_low[i] = float(*v - view.center_high[i]);
+    ++v;
+  }
+  float* const rest[] = {&view.fx, &view.fy, &view.cx, &view.cy, &view.width, &view.height, &view.near,
+                         &view.slope_min_x, &view.slope_max_x, &view.slope_min_y, &view.slope_max_y,
+                         &view.dilation, &view.sigma_max};
+  for (float* field : rest) *field = float(*v++);
+  view.threshold = float(threshold);
+  view.log2_threshold = float(std::log2(threshold));
+  view.antialiased = antialiased;
+  return view;
+}
+
+int64_t project_rows(In<float> means, In<float> quats, In<float> log_scales, In<float> logit_opacities, In<float> sh,
+                     std::optional<In<int32_t>> rows, int64_t num_rows, In<double> view, double threshold,
+                     bool antialiased, int degree, Out<int32_t> out_rows, Out<float> out_records, int threads) {
+  const ProjectJob job{means.data(), quats.data(), log_scales.data(), logit_opacities.data(), sh.data(),
+                       int(sh.shape(1)), degree, view_of(view.data(), threshold, antialiased),
+                       rows ? rows->data() : nullptr, num_rows, threads, out_rows.data(), out_records.data()};
+  nb::gil_scoped_release release;
+  std::vector<int64_t> place(num_rows / 16 + 2, -1);
+  place[0] = 0;
+  return kernels().project(job, place.data());
+}
+
+void order_splats(In<float> records, In<int32_t> rows, std::optional<In<uint32_t>> ids, Out<int32_t> order,
+                  int threads) {
+  const uint32_t* id = ids ? ids->data() : nullptr;
+  nb::gil_scoped_release release;
+  order_by_depth(records.data(), rows.data(), id, int64_t(order.shape(0)), threads, order.data());
+}
+
+nb::ndarray<nb::numpy, int32_t, nb::ndim<1>> bin_splats(In<float> records, In<int32_t> order, double threshold, int width,
+                                          int height, Out<int64_t> tile_start, int num_tiles_x, int num_tiles_y,
+                                          bool whole_box, int threads) {
+  const BinJob job{records.data(), order.data(), int64_t(order.shape(0)), float(std::log2(threshold)), width, height,
+                   num_tiles_x, num_tiles_y, whole_box, threads};
+  int32_t* pairs;
+  {
+    nb::gil_scoped_release release;
+    pairs = bin(job, tile_start.data());
+  }
+  const nb::capsule owner(pairs, [](void* p) noexcept { delete[] static_cast<int32_t*>(p); });
+  const size_t num_pairs = size_t(tile_start.data()[num_tiles_x * num_tiles_y]);
+  return nb::ndarray<nb::numpy, int32_t, nb::ndim<1>>(pairs, {num_pairs}, owner);
+}
+
+std::tuple<int64_t, int64_t> blend_tiles(In<float> records, In<int64_t> tile_start, In<int32_t> splat_from_pair,
+                                         int num_tiles_x, int num_tiles_y, double threshold, In<double> background,
+                                         bool whole_tile, Out<float> image, Out<float> alpha, Out<float> depth,
+                                         int threads) {
+  const int height = int(alpha.shape(0)), width = int(alpha.shape(1));
+  std::vector<int64_t> evaluated(size_t(num_tiles_x) * num_tiles_y), blended(evaluated.size());
+  const double* b = background.data();
+  const BlendJob job{records.data(), tile_start.data(), splat_from_pair.data(), num_tiles_x, num_tiles_y, width, height,
+                     float(std::log2(threshold)), {float(b[0]), float(b[1]), float(b[2])}, whole_tile, threads,
+                     image.data(), alpha.data(), depth.data(), evaluated.data(), blended.data()};
+  {
+    nb::gil_scoped_release release;
+    kernels().blend(job);
+  }
+  return {std::accumulate(evaluated.begin(), evaluated.end(), int64_t(0)),
+          std::accumulate(blended.begin(), blended.end(), int64_t(0))};
+}
+
+}  // namespace
+
+void bind_render(nb::module_& m) {
+  m.def("project_rows", &project_rows, nb::arg("means"), nb::arg("quats"), nb::arg("log_scales"),
+        nb::arg("logit_opacities"), nb::arg("sh"), nb::arg("rows").none(), nb::arg("num_rows"), nb::arg("view"),
+        nb::arg("threshold"), nb::arg("antialiased"), nb::arg("degree"), nb::arg("out_rows"), nb::arg("out_records"),
+        nb::arg("threads"), "Project rows; returns the number of records written.");
+  m.def("order_splats", &order_splats, nb::arg("records"), nb::arg("rows"), nb::arg("ids").none(), nb::arg("order"),
+        nb::arg("threads"), "Indices of the records by depth, equal depths by id.");
+  m.def("bin_splats", &bin_splats, nb::arg("records"), nb::arg("order"), nb::arg("threshold"), nb::arg("width"),
+        nb::arg("height"), nb::arg("tile_start"), nb::arg("num_tiles_x"), nb::arg("num_tiles_y"), nb::arg("whole_box"),
+        nb::arg("threads"), "Fill tile_start and return the splats of all tiles.");
+  m.def("blend_tiles", &blend_tiles, nb::arg("records"), nb::arg("tile_start"), nb::arg("splat_from_pair"),
+        nb::arg("num_tiles_x"), nb::arg("num_tiles_y"), nb::arg("threshold"), nb::arg("background"),
+        nb::arg("whole_tile"), nb::arg("image"), nb::arg("alpha"), nb::arg("depth"), nb::arg("threads"),
+        "Blend all tiles; returns the numbers of evaluations and of those that were blended.");
+}
+
+}  // namespace splatree

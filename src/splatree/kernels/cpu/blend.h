@@ -1,0 +1,22 @@
+// Job of the blending.
+#pragma once
+#include <cstdint>
+
+namespace splatree {
+
+struct BlendJob {
+  const float* records;            // v splats
+  const int64_t* tile_start;       // t + 1
+  const int32_t* splat_from_pair;  // m
+  int num_tiles_x, num_tiles_y;
+  int width, height;  // px
+  float log2_threshold;
+  float background[3];
+  bool whole_tile;  // evaluate all 4 × 4 blocks of a tile instead of those that the ellipse touches
+  int threads;
+  float* image;                        // h w 3
+  float *alpha, *depth;                // h w
+  int64_t *num_evaluated, *num_blended;  // a tile
+};
+
+}  // namespace splatree

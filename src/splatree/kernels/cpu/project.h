@@ -1,0 +1,27 @@
+// Jobs of the projection (project.cpp) and of the depth order (order.cpp).
+#pragma once
+#include <cstdint>
+
+#include "shared/project.h"
+
+namespace splatree {
+
+struct ProjectJob {
+  // n rows of Gaussians, as stored
+  const float *means, *quats, *log_scales, *logit_opacities, *sh;
+  int num_coefficients;  // of sh, a channel
+  int degree;            // evaluated
+  View view;
+  const int32_t* rows;  // v rows to project, or null: rows 0 to v - 1
+  int64_t num_rows;
+  int threads;
+  // capacity v each
+  int32_t* out_rows;
+  float* out_records;
+};
+
+// order[i] is the index of the i-th nearest of v records; equal depths by ids[rows[.]], or by rows[.] without ids.
+void order_by_depth(const float* records, const int32_t* rows, const uint32_t* ids, int64_t num_splats, int threads,
+                    int32_t* order);
+
+}  // namespace splatree

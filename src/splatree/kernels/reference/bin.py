@@ -1,0 +1,45 @@
+"""List the splats of each tile: the definition.
+
+A splat belongs to a tile of 16 × 16 px iff its ellipse |L d| ≤ k, k = √(2 ln(o/τ)), reaches into the rectangle of the tile's
+pixel centres. The smallest |L d| over a rectangle is 0 if the centre lies inside; else it is on the border, where |L d|² is a
+parabola along each side. Nothing is lost: a pair left out has opacity below τ at every pixel of the tile.
+"""
+
+import numpy as np
+
+from splatree.constants import TILE_PX
+from splatree.scene.cameras import Camera
+from splatree.scene.frame import Splats, TileBins, tiles_of
+from splatree.scene.options import ResolvedOptions
+from splatree.shapes import Array
+
+__all__ = ["bin", "smallest_distances"]
+
+
+def bin(splats: Splats, camera: Camera, options: ResolvedOptions, *, threads: int = 0) -> TileBins:
+    """Pairs of splat and tile, tile by tile and nearest first; ``threads`` is not used."""
+    num_x, num_y = tiles_of(camera)
+    k_squared = 2 * np.log(splats.opacities.astype(np.float64) / options.threshold)
+    distances = smallest_distances(splats, camera)  # [v t]
+    touches = distances**2 <= k_squared[:, None]
+    lists = [splats.order[touches[splats.order, t]] for t in range(num_x * num_y)]
+    tile_start = np.concatenate([[0], np.cumsum([len(tile) for tile in lists])]).astype(np.int64)
+    return TileBins(tile_start, np.concatenate(lists).astype(np.int32), num_x, num_y)
+
+
+def smallest_distances(splats: Splats, camera: Camera) -> Array:
+    """Smallest |L d| of each splat over the pixel centres' rectangle of each tile, [v t]."""
+    num_x, num_y = tiles_of(camera)
+    tile_y, tile_x = (index.ravel() for index in np.indices((num_y, num_x)))
+    mx, my = splats.means_px.astype(np.float64).T[:, :, None]
+    a, b, c = splats.factors.astype(np.float64).T[:, :, None]
+    left, right = TILE_PX * tile_x + 0.5 - mx, np.minimum(TILE_PX * (tile_x + 1), camera.width) - 0.5 - mx
+    top, bottom = TILE_PX * tile_y + 0.5 - my, np.minimum(TILE_PX * (tile_y + 1), camera.height) - 0.5 - my
+
+    def distance(dx: Array, dy: Array) -> Array:
+        return np.asarray(np.hypot(a * dx + b * dy, c * dy))
+
+    sides = [distance(np.clip(-b / a * dy, left, right), dy) for dy in (top, bottom)]
+    sides += [distance(dx, np.clip(-a * b / (b * b + c * c) * dx, top, bottom)) for dx in (left, right)]
+    inside = (left <= 0) & (right >= 0) & (top <= 0) & (bottom >= 0)
+    return np.asarray(np.where(inside, 0.0, np.minimum.reduce(sides)))

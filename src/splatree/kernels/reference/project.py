@@ -1,0 +1,97 @@
+"""Project Gaussians to splats: the definition.
+
+A Gaussian with mean μ and covariance Σ is seen as the 2D Gaussian of the local affine approximation (Zwicker 2002, Eq. 31;
+Kerbl 2023, Eq. 5):
+
+    Σ' = J W Σ Wᵀ Jᵀ + dilation · I
+
+W is the rotation of the camera; J the Jacobian of the perspective at the mean, with the direction (x/z, y/z) held within the
+image and 0.3 half fields of view around it (the 1.3 tan(fov/2) of Kerbl 2023, measured from the borders so that it also
+holds for an off-centre principal point). In mode `antialiased` the opacity is multiplied by √(det(Σ' − dilation I) / det Σ'),
+so that the dilation does not add light (Yu 2024, Eq. 9).
+
+The splat ends where its opacity falls below τ: |L d| ≤ k with k = √(2 ln(o/τ)), a box of half size k √Σ'_xx by k √Σ'_yy. A
+Gaussian is dropped if its centre is not farther than `near`, if o < τ, or if the box holds no pixel centre's row or column.
+"""
+
+import numpy as np
+
+from splatree.constants import DILATION_MIN_PX2, FRUSTUM_CLAMP, SIGMA_MAX_PX
+from splatree.maths.harmonics import colors_from_harmonics
+from splatree.maths.rotations import matrices_from_quats
+from splatree.scene.cameras import Camera
+from splatree.scene.frame import Splats
+from splatree.scene.gaussians import Gaussians
+from splatree.scene.options import ResolvedOptions
+from splatree.shapes import Array, Int32, UInt32
+
+__all__ = ["project"]
+
+
+def project(
+    gaussians: Gaussians,
+    ids: UInt32[Array, "n"] | None,
+    rows: Int32[Array, "v"],
+    camera: Camera,
+    options: ResolvedOptions,
+    *,
+    threads: int = 0,
+) -> Splats:
+    """Splats of the rows that touch the image; ``threads`` is not used."""
+    g = gaussians.take(rows)
+    W, t = camera.camera_from_world[:3, :3], camera.camera_from_world[:3, 3]
+    fx, fy, cx, cy = camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2]
+    points = g.means.astype(np.float64) @ W.T + t  # [v 3]
+    kept = points[:, 2] > camera.near
+    g, points, rows = g.take(kept), points[kept], rows[kept]
+    x, y, z = points.T
+    means_px = np.stack([fx * x / z + cx, fy * y / z + cy], axis=1)
+
+    # The Jacobian at the clamped direction, and the factor M = J W R S with Σ' = M Mᵀ + dilation I.
+    ux = _clamp_to_image(x / z, cx / fx, (camera.width - cx) / fx)
+    uy = _clamp_to_image(y / z, cy / fy, (camera.height - cy) / fy)
+    zero = np.zeros_like(z)
+    J = np.stack(
+        [np.stack([fx / z, zero, -fx * ux / z], -1), np.stack([zero, fy / z, -fy * uy / z], -1)], -2
+    )  # [v 2 3]
+    largest = SIGMA_MAX_PX * z / max(fx, fy)
+    scales = np.exp(np.minimum(g.log_scales, np.log(largest)[:, None], dtype=np.float64))
+    M = J @ W @ matrices_from_quats(g.quats) * scales[:, None, :]  # [v 2 3]
+
+    # The determinant as a sum of positive terms: A C − B² would cancel for long thin splats.
+    dilation = max(options.dilation_px2, DILATION_MIN_PX2)
+    xx, yy, xy = (np.sum(M[:, i] * M[:, j], axis=1) for i, j in ((0, 0), (1, 1), (0, 1)))
+    undilated_det = np.sum(np.cross(M[:, 0], M[:, 1]) ** 2, axis=1)
+    det = undilated_det + dilation * (xx + yy) + dilation**2
+    xx, yy = xx + dilation, yy + dilation
+
+    opacities = 0.5 * (1.0 + np.tanh(0.5 * g.logit_opacities.astype(np.float64)))  # the sigmoid, without overflow
+    if options.mode == "antialiased":
+        opacities = opacities * np.sqrt(undilated_det / det)
+    k_squared = 2 * np.log(np.maximum(opacities, options.threshold) / options.threshold)
+    extents_px = np.sqrt(k_squared[:, None] * np.stack([xx, yy], axis=1))
+
+    a = np.sqrt(yy / det)
+    factors = np.stack([a, -a * xy / yy, np.sqrt(1 / yy)], axis=1)
+    size = np.array([camera.width, camera.height])
+    touches = (means_px + extents_px >= 0.5) & (means_px - extents_px <= size - 0.5)
+    visible = touches.all(axis=1) & (opacities >= options.threshold)
+
+    directions = (points @ W)[visible]  # from the eye, in the world
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    degree = min(options.sh_degree, g.sh_degree)
+    colors = colors_from_harmonics(g.sh[visible], directions, degree)
+
+    records = np.zeros((int(visible.sum()), 16), np.float32)
+    records[:, 0:2], records[:, 2:5] = means_px[visible], factors[visible]
+    records[:, 5], records[:, 6] = opacities[visible], np.log2(opacities[visible])
+    records[:, 7:10], records[:, 10], records[:, 11:13] = colors, z[visible], extents_px[visible]
+    rows = np.ascontiguousarray(rows[visible])
+    order = np.lexsort((rows if ids is None else ids[rows], records[:, 10])).astype(np.int32)
+    return Splats(rows, records, order)
+
+
+def _clamp_to_image(slope: Array, before: float, after: float) -> Array:
+    """Hold a direction x/z within the image's borders −before … after and a margin of 0.3 half fields of view."""
+    margin = (FRUSTUM_CLAMP - 1.0) * (before + after) / 2
+    return np.asarray(np.clip(slope, -before - margin, after + margin))

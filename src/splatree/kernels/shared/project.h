@@ -1,0 +1,109 @@
+// The projection of one Gaussian; kernels/reference/project.py is the definition.
+#pragma once
+#include "shared/elementary.h"
+
+namespace splatree {
+
+struct View {
+  float rotation[9];                  // camera from world, row by row
+  float center_high[3], center_low[3];  // the eye in the world: two floats each, so that map coordinates keep their precision
+  float fx, fy, cx, cy;               // px
+  float width, height, near;
+  float slope_min_x, slope_max_x, slope_min_y, slope_max_y;  // limits of x/z, y/z in the Jacobian
+  float dilation;                     // px^2
+  float sigma_max;                    // largest standard deviation over z, world units
+  float threshold, log2_threshold;    // τ
+  int antialiased;
+};
+
+namespace {
+
+struct Point {
+  float dx, dy, dz;  // from the eye, world axes
+  float x, y, z;     // camera axes
+};
+
+SPLATREE_FN Point point_of(const View& view, float mean_x, float mean_y, float mean_z) {
+  Point p;
+  p.dx = (mean_x - view.center_high[0]) - view.center_low[0];
+  p.dy = (mean_y - view.center_high[1]) - view.center_low[1];
+  p.dz = (mean_z - view.center_high[2]) - view.center_low[2];
+  const float* r = view.rotation;
+  p.x = r[0] * p.dx + r[1] * p.dy + r[2] * p.dz;
+  p.y = r[3] * p.dx + r[4] * p.dy + r[5] * p.dz;
+  p.z = r[6] * p.dx + r[7] * p.dy + r[8] * p.dz;
+  return p;
+}
+
+struct Splat {
+  float x, y, a, b, c, opacity, log2_opacity, extent_x, extent_y;
+  int visible;
+};
+
+struct Vector {
+  float x, y, z;
+};
+
+SPLATREE_FN float dot(Vector p, Vector q) { return p.x * q.x + p.y * q.y + p.z * q.z; }
+
+// The row of J W R S that belongs to one image axis: t = f/z (w_axis - u w_depth), then R and S from the right.
+SPLATREE_FN Vector row_of(Vector t, const Vector (&axes)[3], Vector scale) {
+  return {dot(t, axes[0]) * scale.x, dot(t, axes[1]) * scale.y, dot(t, axes[2]) * scale.z};
+}
+
+SPLATREE_FN Splat splat_of(const View& view, const Point& p, float qw, float qx, float qy, float qz, Vector log_scale,
+                           float logit_opacity) {
+  // Columns of the rotation of a quaternion of any length; first its largest entry is made 1 against overflow.
+  const float aw = qw < 0 ? -qw : qw, ax = qx < 0 ? -qx : qx, ay = qy < 0 ? -qy : qy, az = qz < 0 ? -qz : qz;
+  const float unit = 1.f / greatest(greatest(greatest(aw, ax), greatest(ay, az)), 1e-37f);
+  const float w = qw * unit, x = qx * unit, y = qy * unit, z = qz * unit;
+  const float s = 2.f / greatest(w * w + x * x + y * y + z * z, 1e-37f);
+  const Vector axes[3] = {
+      {1.f - s * (y * y + z * z), s * (x * y + w * z), s * (x * z - w * y)},
+      {s * (x * y - w * z), 1.f - s * (x * x + z * z), s * (y * z + w * x)},
+      {s * (x * z + w * y), s * (y * z - w * x), 1.f - s * (x * x + y * y)},
+  };
+  const float largest = view.sigma_max * p.z;
+  const Vector scale = {least(exp_of(log_scale.x), largest), least(exp_of(log_scale.y), largest),
+                        least(exp_of(log_scale.z), largest)};
+
+  // The two rows of M = J W R S.
+  const float inverse_z = 1.f / p.z;
+  const float slope_x = p.x * inverse_z, slope_y = p.y * inverse_z;
+  const float ux = least(greatest(slope_x, view.slope_min_x), view.slope_max_x);
+  const float uy = least(greatest(slope_y, view.slope_min_y), view.slope_max_y);
+  const float gx = view.fx * inverse_z, gy = view.fy * inverse_z;
+  const float* r = view.rotation;
+  const Vector tx = {gx * (r[0] - ux * r[6]), gx * (r[1] - ux * r[7]), gx * (r[2] - ux * r[8])};
+  const Vector ty = {gy * (r[3] - uy * r[6]), gy * (r[4] - uy * r[7]), gy * (r[5] - uy * r[8])};
+  const Vector mx = row_of(tx, axes, scale), my = row_of(ty, axes, scale);
+
+  // The determinant as a sum of positive terms.
+  const float mxx = dot(mx, mx), myy = dot(my, my), xy = dot(mx, my);
+  const Vector cross = {mx.y * my.z - mx.z * my.y, mx.z * my.x - mx.x * my.z, mx.x * my.y - mx.y * my.x};
+  const float undilated_det = dot(cross, cross);
+  const float det = undilated_det + view.dilation * (mxx + myy) + view.dilation * view.dilation;
+  const float xx = mxx + view.dilation, yy = myy + view.dilation;
+
+  Splat splat;
+  splat.x = view.fx * slope_x + view.cx;
+  splat.y = view.fy * slope_y + view.cy;
+  const float sigmoid = 1.f / (1.f + exp_of(-logit_opacity));
+  const float compensation = view.antialiased ? __builtin_sqrtf(undilated_det / det) : 1.f;
+  splat.opacity = sigmoid * compensation;
+  splat.log2_opacity = log2_of(greatest(splat.opacity, 1e-37f));
+  const float k_squared = 1.38629436f * greatest(splat.log2_opacity - view.log2_threshold, 0.f);  // 2 ln(o/τ)
+  splat.extent_x = __builtin_sqrtf(k_squared * xx);
+  splat.extent_y = __builtin_sqrtf(k_squared * yy);
+  splat.a = __builtin_sqrtf(yy / det);
+  splat.b = -splat.a * (xy / yy);
+  splat.c = __builtin_sqrtf(1.f / yy);
+  // NaN anywhere makes a comparison false: such a row is not drawn.
+  splat.visible = (p.z > view.near) & (splat.opacity >= view.threshold) & (splat.x + splat.extent_x >= 0.5f) &
+                  (splat.x - splat.extent_x <= view.width - 0.5f) & (splat.y + splat.extent_y >= 0.5f) &
+                  (splat.y - splat.extent_y <= view.height - 0.5f);
+  return splat;
+}
+
+}  // namespace
+}  // namespace splatree

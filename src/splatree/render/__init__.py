@@ -1,0 +1,1 @@
+"""Frames of a scene: the pipeline, camera paths, video."""

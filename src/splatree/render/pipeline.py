@@ -1,0 +1,91 @@
+"""A frame: select → project → bin → blend.
+
+::
+
+    Camera ─► select ────► project ─► bin ─► blend ─► RenderResult
+              LoD cut      splats     tiles  image
+
+Each stage is a function from structs to a struct; `render` drops what lies between, `trace` keeps it. The picture is that of
+standard 3D Gaussian Splatting (Kerbl 2023), and has the same bits for any number of threads and any order of rows.
+"""
+
+import time
+from collections.abc import Callable
+from typing import TypeVar
+
+from splatree.kernels import Backend, backend_for
+from splatree.lod.select import select as select_rows
+from splatree.scene.cameras import Camera
+from splatree.scene.frame import Counters, Frame, RenderResult
+from splatree.scene.options import RenderOptions, SelectOptions
+from splatree.scene.scene import Scene
+
+__all__ = ["render", "trace"]
+
+T = TypeVar("T")
+
+
+def render(
+    scene: Scene,
+    camera: Camera,
+    options: RenderOptions | None = None,
+    select: SelectOptions | None = None,
+    *,
+    threads: int = 0,
+    backend: Backend = "cpu",
+) -> RenderResult:
+    """Draw a view of a scene.
+
+    The level of detail follows ``select``; all leaves are drawn with ``SelectOptions(pixel_error=0)``. ``threads`` 0 means
+    all there are. The backend `reference` is NumPy float64: slow, to compare with.
+    """
+    return trace(scene, camera, options, select, threads=threads, backend=backend).result
+
+
+def trace(
+    scene: Scene,
+    camera: Camera,
+    options: RenderOptions | None = None,
+    select: SelectOptions | None = None,
+    *,
+    threads: int = 0,
+    backend: Backend = "cpu",
+) -> Frame:
+    """Draw a view like `render` and keep what each stage computed."""
+    options, select = options or RenderOptions(), select or SelectOptions()
+    resolved = options.resolved(scene)
+    kernels = backend_for(backend)
+    milliseconds: dict[str, float] = {}
+
+    def timed(stage: str, work: Callable[[], T]) -> T:
+        start = time.perf_counter()
+        value = work()
+        milliseconds[stage] = 1e3 * (time.perf_counter() - start)
+        return value
+
+    selection = timed(
+        "select",
+        lambda: select_rows(
+            scene,
+            camera,
+            select,
+            dilation_px2=resolved.dilation_px2,
+            threshold=resolved.threshold,
+            threads=threads,
+        ),
+    )
+    splats = timed(
+        "project",
+        lambda: kernels.project(scene.gaussians, scene.ids, selection.rows, camera, resolved, threads=threads),
+    )
+    bins = timed("bin", lambda: kernels.bin(splats, camera, resolved, threads=threads))
+    picture = timed("blend", lambda: kernels.blend(splats, bins, camera, resolved, threads=threads))
+    counters = Counters(
+        num_selected=len(selection),
+        num_visible=len(splats),
+        num_pairs=bins.num_pairs,
+        num_evaluated=picture.num_evaluated,
+        num_blended=picture.num_blended,
+    )
+    result = RenderResult(picture.image, picture.alpha, picture.depth, counters, milliseconds)
+    return Frame(camera, selection, splats, bins, result)
