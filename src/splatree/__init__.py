@@ -3,6 +3,7 @@
 from splatree.errors import FormatError, InputError, MissingExtraError, OutputError, ShapeError, SplatreeError
 from splatree.lod.select import select
 from splatree.render.pipeline import render, trace
+from splatree.io.registry import read, write
 from splatree.scene.cameras import Camera, Cameras
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.options import RenderOptions, SelectOptions
@@ -26,4 +27,6 @@ __all__ = [
     "render",
     "select",
     "trace",
+    "read",
+    "write",
 ]

@@ -62,10 +62,15 @@ class Scene:
     def flat(gaussians: Gaussians, *, mode: Mode = "classic", source: Source | None = None) -> "Scene":
         """A scene without levels: each Gaussian is a root and a leaf."""
         n = len(gaussians)
-        reach = 3.0 * np.exp(gaussians.log_scales.max(axis=1, initial=-np.inf).astype(np.float64))
+        # Three standard deviations along the longest axis; a last bit is added so that rounding keeps it a bound. e^87 is the
+        # last power that float32 holds.
+        reach = np.maximum(gaussians.log_scales[:, 0], gaussians.log_scales[:, 1])
+        np.maximum(reach, gaussians.log_scales[:, 2], out=reach)
+        np.exp(np.minimum(reach, np.float32(87), out=reach), out=reach)
+        reach *= np.float32(3 * (1 + 2**-20))
         tree = GaussianTree(
             subtree_end=np.arange(1, n + 1, dtype=np.int32),
             depth=np.zeros(n, np.uint8),
-            extents=np.minimum(reach, np.finfo(np.float32).max).astype(np.float32),
+            extents=reach,
         )
         return Scene(gaussians, tree, mode=mode, source=source or Source())

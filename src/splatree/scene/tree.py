@@ -27,6 +27,8 @@ class GaussianTree:
         n = check_fields(self)["n"]
         end = self.subtree_end
         rows = np.arange(n, dtype=np.int32)
+        if not self.depth.any() and np.array_equal(end, rows + 1):
+            return  # a forest of leaves: nothing else can be wrong
         wrong = np.flatnonzero((end <= rows) | (end > n))
         if len(wrong):
             i = int(wrong[0])

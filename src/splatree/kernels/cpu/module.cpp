@@ -14,6 +14,7 @@ using namespace splatree;
 
 namespace splatree {
 void bind_render(nb::module_& m);
+void bind_columns(nb::module_& m);
 }
 
 NB_MODULE(_core, m) {
@@ -37,4 +38,5 @@ NB_MODULE(_core, m) {
       nb::arg("name"), "Switch to another level; for tests, not while kernels run.");
 
   bind_render(m);
+  bind_columns(m);
 }

@@ -1,0 +1,147 @@
+"""Values that no renderer can use: found in one fast pass, refused with the first of them named, or repaired and counted.
+
+=================  =============================================  ===========================================
+column             wanted                                         repair
+=================  =============================================  ===========================================
+means              finite, magnitude ≤ 1e15                       the row is dropped
+sh                 finite, magnitude ≤ 1e6                        the row is dropped
+log_scales         finite, magnitude ≤ 30                         clamped; the row is dropped if NaN
+logit_opacities    finite                                         ±∞ becomes ±13.8; the row is dropped if NaN
+quats              length 1e-12 to 1e12                           normalised; zero becomes the identity; the
+                                                                  row is dropped if not finite
+=================  =============================================  ===========================================
+
+The limits keep squares and products of float32 finite all through a frame. Repairs are counted in the scene's metadata under
+``repairs``. The rows of a scene with levels cannot be dropped (its tree counts on them): such a scene is refused instead.
+
+Cost: each byte of the scene is read once (`largest_magnitude`); the masks of the diagnosis are built only for a bad scene.
+"""
+
+import json
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from splatree.errors import FormatError
+from splatree.kernels.cpu.columns import largest_magnitude
+from splatree.scene.gaussians import Gaussians
+from splatree.scene.scene import Scene
+from splatree.shapes import Array
+
+MEAN_MAX = 1e15
+"""World units; squared distances stay below 3.4e38."""
+
+SH_MAX = 1e6
+"""A sum of 16 harmonics of this size is finite and any picture of it white or black."""
+
+LOG_SCALE_MAX = 30.0
+"""e^30 = 1e13 and e^-30 = 1e-13 world units; variances and their products stay finite and normal."""
+
+QUAT_MIN, QUAT_MAX = 1e-12, 1e12
+"""Length of a quaternion whose square float32 holds with full precision."""
+
+LOGIT_CERTAIN = math.log((1 - 1e-6) / 1e-6)
+"""13.8: logit of an opacity of 1 − 1e-6, which no picture tells from 1."""
+
+
+def checked(scene: Scene, where: str, *, repair: bool) -> Scene:
+    """The scene itself if all of its values can be used; else an error or, with ``repair``, a repaired copy.
+
+    Raises:
+        FormatError: with the first bad row, its column, the value found and what was wanted.
+    """
+    if _is_clean(scene.gaussians):
+        return scene
+    if not repair:
+        raise FormatError(_describe(scene.gaussians, where))
+    if scene.tree.num_leaves != len(scene):
+        raise FormatError(
+            f"{_describe(scene.gaussians, where)}; a scene with levels cannot be repaired, build it again from its source"
+        )
+    gaussians, repairs = repaired(scene.gaussians)
+    source = scene.source
+    metadata = {**source.metadata, "repairs": json.dumps(add_counts(source.metadata.get("repairs"), repairs))}
+    flat = Scene.flat(gaussians, mode=scene.mode, source=replace(source, metadata=metadata))
+    return replace(flat, threshold=scene.threshold)
+
+
+def add_counts(old: str | None, more: dict[str, int]) -> dict[str, int]:
+    """Counts of the JSON string ``old`` plus ``more``."""
+    counts: dict[str, int] = json.loads(old) if old else {}
+    for rule, count in more.items():
+        counts[rule] = counts.get(rule, 0) + count
+    return counts
+
+
+def repaired(gaussians: Gaussians) -> tuple[Gaussians, dict[str, int]]:
+    """Repair by the table above; return the Gaussians and how many values or rows each rule touched."""
+    g = gaussians
+    with np.errstate(invalid="ignore", over="ignore"):
+        lengths = np.linalg.norm(g.quats.astype(np.float64), axis=1)
+        drop = ~(np.abs(g.means) <= MEAN_MAX).all(axis=1)
+        drop |= ~(np.abs(g.sh) <= SH_MAX).all(axis=(1, 2))
+        drop |= np.isnan(g.log_scales).any(axis=1) | np.isnan(g.logit_opacities) | ~np.isfinite(lengths)
+    keep = np.flatnonzero(~drop)
+    counts = {"dropped_rows": int(drop.sum())}
+    g, lengths = g.take(keep), lengths[keep]
+
+    log_scales = np.clip(g.log_scales, -LOG_SCALE_MAX, LOG_SCALE_MAX).astype(np.float32)
+    counts["clamped_scales"] = int((log_scales != g.log_scales).any(axis=1).sum())
+    logits = np.where(np.isinf(g.logit_opacities), np.copysign(LOGIT_CERTAIN, g.logit_opacities), g.logit_opacities)
+    counts["clamped_opacities"] = int(np.isinf(g.logit_opacities).sum())
+    quats = g.quats.copy()
+    odd = (lengths < QUAT_MIN) | (lengths > QUAT_MAX)
+    counts["repaired_quaternions"] = int(odd.sum())
+    quats[odd & (lengths > 0)] = (g.quats / np.where(lengths > 0, lengths, 1)[:, None])[odd & (lengths > 0)]
+    quats[lengths == 0] = (1, 0, 0, 0)
+    fixed = Gaussians(g.means, quats, log_scales, logits.astype(np.float32), g.sh)
+    return fixed, {rule: count for rule, count in counts.items() if count}
+
+
+def _is_clean(g: Gaussians) -> bool:
+    return (
+        largest_magnitude(g.means) <= MEAN_MAX
+        and largest_magnitude(g.sh) <= SH_MAX
+        and largest_magnitude(g.log_scales) <= LOG_SCALE_MAX
+        and math.isfinite(largest_magnitude(g.logit_opacities))
+        and largest_magnitude(g.quats) <= QUAT_MAX / 2
+        and bool(np.einsum("ij,ij->i", g.quats, g.quats).min(initial=1) >= QUAT_MIN**2)
+    ) or not any(problem.mask.any() for problem in _problems(g))
+
+
+@dataclass(frozen=True)
+class _Problem:
+    column: str
+    wanted: str
+    mask: Array  # [n] or [n …]: where the column breaks the rule
+
+
+def _problems(g: Gaussians) -> Iterator[_Problem]:
+    with np.errstate(invalid="ignore", over="ignore"):
+        yield _Problem("means", f"finite and at most {MEAN_MAX:g} in magnitude", ~(np.abs(g.means) <= MEAN_MAX))
+        yield _Problem(
+            "log_scales", f"between −{LOG_SCALE_MAX:g} and {LOG_SCALE_MAX:g}", ~(np.abs(g.log_scales) <= LOG_SCALE_MAX)
+        )
+        yield _Problem("logit_opacities", "a finite number", ~np.isfinite(g.logit_opacities))
+        lengths = np.linalg.norm(g.quats.astype(np.float64), axis=1)
+        wanted = f"a finite length between {QUAT_MIN:g} and {QUAT_MAX:g}"
+        yield _Problem("quats", wanted, ~((lengths >= QUAT_MIN) & (lengths <= QUAT_MAX)))
+        yield _Problem("sh", f"finite and at most {SH_MAX:g} in magnitude", ~(np.abs(g.sh) <= SH_MAX))
+
+
+def _describe(g: Gaussians, where: str) -> str:
+    """The first bad row of the first column that has one, and how many rows are bad in all."""
+    problems = [problem for problem in _problems(g) if problem.mask.any()]
+    first = problems[0]
+    index = tuple(int(i) for i in np.argwhere(first.mask)[0])
+    found = getattr(g, first.column)[index].tolist()
+    bad_rows = np.zeros(len(g), bool)
+    for problem in problems:
+        bad_rows |= problem.mask.reshape(len(g), -1).any(axis=1)
+    inner = "".join(f"[{i}]" for i in index[1:])
+    return (
+        f"{where}: row {index[0]}, {first.column}{inner}: found {found}, wanted {first.wanted}; "
+        f"{bad_rows.sum()} of {len(g)} rows have such values, read it with repair to fix or drop them"
+    )

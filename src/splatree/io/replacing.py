@@ -1,0 +1,51 @@
+"""Whole files or none: write beside the target, flush to the disk, rename."""
+
+import os
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from splatree.errors import OutputError
+
+
+@contextmanager
+def replacing(path: str | os.PathLike[str], *, force: bool = False) -> Iterator[Path]:
+    """Yield the path of a new, empty file beside ``path`` which takes its place when the block ends without an exception.
+
+    Until then, and after any exception, the old file is as it was and nothing is left beside it.
+
+    Raises:
+        OutputError: the file exists and ``force`` is not set, it is not a plain file, its folder is missing, or the disk is
+            full or otherwise fails.
+    """
+    target = Path(path).resolve()  # through a link, so that what it points to is replaced
+    if target.exists() and not target.is_file():
+        raise OutputError(f"{path}: cannot be written, it is not a plain file")
+    if target.exists() and not force:
+        raise OutputError(f"{path}: exists already; choose another name or replace it with force")
+    if not target.parent.is_dir():
+        raise OutputError(f"{path}: cannot be written, there is no folder {target.parent}")
+    temporary = target.parent / f".{target.name[:100]}.{secrets.token_hex(4)}.tmp"
+    try:
+        temporary.touch(exist_ok=False)
+        yield temporary
+        _flush(temporary, os.O_RDWR)
+        temporary.replace(target)
+        _flush(target.parent, os.O_RDONLY)
+    except OSError as error:
+        if isinstance(error, OutputError):
+            raise
+        raise OutputError(
+            f"{path}: could not be written ({error.strerror or error}); the old file, if any, is whole"
+        ) from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _flush(path: Path, flags: int) -> None:
+    descriptor = os.open(path, flags)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,339 @@
+"""SOG (PlayCanvas): Gaussians as the pixels of a few lossless WebP pictures, versions 1 and 2.
+
+A folder with ``meta.json`` and pictures, or the same as a ZIP bundle ``.sog``. Pixel i (row by row) is Gaussian i:
+
+- means: 16 bits, low and high byte in two pictures: ``m = min + (max − min) u / 65535``, ``x = sign(m) (e^|m| − 1)``;
+- quats: alpha − 252 is the index of the largest component (wxyz), RGB the others in order, ``(2 v / 255 − 1) / √2``;
+- scales, sh0: version 2 looks each byte up in a codebook of 256 values; version 1 spreads it between min and max;
+- opacity, the alpha of sh0: version 2 stores the opacity, version 1 its logit;
+- shN: each Gaussian has a 16-bit label into a palette of harmonics, a picture of 64 entries a row.
+
+Each step is a table of 256 or 65,536 entries computed in float64, so decoding is a handful of gathers; the WebP decoding
+costs most, and its pictures are decoded by all processors at once. Layout and deviations: docs/formats/sog.md.
+"""
+
+import zipfile
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from splatree.errors import FormatError
+from splatree.io import untrusted
+from splatree.io.options import ReadOptions
+from splatree.kernels.cpu import _core
+from splatree.progress import task
+from splatree.scene.gaussians import Gaussians
+from splatree.scene.scene import Mode, Scene, Source
+from splatree.shapes import Array
+
+_GAUSSIANS_PER_BYTE = 16
+"""More Gaussians than this for a byte of the pictures (real ones hold one in 16 to 40 bytes) is a decompression bomb …"""
+
+_GAUSSIANS_ALWAYS = 1 << 20
+"""… unless there are no more than this: then all pictures together take 30 MB."""
+
+_INFLATION_MAX = 16
+"""A ZIP entry that promises to grow by more than this is refused: WebP does not compress further."""
+
+_NUM_REST = {1: 3, 2: 8, 3: 15}
+"""Harmonics beyond the DC of each degree."""
+
+_PALETTE_MAX = 1 << 16
+_ROWS_PER_GATHER = 1 << 16
+
+ReadBytes = Callable[[str], bytes]
+
+
+def sniff(path: Path, head: bytes) -> bool:
+    """Whether the path is a folder with meta.json, that file, or a ZIP bundle with one."""
+    if path.is_dir():
+        return (path / "meta.json").is_file()
+    if head[:4] == b"PK\x03\x04":
+        try:
+            with zipfile.ZipFile(path) as bundle:
+                return "meta.json" in bundle.namelist()
+        except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError):
+            return path.suffix.lower() == ".sog"
+    return path.name == "meta.json" and head.lstrip()[:1] == b"{"
+
+
+def read(path: Path, options: ReadOptions) -> Scene:
+    """Read a folder, its meta.json, or a .sog bundle."""
+    if path.is_file() and path.name != "meta.json":
+        try:
+            with zipfile.ZipFile(path) as bundle:
+                return _read(str(path), lambda name: _zip_entry(path, bundle, name), options)
+        except (zipfile.BadZipFile, EOFError, NotImplementedError, ValueError) as error:
+            if isinstance(error, FormatError):
+                raise
+            raise FormatError(f"{path}: not a whole ZIP bundle ({error}); fetch it again") from error
+    folder = path if path.is_dir() else path.parent
+    return _read(str(folder), lambda name: _folder_file(folder, name), options)
+
+
+def _read(where: str, read_bytes: ReadBytes, options: ReadOptions) -> Scene:
+    meta = untrusted.as_object(
+        untrusted.parse_json(read_bytes("meta.json"), f"{where}/meta.json"), f"{where}/meta.json"
+    )
+    sog = _Meta(meta, f"{where}/meta.json")
+    data = {name: read_bytes(name) for name in sog.file_names}
+    num_bytes = sum(map(len, data.values()))
+    if sog.count > max(_GAUSSIANS_ALWAYS, _GAUSSIANS_PER_BYTE * num_bytes):
+        raise FormatError(
+            f"{where}/meta.json: found {sog.count} Gaussians in pictures of {num_bytes} bytes, wanted at most "
+            f"{_GAUSSIANS_PER_BYTE} a byte; the count is wrong or the file is a decompression bomb"
+        )
+    gaussians = _decode(sog, data, repair=options.repair)
+    metadata = {"version": str(sog.version)}
+    if isinstance(generator := meta.get("asset"), dict) and isinstance(generator.get("generator"), str):
+        metadata["generator"] = generator["generator"]
+    return Scene.flat(gaussians, mode=sog.mode, source=Source(metadata=metadata))
+
+
+class _Meta:
+    """The fields of meta.json, checked."""
+
+    def __init__(self, meta: dict[str, Any], where: str) -> None:
+        self.where = where
+        self.version = untrusted.integer(meta, "version", where, low=1, high=2) if "version" in meta else 1
+        means, scales, quats, sh0 = (self._section(meta, key) for key in ("means", "scales", "quats", "sh0"))
+        if self.version == 2:
+            self.count = untrusted.integer(meta, "count", where)
+            self.scale_tables = [self._codebook(scales, "scales")] * 3
+            self.dc_tables = [self._codebook(sh0, "sh0")] * 3
+            share = np.clip(np.arange(256) / 255, 1e-6, 1 - 1e-6)  # 0 and 255 stand for opacities that have no logit
+            self.logit_table = np.log(share / (1 - share)).astype(np.float32)
+        else:
+            shape = untrusted.as_list(untrusted.field(means, "shape", f"{where}: means"), f"{where}: means.shape")
+            self.count = untrusted.as_integer(shape[0] if shape else None, f"{where}: means.shape[0]")
+            self.scale_tables = self._ranges(scales, "scales", 3)
+            *self.dc_tables, self.logit_table = self._ranges(sh0, "sh0", 4)
+        self.mode = self._mode(meta)
+
+        low, high = (untrusted.numbers(means, key, f"{where}: means", (3,)) for key in ("mins", "maxs"))
+        m = low[:, None] + (high - low)[:, None] * (np.arange(1 << 16) / 65535)  # [3 65536]
+        with np.errstate(over="ignore"):  # an absurd range gives infinite means, which the check of values finds
+            self.mean_tables = (np.sign(m) * np.expm1(np.abs(m))).astype(np.float32)
+
+        self.files = {
+            "means": self._files(means, "means", 2),
+            "scales": self._files(scales, "scales", 1),
+            "quats": self._files(quats, "quats", 1),
+            "sh0": self._files(sh0, "sh0", 1),
+        }
+        self.rest_table: Array | None = None
+        self.rest_count: int | None = None
+        self.rest_degree: int | None = None
+        if meta.get("shN") is not None:
+            rest = self._section(meta, "shN")
+            self.files["shN"] = self._files(rest, "shN", 2)
+            if self.version == 2:
+                self.rest_table = self._codebook(rest, "shN")
+                self.rest_degree = untrusted.integer(rest, "bands", f"{where}: shN", low=1, high=3)
+                self.rest_count = untrusted.integer(rest, "count", f"{where}: shN", low=1, high=_PALETTE_MAX)
+            else:
+                rest_low, rest_high = (untrusted.number(rest, key, f"{where}: shN") for key in ("mins", "maxs"))
+                self.rest_table = (rest_low + (rest_high - rest_low) * (np.arange(256) / 255)).astype(np.float32)
+
+    @property
+    def file_names(self) -> list[str]:
+        """All pictures."""
+        return [name for names in self.files.values() for name in names]
+
+    def _section(self, meta: dict[str, Any], key: str) -> dict[str, Any]:
+        return untrusted.as_object(untrusted.field(meta, key, self.where), f"{self.where}: {key}")
+
+    def _codebook(self, section: dict[str, Any], key: str) -> Array:
+        return untrusted.numbers(section, "codebook", f"{self.where}: {key}", (256,)).astype(np.float32)
+
+    def _ranges(self, section: dict[str, Any], key: str, channels: int) -> list[Array]:
+        low, high = (untrusted.numbers(section, end, f"{self.where}: {key}", (channels,)) for end in ("mins", "maxs"))
+        return list((low[:, None] + (high - low)[:, None] * (np.arange(256) / 255)).astype(np.float32))
+
+    def _files(self, section: dict[str, Any], key: str, count: int) -> list[str]:
+        where = f"{self.where}: {key}.files"
+        names = untrusted.as_list(untrusted.field(section, "files", f"{self.where}: {key}"), where)
+        if len(names) != count or not all(isinstance(name, str) for name in names):
+            raise FormatError(f"{where}: found {str(names)[:200]}, wanted {count} file names")
+        return [untrusted.inner_path(name, where) for name in names]
+
+    def _mode(self, meta: dict[str, Any]) -> Mode:
+        if meta.get("antialias") is True:
+            return "antialiased"
+        match meta.get("model", "default"):
+            case "default":
+                return "classic"
+            case "antialiased":
+                return "antialiased"
+            case other:
+                raise FormatError(f"{self.where}: found model {str(other)[:80]!r}, wanted 'default' or 'antialiased'")
+
+
+def _decode(sog: _Meta, data: dict[str, bytes], *, repair: bool) -> Gaussians:
+    """Decode the pictures, then fill the columns; both on all processors."""
+    n = sog.count
+    with task(f"decode {sog.where}", len(data) + 4) as advance, ThreadPoolExecutor(_core.hardware_threads()) as pool:
+
+        def decode(name: str) -> Array:
+            image = _image(f"{sog.where}: {name}", data[name])
+            is_palette = "shN" in sog.files and name == sog.files["shN"][0]
+            return image if is_palette else _first_pixels(f"{sog.where}: {name}", image, n)
+
+        pixels: dict[str, Array] = {}  # [n 3] or [n 4] uint8
+        longest_first = sorted(data, key=lambda name: -len(data[name]))
+        for name, found in zip(longest_first, pool.map(decode, longest_first), strict=True):
+            pixels[name] = found
+            advance(1)
+        means_low, means_high, scales, quats_pixels, sh0 = (
+            pixels[name] for key in ("means", "scales", "quats", "sh0") for name in sog.files[key]
+        )
+        degree, palette = _palette(sog, pixels[sog.files["shN"][0]]) if "shN" in sog.files else (0, None)
+
+        means, log_scales = np.empty((n, 3), np.float32), np.empty((n, 3), np.float32)
+        quats, sh = np.empty((n, 4), np.float32), np.empty((n, (degree + 1) ** 2, 3), np.float32)
+        jobs = [
+            pool.submit(_fill_quats, quats, sog, quats_pixels, repair),
+            pool.submit(_fill_means, means, sog, means_low, means_high),
+            pool.submit(_fill, log_scales, sog.scale_tables, scales),
+            pool.submit(_fill, sh[:, 0], sog.dc_tables, sh0),
+        ]
+        if palette is not None:
+            jobs.append(pool.submit(_fill_rest, sh, sog, palette, pixels[sog.files["shN"][1]]))
+        for job in jobs:
+            job.result()
+            advance(1)
+    return Gaussians(means, quats, log_scales, sog.logit_table[_alpha(sh0)], sh)
+
+
+def _fill(out: Array, tables: Sequence[Array], codes: Array) -> None:
+    """Look each channel up in its table."""
+    for channel in range(3):
+        out[:, channel] = tables[channel][codes[:, channel]]
+
+
+def _fill_means(means: Array, sog: _Meta, low: Array, high: Array) -> None:
+    """Means from their low and high bytes."""
+    for channel in range(3):
+        means[:, channel] = sog.mean_tables[channel][low[:, channel] | high[:, channel].astype(np.uint16) << 8]
+
+
+def _fill_quats(quats: Array, sog: _Meta, pixels: Array, repair: bool) -> None:
+    """Unit quaternions wxyz from the three smaller components and the index of the largest."""
+    largest = _alpha(pixels) - 252  # wraps for tags that are not 252 to 255
+    wrong = largest > 3
+    if wrong.any() and not repair:
+        row = int(np.argmax(wrong))
+        raise FormatError(
+            f"{sog.where}: row {row}, quats: found tag {pixels[row, -1]}, wanted 252 to 255 in alpha; "
+            "the picture is damaged, read it with repair to give such rows no rotation"
+        )
+    table = (np.arange(256) / 255 * 2 - 1) / np.sqrt(2)
+    for begin in range(0, len(pixels), _ROWS_PER_GATHER):
+        rows = slice(begin, begin + _ROWS_PER_GATHER)
+        at = largest[rows]
+        a, b, c = (table[pixels[rows, channel]] for channel in range(3))
+        top = np.sqrt(np.maximum(0, 1 - (a * a + b * b + c * c)))
+        quats[rows, 0] = np.where(at == 0, top, a)
+        quats[rows, 1] = np.where(at == 0, a, np.where(at == 1, top, b))
+        quats[rows, 2] = np.where(at <= 1, b, np.where(at == 2, top, c))
+        quats[rows, 3] = np.where(at == 3, top, c)
+    quats[wrong] = 0  # the check of values counts and repairs it
+
+
+def _palette(sog: _Meta, image: Array) -> tuple[int, Array]:
+    """Degree of the harmonics, and the palette "p 3K" that the labels point into."""
+    assert sog.rest_table is not None
+    height, width = image.shape[:2]
+    degree = sog.rest_degree or {64 * k: d for d, k in _NUM_REST.items()}.get(width, 0)
+    if degree == 0 or width != 64 * _NUM_REST[degree]:
+        raise FormatError(
+            f"{sog.where}: {sog.files['shN'][0]}: found {width} px across, wanted 64 entries of 3, 8 or 15 px "
+            f"{f'({64 * _NUM_REST[degree]} px at {degree} bands) ' if degree else ''}for the palette of harmonics"
+        )
+    count = height * 64 if sog.rest_count is None else sog.rest_count
+    if count > min(height * 64, _PALETTE_MAX) and sog.rest_count is not None:
+        raise FormatError(
+            f"{sog.where}: shN.count: found {count}, wanted at most the {height * 64} entries of its picture"
+        )
+    entries = image[..., :3].reshape(height * 64, -1)[:count]
+    return degree, sog.rest_table[entries]
+
+
+def _fill_rest(sh: Array, sog: _Meta, palette: Array, pixels: Array) -> None:
+    """Write each row's entry of the palette behind its DC."""
+    labels = pixels[:, 0] | pixels[:, 1].astype(np.uint16) << 8
+    if len(labels) and int(labels.max()) >= len(palette):
+        row = int(np.argmax(labels >= len(palette)))
+        raise FormatError(
+            f"{sog.where}: row {row}, shN label: found {labels[row]}, wanted less than the {len(palette)} entries of the palette"
+        )
+    entries = palette.reshape(len(palette), -1, 3)
+    for begin in range(0, len(labels), _ROWS_PER_GATHER):
+        rows = slice(begin, begin + _ROWS_PER_GATHER)
+        sh[rows, 1:] = entries[labels[rows]]
+
+
+def _image(where: str, data: bytes) -> Array:
+    """Decode a picture to "h w c" uint8, c = 3 or 4."""
+    from PIL import Image
+
+    try:
+        with Image.open(BytesIO(data), formats=("WEBP", "PNG")) as image:
+            if image.width * image.height > max(4 * _GAUSSIANS_ALWAYS, 2 * _GAUSSIANS_PER_BYTE * len(data)):
+                raise FormatError(
+                    f"{where}: found a picture of {image.width} × {image.height} px in {len(data)} bytes: "
+                    "its header is wrong or it is a decompression bomb"
+                )
+            return np.asarray(image if image.mode in ("RGB", "RGBA") else image.convert("RGBA"))
+    except FormatError:
+        raise
+    except (
+        OSError,
+        SyntaxError,
+        ValueError,
+        EOFError,
+        RuntimeError,
+        MemoryError,
+        Image.DecompressionBombError,
+    ) as error:
+        raise FormatError(f"{where}: not a whole WebP picture ({error}); the file is damaged") from error
+
+
+def _first_pixels(where: str, image: Array, count: int) -> Array:
+    """The first ``count`` pixels, row by row."""
+    height, width, channels = image.shape
+    if height * width < count:
+        raise FormatError(f"{where}: found {width} × {height} px, wanted at least {count} for as many Gaussians")
+    return image.reshape(-1, channels)[:count]
+
+
+def _alpha(pixels: Array) -> Array:
+    """The fourth channel; 255 where the picture has none, as WebP drops an alpha that is opaque everywhere."""
+    return pixels[:, 3] if pixels.shape[1] == 4 else np.full(len(pixels), 255, np.uint8)
+
+
+def _folder_file(folder: Path, name: str) -> bytes:
+    path = folder / name
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise FormatError(f"{path}: cannot be read ({error.strerror}); meta.json names it") from error
+
+
+def _zip_entry(path: Path, bundle: zipfile.ZipFile, name: str) -> bytes:
+    try:
+        entry = bundle.getinfo(name)
+    except KeyError as error:
+        raise FormatError(f"{path}: found no entry {name!r} in the bundle, only {bundle.namelist()[:12]}") from error
+    if entry.file_size > _INFLATION_MAX * path.stat().st_size:
+        raise FormatError(
+            f"{path}: entry {name!r} promises {entry.file_size} bytes from a bundle of {path.stat().st_size}"
+        )
+    try:
+        return bundle.read(entry)
+    except (RuntimeError, OSError, zipfile.zlib.error) as error:  # type: ignore[attr-defined]
+        raise FormatError(f"{path}: entry {name!r} cannot be read ({error})") from error

@@ -1,0 +1,60 @@
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/vector.h>
+
+#include <stdexcept>
+#include <vector>
+
+#include "cpu/columns.h"
+
+namespace nb = nanobind;
+using namespace nb::literals;
+
+namespace splatree {
+namespace {
+
+using Bytes = nb::ndarray<const uint8_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using Longs = nb::ndarray<const int64_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using Matrix = nb::ndarray<float, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+using Values = nb::ndarray<const float, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+
+const int64_t kScalarBytes[] = {1, 1, 2, 2, 4, 4, 4, 8};
+
+// `offsets` and `types` list the values of the first column, then of the second, and so on.
+void bind_deinterleave(const Bytes& records, int64_t stride, const Longs& offsets, const Bytes& types,
+                       const std::vector<Matrix>& outputs, int threads) {
+  const int64_t num_rows = outputs.empty() ? 0 : static_cast<int64_t>(outputs[0].shape(0));
+  if (stride <= 0 || num_rows > static_cast<int64_t>(records.size()) / stride)
+    throw std::invalid_argument("deinterleave: fewer records than rows of the columns");
+  if (offsets.size() != types.size()) throw std::invalid_argument("deinterleave: offsets and types differ in length");
+  for (size_t i = 0; i < offsets.size(); ++i)
+    if (types.data()[i] >= sizeof kScalarBytes / sizeof *kScalarBytes || offsets.data()[i] < 0 ||
+        offsets.data()[i] + kScalarBytes[types.data()[i]] > stride)
+      throw std::invalid_argument("deinterleave: a value lies outside of its record");
+
+  std::vector<Column> columns;
+  size_t first = 0;
+  for (const Matrix& output : outputs) {
+    if (static_cast<int64_t>(output.shape(0)) != num_rows || first + output.shape(1) > offsets.size())
+      throw std::invalid_argument("deinterleave: columns differ in length or need more offsets");
+    columns.push_back({output.data(), static_cast<int64_t>(output.shape(1)), offsets.data() + first,
+                       reinterpret_cast<const Scalar*>(types.data()) + first});
+    first += output.shape(1);
+  }
+  nb::gil_scoped_release released;
+  deinterleave(records.data(), num_rows, stride, columns.data(), static_cast<int>(columns.size()), threads);
+}
+
+float bind_largest_magnitude(const Values& values, int threads) {
+  nb::gil_scoped_release released;
+  return largest_magnitude(values.data(), static_cast<int64_t>(values.size()), threads);
+}
+
+}  // namespace
+
+void bind_columns(nb::module_& m) {
+  m.def("deinterleave", &bind_deinterleave, "records"_a, "stride"_a, "offsets"_a, "types"_a, "outputs"_a, "threads"_a = 0);
+  m.def("largest_magnitude", &bind_largest_magnitude, "values"_a, "threads"_a = 0);
+}
+
+}  // namespace splatree

@@ -1,0 +1,143 @@
+import json
+
+import numpy as np
+import pytest
+
+import splatree
+from splatree import FormatError, Scene
+from splatree.constants import SH_C0
+
+from .conftest import COLUMNS, random_gaussians, same_bits
+
+
+def header(names, count, *, kind="float", extra=()):
+    lines = ["ply", "format binary_little_endian 1.0", *extra, f"element vertex {count}"]
+    return "\n".join([*lines, *(f"property {kind} {name}" for name in names), "end_header", ""]).encode()
+
+
+NAMES = [
+    "x",
+    "y",
+    "z",
+    "f_dc_0",
+    "f_dc_1",
+    "f_dc_2",
+    "opacity",
+    "scale_0",
+    "scale_1",
+    "scale_2",
+    "rot_0",
+    "rot_1",
+    "rot_2",
+    "rot_3",
+]
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+@pytest.mark.parametrize("n", [0, 1, 1500])
+def test_round_trip_keeps_every_bit(tmp_path, degree, n):
+    gaussians = random_gaussians(n, degree)
+    splatree.write(Scene.flat(gaussians), tmp_path / "a.ply")
+    back = splatree.read(tmp_path / "a.ply")
+    assert all(same_bits(getattr(gaussians, c), getattr(back.gaussians, c)) for c in COLUMNS)
+    assert back.source.format == "ply" and back.mode == "classic"
+
+
+def test_the_real_file_is_written_back_byte_for_byte(tmp_path, data):
+    original = data / "formats/semarang_block/block_inria.ply"
+    scene = splatree.read(original)
+    assert len(scene) == 29_213 and scene.gaussians.sh_degree == 3
+    splatree.write(scene, tmp_path / "a.ply")
+    assert (tmp_path / "a.ply").read_bytes() == original.read_bytes()
+
+
+def test_antialiased_mode_is_kept(tmp_path):
+    splatree.write(Scene.flat(random_gaussians(3), mode="antialiased"), tmp_path / "a.ply")
+    assert b"comment SplatRenderMode: mip\n" in (tmp_path / "a.ply").read_bytes()
+    assert splatree.read(tmp_path / "a.ply").mode == "antialiased"
+
+
+@pytest.mark.parametrize("comment", ["antialiased 1", "SPLATRENDERMODE: MIP", "SplatRenderMode: mip"])
+def test_modes_of_other_writers_are_understood(tmp_path, comment):
+    rows = np.ones((2, len(NAMES)), "<f4")
+    (tmp_path / "a.ply").write_bytes(header(NAMES, 2, extra=[f"comment {comment}"]) + rows.tobytes())
+    assert splatree.read(tmp_path / "a.ply").mode == "antialiased"
+
+
+def test_properties_are_found_by_name_in_any_order_and_type(tmp_path):
+    rng = np.random.default_rng(1)
+    names = [*NAMES, "label", "nx"]
+    order = rng.permutation(names).tolist()
+    values = rng.standard_normal((7, len(order))).astype("<f4")
+    for kind, dtype in (("float", "<f4"), ("double", "<f8"), ("float64", "<f8")):
+        (tmp_path / "a.ply").write_bytes(header(order, 7, kind=kind) + values.astype(dtype).tobytes())
+        scene = splatree.read(tmp_path / "a.ply")
+        g = scene.gaussians
+        np.testing.assert_array_equal(g.means, values[:, [order.index(n) for n in ("x", "y", "z")]])
+        np.testing.assert_array_equal(g.quats, values[:, [order.index(f"rot_{i}") for i in range(4)]])
+        np.testing.assert_array_equal(g.logit_opacities, values[:, order.index("opacity")])
+        assert json.loads(scene.source.metadata["extra_properties"]) == ["label"]
+
+
+def test_harmonics_are_channel_major_in_the_file(tmp_path):
+    names = [*NAMES, *(f"f_rest_{i}" for i in range(9))]
+    row = np.ones((1, len(names)), "<f4")
+    row[0, -9:] = np.arange(9)
+    (tmp_path / "a.ply").write_bytes(header(names, 1) + row.tobytes())
+    sh = splatree.read(tmp_path / "a.ply").gaussians.sh[0, 1:]
+    np.testing.assert_array_equal(sh, np.arange(9).reshape(3, 3).T)  # red 0 1 2, green 3 4 5, blue 6 7 8
+
+
+def test_byte_colours_stand_in_for_the_dc(tmp_path):
+    names = [n for n in NAMES if not n.startswith("f_dc")]
+    fields = [(n, "<f4") for n in names] + [(c, "u1") for c in ("red", "green", "blue")]
+    rows = np.ones(1, fields)
+    rows["red"], rows["green"], rows["blue"] = 0, 255, 51
+    head = header(names, 1).replace(
+        b"end_header", b"property uchar red\nproperty uchar green\nproperty uchar blue\nend_header"
+    )
+    (tmp_path / "a.ply").write_bytes(head + rows.tobytes())
+    dc = splatree.read(tmp_path / "a.ply").gaussians.sh[0, 0]
+    np.testing.assert_allclose(0.5 + SH_C0 * dc, [0, 1, 0.2], atol=1e-6)  # rounding of float32
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda b: b.replace(b"binary_little_endian", b"ascii"), "found format 'ascii'"),
+        (lambda b: b.replace(b"binary_little_endian", b"binary_big_endian"), "binary_big_endian"),
+        (lambda b: b.replace(b" scale_2", b" scale_7"), "no property scale_2.*surfels"),
+        (lambda b: b.replace(b" rot_", b" tor_"), "found no properties rot_0 rot_1"),
+        (lambda b: b.replace(b"f_rest_3\n", b"g_rest_3\n"), "found 8 properties f_rest"),
+        (lambda b: b.replace(b"f_rest_3\n", b"f_rest_9\n"), "numbered from 0"),
+        (lambda b: b.replace(b"f_rest_3\n", b"f_rest_2\n"), "two properties of the same name"),
+        (lambda b: b.replace(b"vertex 5", b"vertex 6"), "bytes, wanted .* cut off"),
+        (lambda b: b.replace(b"vertex 5", b"vertex 4"), "more or less"),
+        (lambda b: b.replace(b"vertex 5", b"vertex 999999999999999"), "cut off"),
+        (lambda b: b.replace(b"vertex 5", b"vertex -5"), "line 3 of the header"),
+        (lambda b: b.replace(b"vertex 5", b"vertices 5"), "wanted one named 'vertex'"),
+        (lambda b: b.replace(b"property float x", b"property floot x"), "line 4.*floot"),
+        (lambda b: b.replace(b"property float x", b"property list uchar int x"), "hold lists"),
+        (lambda b: b.replace(b"end_header", b"edn_header"), "line 27|no end_header"),
+        (lambda b: b[:100], "no end_header"),
+        (lambda b: b[:-1], "cut off"),
+        (lambda b: b + b"\0", "more or less"),
+    ],
+)
+def test_lying_and_foreign_files_are_refused_with_a_reason(tmp_path, change, message):
+    splatree.write(Scene.flat(random_gaussians(5, 1)), tmp_path / "a.ply")
+    good = (tmp_path / "a.ply").read_bytes()
+    bad = change(good)
+    assert bad != good
+    (tmp_path / "a.ply").write_bytes(bad)
+    with pytest.raises(FormatError, match=message):
+        splatree.read(tmp_path / "a.ply")
+
+
+def test_a_truncated_file_is_repaired_to_its_whole_rows(tmp_path):
+    gaussians = random_gaussians(5)
+    splatree.write(Scene.flat(gaussians), tmp_path / "a.ply")
+    (tmp_path / "a.ply").write_bytes((tmp_path / "a.ply").read_bytes()[:-300])
+    scene = splatree.read(tmp_path / "a.ply", repair=True)
+    assert json.loads(scene.source.metadata["repairs"]) == {"missing_rows": 2}
+    assert same_bits(scene.gaussians.means, gaussians.means[:3].copy())
