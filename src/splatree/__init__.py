@@ -1,9 +1,9 @@
 """splatree makes large 3D Gaussian Splatting scenes small, fast and streamable."""
 
 from splatree.errors import FormatError, InputError, MissingExtraError, OutputError, ShapeError, SplatreeError
+from splatree.io.registry import read, write
 from splatree.lod.select import select
 from splatree.render.pipeline import render, trace
-from splatree.io.registry import read, write
 from splatree.scene.cameras import Camera, Cameras
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.options import RenderOptions, SelectOptions
@@ -24,9 +24,9 @@ __all__ = [
     "SelectOptions",
     "ShapeError",
     "SplatreeError",
+    "read",
     "render",
     "select",
     "trace",
-    "read",
     "write",
 ]
