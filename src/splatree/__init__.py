@@ -3,7 +3,13 @@
 from splatree.errors import FormatError, InputError, MissingExtraError, OutputError, ShapeError, SplatreeError
 from splatree.io.registry import read, write
 from splatree.lod.select import select
+from splatree.metrics.psnr import psnr
+from splatree.metrics.ssim import ssim
+from splatree.render.batch import render_batch, trace_batch
+from splatree.render.evaluate import Evaluation, evaluate
+from splatree.render.paths import PathOptions, flyout, orbit
 from splatree.render.pipeline import render, trace
+from splatree.render.video import open_video
 from splatree.scene.cameras import Camera, Cameras
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.options import RenderOptions, SelectOptions
@@ -13,20 +19,30 @@ from splatree.scene.tree import GaussianTree
 __all__ = [
     "Camera",
     "Cameras",
+    "Evaluation",
     "FormatError",
     "GaussianTree",
     "Gaussians",
     "InputError",
     "MissingExtraError",
     "OutputError",
+    "PathOptions",
     "RenderOptions",
     "Scene",
     "SelectOptions",
     "ShapeError",
     "SplatreeError",
+    "evaluate",
+    "flyout",
+    "open_video",
+    "orbit",
+    "psnr",
     "read",
     "render",
+    "render_batch",
     "select",
+    "ssim",
     "trace",
+    "trace_batch",
     "write",
 ]

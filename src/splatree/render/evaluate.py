@@ -1,0 +1,81 @@
+"""What the levels of detail cost in quality, and what they save: the cut beside all leaves, view by view.
+
+Each view is drawn twice at the same size and in the same run: from the cut that the options ask for, and from all leaves
+(``pixel_error`` 0, no budget). Where a photograph of the view is given, both pictures are also compared with it. Pictures are
+clipped to 0 to 1 before they are compared, as a screen would show them.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from splatree.metrics.psnr import psnr
+from splatree.metrics.ssim import WINDOW_PX, ssim
+from splatree.progress import track
+from splatree.render.pipeline import trace
+from splatree.scene.cameras import Camera
+from splatree.scene.frame import Frame
+from splatree.scene.options import RenderOptions, SelectOptions
+from splatree.scene.scene import Scene
+from splatree.shapes import Array
+
+
+@dataclass(frozen=True)
+class Score:
+    """How near a picture is to another."""
+
+    psnr: float
+    """Peak signal-to-noise ratio, dB; infinity for equal pictures."""
+    ssim: float | None
+    """Structural similarity (Wang 2004); None for pictures smaller than its window of 11 px."""
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """One view, drawn from the cut and from all leaves."""
+
+    camera: Camera
+    """The view."""
+    cut: Frame
+    """What the options draw."""
+    leaves: Frame
+    """What all leaves draw."""
+    cut_vs_leaves: Score
+    """The loss that the levels of detail cause."""
+    cut_vs_photo: Score | None = None
+    """Against the photograph, if there is one."""
+    leaves_vs_photo: Score | None = None
+    """The same for all leaves: what the scene itself reaches."""
+
+
+def evaluate(
+    scene: Scene,
+    cameras: Iterable[Camera],
+    options: RenderOptions | None = None,
+    select: SelectOptions | None = None,
+    *,
+    photos: Mapping[str, Array] | None = None,
+) -> Iterator[Evaluation]:
+    """Yield the comparison of each view; ``photos`` are pictures, float32 (h w 3), by the camera's name."""
+    select = select or SelectOptions()
+    all_leaves = replace(select, pixel_error=0.0, budget=None, rule="cut", max_radius=None)
+    for camera in track(list(cameras), "evaluate views"):
+        cut = trace(scene, camera, options, select)
+        leaves = trace(scene, camera, options, all_leaves)
+        photo = (photos or {}).get(camera.name)
+        yield Evaluation(
+            camera,
+            cut,
+            leaves,
+            score(cut.result.image, leaves.result.image),
+            None if photo is None else score(cut.result.image, photo),
+            None if photo is None else score(leaves.result.image, photo),
+        )
+
+
+def score(image: Array, reference: Array) -> Score:
+    """PSNR and SSIM of two pictures as a screen shows them."""
+    image, reference = np.clip(image, 0, 1), np.clip(reference, 0, 1)
+    large = min(image.shape[:2]) >= WINDOW_PX
+    return Score(psnr(image, reference), ssim(image, reference) if large else None)
