@@ -2,6 +2,7 @@
 
 from splatree.errors import FormatError, InputError, MissingExtraError, OutputError, ShapeError, SplatreeError
 from splatree.io.registry import read, write
+from splatree.lod.build import BuildOptions, build_lod
 from splatree.lod.select import select
 from splatree.metrics.psnr import psnr
 from splatree.metrics.ssim import ssim
@@ -14,16 +15,22 @@ from splatree.scene.cameras import Camera, Cameras
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.options import RenderOptions, SelectOptions
 from splatree.scene.scene import Scene
+from splatree.scene.thinning import Groups, MergeOptions, ThinOptions
 from splatree.scene.tree import GaussianTree
+from splatree.simplify.merge import merge
+from splatree.simplify.thin import Thinned, thin
 
 __all__ = [
+    "BuildOptions",
     "Camera",
     "Cameras",
     "Evaluation",
     "FormatError",
     "GaussianTree",
     "Gaussians",
+    "Groups",
     "InputError",
+    "MergeOptions",
     "MissingExtraError",
     "OutputError",
     "PathOptions",
@@ -32,8 +39,12 @@ __all__ = [
     "SelectOptions",
     "ShapeError",
     "SplatreeError",
+    "ThinOptions",
+    "Thinned",
+    "build_lod",
     "evaluate",
     "flyout",
+    "merge",
     "open_video",
     "orbit",
     "psnr",
@@ -42,6 +53,7 @@ __all__ = [
     "render_batch",
     "select",
     "ssim",
+    "thin",
     "trace",
     "trace_batch",
     "write",

@@ -76,3 +76,9 @@ SH_C3: Final = (
 
 SH_MAX_DEGREE: Final = 3
 """Degree 3 has 16 coefficients a channel."""
+
+MERGED_ALPHA_MAX: Final = 0.999
+"""Largest opacity that a merge gives: above it the logit loses precision and nothing changes on screen (ALPHA_MAX)."""
+
+MERGED_LOG_SCALE_MAX: Final = 80.0
+"""Log-scales beyond ± this are clamped while merging: squares and products of scales stay finite in float64."""

@@ -15,6 +15,7 @@ using namespace splatree;
 namespace splatree {
 void bind_render(nb::module_& m);
 void bind_columns(nb::module_& m);
+void bind_thin(nb::module_& m);
 }
 
 NB_MODULE(_core, m) {
@@ -39,4 +40,5 @@ NB_MODULE(_core, m) {
 
   bind_render(m);
   bind_columns(m);
+  bind_thin(m);
 }

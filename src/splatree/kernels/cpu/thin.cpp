@@ -1,0 +1,370 @@
+// Radius thinning by rounds over a sorted grid.
+//
+// Points are sorted by cell (edge ≥ r, x the highest digit, z the lowest), inside a cell by priority. The 27 cells around a
+// cell are then nine runs of up to three consecutive cells, and as a walk over the cells moves forward, so do the nine
+// beginnings: no hash table, nothing stored per cell. A point scans the earlier points within r: a representative among them
+// makes it a member, an undecided one makes it wait *there*, an end without either makes it a representative. Who waits goes
+// on where it stopped once that neighbour is decided, so each candidate is looked at about once in all rounds together. A
+// round reads only what earlier rounds decided: the result and the number of rounds do not depend on the threads.
+//
+// Cost: one radix sort, then O(n · points in 27 cells); 16 + 16 bytes a point while sorting, 32 + 10 after.
+// Not vectorised: the scans are short (a few dozen candidates), branchy and bound by memory.
+#include "cpu/thin.h"
+
+#include <algorithm>
+#include <atomic>
+#include <cmath>
+#include <cstring>
+#include <limits>
+#include <vector>
+
+#include "cpu/pool.h"
+#include "cpu/radix.h"
+
+namespace splatree {
+namespace {
+
+constexpr int kAxisBits = 21;
+constexpr int64_t kCellMax = (int64_t{1} << kAxisBits) - 2;  // one cell is left free at either end: ±1 never carries
+constexpr uint64_t kStepX = uint64_t{1} << (2 * kAxisBits), kStepY = uint64_t{1} << kAxisBits;
+constexpr int kColumns = 9;
+
+struct Point {
+  float mean[3];
+  float color[3];
+  uint64_t priority;  // smaller is earlier: falling importance, then rising row
+};
+static_assert(sizeof(Point) == 32, "two points a cache line");
+
+uint32_t row_of(const Point& p) { return static_cast<uint32_t>(p.priority); }
+
+uint64_t priority_of(float importance, uint32_t row) {
+  uint32_t bits;
+  importance += 0.0f;  // −0 and 0 are equal
+  std::memcpy(&bits, &importance, sizeof bits);
+  const uint32_t rising = bits & 0x80000000u ? ~bits : bits | 0x80000000u;
+  return (uint64_t{~rising} << 32) | row;
+}
+
+// Cells along each axis, counted from the middle of the scene. Far outliers share the outermost cells: clamping moves
+// cells together, never apart, so neighbours stay neighbours. The edge grows above r where most of the scene would not
+// fit in 2²¹ cells.
+struct Lattice {
+  double origin[3], inverse_edge;
+
+  Lattice(int64_t n, const float* means, double radius) {
+    constexpr int64_t kSamples = 4096;
+    const int64_t stride = n / kSamples + 1;
+    double span = 0;
+    std::vector<float> values;
+    for (int a = 0; a < 3; ++a) {
+      values.clear();
+      for (int64_t i = 0; i < n; i += stride) values.push_back(means[3 * i + a]);
+      std::sort(values.begin(), values.end());
+      const size_t trimmed = values.size() / 256;
+      origin[a] = values[values.size() / 2];
+      span = std::max({span, origin[a] - values[trimmed], values[values.size() - 1 - trimmed] - origin[a]});
+    }
+    // The margin covers the rounding of the product in key().
+    const double edge = std::max({radius * (1 + 1e-6), span / (kCellMax / 2 - 1), 1e-300});
+    inverse_edge = 1 / edge;
+  }
+
+  uint64_t key(const float* mean) const {
+    uint64_t key = 0;
+    for (int a = 0; a < 3; ++a) {
+      const double cell = std::floor((mean[a] - origin[a]) * inverse_edge) + kCellMax / 2;
+      key = (key << kAxisBits) | static_cast<uint64_t>(std::min<double>(std::max(cell, 1.0), kCellMax));
+    }
+    return key;
+  }
+};
+
+// Points in runs of one cell each, cells by rising key.
+struct Cells {
+  std::vector<uint64_t> keys;
+  std::vector<uint32_t> start;  // one more than keys
+  std::vector<Point> points;
+
+  int64_t size() const { return static_cast<int64_t>(keys.size()); }
+};
+
+Cells sort_into_cells(const Lattice& lattice, int64_t n, const float* means, const float* colors,
+                      const float* importance, int threads) {
+  std::vector<KeyRow> items(n);
+  parallel_ranges(n, 1 << 15, threads, [&](int64_t begin, int64_t end) {
+    for (int64_t i = begin; i < end; ++i) items[i] = {lattice.key(means + 3 * i), static_cast<uint32_t>(i)};
+  });
+  radix_sort(items, threads);
+  Cells cells;
+  cells.points.resize(n);
+  int64_t num_cells = 0;
+  for (int64_t i = 0; i < n; ++i) num_cells += i == 0 || items[i].key != items[i - 1].key;
+  cells.keys.reserve(num_cells);
+  cells.start.reserve(num_cells + 1);
+  for (int64_t i = 0; i < n; ++i)
+    if (i == 0 || items[i].key != items[i - 1].key) {
+      cells.keys.push_back(items[i].key);
+      cells.start.push_back(static_cast<uint32_t>(i));
+    }
+  cells.start.push_back(static_cast<uint32_t>(n));
+  parallel_ranges(num_cells, 1 << 13, threads, [&](int64_t first, int64_t last) {
+    for (int64_t c = first; c < last; ++c) {
+      Point* begin = &cells.points[cells.start[c]];
+      Point* end = begin;
+      for (uint32_t i = cells.start[c]; i < cells.start[c + 1]; ++i, ++end) {
+        const uint32_t row = items[i].row;
+        std::memcpy(end->mean, means + 3 * int64_t{row}, sizeof end->mean);
+        if (colors)
+          std::memcpy(end->color, colors + 3 * int64_t{row}, sizeof end->color);
+        else
+          std::memset(end->color, 0, sizeof end->color);
+        end->priority = priority_of(importance ? importance[row] : 0.0f, row);
+      }
+      std::sort(begin, end, [](const Point& a, const Point& b) { return a.priority < b.priority; });
+    }
+  });
+  return cells;
+}
+
+// The nine runs of cells around a cell, for cells visited in rising order. The column of the cell itself comes first: it
+// decides most points.
+class Columns {
+ public:
+  explicit Columns(const Cells& cells) : cells_(cells) {
+    for (int64_t& c : first_) c = -1;
+  }
+
+  void move_to(uint64_t key) {
+    key_ = key;
+    for (int k = 0; k < kColumns; ++k) seek(k, base(k) - 1);
+  }
+
+  int64_t first(int k) const { return first_[k]; }
+  uint64_t last_key(int k) const { return base(k) + 1; }
+
+ private:
+  uint64_t base(int k) const {
+    static constexpr int kDx[kColumns] = {0, 0, 0, -1, 1, -1, -1, 1, 1}, kDy[kColumns] = {0, -1, 1, 0, 0, -1, 1, -1, 1};
+    return key_ + kStepX * static_cast<uint64_t>(int64_t{kDx[k]}) + kStepY * static_cast<uint64_t>(int64_t{kDy[k]});
+  }
+
+  // The first cell with at least `key`: by galloping from where the last search ended.
+  void seek(int k, uint64_t key) {
+    const uint64_t* keys = cells_.keys.data();
+    const int64_t size = cells_.size();
+    int64_t low = first_[k];
+    if (low < 0) {
+      first_[k] = std::lower_bound(keys, keys + size, key) - keys;
+      return;
+    }
+    int64_t step = 1;
+    while (low + step < size && keys[low + step] < key) {
+      low += step;
+      step *= 2;
+    }
+    const int64_t high = std::min(size, low + step + 1);
+    first_[k] = std::lower_bound(keys + low, keys + high, key) - keys;
+  }
+
+  const Cells& cells_;
+  uint64_t key_ = 0;
+  int64_t first_[kColumns];
+};
+
+struct Metric {
+  double radius2, color_factor;
+
+  Metric(double radius, double color_radius) : radius2(radius * radius) {
+    color_factor = std::isinf(color_radius) ? 0.0 : radius2 / (color_radius * color_radius);
+  }
+
+  // |Δx|² + r²/ρ² |Δc|², added in the order of the reference, so that both round alike.
+  double distance2(const Point& p, const Point& q) const {
+    const double x = double{p.mean[0]} - q.mean[0], y = double{p.mean[1]} - q.mean[1], z = double{p.mean[2]} - q.mean[2];
+    const double position = x * x + y * y + z * z;
+    if (!(position <= radius2)) return position;
+    const double r = double{p.color[0]} - q.color[0], g = double{p.color[1]} - q.color[1],
+                 b = double{p.color[2]} - q.color[2];
+    return position + color_factor * (r * r + g * g + b * b);
+  }
+};
+
+enum Status : uint8_t { kUndecided, kMember, kRepresentative };
+
+// Where an undecided point goes on scanning: at sorted position `position` in column `column`.
+struct Waiting {
+  uint32_t point;
+  uint32_t cell;
+  uint32_t position;
+  int32_t column;
+};
+
+// The earlier points of p's neighbourhood from `waiting` on; returns its status as far as known.
+Status scan(const Cells& cells, const Columns& columns, const Metric& metric, const uint8_t* status, Waiting& waiting,
+            int64_t& visited) {
+  const Point& p = cells.points[waiting.point];
+  uint32_t from = waiting.position;
+  for (int k = waiting.column; k < kColumns; ++k, from = 0)
+    for (int64_t c = columns.first(k); c < cells.size() && cells.keys[c] <= columns.last_key(k); ++c)
+      for (uint32_t j = std::max(from, cells.start[c]); j < cells.start[c + 1]; ++j) {
+        const Point& q = cells.points[j];
+        if (q.priority >= p.priority) break;
+        ++visited;
+        if (status[j] == kMember || !(metric.distance2(p, q) <= metric.radius2)) continue;
+        if (status[j] == kRepresentative) return kMember;
+        waiting.position = j;
+        waiting.column = k;
+        return kUndecided;
+      }
+  return kRepresentative;
+}
+
+std::vector<uint8_t> decide(const Cells& cells, const Metric& metric, ThinJob& job) {
+  constexpr int64_t kGrain = 1 << 14;
+  const int64_t n = static_cast<int64_t>(cells.points.size());
+  std::vector<uint8_t> status(n, kUndecided), next(n, kUndecided);
+  std::atomic<int64_t> visited{0};
+  std::vector<Waiting> waiting(n);
+  parallel_ranges(cells.size(), kGrain, job.threads, [&](int64_t first, int64_t last) {
+    for (int64_t c = first; c < last; ++c)
+      for (uint32_t i = cells.start[c]; i < cells.start[c + 1]; ++i) waiting[i] = {i, static_cast<uint32_t>(c), 0, 0};
+  });
+  job.rounds = 0;
+  while (!waiting.empty()) {
+    ++job.rounds;
+    const int64_t size = static_cast<int64_t>(waiting.size());
+    parallel_ranges(size, kGrain, job.threads, [&](int64_t begin, int64_t end) {
+      Columns columns(cells);
+      int64_t cell = -1, count = 0;
+      for (int64_t w = begin; w < end; ++w) {
+        Waiting& waits = waiting[w];
+        // The neighbour it waits for is still undecided (position 0 may also mean: not begun; then it scans).
+        if (job.rounds > 1) {
+          const uint8_t seen = status[waits.position];
+          if (seen == kUndecided) continue;
+          if (seen == kRepresentative) {
+            next[waits.point] = kMember;
+            continue;
+          }
+        }
+        if (waits.cell != cell) columns.move_to(cells.keys[cell = waits.cell]);
+        next[waits.point] = scan(cells, columns, metric, status.data(), waits, count);
+      }
+      visited.fetch_add(count, std::memory_order_relaxed);
+    });
+    // What was decided becomes visible; the rest waits on, in the order of the cells.
+    const int64_t num_chunks = (size + kGrain - 1) / kGrain;
+    std::vector<int64_t> kept(num_chunks + 1, 0);
+    parallel_chunks(num_chunks, job.threads, [&](int64_t chunk) {
+      int64_t count = 0;
+      for (int64_t w = chunk * kGrain; w < std::min(size, (chunk + 1) * kGrain); ++w) {
+        const uint32_t point = waiting[w].point;
+        status[point] = next[point];
+        if (status[point] == kUndecided) waiting[chunk * kGrain + count++] = waiting[w];
+      }
+      kept[chunk + 1] = count;
+    });
+    int64_t total = 0;
+    for (int64_t chunk = 0; chunk < num_chunks; ++chunk) {
+      std::copy_n(waiting.begin() + chunk * kGrain, kept[chunk + 1], waiting.begin() + total);
+      total += kept[chunk + 1];
+    }
+    waiting.resize(total);
+  }
+  job.num_visited = visited.load();
+  return status;
+}
+
+Cells representatives_of(const Cells& cells, const std::vector<uint8_t>& status) {
+  Cells kept;
+  for (int64_t c = 0; c < cells.size(); ++c) {
+    const size_t begin = kept.points.size();
+    for (uint32_t i = cells.start[c]; i < cells.start[c + 1]; ++i)
+      if (status[i] == kRepresentative) kept.points.push_back(cells.points[i]);
+    if (kept.points.size() > begin) {
+      kept.keys.push_back(cells.keys[c]);
+      kept.start.push_back(static_cast<uint32_t>(begin));
+    }
+  }
+  kept.start.push_back(static_cast<uint32_t>(kept.points.size()));
+  return kept;
+}
+
+}  // namespace
+
+void thin(ThinJob& job) {
+  job.rounds = 0;
+  job.num_visited = 0;
+  if (job.n == 0) return;
+  const Metric metric(job.radius, job.color_radius);
+  const Lattice lattice(job.n, job.means, job.radius);
+  const Cells cells = sort_into_cells(lattice, job.n, job.means, job.colors, job.importance, job.threads);
+  const std::vector<uint8_t> status = decide(cells, metric, job);
+  if (!job.assign) {
+    for (int64_t i = 0; i < job.n; ++i) {
+      const int32_t row = static_cast<int32_t>(row_of(cells.points[i]));
+      job.representative_from_row[row] = status[i] == kRepresentative ? row : -1;
+    }
+    return;
+  }
+  const Cells kept = representatives_of(cells, status);
+  std::atomic<int64_t> visited{0};
+  parallel_ranges(cells.size(), 1 << 12, job.threads, [&](int64_t first, int64_t last) {
+    Columns columns(kept);
+    int64_t count = 0;
+    for (int64_t c = first; c < last; ++c) {
+      columns.move_to(cells.keys[c]);
+      for (uint32_t i = cells.start[c]; i < cells.start[c + 1]; ++i) {
+        const Point& p = cells.points[i];
+        const int32_t row = static_cast<int32_t>(row_of(p));
+        int32_t nearest = row;
+        if (status[i] == kMember) {
+          double best = std::numeric_limits<double>::infinity();
+          uint64_t best_priority = 0;
+          for (int k = 0; k < kColumns; ++k)
+            for (int64_t d = columns.first(k); d < kept.size() && kept.keys[d] <= columns.last_key(k); ++d)
+              for (uint32_t j = kept.start[d]; j < kept.start[d + 1]; ++j) {
+                const Point& q = kept.points[j];
+                if (q.priority >= p.priority) break;
+                ++count;
+                const double distance2 = metric.distance2(p, q);
+                if (!(distance2 <= metric.radius2)) continue;
+                if (distance2 < best || (distance2 == best && q.priority < best_priority)) {
+                  best = distance2;
+                  best_priority = q.priority;
+                  nearest = static_cast<int32_t>(row_of(q));
+                }
+              }
+        }
+        job.representative_from_row[row] = nearest;
+      }
+    }
+    visited.fetch_add(count, std::memory_order_relaxed);
+  });
+  job.num_visited += visited.load();
+}
+
+void nearest_distances(int64_t n, const float* means, int64_t num_queries, const int32_t* queries, double edge,
+                       double* distances, int threads) {
+  const Lattice lattice(n, means, edge);
+  const Cells cells = sort_into_cells(lattice, n, means, nullptr, nullptr, threads);
+  const Metric metric(edge, std::numeric_limits<double>::infinity());
+  parallel_ranges(num_queries, 64, threads, [&](int64_t begin, int64_t end) {
+    for (int64_t q = begin; q < end; ++q) {
+      Point point{};
+      std::memcpy(point.mean, means + 3 * int64_t{queries[q]}, sizeof point.mean);
+      Columns columns(cells);
+      columns.move_to(lattice.key(point.mean));
+      double best = std::numeric_limits<double>::infinity();
+      for (int k = 0; k < kColumns; ++k)
+        for (int64_t d = columns.first(k); d < cells.size() && cells.keys[d] <= columns.last_key(k); ++d)
+          for (uint32_t j = cells.start[d]; j < cells.start[d + 1]; ++j)
+            if (row_of(cells.points[j]) != static_cast<uint32_t>(queries[q]))
+              best = std::min(best, metric.distance2(point, cells.points[j]));
+      distances[q] = best <= metric.radius2 ? std::sqrt(best) : std::numeric_limits<double>::infinity();
+    }
+  });
+}
+
+}  // namespace splatree

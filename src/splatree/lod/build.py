@@ -1,0 +1,200 @@
+"""Level of detail by growing radius: a tree whose leaves are the scene and whose inner nodes are merged Gaussians.
+
+Level 0 is the scene. Level l + 1 thins level l with r_l = r_0 g^l: each group of two or more becomes a new node with its
+members as children; a group of one moves up itself, so no node has a single child. It ends with at most ``max_roots`` nodes or
+when the radius passes the scene's diagonal. Roots and siblings stand along a Morton curve, rows in depth-first preorder.
+
+Weights are summed upwards, so means, covariances and harmonics of a node are those of its leaves. Harmonics above DC play no
+part in the grouping; they are averaged at the end, in place, where children follow their parent.
+
+Cost: a thinning and a merge a level, the levels together two to four times the leaves; memory: the result, plus 56 bytes a
+node while the levels grow.
+"""
+
+import dataclasses
+import json
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from splatree.constants import DILATION_PX2, SIGMAS
+from splatree.errors import InputError
+from splatree.kernels.cpu import merge as merge_kernel
+from splatree.kernels.cpu import thin as thin_kernel
+from splatree.lod.order import Level, preorder
+from splatree.maths.morton import morton_codes
+from splatree.progress import task
+from splatree.scene.gaussians import Gaussians
+from splatree.scene.scene import Scene
+from splatree.scene.thinning import Importance, MergeOptions, rules_of
+from splatree.shapes import Array
+from splatree.simplify.merge import check_finite, importance_of, weights_of
+from splatree.simplify.thin import auto_radius, linear_colors
+
+__all__ = ["BuildOptions", "build_lod"]
+
+
+@dataclass(frozen=True)
+class BuildOptions:
+    """How the levels grow."""
+
+    radius: float | Literal["auto"] = "auto"
+    """r_0, world units: radius of the first level; `auto`: 1.5 × the median distance to the nearest neighbour."""
+    growth: float = 2.0
+    """g: each level's radius is g times the one before."""
+    max_roots: int = 64
+    """Levels end when at most this many nodes are left."""
+    importance: Importance = "opacity-scale"
+    """Which of two close Gaussians a group forms around: the larger `opacity`, times mean scale, or times area."""
+    color_radius: float | None = 0.35
+    """ρ: distance in linear RGB (DC colour) that counts as much as r in space; None: colour keeps nothing apart."""
+    merge: MergeOptions = field(default_factory=MergeOptions)
+    """How a group becomes one Gaussian."""
+
+    def __post_init__(self) -> None:
+        if isinstance(self.radius, str):
+            if self.radius != "auto":
+                raise InputError(f"radius: found {self.radius!r}, wanted a number or 'auto'")
+        elif not 0 < self.radius <= 1e30:
+            raise InputError(f"radius: found {self.radius}, wanted more than 0 world units, finite")
+        if not 1 < self.growth <= 1e6:
+            raise InputError(f"growth: found {self.growth}, wanted more than 1 (2 doubles the radius each level)")
+        if self.max_roots < 1:
+            raise InputError(f"max_roots: found {self.max_roots}, wanted at least 1")
+        if self.color_radius is not None and not self.color_radius > 0:
+            raise InputError(
+                f"color_radius: found {self.color_radius}, wanted more than 0, or none to leave colour out"
+            )
+
+
+def build_lod(scene: Scene, options: BuildOptions | None = None, *, threads: int = 0) -> Scene:
+    """The scene with levels of detail; its leaves are the given Gaussians bit for bit, in another order.
+
+    Levels that the scene already has are dropped: only its leaves count. ``ids`` keep the identity of the leaves (their row,
+    if the scene had none); inner nodes have new ones. Rules and counts are written to ``source.metadata["levels"]``.
+
+    Raises:
+        InputError: NaN or infinity in the Gaussians.
+    """
+    options = options or BuildOptions()
+    leaves, leaf_ids = _leaves_of(scene)
+    check_finite(leaves)
+    if options.merge.dilation is None:
+        dilation = DILATION_PX2 if scene.mode == "classic" else 0.0
+        options = dataclasses.replace(options, merge=dataclasses.replace(options.merge, dilation=dilation))
+    radius = auto_radius(leaves, threads=threads) if isinstance(options.radius, str) else float(options.radius)
+    forest = _grow(leaves, options, radius, threads)
+    report = {
+        "rule": "radius-thinning",
+        "radius": radius,
+        **{f.name: getattr(options, f.name) for f in dataclasses.fields(options) if f.name not in ("radius", "merge")},
+        "merge": rules_of(options.merge),
+        "mode": scene.mode,
+        "nodes": forest.counts,
+        "radii": forest.radii,
+    }
+    return _assemble(scene, leaves, leaf_ids, forest, json.dumps(report), threads)
+
+
+def _leaves_of(scene: Scene) -> tuple[Gaussians, Array]:
+    ids = np.arange(len(scene), dtype=np.uint32) if scene.ids is None else scene.ids
+    is_leaf = scene.tree.is_leaf
+    if is_leaf.all():
+        return scene.gaussians, ids
+    return scene.gaussians.take(is_leaf), ids[is_leaf]
+
+
+@dataclass(frozen=True, eq=False)
+class _Forest:
+    """Nodes by number: leaves along the Morton curve, then each level's new ones."""
+
+    leaf_from_node: Array
+    """Row of the input for each of the first n nodes."""
+    columns: list[Gaussians]
+    """Leaves, then each level's new nodes, harmonics to degree 0."""
+    weights: list[Array]
+    """Summed weights, in the same pieces."""
+    levels: list[Level]
+    """Families."""
+    roots: Array
+    """Nodes without a parent, in order."""
+    counts: list[int]
+    """Nodes left after each level."""
+    radii: list[float]
+    """Radius of each level."""
+
+
+def _grow(leaves: Gaussians, options: BuildOptions, radius: float, threads: int) -> _Forest:
+    order = np.argsort(morton_codes(leaves.means), kind="stable").astype(np.int32)
+    present = leaves.with_sh_degree(0).take(order)
+    weights = weights_of(leaves, options.merge.weight)[order]
+    nodes = np.arange(len(leaves), dtype=np.int32)
+    forest = _Forest(order, [present], [weights], [], nodes, [len(leaves)], [])
+    color_radius = np.inf if options.color_radius is None else options.color_radius
+    diagonal = float(np.linalg.norm(np.ptp(leaves.means.astype(np.float64), axis=0))) if len(leaves) else 0.0
+    num_nodes = len(leaves)
+    with task("build levels", float(len(leaves))) as advance:
+        while len(nodes) > options.max_roots:
+            groups = thin_kernel.thin(
+                *(present.means, linear_colors(present), importance_of(present, options.importance)),
+                radius=radius,
+                color_radius=color_radius,
+                threads=threads,
+            )
+            is_family = groups.sizes > 1
+            num_families = int(is_family.sum())
+            if num_families:
+                advance(float(len(present) - len(groups)))
+                in_family = np.repeat(is_family, groups.sizes)
+                start = np.cumsum(groups.sizes[is_family]) - groups.sizes[is_family]
+                forest.levels.append(Level(num_nodes, nodes[groups.rows[in_family]], start))
+                merged = merge_kernel.merge(present, groups, weights, options.merge, threads=threads)
+                weights = np.add.reduceat(weights[groups.rows], groups.start[:-1])
+                nodes = nodes[groups.representatives]
+                nodes[is_family] = np.arange(num_nodes, num_nodes + num_families, dtype=np.int32)
+                num_nodes += num_families
+                present = merged
+                forest.columns.append(merged.take(is_family))
+                forest.weights.append(weights[is_family])
+                forest.counts.append(len(nodes))
+                forest.radii.append(radius)
+            if radius > diagonal:
+                break
+            radius *= options.growth
+    return dataclasses.replace(forest, roots=nodes)
+
+
+def _assemble(scene: Scene, leaves: Gaussians, leaf_ids: Array, forest: _Forest, report: str, threads: int) -> Scene:
+    means = np.concatenate([part.means for part in forest.columns])
+    log_scales = np.concatenate([part.log_scales for part in forest.columns])
+    with np.errstate(over="ignore"):
+        reach = SIGMAS * np.exp(log_scales.max(axis=1, initial=-np.inf).astype(np.float64))
+    order = preorder(forest.levels, forest.roots, means, reach)
+    row, n, k = order.row_from_node, len(means), leaves.sh.shape[1]
+
+    def placed(column: Array) -> Array:
+        out = np.empty_like(column)
+        out[row] = column
+        return out
+
+    sh = np.empty((n, k, 3), np.float32)
+    row_from_leaf = np.empty(len(leaves), np.int32)
+    row_from_leaf[forest.leaf_from_node] = row[: len(leaves)]
+    sh[row_from_leaf] = leaves.sh
+    merge_kernel.average_children(sh, order.tree.subtree_end, placed(np.concatenate(forest.weights)), threads=threads)
+    gaussians = Gaussians(
+        placed(means),
+        placed(np.concatenate([part.quats for part in forest.columns])),
+        placed(log_scales),
+        placed(np.concatenate([part.logit_opacities for part in forest.columns])),
+        sh,
+    )
+    ids = np.empty(n, np.uint32)
+    first_id = int(leaf_ids.max()) + 1 if len(leaf_ids) else 0
+    if first_id + n - len(leaves) > 2**32:  # no room above the largest: number all rows anew
+        leaf_ids, first_id = np.arange(len(leaves), dtype=np.uint32), len(leaves)
+    ids[row_from_leaf] = leaf_ids
+    ids[row[len(leaves) :]] = np.arange(first_id, first_id + n - len(leaves), dtype=np.uint32)
+    source = dataclasses.replace(scene.source, metadata={**scene.source.metadata, "levels": report})
+    return dataclasses.replace(scene, gaussians=gaussians, tree=order.tree, ids=ids, source=source)

@@ -1,0 +1,138 @@
+"""How a scene is thinned and merged, and the groups that thinning finds.
+
+Defaults live here alone; the command line's help is these docstrings. What a rule computes is said in
+``kernels/reference/thin.py`` and ``merge.py``.
+"""
+
+import dataclasses
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from splatree.errors import InputError
+from splatree.shapes import Array, Int32, Int64, check_fields
+
+Importance = Literal["opacity-scale", "opacity", "opacity-area"]
+"""Which Gaussian stays when two are close: opacity times the geometric mean of the scales, opacity alone, or opacity times
+the product of the two largest scales."""
+
+Weight = Literal["opacity", "opacity-scale", "opacity-area"]
+"""How much a member counts in a mean; the same three products."""
+
+MergeRule = Literal["moments", "mean"]
+"""`moments` keeps mass, mean and covariance of the group; `mean` averages axis by axis (the literal radius scheme)."""
+
+OpacityRule = Literal["standard", "union", "mass"]
+"""Opacity of a merged Gaussian; kernels/reference/merge.py has the equations."""
+
+Position = Literal["centroid", "representative"]
+"""Where a merged Gaussian stands."""
+
+
+@dataclass(frozen=True)
+class MergeOptions:
+    """How the Gaussians of a group become one."""
+
+    rule: MergeRule = "moments"
+    """Shape: `moments` keeps mean and covariance of the group, `mean` averages scales and quaternions axis by axis."""
+    weight: Weight = "opacity"
+    """Weight of a member in means: `opacity`, or times its mean scale, or times its area."""
+    opacity: OpacityRule = "standard"
+    """`union` 1 − Π(1 − α), `mass` Σ α A / A, or `standard`: the larger of both, excess mass widens the Gaussian."""
+    position: Position = "centroid"
+    """`centroid`, or the `representative`'s own place (then merged Gaussians keep the minimum distance)."""
+    scale_bound: float | None = None
+    """κ: no axis longer than κ times the members' weighted mean; None: 1.5 for `mean`, unbounded for `moments`."""
+    widening: float = 0.4
+    """`standard`: mass m > 1 over the merged area multiplies the scales by m to this power."""
+    mass_limit: float = 5.0
+    """`standard`: mass above this is not drawn."""
+    dilation: float | None = None
+    """Added to variances where areas are compared, in units of the merged σ_max²; None: 0.3 for the levels of a scene of
+    mode `classic` (its renderer dilates splats, and a merged one is drawn where it is about a pixel wide), else 0."""
+
+    def __post_init__(self) -> None:
+        if self.scale_bound is not None and not self.scale_bound > 0:
+            raise InputError(f"scale_bound: found {self.scale_bound}, wanted more than 0, or none")
+        if not self.mass_limit >= 1:
+            raise InputError(f"mass_limit: found {self.mass_limit}, wanted 1 or more")
+        if not (self.widening >= 0 and (self.dilation is None or self.dilation >= 0)):
+            raise InputError(f"widening, dilation: found {self.widening}, {self.dilation}, wanted 0 or more")
+
+    @property
+    def bound(self) -> float:
+        """κ as a number; infinity where there is none."""
+        if self.scale_bound is not None:
+            return self.scale_bound
+        return 1.5 if self.rule == "mean" else float("inf")
+
+
+@dataclass(frozen=True)
+class ThinOptions:
+    """How far a scene is thinned. Give one of radius, keep and count; without any of them the radius is `auto`."""
+
+    radius: float | Literal["auto"] | None = None
+    """r, world units: no two representatives are closer. `auto`: 1.5 × the median distance to the nearest neighbour."""
+    keep: float | None = None
+    """Share of the Gaussians to keep, 0 to 1; the radius is found by bisection, to 1 % of the count."""
+    count: int | None = None
+    """Number of Gaussians to keep, to 1 %."""
+    importance: Importance = "opacity-scale"
+    """Which of two close Gaussians stays: the larger `opacity`, opacity times mean scale, or opacity times area."""
+    color_radius: float | None = 0.35
+    """ρ: distance in linear RGB (DC colour) that counts as much as r in space; None: colour keeps nothing apart."""
+    merge: MergeOptions = field(default_factory=MergeOptions)
+    """How a group becomes one Gaussian."""
+
+    def __post_init__(self) -> None:
+        given = [name for name in ("radius", "keep", "count") if getattr(self, name) is not None]
+        if len(given) > 1:
+            raise InputError(f"thin: found {' and '.join(given)}, wanted one of radius, keep and count")
+        if isinstance(self.radius, str):
+            if self.radius != "auto":
+                raise InputError(f"radius: found {self.radius!r}, wanted a number or 'auto'")
+        elif self.radius is not None and not 0 <= self.radius <= 1e30:
+            raise InputError(f"radius: found {self.radius}, wanted 0 or more world units, finite")
+        if self.keep is not None and not 0 < self.keep <= 1:
+            raise InputError(f"keep: found {self.keep}, wanted more than 0 and at most 1 (0.25 keeps a quarter)")
+        if self.count is not None and self.count < 1:
+            raise InputError(f"count: found {self.count}, wanted at least 1")
+        if self.color_radius is not None and not self.color_radius > 0:
+            raise InputError(
+                f"color_radius: found {self.color_radius}, wanted more than 0, or none to leave colour out"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class Groups:
+    """A partition of ``n`` rows into ``g`` groups, each around a representative."""
+
+    representatives: Int32[Array, "g"]
+    """Row that each group stands around, ascending."""
+    group_from_row: Int32[Array, "n"]
+    """Group of each row."""
+    start: Int64[Array, "g+1"]
+    """Members of group ``i`` are ``rows[start[i] : start[i + 1]]``."""
+    rows: Int32[Array, "n"]
+    """Rows by group, ascending inside each."""
+    rounds: int = 0
+    """Rounds of parallel decisions that it took; 0 where it was sequential."""
+    num_visited: int = 0
+    """Pairs of row and candidate looked at."""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+    def __len__(self) -> int:
+        return len(self.representatives)
+
+    @property
+    def sizes(self) -> Int64[Array, "g"]:
+        """Members of each group."""
+        return np.diff(self.start)
+
+
+def rules_of(options: MergeOptions | ThinOptions) -> dict[str, object]:
+    """The options as plain values, for the metadata of what they made."""
+    return dataclasses.asdict(options)

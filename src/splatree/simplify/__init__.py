@@ -1,0 +1,1 @@
+"""A scene with fewer Gaussians: radius thinning and merging."""

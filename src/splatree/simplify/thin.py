@@ -1,0 +1,172 @@
+"""Radius thinning: fewer Gaussians, no two representatives closer than r, each other one merged into its nearest.
+
+The scheme takes Gaussians in the order of importance; one that has no earlier representative within r becomes one, the others
+join theirs (kernels/reference/thin.py), then each group is merged (kernels/reference/merge.py). Cost: one radix sort and
+O(n) for a radius; a count is found by about six of them, without merging.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from splatree.constants import SH_C0
+from splatree.errors import InputError
+from splatree.kernels.cpu import thin as kernel
+from splatree.progress import task
+from splatree.scene.gaussians import Gaussians
+from splatree.scene.thinning import Groups, ThinOptions
+from splatree.shapes import Array, Float32
+from splatree.simplify.merge import check_finite, importance_of, merge
+
+__all__ = ["Thinned", "auto_radius", "linear_colors", "thin"]
+
+COUNT_TOLERANCE = 0.01
+"""How near to the wanted count a search for the radius comes, relative."""
+
+NUM_QUERIES = 2048
+"""Gaussians whose nearest neighbour is looked up for `auto`: the median of so many is within 3 % of the scene's."""
+
+
+@dataclass(frozen=True, eq=False)
+class Thinned:
+    """A thinned scene and how it came about."""
+
+    gaussians: Gaussians
+    """One for each group, in the order of their representatives' rows."""
+    groups: Groups
+    """Which input rows each stands for."""
+    radius: float
+    """r, world units, given or found."""
+    options: ThinOptions
+    """The rules."""
+
+    def __len__(self) -> int:
+        return len(self.gaussians)
+
+
+def thin(gaussians: Gaussians, options: ThinOptions | None = None, *, threads: int = 0) -> Thinned:
+    """Thin to a radius, a share or a count; the result is the same for any number of threads.
+
+    A count is met to 1 % where the scene allows: duplicates are always merged, and colours that differ by more than ρ never.
+
+    Raises:
+        InputError: NaN or infinity in the Gaussians, or a count that colour does not allow.
+    """
+    options = options or ThinOptions()
+    check_finite(gaussians)
+    space = _Space(gaussians, options, threads)
+    with task("thin", 3) as advance:
+        count = options.count
+        if options.keep is not None:
+            count = max(1, round(options.keep * len(gaussians)))
+        if count is not None:
+            radius = space.radius_of(count)
+        elif isinstance(options.radius, float | int):
+            radius = float(options.radius)
+        else:
+            radius = auto_radius(gaussians, threads=threads)
+        advance(1)
+        groups = space.groups(radius)
+        advance(1)
+        merged = merge(gaussians, groups, options.merge, threads=threads)
+        advance(1)
+    return Thinned(merged, groups, radius, options)
+
+
+def auto_radius(gaussians: Gaussians, *, threads: int = 0) -> float:
+    """1.5 × the median distance to the nearest neighbour that is not at the same place, of an even sample of rows.
+
+    0 if all Gaussians are at one place.
+    """
+    means, n = gaussians.means, len(gaussians)
+    if n < 2:
+        return 0.0
+    queries = np.unique(np.linspace(0, n - 1, NUM_QUERIES).astype(np.int32))
+    sample = means[queries].astype(np.float64)
+    span = float(np.max(np.quantile(sample, 0.99, axis=0) - np.quantile(sample, 0.01, axis=0)))
+    widest = float(np.max(np.ptp(means.astype(np.float64), axis=0)))
+    if widest == 0:
+        return 0.0
+    edge = (span or widest) / np.sqrt(n)
+    while True:
+        distances = kernel.nearest_distances(means, queries, edge=edge, threads=threads)
+        apart = distances[distances > 0]
+        median = float(np.median(apart)) if len(apart) else 0.0
+        if np.isfinite(median) and median > 0:
+            return 1.5 * median
+        if edge > 2 * widest:  # each sampled Gaussian has a twin at its place
+            return 1.5 * widest / n
+        edge *= 4
+
+
+def linear_colors(gaussians: Gaussians) -> Float32[Array, "n 3"]:
+    """DC colour less ½, linear RGB: differences are all that thinning looks at."""
+    return np.ascontiguousarray(gaussians.sh[:, 0] * np.float32(SH_C0))
+
+
+class _Space:
+    """What distances are measured in: positions, colours, importance."""
+
+    def __init__(self, gaussians: Gaussians, options: ThinOptions, threads: int) -> None:
+        self.gaussians = gaussians
+        self.colors = linear_colors(gaussians)
+        self.importance = importance_of(gaussians, options.importance)
+        self.color_radius = np.inf if options.color_radius is None else options.color_radius
+        self.threads = threads
+
+    def groups(self, radius: float) -> Groups:
+        return kernel.thin(
+            *(self.gaussians.means, self.colors, self.importance),
+            radius=radius,
+            color_radius=self.color_radius,
+            threads=self.threads,
+        )
+
+    def count(self, radius: float) -> int:
+        return kernel.count_representatives(
+            *(self.gaussians.means, self.colors, self.importance),
+            radius=radius,
+            color_radius=self.color_radius,
+            threads=self.threads,
+        )
+
+    def radius_of(self, count: int) -> float:
+        """The radius that leaves ``count`` representatives: bisection on log r, by the secant where it has two ends."""
+        n = len(self.gaussians)
+        if count >= n:
+            return 0.0
+        widest = float(np.max(np.ptp(self.gaussians.means.astype(np.float64), axis=0)))
+        radius = auto_radius(self.gaussians, threads=self.threads)
+        if radius == 0:
+            return 0.0  # all at one place
+        best, best_error = 0.0, np.inf
+        low = high = None  # (log r, log count) with too many and with too few left
+        for _ in range(48):
+            found = self.count(radius)
+            error = abs(found - count) / count
+            if error < best_error:
+                best, best_error = radius, error
+            if error <= COUNT_TOLERANCE:
+                return radius
+            here = (np.log(radius), np.log(found / count))
+            if found > count:
+                low = here
+                if radius > 2 * np.sqrt(3) * widest:
+                    raise InputError(
+                        f"count: found at least {found} Gaussians at any radius, wanted {count}: colours farther apart than "
+                        f"color_radius = {self.color_radius} never merge; raise color_radius or leave colour out"
+                    )
+            else:
+                high = here
+            if low is None or high is None:
+                # On surfaces the count falls with r²; a little more, so that the ends are soon on either side.
+                step = 0.6 * here[1]
+                radius *= float(np.exp(np.sign(step) * max(abs(step), 0.1)))
+            else:
+                share = np.clip(low[1] / (low[1] - high[1]), 0.1, 0.9)
+                radius = float(np.exp(low[0] + share * (high[0] - low[0])))
+                if high[0] - low[0] < 1e-9:
+                    break
+            if radius < 1e-30:
+                return 0.0
+        return best

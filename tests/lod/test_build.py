@@ -1,0 +1,188 @@
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from splatree import BuildOptions, Gaussians, InputError, MergeOptions, Scene, build_lod
+from splatree.lod.report import report_levels
+from splatree.maths.covariance import covariances_from_gaussians
+
+NAMES = ("means", "quats", "log_scales", "logit_opacities", "sh")
+
+
+def surface(n: int, seed: int = 0, degree: int = 0) -> Gaussians:
+    """Flat Gaussians on a wavy square, in patches of colour."""
+    rng = np.random.default_rng(seed)
+    xy = rng.uniform(-5, 5, size=(n, 2))
+    means = np.column_stack([xy, np.sin(xy[:, 0])])
+    sh = rng.normal(0, 0.2, size=(n, (degree + 1) ** 2, 3))
+    sh[:, 0] += np.where(xy[:, :1] > 0, 1.0, -1.0)
+    return Gaussians(
+        means.astype(np.float32),
+        rng.normal(size=(n, 4)).astype(np.float32),
+        rng.normal([-2, -2, -5], 0.3, size=(n, 3)).astype(np.float32),
+        rng.normal(1, 2, size=n).astype(np.float32),
+        sh.astype(np.float32),
+    )
+
+
+def parents_of(scene: Scene) -> np.ndarray:
+    """Row of the parent of each row, −1 for roots."""
+    parents = np.full(len(scene), -1)
+    for i, end in enumerate(scene.tree.subtree_end):
+        child = i + 1
+        while child < end:
+            parents[child] = i
+            child = scene.tree.subtree_end[child]
+    return parents
+
+
+small_scenes = st.builds(surface, st.integers(0, 150), st.integers(0, 1000), st.sampled_from([0, 1, 2]))
+
+
+@given(small_scenes, st.sampled_from(["classic", "antialiased"]), st.integers(1, 10))
+def test_leaves_are_the_input_bit_for_bit(gaussians, mode, max_roots):
+    scene = build_lod(Scene.flat(gaussians, mode=mode), BuildOptions(max_roots=max_roots))
+    leaves = np.flatnonzero(scene.tree.is_leaf)
+    assert len(leaves) == len(gaussians)
+    rows = scene.ids[leaves]
+    np.testing.assert_array_equal(np.sort(rows), np.arange(len(gaussians)))
+    for name in NAMES:
+        assert getattr(scene.gaussians, name)[leaves].tobytes() == getattr(gaussians, name)[rows].tobytes()
+    assert len(np.unique(scene.ids)) == len(scene)
+    assert scene.mode == mode
+
+
+@given(small_scenes)
+def test_inner_nodes_have_two_children_or_more(gaussians):
+    scene = build_lod(Scene.flat(gaussians), BuildOptions(max_roots=1, color_radius=None))
+    parents = parents_of(scene)
+    inner = np.flatnonzero(~scene.tree.is_leaf)
+    assert (np.bincount(parents[parents >= 0], minlength=len(scene))[inner] >= 2).all()
+    assert (parents < 0).sum() == min(1, len(gaussians))
+
+
+@given(small_scenes)
+def test_extents_hold_the_subtree_and_grow_upwards(gaussians):
+    scene = build_lod(Scene.flat(gaussians), BuildOptions(max_roots=2))
+    extents, means = scene.tree.extents.astype(np.float64), scene.gaussians.means.astype(np.float64)
+    reach = 3 * np.exp(scene.gaussians.log_scales.max(axis=1, initial=-np.inf).astype(np.float64))
+    for i, end in enumerate(scene.tree.subtree_end):
+        inside = slice(i, end)
+        # The farthest point of a 3σ ellipsoid is at most its longest half axis beyond its centre.
+        assert (np.linalg.norm(means[inside] - means[i], axis=1) + reach[inside] <= extents[i]).all()
+        assert (extents[inside] <= extents[i]).all()
+
+
+def test_an_inner_node_has_the_mean_and_covariance_of_its_leaves():
+    gaussians = surface(400, degree=1)
+    options = BuildOptions(max_roots=4, color_radius=None, merge=MergeOptions(opacity="union"))
+    scene = build_lod(Scene.flat(gaussians), options)
+    g = scene.gaussians
+    covariances = covariances_from_gaussians(g.quats, g.log_scales)
+    is_leaf = scene.tree.is_leaf
+    for i in np.flatnonzero(~is_leaf):
+        rows = np.arange(i, scene.tree.subtree_end[i])
+        rows = rows[is_leaf[rows]]
+        w = 1 / (1 + np.exp(-g.logit_opacities[rows].astype(np.float64)))
+        w /= w.sum()
+        x = g.means[rows].astype(np.float64)
+        mean = w @ x
+        expected = np.einsum("n,nij->ij", w, covariances[rows] + np.einsum("ni,nj->nij", x - mean, x - mean))
+        # Float32 rounding at each of about ten levels.
+        np.testing.assert_allclose(g.means[i], mean, atol=1e-5)
+        np.testing.assert_allclose(covariances[i], expected, atol=2e-5 * expected.max())
+        np.testing.assert_allclose(g.sh[i], np.einsum("n,nkc->kc", w, g.sh[rows].astype(np.float64)), atol=1e-5)
+
+
+def test_result_does_not_depend_on_threads():
+    flat = Scene.flat(surface(3000, degree=1))
+    one, two = (build_lod(flat, threads=threads) for threads in (1, 2))
+    for name in NAMES:
+        assert getattr(one.gaussians, name).tobytes() == getattr(two.gaussians, name).tobytes()
+    for name in ("subtree_end", "depth", "extents"):
+        assert getattr(one.tree, name).tobytes() == getattr(two.tree, name).tobytes()
+
+
+def test_building_again_from_a_tree_uses_its_leaves():
+    scene = build_lod(Scene.flat(surface(500)))
+    again = build_lod(scene)
+    assert again.tree.num_leaves == 500
+    leaves = again.tree.is_leaf
+    np.testing.assert_array_equal(np.sort(again.ids[leaves]), np.arange(500))
+
+
+def test_given_ids_are_kept():
+    gaussians = surface(50)
+    ids = np.arange(50, dtype=np.uint32) * 7 + 3
+    ids[-1] = 2**32 - 1
+    for given_ids in (ids[:-1], ids):
+        n = len(given_ids)
+        scene = Scene.flat(gaussians.take(np.arange(n)))
+        scene = Scene(scene.gaussians, scene.tree, ids=given_ids)
+        built = build_lod(scene, BuildOptions(max_roots=1))
+        assert len(np.unique(built.ids)) == len(built)
+        if given_ids.max() < 2**32 - 1:  # above the largest there is room for the inner nodes
+            np.testing.assert_array_equal(np.sort(built.ids[built.tree.is_leaf]), given_ids)
+
+
+@pytest.mark.parametrize("n", [0, 1, 2])
+def test_smallest_scenes(n):
+    scene = build_lod(Scene.flat(surface(n)), BuildOptions(max_roots=1, color_radius=None))
+    assert len(scene) == (0, 1, 3)[n]
+
+
+def test_identical_gaussians_become_one_root():
+    scene = build_lod(Scene.flat(surface(1).take(np.zeros(1000, np.int64))))
+    assert len(scene) == 1001
+    assert scene.tree.num_levels == 2
+
+
+def test_far_outliers_and_enormous_scales_build():
+    g = surface(300)
+    means, log_scales = g.means.copy(), g.log_scales.copy()
+    means[:3] = [[1e30, 0, 0], [-1200, 1200, 0], [0, 0, -1e20]]
+    log_scales[3:6] = 80.0
+    scene = build_lod(Scene.flat(Gaussians(means, g.quats, log_scales, g.logit_opacities, g.sh)))
+    assert scene.tree.num_leaves == 300
+    assert np.isfinite(scene.gaussians.log_scales).all()
+
+
+def test_rules_and_counts_are_in_the_metadata():
+    options = BuildOptions(growth=1.5, merge=MergeOptions(opacity="union"))
+    scene = build_lod(Scene.flat(surface(200), mode="antialiased"), options)
+    levels = json.loads(scene.source.metadata["levels"])
+    assert levels["growth"] == 1.5
+    assert levels["merge"]["opacity"] == "union"
+    assert levels["merge"]["dilation"] == 0.0
+    assert levels["mode"] == "antialiased"
+    assert levels["nodes"][0] == 200
+    classic = build_lod(Scene.flat(surface(200)))
+    assert json.loads(classic.source.metadata["levels"])["merge"]["dilation"] == 0.3
+
+
+def test_report_counts_every_node_once():
+    scene = build_lod(Scene.flat(surface(1000)))
+    report = report_levels(scene)
+    assert sum(report.nodes_per_depth) == len(scene) == report.num_nodes
+    assert sum(report.fan_out.values()) == len(scene) - report.num_leaves
+    assert sum(children * nodes for children, nodes in report.fan_out.items()) == len(scene) - report.num_roots
+    assert report.num_bytes == scene.gaussians.nbytes + 9 * len(scene)
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"radius": 0.0}, {"radius": float("nan")}, {"growth": 1.0}, {"max_roots": 0}, {"color_radius": -1.0}]
+)
+def test_impossible_options_are_refused(wrong):
+    with pytest.raises(InputError):
+        BuildOptions(**wrong)
+
+
+def test_not_finite_rows_are_named():
+    g = surface(10)
+    means = g.means.copy()
+    means[6, 1] = np.inf
+    with pytest.raises(InputError, match=r"means\[6\]"):
+        build_lod(Scene.flat(Gaussians(means, g.quats, g.log_scales, g.logit_opacities, g.sh)))

@@ -1,0 +1,200 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from splatree import Gaussians, InputError, ThinOptions, thin
+from splatree.kernels.cpu import thin as fast
+from splatree.kernels.reference import thin as reference
+from splatree.simplify.merge import importance_of
+from splatree.simplify.thin import auto_radius
+
+FIELDS = ("representatives", "group_from_row", "start", "rows")
+
+
+def random_gaussians(n: int, seed: int = 0, degree: int = 0) -> Gaussians:
+    rng = np.random.default_rng(seed)
+    return Gaussians(
+        rng.normal(size=(n, 3)).astype(np.float32),
+        rng.normal(size=(n, 4)).astype(np.float32),
+        rng.normal(-3, 0.5, size=(n, 3)).astype(np.float32),
+        rng.normal(size=n).astype(np.float32),
+        rng.normal(size=(n, (degree + 1) ** 2, 3)).astype(np.float32),
+    )
+
+
+@st.composite
+def points(draw):
+    """Means, colours, importance: on lattices, so that ties, duplicates and distances of exactly r are common."""
+    n = draw(st.integers(0, 60))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    step = draw(st.sampled_from([0.0, 0.25, 0.5]))
+    means = rng.normal(size=(n, 3))
+    means = (np.round(means / step) * step if step else means).astype(np.float32)
+    means *= draw(st.sampled_from([1.0, 1.0, 1000.0]))
+    colors = (np.round(rng.random((n, 3)) * 4) / 4).astype(np.float32)
+    importance = rng.choice([-1.0, 0.0, 0.5, 2.0], size=n).astype(np.float32)
+    return means, colors, importance
+
+
+@given(
+    points(), st.sampled_from([0.0, 0.25, 0.5, 1.0, 3.0, 1e9]), st.sampled_from([0.35, 0.5, np.inf]), st.integers(1, 3)
+)
+def test_groups_are_those_of_the_sequential_greedy(data, radius, color_radius, threads):
+    expected = reference.thin(*data, radius=radius, color_radius=color_radius)
+    found = fast.thin(*data, radius=radius, color_radius=color_radius, threads=threads)
+    for name in FIELDS:
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+    count = fast.count_representatives(*data, radius=radius, color_radius=color_radius)
+    assert count == len(expected)
+
+
+@given(points(), st.sampled_from([0.0, 0.5, 1.0]), st.sampled_from([0.35, np.inf]))
+def test_representatives_are_apart_and_members_near(data, radius, color_radius):
+    means, colors, _ = data
+    groups = fast.thin(*data, radius=radius, color_radius=color_radius)
+    joint = means.astype(np.float64)
+    if radius and np.isfinite(color_radius):
+        joint = np.concatenate([joint, colors.astype(np.float64) * (radius / color_radius)], axis=1)
+    rounding = 1e-12 * max(1.0, np.abs(joint).max(initial=0))  # of the float64 sums here, against those of the kernel
+    centers = joint[groups.representatives]
+    apart = np.linalg.norm(centers[:, None] - centers[None], axis=2) + np.diag(np.full(len(groups), np.inf))
+    assert (apart > radius - rounding).all()
+    near = np.linalg.norm(joint - centers[groups.group_from_row], axis=1)
+    assert (near <= radius + rounding).all()
+
+
+@given(points(), st.sampled_from([0.25, 1.0]))
+def test_each_row_is_in_one_group(data, radius):
+    groups = fast.thin(*data, radius=radius, color_radius=np.inf)
+    np.testing.assert_array_equal(np.sort(groups.rows), np.arange(len(data[0])))
+    np.testing.assert_array_equal(np.repeat(np.arange(len(groups)), groups.sizes), groups.group_from_row[groups.rows])
+    np.testing.assert_array_equal(groups.group_from_row[groups.representatives], np.arange(len(groups)))
+
+
+def test_groups_do_not_depend_on_the_order_of_rows():
+    g = random_gaussians(500)
+    importance = importance_of(g, "opacity-scale")
+    colors = np.zeros_like(g.means)
+    order = np.random.default_rng(1).permutation(len(g))
+    a = fast.thin(g.means, colors, importance, radius=0.4, color_radius=np.inf)
+    b = fast.thin(g.means[order], colors, importance[order], radius=0.4, color_radius=np.inf)
+    np.testing.assert_array_equal(np.sort(order[b.representatives]), a.representatives)
+    representative_a = a.representatives[a.group_from_row]
+    np.testing.assert_array_equal(order[b.representatives[b.group_from_row]], representative_a[order])
+
+
+def test_rounds_and_visits_do_not_depend_on_threads():
+    rng = np.random.default_rng(2)
+    means = rng.uniform(0, 30, size=(60_000, 3)).astype(np.float32)
+    means[:, 2] = 0
+    colors, importance = np.zeros_like(means), rng.random(len(means)).astype(np.float32)
+    a = fast.thin(means, colors, importance, radius=0.5, color_radius=np.inf, threads=1)
+    b = fast.thin(means, colors, importance, radius=0.5, color_radius=np.inf, threads=2)
+    for name in (*FIELDS, "rounds", "num_visited"):
+        np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
+    assert 1 < a.rounds < 100
+
+
+def test_far_outliers_share_cells_and_stay_apart():
+    rng = np.random.default_rng(3)
+    means = rng.normal(0, 0.05, size=(400, 3)).astype(np.float32)
+    means[:8] = [[s * x, t * x, x] for s in (-1, 1) for t in (-1, 1) for x in (1200.0, 1e30)]
+    data = means, np.zeros_like(means), rng.random(400).astype(np.float32)
+    expected = reference.thin(*data, radius=0.01, color_radius=np.inf)
+    found = fast.thin(*data, radius=0.01, color_radius=np.inf)
+    np.testing.assert_array_equal(found.group_from_row, expected.group_from_row)
+
+
+def test_identical_points_merge_at_radius_zero():
+    g = random_gaussians(1).take(np.zeros(5000, np.int64))
+    thinned = thin(g, ThinOptions(radius=0.0))
+    assert len(thinned) == 1
+    np.testing.assert_array_equal(thinned.gaussians.means, g.means[:1])
+
+
+def test_distinct_points_stay_bit_for_bit_at_radius_zero():
+    g = random_gaussians(300, degree=1)
+    thinned = thin(g, ThinOptions(radius=0.0))
+    for name in ("means", "quats", "log_scales", "logit_opacities", "sh"):
+        assert getattr(thinned.gaussians, name).tobytes() == getattr(g, name).tobytes()
+
+
+def test_radius_beyond_the_scene_leaves_one():
+    assert len(thin(random_gaussians(200), ThinOptions(radius=1e9, color_radius=None))) == 1
+
+
+@pytest.mark.parametrize("n", [0, 1])
+def test_smallest_scenes(n):
+    for options in (ThinOptions(), ThinOptions(keep=0.5), ThinOptions(count=1), ThinOptions(radius=1.0)):
+        assert len(thin(random_gaussians(n), options)) == n
+
+
+def test_enormous_scales_merge_to_finite_numbers():
+    g = random_gaussians(50)
+    wide = Gaussians(g.means, g.quats, np.full_like(g.log_scales, 80.0), g.logit_opacities, g.sh)
+    merged = thin(wide, ThinOptions(radius=10.0)).gaussians
+    assert np.isfinite(merged.log_scales).all() and np.isfinite(merged.logit_opacities).all()
+
+
+@pytest.mark.parametrize("keep", [0.5, 0.1])
+def test_a_share_is_met_to_one_percent(keep):
+    g = random_gaussians(20_000)
+    thinned = thin(g, ThinOptions(keep=keep, color_radius=None))
+    assert abs(len(thinned) / (keep * len(g)) - 1) <= 0.01
+    again = thin(g, ThinOptions(radius=thinned.radius, color_radius=None))
+    np.testing.assert_array_equal(again.groups.group_from_row, thinned.groups.group_from_row)
+
+
+def test_count_that_colour_forbids_is_refused():
+    g = random_gaussians(200)
+    with pytest.raises(InputError, match="color_radius"):
+        thin(g, ThinOptions(count=1, color_radius=0.01))
+
+
+def test_auto_radius_is_the_median_distance_to_the_nearest():
+    g = random_gaussians(1000)
+    x = g.means.astype(np.float64)
+    apart = np.linalg.norm(x[:, None] - x[None], axis=2) + np.diag(np.full(len(x), np.inf))
+    # All rows are sampled; the distances are sums of the same squares in float64.
+    assert auto_radius(g) == pytest.approx(1.5 * np.median(apart.min(axis=1)), rel=1e-12)
+
+
+def test_auto_radius_looks_past_duplicates():
+    g = random_gaussians(300)
+    assert auto_radius(Gaussians.concatenate([g, g])) > 0
+    assert auto_radius(g.take(np.zeros(10, np.int64))) == 0
+
+
+@pytest.mark.parametrize("field", ["means", "quats", "log_scales", "logit_opacities", "sh"])
+def test_not_finite_rows_are_named(field):
+    g = random_gaussians(10)
+    columns = {name: getattr(g, name).copy() for name in ("means", "quats", "log_scales", "logit_opacities", "sh")}
+    columns[field].reshape(10, -1)[7, 0] = np.nan
+    with pytest.raises(InputError, match=rf"{field}\[7\]"):
+        thin(Gaussians(**columns))
+
+
+def test_zero_quaternion_is_named():
+    g = random_gaussians(10)
+    quats = g.quats.copy()
+    quats[4] = 0
+    with pytest.raises(InputError, match=r"quats\[4\]"):
+        thin(Gaussians(g.means, quats, g.log_scales, g.logit_opacities, g.sh))
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"radius": -1.0},
+        {"radius": float("nan")},
+        {"radius": 1.0, "keep": 0.5},
+        {"keep": 0.0},
+        {"keep": 1.5},
+        {"count": 0},
+        {"color_radius": 0.0},
+    ],
+)
+def test_impossible_options_are_refused(wrong):
+    with pytest.raises(InputError):
+        ThinOptions(**wrong)
