@@ -14,18 +14,19 @@ quats              length 1e-12 to 1e12                           normalised; ze
 The limits keep squares and products of float32 finite all through a frame. Repairs are counted in the scene's metadata under
 ``repairs``. The rows of a scene with levels cannot be dropped (its tree counts on them): such a scene is refused instead.
 
-Cost: each byte of the scene is read once (`largest_magnitude`); the masks of the diagnosis are built only for a bad scene.
+Every reader ends with `checked`. Cost: each byte of the scene is read once, unless the reader brings the largest magnitudes
+along; the masks of the diagnosis are built only for a bad scene.
 """
 
 import json
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from splatree.errors import FormatError
-from splatree.kernels.cpu.columns import largest_magnitude
+from splatree.kernels.cpu.columns import largest_magnitude, shortest
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Scene
 from splatree.shapes import Array
@@ -46,13 +47,17 @@ LOGIT_CERTAIN = math.log((1 - 1e-6) / 1e-6)
 """13.8: logit of an opacity of 1 − 1e-6, which no picture tells from 1."""
 
 
-def checked(scene: Scene, where: str, *, repair: bool) -> Scene:
+Magnitudes = Mapping[str, float]
+"""Largest magnitude of each column of `Gaussians`, NaN if it holds one."""
+
+
+def checked(scene: Scene, where: str, *, repair: bool, magnitudes: Magnitudes | None = None) -> Scene:
     """The scene itself if all of its values can be used; else an error or, with ``repair``, a repaired copy.
 
     Raises:
         FormatError: with the first bad row, its column, the value found and what was wanted.
     """
-    if _is_clean(scene.gaussians):
+    if _is_clean(scene.gaussians, magnitudes or magnitudes_of(scene.gaussians)):
         return scene
     if not repair:
         raise FormatError(_describe(scene.gaussians, where))
@@ -65,6 +70,11 @@ def checked(scene: Scene, where: str, *, repair: bool) -> Scene:
     metadata = {**source.metadata, "repairs": json.dumps(add_counts(source.metadata.get("repairs"), repairs))}
     flat = Scene.flat(gaussians, mode=scene.mode, source=replace(source, metadata=metadata))
     return replace(flat, threshold=scene.threshold)
+
+
+def magnitudes_of(gaussians: Gaussians) -> Magnitudes:
+    """Largest magnitude of each column."""
+    return {column.name: largest_magnitude(getattr(gaussians, column.name)) for column in fields(gaussians)}
 
 
 def add_counts(old: str | None, more: dict[str, int]) -> dict[str, int]:
@@ -100,14 +110,14 @@ def repaired(gaussians: Gaussians) -> tuple[Gaussians, dict[str, int]]:
     return fixed, {rule: count for rule, count in counts.items() if count}
 
 
-def _is_clean(g: Gaussians) -> bool:
+def _is_clean(g: Gaussians, magnitudes: Magnitudes) -> bool:
     return (
-        largest_magnitude(g.means) <= MEAN_MAX
-        and largest_magnitude(g.sh) <= SH_MAX
-        and largest_magnitude(g.log_scales) <= LOG_SCALE_MAX
-        and math.isfinite(largest_magnitude(g.logit_opacities))
-        and largest_magnitude(g.quats) <= QUAT_MAX / 2
-        and bool(np.einsum("ij,ij->i", g.quats, g.quats).min(initial=1) >= QUAT_MIN**2)
+        magnitudes["means"] <= MEAN_MAX
+        and magnitudes["sh"] <= SH_MAX
+        and magnitudes["log_scales"] <= LOG_SCALE_MAX
+        and math.isfinite(magnitudes["logit_opacities"])
+        and magnitudes["quats"] <= QUAT_MAX / 2  # then no length is above the limit
+        and shortest(g.quats) >= 2 * QUAT_MIN  # nor below: float32 squares lose nothing near here
     ) or not any(problem.mask.any() for problem in _problems(g))
 
 

@@ -19,8 +19,9 @@ import numpy as np
 
 from splatree.constants import SH_C0
 from splatree.errors import FormatError
+from splatree.io.check import checked
 from splatree.io.options import ReadOptions
-from splatree.kernels.cpu.columns import deinterleave
+from splatree.kernels.cpu.columns import deinterleave, largest_magnitude
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Mode, Scene, Source
@@ -75,11 +76,11 @@ def read(path: Path, options: ReadOptions) -> Scene:
             with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as mapped:
                 records = np.frombuffer(mapped, header.dtype, num_rows, header.start)
                 with task(f"read {path.name}", num_rows) as advance:
-                    columns = _columns(records, fields)
+                    columns, magnitudes = _columns(records, fields)
                     advance(num_rows)
                 del records  # the map cannot close while an array looks into it
         else:
-            columns = _columns(np.empty(0, header.dtype), fields)
+            columns, magnitudes = _columns(np.empty(0, header.dtype), fields)
     means, quats, log_scales, logits, sh = columns
     sh = sh.reshape(num_rows, (degree + 1) ** 2, 3)
     if "f_dc_0" not in header.names:  # RGB of 8 bits, or 0 to 1: the inverse of colour = ½ + C0 dc
@@ -96,7 +97,11 @@ def read(path: Path, options: ReadOptions) -> Scene:
     if repairs:
         metadata["repairs"] = json.dumps(repairs)
     gaussians = Gaussians(means, quats, log_scales, logits.reshape(-1), sh)
-    return Scene.flat(gaussians, mode=header.mode, source=Source(metadata=metadata))
+    scene = Scene.flat(gaussians, mode=header.mode, source=Source(metadata=metadata))
+    known = dict(zip(("means", "quats", "log_scales", "logit_opacities", "sh"), magnitudes, strict=True))
+    if "f_dc_0" not in header.names:
+        known["sh"] = largest_magnitude(gaussians.sh)  # the colours were converted after they were measured
+    return checked(scene, str(path), repair=options.repair, magnitudes=known)
 
 
 def write(scene: Scene, path: Path) -> None:
@@ -266,7 +271,7 @@ def _fields(path: Path, header: _Header) -> tuple[list[list[str]], int]:
     return [[names[n] for n in group] for group in (*_GEOMETRY, (*color, *rest))], degree
 
 
-def _columns(records: Array, fields: list[list[str]]) -> list[Array]:
+def _columns(records: Array, fields: list[list[str]]) -> tuple[list[Array], list[float]]:
+    """The columns, and the largest magnitude of each."""
     columns = [np.empty((len(records), len(names)), np.float32) for names in fields]
-    deinterleave(records, fields, columns)
-    return columns
+    return columns, deinterleave(records, fields, columns)

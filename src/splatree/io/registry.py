@@ -14,7 +14,6 @@ import numpy as np
 
 from splatree.errors import InputError, SplatreeError
 from splatree.io import ply, sog, streamed_sog
-from splatree.io.check import checked
 from splatree.io.inputs import find_inputs
 from splatree.io.joined import joined
 from splatree.io.options import ReadOptions
@@ -44,7 +43,7 @@ class Format:
     sniff: Callable[[Path, bytes], bool]
     """Whether a path holds this format, given the first bytes of a file (none for a folder)."""
     read: Callable[[Path, ReadOptions], Scene]
-    """Read a path; values are checked afterwards."""
+    """Read a path into a scene whose values were checked (`splatree.io.check.checked`)."""
     write: Callable[[Scene, Path], None] | None = None
     """Write a file; None if the format is only read."""
 
@@ -141,8 +140,7 @@ def _read_one(path: Path, options: ReadOptions) -> Scene:
         if isinstance(error, SplatreeError):
             raise
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
-    source = replace(scene.source, paths=(str(path),), format=found.name)
-    return checked(replace(scene, source=source), str(path), repair=options.repair)
+    return replace(scene, source=replace(scene.source, paths=(str(path),), format=found.name))
 
 
 def _cut(scene: Scene, depth: int | None) -> Scene:

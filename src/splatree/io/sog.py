@@ -23,6 +23,7 @@ import numpy as np
 
 from splatree.errors import FormatError
 from splatree.io import untrusted
+from splatree.io.check import checked
 from splatree.io.options import ReadOptions
 from splatree.kernels.cpu import _core
 from splatree.progress import task
@@ -63,6 +64,11 @@ def sniff(path: Path, head: bytes) -> bool:
 
 def read(path: Path, options: ReadOptions) -> Scene:
     """Read a folder, its meta.json, or a .sog bundle."""
+    return checked(read_unchecked(path, options), str(path), repair=options.repair)
+
+
+def read_unchecked(path: Path, options: ReadOptions) -> Scene:
+    """Read all rows, whatever their values: a range of a streamed scene counts on their places."""
     if path.is_file() and path.name != "meta.json":
         try:
             with zipfile.ZipFile(path) as bundle:

@@ -13,6 +13,7 @@ from typing import Any
 
 from splatree.errors import FormatError, InputError
 from splatree.io import sog, untrusted
+from splatree.io.check import checked
 from splatree.io.options import ReadOptions
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Scene, Source
@@ -77,13 +78,14 @@ def read(path: Path, options: ReadOptions) -> Scene:
     if len(modes) > 1:
         raise FormatError(f"{where}: found units trained in different modes {sorted(modes)}, wanted one")
     metadata = {"level": str(level), "levels": str(num_levels), "units": json.dumps([names[i] for i in units])}
-    return Scene.flat(Gaussians.concatenate(parts), mode=modes.pop(), source=Source(metadata=metadata))
+    scene = Scene.flat(Gaussians.concatenate(parts), mode=modes.pop(), source=Source(metadata=metadata))
+    return checked(scene, where, repair=options.repair)
 
 
 def _read_unit(path: Path, options: ReadOptions) -> Scene:
     if not path.exists():
         raise FormatError(f"{path}: not found, but lod-meta.json names it; fetch the whole folder")
-    return sog.read(path, options)
+    return sog.read_unchecked(path, options)
 
 
 def _rows(gaussians: Gaussians, offset: int, count: int) -> Gaussians:

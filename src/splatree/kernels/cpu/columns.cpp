@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <atomic>
+#include <cmath>
 #include <cstring>
 
 #include "cpu/pool.h"
@@ -9,9 +10,43 @@
 namespace splatree {
 namespace {
 
-// 1024 records of 248 bytes in and as many out are half of a 1 MB second-level cache.
-constexpr int64_t kRowsPerChunk = 1024;
+// 512 records of 248 bytes in and as many out fit a second-level cache of 512 kB.
+constexpr int64_t kRowsPerChunk = 512;
 constexpr int64_t kValuesPerChunk = 1 << 18;  // 1 MB
+
+// Magnitudes as integers: the bits of a float without its sign order as it does, infinity and NaN above all numbers.
+// Sixteen maxima side by side, because one alone waits for its own latency.
+int32_t largest_bits(const float* values, int64_t num_values) {
+  constexpr int kLanes = 16;
+  int32_t lanes[kLanes] = {};
+  int64_t i = 0;
+  for (; i + kLanes <= num_values; i += kLanes) {
+    int32_t bits[kLanes];
+    std::memcpy(bits, values + i, sizeof bits);
+    for (int lane = 0; lane < kLanes; ++lane) {
+      const int32_t found = bits[lane] & 0x7fffffff;
+      lanes[lane] = found > lanes[lane] ? found : lanes[lane];
+    }
+  }
+  for (; i < num_values; ++i) {
+    int32_t bits;
+    std::memcpy(&bits, values + i, sizeof bits);
+    lanes[0] = std::max(lanes[0], bits & 0x7fffffff);
+  }
+  return *std::max_element(lanes, lanes + kLanes);
+}
+
+void raise(std::atomic<int32_t>& largest, int32_t found) {
+  int32_t seen = largest.load(std::memory_order_relaxed);
+  while (found > seen && !largest.compare_exchange_weak(seen, found, std::memory_order_relaxed)) {
+  }
+}
+
+float magnitude(int32_t bits) {
+  float value;
+  std::memcpy(&value, &bits, sizeof value);
+  return value;
+}
 
 template <class T>
 T load(const uint8_t* at) {
@@ -34,44 +69,107 @@ float load_as_float(const uint8_t* at, Scalar type) {
   return 0;
 }
 
+// How the values of a row of a column lie in the record.
+enum class Layout {
+  run,       // side by side
+  channels,  // three side by side, then the rest channel by channel: the harmonics of a .ply
+  scattered  // anything else
+};
+
+Layout layout_of(const Column& column) {
+  const int64_t width = column.width, *offsets = column.offsets;
+  for (int64_t j = 0; j < width; ++j)
+    if (column.types[j] != Scalar::f32) return Layout::scattered;
+  const auto follows = [&](int64_t j, int64_t start, int64_t place) { return offsets[j] == start + 4 * place; };
+  int64_t run = 0;
+  while (run < width && follows(run, offsets[0], run)) ++run;
+  if (run == width) return Layout::run;
+  if (run < 3 || width % 3) return Layout::scattered;
+  const int64_t per_channel = width / 3 - 1;
+  for (int64_t j = 3; j < width; ++j)
+    if (!follows(j, offsets[3], (j % 3) * per_channel + j / 3 - 1)) return Layout::scattered;
+  return Layout::channels;
+}
+
+template <int kWidth>
+void copy_runs(const uint8_t* from, int64_t stride, float* out, int64_t num_rows) {
+  for (int64_t row = 0; row < num_rows; ++row) std::memcpy(out + row * kWidth, from + row * stride, kWidth * 4);
+}
+
+template <int kPerChannel>
+void copy_channels(const uint8_t* first, const uint8_t* rest, int64_t stride, float* out, int64_t num_rows) {
+  for (int64_t row = 0; row < num_rows; ++row, first += stride, rest += stride, out += 3 * (kPerChannel + 1)) {
+    std::memcpy(out, first, 12);
+    for (int j = 0; j < kPerChannel; ++j)
+      for (int c = 0; c < 3; ++c) out[3 + 3 * j + c] = load<float>(rest + 4 * (c * kPerChannel + j));
+  }
+}
+
+void copy_scattered(const uint8_t* record, int64_t stride, const Column& column, float* out, int64_t num_rows) {
+  for (int64_t row = 0; row < num_rows; ++row, record += stride)
+    for (int64_t j = 0; j < column.width; ++j) *out++ = load_as_float(record + column.offsets[j], column.types[j]);
+}
+
+void copy_column(const uint8_t* records, int64_t stride, const Column& column, Layout layout, float* out, int64_t num_rows) {
+  const uint8_t* from = records + column.offsets[0];
+  if (layout == Layout::run) switch (column.width) {
+      case 1: return copy_runs<1>(from, stride, out, num_rows);
+      case 3: return copy_runs<3>(from, stride, out, num_rows);
+      case 4: return copy_runs<4>(from, stride, out, num_rows);
+    }
+  if (layout == Layout::channels) {
+    const uint8_t* rest = records + column.offsets[3];
+    switch (column.width) {
+      case 12: return copy_channels<3>(from, rest, stride, out, num_rows);
+      case 27: return copy_channels<8>(from, rest, stride, out, num_rows);
+      case 48: return copy_channels<15>(from, rest, stride, out, num_rows);
+    }
+  }
+  copy_scattered(records, stride, column, out, num_rows);
+}
+
 }  // namespace
 
-void deinterleave(const uint8_t* records, int64_t num_rows, int64_t stride, const Column* columns, int num_columns,
-                  int threads) {
+void deinterleave(const uint8_t* records, int64_t num_rows, int64_t stride, Column* columns, int num_columns, int threads) {
+  Layout layouts[kMaxColumns];
+  std::atomic<int32_t> largest[kMaxColumns];
+  for (int c = 0; c < num_columns; ++c) {
+    layouts[c] = layout_of(columns[c]);
+    largest[c] = 0;
+  }
   parallel_ranges(num_rows, kRowsPerChunk, threads, [&](int64_t begin, int64_t end) {
     for (int c = 0; c < num_columns; ++c) {
-      const Column& column = columns[c];
-      const int64_t width = column.width;
-      const bool all_f32 = std::all_of(column.types, column.types + width, [](Scalar t) { return t == Scalar::f32; });
-      for (int64_t row = begin; row < end; ++row) {
-        const uint8_t* record = records + row * stride;
-        float* out = column.data + row * width;
-        if (all_f32)
-          for (int64_t j = 0; j < width; ++j) out[j] = load<float>(record + column.offsets[j]);
-        else
-          for (int64_t j = 0; j < width; ++j) out[j] = load_as_float(record + column.offsets[j], column.types[j]);
-      }
+      const int64_t width = columns[c].width;
+      float* out = columns[c].data + begin * width;
+      copy_column(records + begin * stride, stride, columns[c], layouts[c], out, end - begin);
+      raise(largest[c], largest_bits(out, (end - begin) * width));
     }
   });
+  for (int c = 0; c < num_columns; ++c) columns[c].largest_magnitude = magnitude(largest[c].load());
 }
 
 float largest_magnitude(const float* values, int64_t num_values, int threads) {
   std::atomic<int32_t> largest{0};
   parallel_ranges(num_values, kValuesPerChunk, threads, [&](int64_t begin, int64_t end) {
-    int32_t found = 0;
+    raise(largest, largest_bits(values + begin, end - begin));
+  });
+  return magnitude(largest.load());
+}
+
+float shortest(const float* vectors, int64_t num_vectors, int threads) {
+  std::atomic<float> shortest{INFINITY};
+  parallel_ranges(num_vectors, kValuesPerChunk / 4, threads, [&](int64_t begin, int64_t end) {
+    float found = INFINITY;
     for (int64_t i = begin; i < end; ++i) {
-      int32_t bits;
-      std::memcpy(&bits, values + i, sizeof bits);
-      found = std::max(found, bits & 0x7fffffff);
+      const float* v = vectors + 4 * i;
+      const float squared = (v[0] * v[0] + v[1] * v[1]) + (v[2] * v[2] + v[3] * v[3]);
+      found = squared < found ? squared : found;
     }
-    int32_t seen = largest.load(std::memory_order_relaxed);
-    while (found > seen && !largest.compare_exchange_weak(seen, found, std::memory_order_relaxed)) {
+    float seen = shortest.load(std::memory_order_relaxed);
+    while (found < seen && !shortest.compare_exchange_weak(seen, found, std::memory_order_relaxed)) {
     }
   });
-  const int32_t bits = largest.load();
-  float value;
-  std::memcpy(&value, &bits, sizeof value);
-  return value;
+  return std::sqrt(shortest.load());
 }
 
 }  // namespace splatree

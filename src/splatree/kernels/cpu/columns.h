@@ -1,4 +1,4 @@
-// Interleaved records into float32 columns, and the largest magnitude of a column.
+// Interleaved records into float32 columns, and the extremes of a column.
 //
 // Both run at the speed of memory on baseline instructions: a record of 248 bytes costs 62 loads and 62 stores, about
 // as long as the cache lines take to arrive; so neither is compiled for wider vectors.
@@ -15,13 +15,20 @@ struct Column {
   int64_t width;           // values in a row
   const int64_t* offsets;  // where each value of a row lies in the record, bytes
   const Scalar* types;     // how each is stored
+  float largest_magnitude; // result: as that of largest_magnitude()
 };
 
-// columns[c].data[row × width + j] = the value at records + row × stride + offsets[j], for each column, row and j.
-void deinterleave(const uint8_t* records, int64_t num_rows, int64_t stride, const Column* columns, int num_columns,
-                  int threads);
+constexpr int kMaxColumns = 64;
+
+// columns[c].data[row × width + j] = the value at records + row × stride + offsets[j], for each column, row and j; and the
+// largest magnitude of each column, found while its values are in the cache.
+void deinterleave(const uint8_t* records, int64_t num_rows, int64_t stride, Column* columns, int num_columns, int threads);
 
 // Largest |value|; NaN if one is NaN, 0 if there are none. The magnitude's bits order as integers do, NaN last.
 float largest_magnitude(const float* values, int64_t num_values, int threads);
+
+// Length of the shortest of `num_vectors` vectors of four; infinity if there are none. One with a NaN is passed over; below
+// 1e-19 the squares underflow and the length counts as 0.
+float shortest(const float* vectors, int64_t num_vectors, int threads);
 
 }  // namespace splatree

@@ -1,4 +1,4 @@
-"""Interleaved records into float32 columns, and the largest magnitude of a column, at the speed of memory."""
+"""Interleaved records into float32 columns, and the extremes of a column, at the speed of memory."""
 
 from collections.abc import Sequence
 
@@ -12,21 +12,28 @@ _SCALARS = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "float32", "f
 
 def deinterleave(
     records: Array, fields: Sequence[Sequence[str]], columns: Sequence[Array], *, threads: int = 0
-) -> None:
+) -> list[float]:
     """Copy fields of ``records`` "n" (a structured array) into float32 ``columns`` "n w", one list of w fields a column.
 
-    Values are converted to float32 as C does. A field may appear in several columns; the others are left out.
+    Values are converted to float32 as C does. A field may appear in several columns; the others are left out. Returns the
+    largest magnitude of each column.
     """
     if len(records) == 0:
-        return
+        return [0.0] * len(columns)
     dtype = records.dtype
     assert dtype.fields is not None
     flat = [dtype.fields[name] for names in fields for name in names]
     offsets = np.array([offset for _, offset, *_ in flat], np.int64)
     types = np.array([_SCALARS.index(scalar.name) for scalar, *_ in flat], np.uint8)
-    _core.deinterleave(records.view(np.uint8), dtype.itemsize, offsets, types, list(columns), threads)
+    magnitudes = _core.deinterleave(records.view(np.uint8), dtype.itemsize, offsets, types, list(columns), threads)
+    return [float(magnitude) for magnitude in magnitudes]
 
 
 def largest_magnitude(values: Array, *, threads: int = 0) -> float:
     """Largest ``|value|`` of a float32 array of any shape; NaN if one is NaN, 0 if it is empty."""
     return float(_core.largest_magnitude(values.reshape(-1), threads))
+
+
+def shortest(vectors: Array, *, threads: int = 0) -> float:
+    """Length of the shortest float32 vector "n 4"; infinity if there are none. One with a NaN is passed over."""
+    return float(_core.shortest(vectors, threads))

@@ -1,4 +1,4 @@
-"""Interleaved records into float32 columns, and the largest magnitude of a column: what the fast kernels must give."""
+"""Interleaved records into float32 columns, and the extremes of a column: what the fast kernels must give."""
 
 from collections.abc import Sequence
 
@@ -9,13 +9,21 @@ from splatree.shapes import Array
 
 def deinterleave(
     records: Array, fields: Sequence[Sequence[str]], columns: Sequence[Array], *, threads: int = 0
-) -> None:
-    """Copy fields of ``records`` "n" (a structured array) into float32 ``columns`` "n w", one list of w fields a column."""
+) -> list[float]:
+    """Copy fields of ``records`` "n" (a structured array) into float32 ``columns`` "n w"; return their largest magnitudes."""
     for names, column in zip(fields, columns, strict=True):
         for j, name in enumerate(names):
             column[:, j] = records[name].astype(np.float32)
+    return [largest_magnitude(column) for column in columns]
 
 
 def largest_magnitude(values: Array, *, threads: int = 0) -> float:
     """Largest ``|value|`` of a float32 array of any shape; NaN if one is NaN, 0 if it is empty."""
     return float(np.abs(values).max(initial=0))
+
+
+def shortest(vectors: Array, *, threads: int = 0) -> float:
+    """Length of the shortest float32 vector "n 4"; infinity if there are none. One with a NaN is passed over."""
+    with np.errstate(over="ignore"):
+        lengths = np.linalg.norm(vectors.astype(np.float64), axis=1)
+    return float(lengths[~np.isnan(lengths)].min(initial=np.inf))
