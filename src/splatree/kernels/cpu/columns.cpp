@@ -5,6 +5,7 @@
 #include <cmath>
 #include <cstring>
 
+#include "cpu/isa.h"
 #include "cpu/pool.h"
 
 namespace splatree {
@@ -13,28 +14,6 @@ namespace {
 // 512 records of 248 bytes in and as many out fit a second-level cache of 512 kB.
 constexpr int64_t kRowsPerChunk = 512;
 constexpr int64_t kValuesPerChunk = 1 << 18;  // 1 MB
-
-// Magnitudes as integers: the bits of a float without its sign order as it does, infinity and NaN above all numbers.
-// Sixteen maxima side by side, because one alone waits for its own latency.
-int32_t largest_bits(const float* values, int64_t num_values) {
-  constexpr int kLanes = 16;
-  int32_t lanes[kLanes] = {};
-  int64_t i = 0;
-  for (; i + kLanes <= num_values; i += kLanes) {
-    int32_t bits[kLanes];
-    std::memcpy(bits, values + i, sizeof bits);
-    for (int lane = 0; lane < kLanes; ++lane) {
-      const int32_t found = bits[lane] & 0x7fffffff;
-      lanes[lane] = found > lanes[lane] ? found : lanes[lane];
-    }
-  }
-  for (; i < num_values; ++i) {
-    int32_t bits;
-    std::memcpy(&bits, values + i, sizeof bits);
-    lanes[0] = std::max(lanes[0], bits & 0x7fffffff);
-  }
-  return *std::max_element(lanes, lanes + kLanes);
-}
 
 void raise(std::atomic<int32_t>& largest, int32_t found) {
   int32_t seen = largest.load(std::memory_order_relaxed);
@@ -142,7 +121,7 @@ void deinterleave(const uint8_t* records, int64_t num_rows, int64_t stride, Colu
       const int64_t width = columns[c].width;
       float* out = columns[c].data + begin * width;
       copy_column(records + begin * stride, stride, columns[c], layouts[c], out, end - begin);
-      raise(largest[c], largest_bits(out, (end - begin) * width));
+      raise(largest[c], kernels().largest_bits(out, (end - begin) * width));
     }
   });
   for (int c = 0; c < num_columns; ++c) columns[c].largest_magnitude = magnitude(largest[c].load());
@@ -151,7 +130,7 @@ void deinterleave(const uint8_t* records, int64_t num_rows, int64_t stride, Colu
 float largest_magnitude(const float* values, int64_t num_values, int threads) {
   std::atomic<int32_t> largest{0};
   parallel_ranges(num_values, kValuesPerChunk, threads, [&](int64_t begin, int64_t end) {
-    raise(largest, largest_bits(values + begin, end - begin));
+    raise(largest, kernels().largest_bits(values + begin, end - begin));
   });
   return magnitude(largest.load());
 }

@@ -1,7 +1,7 @@
 // Interleaved records into float32 columns, and the extremes of a column.
 //
-// Both run at the speed of memory on baseline instructions: a record of 248 bytes costs 62 loads and 62 stores, about
-// as long as the cache lines take to arrive; so neither is compiled for wider vectors.
+// Copying runs at the speed of memory on baseline instructions: a record of 248 bytes costs 62 loads and 62 stores, about as
+// long as its cache lines take to arrive. Only the magnitudes gain from wider vectors (magnitude.cpp).
 #pragma once
 #include <cstdint>
 

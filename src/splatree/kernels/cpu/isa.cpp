@@ -8,8 +8,9 @@
   namespace splatree::isa {                        \
   int64_t project(const ProjectJob&, int64_t*);    \
   void blend(const BlendJob&);                     \
+  int32_t largest_bits(const float*, int64_t);     \
   }
-#define SPLATREE_TABLE(name, isa) {name, isa::project, isa::blend}
+#define SPLATREE_TABLE(name, isa) {name, isa::project, isa::blend, isa::largest_bits}
 
 #if defined(__x86_64__)
 SPLATREE_DECLARE(isa_v4)

@@ -18,6 +18,7 @@ struct Kernels {
   const char* isa;
   int64_t (*project)(const ProjectJob& job, int64_t* place);
   void (*blend)(const BlendJob& job);
+  int32_t (*largest_bits)(const float* values, int64_t num_values);
 };
 
 // The table of the best level that the processor runs, or of the level set by use_isa().
