@@ -46,7 +46,10 @@ CENTRE_PAD: Final = 0.1
 """Share of the half image by which a centre may lie outside in the visibility test `centre` (code of FilterGS)."""
 
 BLOCK_ROWS: Final = 256
-"""Rows of a block: 64 of them are decided in less than the time of a thread's hand-over, and their bounds take 0.2 B a row."""
+"""Rows of a block of the selection: its bounds and ancestors take about 0.4 bytes a row."""
+
+BLOCKS_PER_GROUP: Final = 64
+"""Blocks of a group, the unit that the selection hands to a thread: 16,384 rows, a tenth of a millisecond at most."""
 
 SH_C0: Final = 0.28209479177387814
 """Y_00 = 1 / (2 √π)."""

@@ -174,9 +174,10 @@ def test_sphere_is_monotone_so_that_the_parent_alone_decides(parents, camera, ta
 def test_level_by_level_traversal_finds_the_same_cut(parents, camera, profile, tau, seed):
     scene = scene_of(parents, seed)
     options = SelectOptions(pixel_error=tau, profile=profile)
-    keywords = {"dilation_px2": 0.3, "threshold": 1 / 255}
-    rows, visited = select_serial(scene.gaussians, scene.tree, camera, options, **keywords)
-    assert rows.tolist() == reference.select(scene.gaussians, scene.tree, camera, options, **keywords).tolist()
+    rows, visited = select_serial(
+        scene.gaussians, scene.tree, None, camera, options, dilation_px2=0.3, threshold=scene.threshold
+    )
+    assert rows.tolist() == select(scene, camera, options).rows.tolist()
     assert visited <= len(scene)
 
 

@@ -4,7 +4,8 @@ A stage ``x`` is a function of the same name and signature in ``kernels/referenc
 and in ``kernels/cpu/x.py`` (glue) over ``kernels/cpu/x.cpp`` (loops) with the maths in ``kernels/shared/x.h``:
 
 ==========  =====================================================================================
-select      tree, gaussians, camera, options            → rows of the cut                (per frame)
+blocks      gaussians, tree                             → BlockIndex                     (per scene)
+select      gaussians, tree, blocks, camera, options    → rows of the visible cut        (per frame)
 project     gaussians, ids, rows, camera, options       → Splats and their depth order   (per frame)
 bin         splats, camera, options                     → TileBins                       (per frame)
 blend       splats, bins, camera, options               → Picture                        (per frame)

@@ -15,6 +15,8 @@ import numpy as np
 
 from splatree.constants import DILATION_PX2, EIGENVALUE_FLOOR_PX4, SIGMAS
 from splatree.errors import InputError
+from splatree.kernels.cpu import select as cpu
+from splatree.kernels.cpu.blocks import index_blocks
 from splatree.kernels.reference import select as reference
 from splatree.lod.serial import select_serial
 from splatree.scene.cameras import Camera
@@ -52,11 +54,31 @@ def select(
         InputError: a budget that not even the roots in view meet.
     """
     options = options or SelectOptions()
+    blocks = scene.blocks
+    if blocks is None and options.rule == "cut":
+        blocks = index_blocks(scene.gaussians, scene.tree, threads=threads)
     threshold = scene.threshold if threshold is None else threshold
+
+    choose: Callable[..., tuple[Array, int]] = {"cut": cpu.select, "log-serial": select_serial}.get(
+        options.rule, reference.select
+    )
 
     def rows_at(pixel_error: float) -> tuple[Array, int]:
         at = replace(options, pixel_error=pixel_error)
-        return _rows(scene, camera, at, dilation_px2, threshold, threads)
+        rows, visited = choose(
+            scene.gaussians,
+            scene.tree,
+            blocks,
+            camera,
+            at,
+            dilation_px2=dilation_px2,
+            threshold=threshold,
+            threads=threads,
+        )
+        if at.max_radius is not None:
+            drawn, extents = scene.gaussians.take(rows), scene.tree.extents[rows]
+            rows = rows[reference.radii(drawn, extents, camera, at.profile, dilation_px2) <= at.max_radius]
+        return rows, visited
 
     rows, visited = rows_at(options.pixel_error)
     pixel_error = options.pixel_error
@@ -86,21 +108,6 @@ def count_nested(tree: GaussianTree, rows: Array) -> int:
     chosen = np.zeros(len(tree), bool)
     chosen[rows] = True
     return int((chosen & reference.shadowed(chosen, tree.subtree_end)).sum())
-
-
-def _rows(
-    scene: Scene, camera: Camera, options: SelectOptions, dilation_px2: float, threshold: float, threads: int
-) -> tuple[Array, int]:
-    gaussians, tree = scene.gaussians, scene.tree
-    if options.rule == "log-serial":
-        rows, visited = select_serial(gaussians, tree, camera, options, dilation_px2=dilation_px2, threshold=threshold)
-    else:
-        rows = reference.select(gaussians, tree, camera, options, dilation_px2=dilation_px2, threshold=threshold)
-        visited = len(scene)
-    if options.max_radius is not None:
-        drawn, extents = gaussians.take(rows), tree.extents[rows]
-        rows = rows[reference.radii(drawn, extents, camera, options.profile, dilation_px2) <= options.max_radius]
-    return rows, visited
 
 
 def _meet_budget(

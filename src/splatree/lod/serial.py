@@ -13,16 +13,16 @@ With the rule `cut` the result is the exact cut. With `log-serial` it decides as
 - roots that were hidden by others when all roots were drawn lose their subtree too: pass those that are left as ``roots``.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from splatree.kernels.reference import select as reference
+from splatree.kernels.cpu import select as cpu
 from splatree.scene.cameras import Camera
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.options import SelectOptions
-from splatree.scene.tree import GaussianTree
-from splatree.shapes import Array, Int32
+from splatree.scene.tree import BlockIndex, GaussianTree
+from splatree.shapes import Array, Bool, Int32
 
 __all__ = ["Levels", "levels_of", "select_serial"]
 
@@ -75,6 +75,7 @@ def levels_of(tree: GaussianTree) -> Levels:
 def select_serial(
     gaussians: Gaussians,
     tree: GaussianTree,
+    blocks: BlockIndex | None,
     camera: Camera,
     options: SelectOptions,
     *,
@@ -82,29 +83,43 @@ def select_serial(
     threshold: float,
     levels: Levels | None = None,
     roots: Array | None = None,
+    threads: int = 0,
 ) -> tuple[Int32[Array, "v"], int]:
-    """Rows drawn, ascending, by the rule `cut` or `log-serial`, and how many nodes were visited."""
+    """Rows drawn, ascending, by the rule `cut` or `log-serial`, and how many nodes were visited.
+
+    Signature as `kernels.cpu.select.select`; ``blocks`` is not used. Radii and visibility come from the same compiled
+    functions, so the rule `cut` gives the same set bit for bit.
+    """
     levels = levels or levels_of(tree)
     as_log = options.rule == "log-serial"
     frontier = levels.rows[: levels.num_roots] if roots is None else np.asarray(roots, np.int32)
-    if as_log and len(frontier):
-        frontier = frontier[reference.centred(reference.project(gaussians.take(frontier), camera), camera, ROOT_PAD)]
-    kept = []
+    if as_log:
+        frontier = frontier[_centred(gaussians, frontier, camera, ROOT_PAD)]
+        # Strict: R < τ_R is R ≤ the number before τ_R.
+        below = float(np.nextafter(np.float32(options.pixel_error), np.float32(0)))
+        options = replace(options, pixel_error=below)
+    kept = [np.zeros(0, np.int32)]
     visited = level = 0
     while len(frontier) and not (as_log and level > LAST_LEVEL):
         visited += len(frontier)
-        nodes = gaussians.take(frontier)
-        radii = reference.radii(nodes, tree.extents[frontier], camera, options.profile, dilation_px2)
-        if as_log:
-            if level > 0:
-                radii[~reference.centred(reference.project(nodes, camera), camera, NODE_PAD)] = 0.0
-            small = radii < options.pixel_error
-        else:
-            small = radii <= options.pixel_error
-        stays = small | (levels.num_children[frontier] == 0)
+        stays = cpu.small(gaussians, tree, frontier, camera, options, dilation_px2=dilation_px2, threads=threads)
+        if as_log and level > 0:
+            stays |= ~_centred(gaussians, frontier, camera, NODE_PAD)
+        stays |= levels.num_children[frontier] == 0
         kept.append(frontier[stays])
         frontier = levels.children(frontier[~stays])
         level += 1
-    rows = np.sort(np.concatenate(kept)) if kept else np.zeros(0, np.int32)
-    seen = reference.visible(gaussians.take(rows), camera, options.visibility, dilation_px2, threshold)
+    rows = np.sort(np.concatenate(kept))
+    seen = cpu.visible(
+        gaussians, tree, rows, camera, options, dilation_px2=dilation_px2, threshold=threshold, threads=threads
+    )
     return rows[seen], visited
+
+
+def _centred(gaussians: Gaussians, rows: Array, camera: Camera, pad: float) -> Bool[Array, "v"]:
+    """Whether the centres are beyond the near plane and in the image enlarged by ``pad`` half sizes on each side."""
+    x, y, z = (gaussians.means[rows] @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3]).T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        across = np.abs(2 * (camera.K[0, 0] * x / z + camera.K[0, 2]) / camera.width - 1)
+        down = np.abs(2 * (camera.K[1, 1] * y / z + camera.K[1, 2]) / camera.height - 1)
+    return np.asarray((z > camera.near) & (across <= 1 + pad) & (down <= 1 + pad))

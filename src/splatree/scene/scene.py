@@ -9,7 +9,7 @@ import numpy as np
 from splatree.constants import ALPHA_THRESHOLD
 from splatree.errors import InputError, ShapeError
 from splatree.scene.gaussians import Gaussians
-from splatree.scene.tree import GaussianTree
+from splatree.scene.tree import BlockIndex, GaussianTree
 from splatree.shapes import Array, UInt32, check_fields
 
 Mode = Literal["classic", "antialiased"]
@@ -39,6 +39,8 @@ class Scene:
     """Levels of detail; a forest of leaves if there are none."""
     ids: UInt32[Array, "n"] | None = None
     """Identity of each row, kept by permutations: equal depths are blended in its order. None: the row number."""
+    blocks: BlockIndex | None = None
+    """Index of the tree for the selection; None: it is made at each selection (`lod.blocks.with_blocks` keeps it)."""
     mode: Mode = "classic"
     """How the scene is drawn."""
     threshold: float = ALPHA_THRESHOLD
@@ -50,6 +52,10 @@ class Scene:
         if len(self.tree) != len(self.gaussians):
             raise ShapeError(f"Scene.tree: found {len(self.tree)} rows, wanted {len(self.gaussians)}")
         check_fields(self, n=len(self.gaussians))
+        if self.blocks is not None and len(self.blocks) != -(-len(self) // self.blocks.rows_per_block):
+            raise ShapeError(
+                f"Scene.blocks: found {len(self.blocks)} blocks of {self.blocks.rows_per_block} rows for {len(self)} rows"
+            )
         if self.mode not in ("classic", "antialiased"):
             raise InputError(f"Scene.mode: found {self.mode!r}, wanted 'classic' or 'antialiased'")
         if not 0 < self.threshold < 1:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from splatree.constants import BLOCKS_PER_GROUP
 from splatree.errors import ShapeError
 from splatree.shapes import Array, Bool, Float32, Int32, UInt8, check_fields
 
@@ -59,3 +60,57 @@ class GaussianTree:
     def num_levels(self) -> int:
         """Largest depth + 1; 0 for an empty tree."""
         return int(self.depth.max()) + 1 if len(self) else 0
+
+
+@dataclass(frozen=True, eq=False)
+class BlockIndex:
+    """Blocks of consecutive rows, and groups of 64 blocks, with what the selection asks of a whole block.
+
+    Any ancestor of a row in a block that lies before the block is an ancestor of the block's first row; the bounds are those
+    of the block's own rows, not of descendants in later blocks.
+    """
+
+    rows_per_block: int
+    """Rows of each block but the last."""
+    lower: Float32[Array, "b 3"]
+    """Smallest coordinates of the means in each block, world units."""
+    upper: Float32[Array, "b 3"]
+    """Largest coordinates."""
+    leaf_scales: Float32[Array, "b"]
+    """Largest standard deviation of the leaves, world units; 0 if there are none."""
+    inner_scales: Float32[Array, "b"]
+    """Smallest middle standard deviation of the rows with children, world units; infinite if there are none."""
+    min_logits: Float32[Array, "b"]
+    """Smallest logit opacity."""
+    ancestor_start: Int32[Array, "b+1"]
+    """Ancestors of the first row of block ``i``: ``ancestors[ancestor_start[i] : ancestor_start[i + 1]]``."""
+    ancestors: Int32[Array, "a"]
+    """Rows, from the root down."""
+    group_lower: Float32[Array, "g 3"]
+    """As ``lower``, of groups."""
+    group_upper: Float32[Array, "g 3"]
+    """As ``upper``, of groups."""
+    group_leaf_scales: Float32[Array, "g"]
+    """As ``leaf_scales``, of groups."""
+
+    def __post_init__(self) -> None:
+        sizes = check_fields(self)
+        if not 16 <= self.rows_per_block <= 1024:
+            raise ShapeError(f"BlockIndex.rows_per_block: found {self.rows_per_block}, wanted 16 to 1024")
+        if sizes["g"] != -(-sizes["b"] // BLOCKS_PER_GROUP):
+            raise ShapeError(
+                f"BlockIndex: found {sizes['g']} groups, wanted one for {BLOCKS_PER_GROUP} of {sizes['b']} blocks"
+            )
+        start, first = self.ancestor_start, np.arange(sizes["b"], dtype=np.int64) * self.rows_per_block
+        if start[0] != 0 or start[-1] != len(self.ancestors) or np.any(np.diff(start) < 0):
+            raise ShapeError("BlockIndex.ancestor_start: wanted 0 to the number of ancestors, ascending")
+        if np.any(self.ancestors < 0) or np.any(self.ancestors >= np.repeat(first, np.diff(start))):
+            raise ShapeError("BlockIndex.ancestors: found rows that are not before their block")
+
+    def __len__(self) -> int:
+        return len(self.lower)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all columns."""
+        return sum(value.nbytes for value in vars(self).values() if isinstance(value, np.ndarray))

@@ -14,6 +14,7 @@
 #include "cpu/blend.h"
 #include "cpu/isa.h"
 #include "cpu/project.h"
+#include "cpu/view.h"
 
 namespace nb = nanobind;
 
@@ -24,25 +25,6 @@ template <class T>
 using In = nb::ndarray<const T, nb::c_contig, nb::device::cpu>;
 template <class T>
 using Out = nb::ndarray<T, nb::c_contig, nb::device::cpu>;
-
-// Column by column what kernels/cpu/project.py packs into its array of doubles.
-View view_of(const double* v, double threshold, bool antialiased) {
-  View view{};
-  for (int i = 0; i < 9; ++i) view.rotation[i] = float(*v++);
-  for (int i = 0; i < 3; ++i) {
-    view.center_high[i] = float(*v);
-    view.center_low[i] = float(*v - view.center_high[i]);
-    ++v;
-  }
-  float* const rest[] = {&view.fx, &view.fy, &view.cx, &view.cy, &view.width, &view.height, &view.near,
-                         &view.slope_min_x, &view.slope_max_x, &view.slope_min_y, &view.slope_max_y,
-                         &view.dilation, &view.sigma_max};
-  for (float* field : rest) *field = float(*v++);
-  view.threshold = float(threshold);
-  view.log2_threshold = float(std::log2(threshold));
-  view.antialiased = antialiased;
-  return view;
-}
 
 int64_t project_rows(In<float> means, In<float> quats, In<float> log_scales, In<float> logit_opacities, In<float> sh,
                      std::optional<In<int32_t>> rows, int64_t num_rows, In<double> view, double threshold,

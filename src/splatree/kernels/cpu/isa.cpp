@@ -4,13 +4,17 @@
 #include <cstring>
 
 // The functions of one variant, and their table.
-#define SPLATREE_DECLARE(isa)                      \
-  namespace splatree::isa {                        \
-  int64_t project(const ProjectJob&, int64_t*);    \
-  void blend(const BlendJob&);                     \
-  int32_t largest_bits(const float*, int64_t);     \
+#define SPLATREE_DECLARE(isa)                                             \
+  namespace splatree::isa {                                               \
+  int64_t project(const ProjectJob&, int64_t*);                           \
+  void blend(const BlendJob&);                                            \
+  int32_t largest_bits(const float*, int64_t);                            \
+  RunResult select_group(const SelectJob&, int64_t, int32_t*);            \
+  void small_rows(const SelectJob&, const int32_t*, int64_t, uint8_t*);   \
+  void visible_rows(const SelectJob&, const int32_t*, int64_t, uint8_t*); \
   }
-#define SPLATREE_TABLE(name, isa) {name, isa::project, isa::blend, isa::largest_bits}
+#define SPLATREE_TABLE(name, isa)                                                                                  \
+  {name, isa::project, isa::blend, isa::largest_bits, isa::select_group, isa::small_rows, isa::visible_rows}
 
 #if defined(__x86_64__)
 SPLATREE_DECLARE(isa_v4)

@@ -13,12 +13,17 @@ namespace splatree {
 
 struct ProjectJob;
 struct BlendJob;
+struct SelectJob;
+struct RunResult;
 
 struct Kernels {
   const char* isa;
   int64_t (*project)(const ProjectJob& job, int64_t* place);
   void (*blend)(const BlendJob& job);
   int32_t (*largest_bits)(const float* values, int64_t num_values);
+  RunResult (*select_group)(const SelectJob& job, int64_t group, int32_t* out);
+  void (*small_rows)(const SelectJob& job, const int32_t* rows, int64_t count, uint8_t* small);
+  void (*visible_rows)(const SelectJob& job, const int32_t* rows, int64_t count, uint8_t* visible);
 };
 
 // The table of the best level that the processor runs, or of the level set by use_isa().

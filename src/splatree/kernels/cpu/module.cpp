@@ -16,6 +16,7 @@ namespace splatree {
 void bind_render(nb::module_& m);
 void bind_columns(nb::module_& m);
 void bind_thin(nb::module_& m);
+void bind_select(nb::module_& m);
 }
 
 NB_MODULE(_core, m) {
@@ -41,4 +42,5 @@ NB_MODULE(_core, m) {
   bind_render(m);
   bind_columns(m);
   bind_thin(m);
+  bind_select(m);
 }

@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from splatree.constants import DILATION_MIN_PX2, FRUSTUM_CLAMP, SIGMA_MAX_PX
 from splatree.kernels.cpu import _core
+from splatree.kernels.cpu.view import pack_view
 from splatree.scene.cameras import Camera
 from splatree.scene.frame import Splats
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.options import ResolvedOptions
-from splatree.shapes import Array, Float32, Float64, Int32, UInt32
+from splatree.shapes import Array, Float32, Int32, UInt32
 
 __all__ = ["project"]
 
@@ -33,7 +33,7 @@ def project(
         gaussians.sh,
         rows,
         len(rows),
-        _pack(camera, options),
+        pack_view(camera, options.dilation_px2),
         options.threshold,
         options.mode == "antialiased",
         min(options.sh_degree, gaussians.sh_degree),
@@ -45,21 +45,6 @@ def project(
     order = np.empty(num_splats, np.int32)
     _core.order_splats(records, out_rows, ids, order, threads)
     return Splats(out_rows, records, order)
-
-
-def _pack(camera: Camera, options: ResolvedOptions) -> Float64[Array, "25"]:
-    """The numbers of the struct View in shared/project.h, in its order."""
-    rotation, translation = camera.camera_from_world[:3, :3], camera.camera_from_world[:3, 3]
-    # Not −Rᵀt: the rotation may be off by 1e-4, and then the pixels of far Gaussians would move.
-    center = np.linalg.solve(rotation, -translation)
-    fx, fy, cx, cy = camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2]
-    before, after = np.array([cx / fx, cy / fy]), np.array([(camera.width - cx) / fx, (camera.height - cy) / fy])
-    margin = (FRUSTUM_CLAMP - 1.0) * (before + after) / 2
-    (min_x, min_y), (max_x, max_y) = -before - margin, after + margin
-    size = [camera.width, camera.height, camera.near]
-    slopes = [min_x, max_x, min_y, max_y]
-    limits = [max(options.dilation_px2, DILATION_MIN_PX2), SIGMA_MAX_PX / max(fx, fy)]
-    return np.array([*rotation.ravel(), *center, fx, fy, cx, cy, *size, *slopes, *limits], np.float64)
 
 
 def _empty_records(num_rows: int) -> Float32[Array, "v 16"]:

@@ -33,7 +33,7 @@ from splatree.maths.covariance import axes_from_gaussians
 from splatree.scene.cameras import Camera
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.options import Profile, SelectOptions, Visibility
-from splatree.scene.tree import GaussianTree
+from splatree.scene.tree import BlockIndex, GaussianTree
 from splatree.shapes import Array, Bool, Float64, Int32
 
 __all__ = ["Footprints", "centred", "cut_by_walk", "cut_rows", "project", "radii", "select", "shadowed", "visible"]
@@ -42,13 +42,17 @@ __all__ = ["Footprints", "centred", "cut_by_walk", "cut_rows", "project", "radii
 def select(
     gaussians: Gaussians,
     tree: GaussianTree,
+    blocks: BlockIndex | None,
     camera: Camera,
     options: SelectOptions,
     *,
     dilation_px2: float,
     threshold: float,
-) -> Int32[Array, "v"]:
-    """Rows drawn, ascending, by the rules `cut`, `paper-strict` or `release`; ``budget`` and ``max_radius`` are not looked at.
+    threads: int = 0,
+) -> tuple[Int32[Array, "v"], int]:
+    """Rows drawn, ascending, by the rules `cut`, `paper-strict` or `release`, and how many were looked at: all.
+
+    ``blocks``, ``threads`` and the options ``budget`` and ``max_radius`` are not used.
 
     `cut`           the definition above.
     `paper-strict`  only visible nodes take part: those out of view neither stop nor are drawn.
@@ -66,7 +70,7 @@ def select(
         drawn = np.where(leaf, ~shadowed(~leaf & small & seen, end), small) & seen
     else:
         raise ValueError(f"rule {options.rule!r} is a traversal: see lod/serial.py")
-    return np.flatnonzero(drawn).astype(np.int32)
+    return np.flatnonzero(drawn).astype(np.int32), len(tree)
 
 
 def cut_rows(tree: GaussianTree, radii: Array, pixel_error: float) -> Int32[Array, "v"]:
@@ -109,7 +113,7 @@ class Footprints:
 
 
 def project(gaussians: Gaussians, camera: Camera) -> Footprints:
-    """Σ' = (J W R S)(J W R S)ᵀ with J the derivative of the projection in a direction clamped to 1.3 × the half field of view."""
+    """Σ' = (J W R S)(J W R S)ᵀ, J the projection's derivative in a direction held within the image and 0.3 half fields around."""
     rotation, translation = camera.camera_from_world[:3, :3], camera.camera_from_world[:3, 3]
     focal = np.array([camera.K[0, 0], camera.K[1, 1]])
     centre = np.array([camera.K[0, 2], camera.K[1, 2]])
@@ -117,8 +121,9 @@ def project(gaussians: Gaussians, camera: Camera) -> Footprints:
     depths = view[:, 2]
     safe = np.where(depths > camera.near, depths, 1.0)
     slopes = view[:, :2] / safe[:, None]
-    limit = FRUSTUM_CLAMP * np.array([camera.width, camera.height]) / (2 * focal)
-    clamped = np.clip(slopes, -limit, limit)
+    size = np.array([camera.width, camera.height])
+    margin = (FRUSTUM_CLAMP - 1.0) * size / (2 * focal)
+    clamped = np.clip(slopes, -centre / focal - margin, (size - centre) / focal + margin)
     J = np.zeros((len(view), 2, 3))
     J[:, 0, 0] = J[:, 1, 1] = 1.0
     J[:, :, 2] = -clamped
@@ -151,10 +156,10 @@ def radii(
 def visible(
     gaussians: Gaussians, camera: Camera, visibility: Visibility, dilation_px2: float, threshold: float
 ) -> Bool[Array, "n"]:
-    """Whether each row passes the named test.
+    """Whether each row passes the named test. What antialiasing takes off the opacity is not counted.
 
-    `footprint`  beyond the near plane, and the box outside of which its opacity is below ``threshold`` meets the image:
-                 half width √(2 ln(α / threshold) (Σ'00 + h)).
+    `footprint`  beyond the near plane, and the box outside of which its opacity is below ``threshold`` holds the row and the
+                 column of a pixel centre: half width √(2 ln(α / threshold) (Σ'00 + h)).
     `centre`     beyond the near plane, and the centre is in the image enlarged by a tenth (code of FilterGS).
     `none`       always.
     """
@@ -167,7 +172,7 @@ def visible(
     fall = -np.logaddexp(0.0, -gaussians.logit_opacities.astype(np.float64)) - np.log(threshold)
     variances = np.diagonal(splats.covariances, axis1=1, axis2=2) + dilation_px2
     reach = np.sqrt(2 * np.maximum(fall, 0)[:, None] * variances)  # [n 2]
-    return np.asarray(_meets_image(splats, camera, reach) & (fall >= 0))
+    return np.asarray(_meets_image(splats, camera, reach - 0.5) & (fall >= 0))
 
 
 def centred(splats: Footprints, camera: Camera, pad: float) -> Bool[Array, "n"]:

@@ -51,8 +51,13 @@ SPLATREE_FN Vector row_of(Vector t, const Vector (&axes)[3], Vector scale) {
   return {dot(t, axes[0]) * scale.x, dot(t, axes[1]) * scale.y, dot(t, axes[2]) * scale.z};
 }
 
-SPLATREE_FN Splat splat_of(const View& view, const Point& p, float qw, float qx, float qy, float qz, Vector log_scale,
-                           float logit_opacity) {
+// The two rows of M = J W R S, px, and the direction of view.
+struct Factor {
+  Vector x, y;
+  float slope_x, slope_y;
+};
+
+SPLATREE_FN Factor factor_of(const View& view, const Point& p, float qw, float qx, float qy, float qz, Vector log_scale) {
   // Columns of the rotation of a quaternion of any length; first its largest entry is made 1 against overflow.
   const float aw = qw < 0 ? -qw : qw, ax = qx < 0 ? -qx : qx, ay = qy < 0 ? -qy : qy, az = qz < 0 ? -qz : qz;
   const float unit = 1.f / greatest(greatest(greatest(aw, ax), greatest(ay, az)), 1e-37f);
@@ -67,7 +72,6 @@ SPLATREE_FN Splat splat_of(const View& view, const Point& p, float qw, float qx,
   const Vector scale = {least(exp_of(log_scale.x), largest), least(exp_of(log_scale.y), largest),
                         least(exp_of(log_scale.z), largest)};
 
-  // The two rows of M = J W R S.
   const float inverse_z = 1.f / p.z;
   const float slope_x = p.x * inverse_z, slope_y = p.y * inverse_z;
   const float ux = least(greatest(slope_x, view.slope_min_x), view.slope_max_x);
@@ -76,7 +80,13 @@ SPLATREE_FN Splat splat_of(const View& view, const Point& p, float qw, float qx,
   const float* r = view.rotation;
   const Vector tx = {gx * (r[0] - ux * r[6]), gx * (r[1] - ux * r[7]), gx * (r[2] - ux * r[8])};
   const Vector ty = {gy * (r[3] - uy * r[6]), gy * (r[4] - uy * r[7]), gy * (r[5] - uy * r[8])};
-  const Vector mx = row_of(tx, axes, scale), my = row_of(ty, axes, scale);
+  return {row_of(tx, axes, scale), row_of(ty, axes, scale), slope_x, slope_y};
+}
+
+SPLATREE_FN Splat splat_of(const View& view, const Point& p, float qw, float qx, float qy, float qz, Vector log_scale,
+                           float logit_opacity) {
+  const Factor factor = factor_of(view, p, qw, qx, qy, qz, log_scale);
+  const Vector mx = factor.x, my = factor.y;
 
   // The determinant as a sum of positive terms.
   const float mxx = dot(mx, mx), myy = dot(my, my), xy = dot(mx, my);
@@ -86,8 +96,8 @@ SPLATREE_FN Splat splat_of(const View& view, const Point& p, float qw, float qx,
   const float xx = mxx + view.dilation, yy = myy + view.dilation;
 
   Splat splat;
-  splat.x = view.fx * slope_x + view.cx;
-  splat.y = view.fy * slope_y + view.cy;
+  splat.x = view.fx * factor.slope_x + view.cx;
+  splat.y = view.fy * factor.slope_y + view.cy;
   const float sigmoid = 1.f / (1.f + exp_of(-logit_opacity));
   const float compensation = view.antialiased ? __builtin_sqrtf(undilated_det / det) : 1.f;
   splat.opacity = sigmoid * compensation;

@@ -1,0 +1,75 @@
+// Jobs of the selection (select.cpp) and of its block index (blocks.cpp).
+#pragma once
+#include <cstdint>
+
+#include "shared/select.h"
+
+namespace splatree {
+
+enum Visibility { FOOTPRINT, CENTRE, UNSEEN_TOO };
+
+constexpr int BLOCKS_PER_GROUP = 64;
+constexpr int MAX_BLOCK_ROWS = 1024;
+
+// Bounds of b runs of rows: lower and upper corners of the means, [b 3] each, and largest standard deviation of the leaves.
+struct RunBounds {
+  const float *lower, *upper, *leaf_scales;
+};
+
+struct BlockColumns {
+  int rows_per_block;
+  RunBounds blocks, groups;
+  const float* inner_scales;  // smallest middle standard deviation of the inner rows; infinite if there are none
+  const float* min_logits;
+  const int32_t *ancestor_start, *ancestors;
+};
+
+// A plane in the world: the value at p is n·p + d.
+struct Plane {
+  double n[3], d;
+};
+
+// One side of the view, that of the image's left, right, top, bottom border or of the near plane. A splat of standard
+// deviation s is out of view if the value of `outside` at its mean is above reach s; a mean whose value of `inside` is below 0
+// on all sides is in the image, half a pixel at least from its border.
+struct ViewSide {
+  Plane outside, inside;
+  double reach;
+};
+
+struct SelectJob {
+  // n rows
+  const float *means, *quats, *log_scales, *logit_opacities, *extents;
+  const int32_t* subtree_end;
+  int64_t num_rows;
+  View view;
+  SelectRule rule;
+  Visibility visibility;
+  bool all_small;  // τ_R is infinite
+  bool cull;       // whether blocks are tested against the image
+  BlockColumns index;
+  ViewSide sides[5];
+  Plane depth;  // its value is the view depth
+  double eye[3];
+};
+
+struct RunResult {
+  int64_t num_selected, num_visited;
+};
+
+// Bounds of the blocks and groups of n rows, written to the arrays that RunBounds and BlockColumns describe.
+struct BoundsJob {
+  const float *means, *log_scales, *logit_opacities;
+  const int32_t* subtree_end;
+  int64_t num_rows;
+  int rows_per_block, threads;
+  float *lower, *upper, *leaf_scales, *inner_scales, *min_logits, *group_lower, *group_upper, *group_leaf_scales;
+};
+
+void bound_blocks(const BoundsJob& job);
+
+// Ancestors of the first row of each block, root first, handed to visit() block by block.
+void each_ancestors(const int32_t* subtree_end, int64_t num_rows, int rows_per_block,
+                    void (*visit)(void* context, const int32_t* ancestors, int64_t count), void* context);
+
+}  // namespace splatree

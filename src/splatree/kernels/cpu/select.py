@@ -1,0 +1,146 @@
+"""Choose the visible cut by blocks: glue over select.cpp; kernels/reference/select.py is the definition."""
+
+import numpy as np
+
+from splatree.constants import CENTRE_PAD, DILATION_PX2, EIGENVALUE_FLOOR_PX4, SIGMAS
+from splatree.errors import InputError
+from splatree.kernels.cpu import _core
+from splatree.kernels.cpu.view import pack_view
+from splatree.scene.cameras import Camera
+from splatree.scene.gaussians import Gaussians
+from splatree.scene.options import SelectOptions
+from splatree.scene.tree import BlockIndex, GaussianTree
+from splatree.shapes import Array, Bool, Float64, Int32
+
+__all__ = ["select", "small", "visible"]
+
+VISIBILITIES = ("footprint", "centre", "none")
+"""In the order of the enumeration Visibility in cpu/select.h."""
+CULL_BELOW_PX = 1e6
+"""Largest τ_R for which blocks are tested against the image: drawn inner nodes reach out of their block by as much."""
+BORDER_PX = 1.0
+"""Blocks are dropped, or taken for well inside, with this distance to spare (half of it inwards), so that they agree with
+what float32 says of their rows."""
+
+
+def select(
+    gaussians: Gaussians,
+    tree: GaussianTree,
+    blocks: BlockIndex,
+    camera: Camera,
+    options: SelectOptions,
+    *,
+    dilation_px2: float,
+    threshold: float,
+    threads: int = 0,
+) -> tuple[Int32[Array, "v"], int]:
+    """Rows drawn by the rule `cut`, ascending, and how many rows were looked at."""
+    if options.rule != "cut":
+        raise InputError(f"select: found rule {options.rule!r}, wanted 'cut'; the others are in NumPy only")
+    rows, num_visited = _core.select_cut(
+        gaussians,
+        tree,
+        blocks,
+        pack_view(camera, dilation_px2),
+        threshold,
+        _pack_rule(camera, options, dilation_px2, threshold),
+        VISIBILITIES.index(options.visibility),
+        options.visibility != "none" and options.pixel_error < CULL_BELOW_PX,
+        _view_sides(camera, options, dilation_px2, threshold),
+        _planes(camera)[2],
+        threads,
+    )
+    return rows, num_visited
+
+
+def small(
+    gaussians: Gaussians,
+    tree: GaussianTree,
+    rows: Int32[Array, "v"],
+    camera: Camera,
+    options: SelectOptions,
+    *,
+    dilation_px2: float,
+    threads: int = 0,
+) -> Bool[Array, "v"]:
+    """Whether R ≤ τ_R for each of the rows, as `select` decides it."""
+    found = np.empty(len(rows), bool)
+    rule = _pack_rule(camera, options, dilation_px2, 0.5)
+    _core.small_rows(gaussians, tree, rows, pack_view(camera, dilation_px2), 0.5, rule, found, threads)
+    return found
+
+
+def visible(
+    gaussians: Gaussians,
+    tree: GaussianTree,
+    rows: Int32[Array, "v"],
+    camera: Camera,
+    options: SelectOptions,
+    *,
+    dilation_px2: float,
+    threshold: float,
+    threads: int = 0,
+) -> Bool[Array, "v"]:
+    """Whether each of the rows can be seen, as `select` decides it."""
+    if options.visibility == "none":
+        return np.ones(len(rows), bool)
+    found = np.empty(len(rows), bool)
+    view, rule = pack_view(camera, dilation_px2), _pack_rule(camera, options, dilation_px2, threshold)
+    named = VISIBILITIES.index(options.visibility)
+    _core.visible_rows(gaussians, tree, rows, view, threshold, rule, named, found, threads)
+    return found
+
+
+def _pack_rule(camera: Camera, options: SelectOptions, dilation_px2: float, threshold: float) -> Float64[Array, "12"]:
+    """The numbers of the struct SelectRule in shared/select.h, in the order of bind_select.cpp."""
+    focal = camera.K[0, 0], camera.K[1, 1]
+    limit = (options.pixel_error / SIGMAS) ** 2
+    added = (0.0, DILATION_PX2) if options.profile == "ref" else (dilation_px2, 0.0)
+    floor = 0.0 if options.profile == "exact" else EIGENVALUE_FLOOR_PX4
+    # Opacities are compared as logits; the slack of 1e-3 covers the rounding of the sigmoid in the projection.
+    logit_min = np.log(threshold / (1 - threshold)) - 1e-3
+    pads = CENTRE_PAD * camera.width / 2, CENTRE_PAD * camera.height / 2
+    sizes = [limit, *added, floor, options.pixel_error, max(focal), min(focal), _reach_of_opaque(threshold)]
+    return np.array([*sizes, logit_min, *pads, options.profile == "sphere"], np.float64)
+
+
+def _reach_of_opaque(threshold: float) -> float:
+    """Standard deviations at which an opacity of 1 falls to the threshold."""
+    return float(np.sqrt(-2 * np.log(threshold)))
+
+
+def _planes(camera: Camera) -> Float64[Array, "3 4"]:
+    """Camera coordinates x, y, z as functions n·p + d of a point in the world: rows (n, d)."""
+    return np.ascontiguousarray(camera.camera_from_world[:3])
+
+
+def _view_sides(camera: Camera, options: SelectOptions, dilation_px2: float, threshold: float) -> Float64[Array, "5 9"]:
+    """The struct ViewSide of the right, left, bottom, top border and of the near plane.
+
+    A splat at view coordinates (x, z) with standard deviation s reaches at most k (s (f/z) √(1 + u²) + √h) px from its
+    centre f x/z + c, u the largest slope that the Jacobian has; so it is right of the border b if
+
+        f x − (b − c + k √h) z > k f √(1 + u²) s.
+
+    An inner node that is drawn is small, so it reaches at most k √((τ_R / 3)² + h) whatever its s; s is that of the leaves.
+    """
+    planes = _planes(camera)
+    z = planes[2]
+    footprint = options.visibility == "footprint"
+    k = _reach_of_opaque(threshold) if footprint else 0.0
+    largest = min(options.pixel_error, CULL_BELOW_PX)  # beyond that the sides are not asked
+    own_reach = k * np.sqrt((largest / SIGMAS) ** 2 + dilation_px2)
+    view = pack_view(camera, dilation_px2)
+    slopes = np.abs(view[19:23]).reshape(2, 2).max(axis=1)
+    sides = []
+    for axis, size in ((0, camera.width), (1, camera.height)):
+        focal, centre = camera.K[axis, axis], camera.K[axis, 2]
+        margin = -0.5 if footprint else CENTRE_PAD * size / 2
+        reach = 1.002 * k * focal * np.sqrt(1 + slopes[axis] ** 2)
+        for sign, border in ((1, size - centre + margin), (-1, centre + margin)):
+            outside = sign * focal * planes[axis] - (border + own_reach + BORDER_PX) * z
+            inside = sign * focal * planes[axis] - (border - BORDER_PX / 2) * z
+            sides.append([*outside, *inside, reach])
+    behind = np.array([0, 0, 0, camera.near])
+    sides.append([*(0.99 * behind - z), *(1.01 * behind - z), 0.0])
+    return np.array(sides, np.float64)

@@ -1,0 +1,28 @@
+// How glue hands a camera to the kernels.
+#pragma once
+#include <cmath>
+
+#include "shared/project.h"
+
+namespace splatree {
+
+// The view from the doubles that kernels/cpu/view.py packs, in their order.
+inline View view_of(const double* v, double threshold, bool antialiased) {
+  View view{};
+  for (int i = 0; i < 9; ++i) view.rotation[i] = float(*v++);
+  for (int i = 0; i < 3; ++i) {
+    view.center_high[i] = float(*v);
+    view.center_low[i] = float(*v - view.center_high[i]);
+    ++v;
+  }
+  float* const rest[] = {&view.fx, &view.fy, &view.cx, &view.cy, &view.width, &view.height, &view.near,
+                         &view.slope_min_x, &view.slope_max_x, &view.slope_min_y, &view.slope_max_y,
+                         &view.dilation, &view.sigma_max};
+  for (float* field : rest) *field = float(*v++);
+  view.threshold = float(threshold);
+  view.log2_threshold = float(std::log2(threshold));
+  view.antialiased = antialiased;
+  return view;
+}
+
+}  // namespace splatree

@@ -1,0 +1,40 @@
+"""Blocks of consecutive rows and what the selection asks of a whole block, by definition (scene/tree.py: `BlockIndex`)."""
+
+import numpy as np
+
+from splatree.constants import BLOCK_ROWS, BLOCKS_PER_GROUP
+from splatree.scene.gaussians import Gaussians
+from splatree.scene.tree import BlockIndex, GaussianTree
+
+__all__ = ["index_blocks"]
+
+
+def index_blocks(
+    gaussians: Gaussians, tree: GaussianTree, *, rows_per_block: int = BLOCK_ROWS, threads: int = 0
+) -> BlockIndex:
+    """Bounds and ancestors of all blocks; ``threads`` is not used."""
+    n = len(tree)
+    starts = range(0, n, rows_per_block)
+    scales = np.sort(np.exp(gaussians.log_scales.astype(np.float64)), axis=1)
+    largest = np.where(tree.is_leaf, scales[:, 2], 0.0)
+    middle = np.where(tree.is_leaf, np.inf, scales[:, 1])
+    lists = [np.flatnonzero(tree.subtree_end[:first] > first) for first in starts]
+
+    def bound(values: np.ndarray, reduce: np.ufunc, rows: int) -> np.ndarray:
+        runs = [reduce.reduce(values[first : first + rows], axis=0) for first in range(0, n, rows)]
+        return np.array(runs, np.float32).reshape(-1, *values.shape[1:])
+
+    rows_per_group = rows_per_block * BLOCKS_PER_GROUP
+    return BlockIndex(
+        rows_per_block,
+        lower=bound(gaussians.means, np.minimum, rows_per_block),
+        upper=bound(gaussians.means, np.maximum, rows_per_block),
+        leaf_scales=bound(largest, np.maximum, rows_per_block),
+        inner_scales=bound(middle, np.minimum, rows_per_block),
+        min_logits=bound(gaussians.logit_opacities, np.minimum, rows_per_block),
+        ancestor_start=np.cumsum([0, *map(len, lists)]).astype(np.int32),
+        ancestors=np.concatenate([np.zeros(0, np.int64), *lists]).astype(np.int32),
+        group_lower=bound(gaussians.means, np.minimum, rows_per_group),
+        group_upper=bound(gaussians.means, np.maximum, rows_per_group),
+        group_leaf_scales=bound(largest, np.maximum, rows_per_group),
+    )

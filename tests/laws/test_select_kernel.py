@@ -1,0 +1,282 @@
+"""The compiled selection against its definition, and what must not change its result by a bit."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from splatree import Camera, Gaussians, GaussianTree, RenderOptions, Scene, SelectOptions, select
+from splatree.kernels.cpu import _core
+from splatree.kernels.cpu.blocks import index_blocks
+from splatree.kernels.cpu.project import project
+from splatree.kernels.reference import blocks as reference_blocks
+from splatree.kernels.reference import select as reference
+from splatree.lod.blocks import with_blocks
+
+PROFILES = ("exact", "3dgs", "ref", "sphere")
+VISIBILITIES = ("footprint", "centre", "none")
+seeds = st.integers(0, 2**20)
+
+
+def random_scene(seed: int) -> Scene:
+    """A forest of up to a few thousand rows, levels about half as large as the one above, here and there something hostile."""
+    rng = np.random.default_rng(seed)
+    parents = random_parents(rng, int(rng.choice([1, 5, 40, 300, 3000])))
+    n = len(parents)
+    means, log_scales, depth = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n, np.uint8)
+    means_off, scales_off = rng.normal(size=(n, 3)), rng.normal(0, 0.6, (n, 3))
+    for i, p in enumerate(parents):
+        if p < 0:
+            means[i], log_scales[i] = 4 * means_off[i], scales_off[i]
+        else:
+            means[i] = means[p] + np.exp(log_scales[p].mean()) * means_off[i]
+            log_scales[i] = 0.7 * log_scales[p] - 0.8 + scales_off[i]
+            depth[i] = depth[p] + 1
+    end = np.arange(1, n + 1, dtype=np.int32)
+    extents = 3 * np.exp(log_scales.max(axis=1, initial=-np.inf))
+    for i in reversed(range(n)):
+        if (p := parents[i]) >= 0:
+            end[p] = max(end[p], end[i])
+            extents[p] = max(extents[p], 1.0001 * (extents[i] + np.linalg.norm(means[i] - means[p])))
+    logits = rng.normal(0, 4, n)
+    if rng.random() < 0.5:  # a huge one, a needle, a speck, one that cannot be seen
+        hostile = rng.integers(0, n, 4)
+        log_scales[hostile] = [[6, 6, 6], [4, -9, -9], [-20, -20, -20], [0, 0, 0]]
+        logits[hostile[3]] = -200
+    columns = (means, rng.normal(size=(n, 4)), log_scales, logits, np.zeros((n, 1, 3)))
+    gaussians = Gaussians(*(column.astype(np.float32) for column in columns))
+    return Scene(gaussians, GaussianTree(end, depth, extents.astype(np.float32)))
+
+
+def random_parents(rng: np.random.Generator, n: int) -> list[int]:
+    parents: list[int] = []
+    path: list[int] = []
+    for i in range(n):
+        climb = 0 if rng.random() < 0.4 else 1 + rng.geometric(0.6)
+        path = path[: max(0, len(path) - climb)] if len(path) < 9 else path[: int(rng.integers(0, 9))]
+        parents.append(path[-1] if path else -1)
+        path.append(i)
+    return parents
+
+
+def random_camera(seed: int) -> Camera:
+    """From inside to far away, towards the scene or away from it, down to one pixel, with off-centre principal points."""
+    rng = np.random.default_rng(seed + 1)
+    position = rng.normal(size=3) * rng.choice([0.1, 2.0, 10.0, 100.0])
+    target = position + rng.normal(size=3) if rng.random() < 0.2 else rng.normal(size=3)
+    width, height = [(320, 200), (96, 64), (1, 1), (33, 500)][rng.integers(0, 4)]
+    camera = Camera.look_at(position, target, width=width, height=height, fov_y_deg=rng.choice([15.0, 60.0, 130.0]))
+    if rng.random() < 0.3:
+        K = camera.K.copy()
+        K[0, 0] *= 1.3
+        K[:2, 2] += [0.4 * width, -0.2 * height]
+        camera = replace(camera, K=K)
+    return camera
+
+
+def random_tau(seed: int) -> float:
+    return float(np.random.default_rng(seed + 2).choice([0.0, 1.0, 1.7, 3.0, 8.0, 40.0, 300.0, 1e7, np.inf]))
+
+
+@pytest.fixture(params=_core.isas())
+def isa(request):
+    _core.use_isa(request.param)
+    yield request.param
+    _core.use_isa(_core.isas()[0])
+
+
+def visible_within(scene: Scene, camera: Camera, visibility: str, dilation: float, slack: float) -> np.ndarray:
+    """The visibility test with boxes that are ``slack`` px and 0.2 % of it larger."""
+    if visibility == "none":
+        return np.ones(len(scene), bool)
+    splats = reference.project(scene.gaussians, camera)
+    size = np.array([camera.width, camera.height])
+    logits = scene.gaussians.logit_opacities.astype(np.float64)
+    if visibility == "centre":
+        reach = 0.05 * size + slack
+        bright = np.ones(len(scene), bool)
+    else:
+        fall = -np.logaddexp(0, -logits) - np.log(scene.threshold)
+        variances = np.diagonal(splats.covariances, axis1=1, axis2=2) + dilation
+        reach = np.sqrt(2 * np.maximum(fall, 0)[:, None] * variances) * (1 + 0.02 * slack) - 0.5 + slack
+        bright = fall >= -0.02 * slack
+    inside = ((splats.centres_px + reach >= 0) & (splats.centres_px - reach <= size)).all(axis=1)
+    return inside & bright & (splats.depths > camera.near * (1 - 0.001 * np.sign(slack)))
+
+
+def assert_is_the_cut(rows: np.ndarray, scene: Scene, camera: Camera, options: SelectOptions, dilation: float) -> None:
+    """Equal to the definition but for nodes within 1e-4 of τ_R, with what is below them, and boxes within 0.1 px of a border."""
+    tree, tau = scene.tree, options.pixel_error
+    radii = reference.radii(scene.gaussians, tree.extents, camera, options.profile, dilation)
+    open_nodes = np.zeros(len(scene), bool)
+    if np.isfinite(tau) and tau > 0:
+        # Float32 has 6e-8, but the larger eigenvalue is a difference of rounded squares; 1e-4 is the band of the laws.
+        open_nodes = np.abs(radii / tau - 1) < 1e-4
+        # Depths round too: who is beyond the near plane within 0.1 % may be refined or not.
+        depths = reference.project(scene.gaussians, camera).depths
+        open_nodes |= (np.abs(depths / camera.near - 1) < 1e-3) & (options.profile != "sphere")
+    undecided = open_nodes | reference.shadowed(open_nodes, tree.subtree_end)
+    cut = np.zeros(len(scene), bool)
+    cut[reference.cut_rows(tree, radii, tau)] = True
+    chosen = np.zeros(len(scene), bool)
+    chosen[rows] = True
+    surely, maybe = (visible_within(scene, camera, options.visibility, dilation, slack) for slack in (-0.1, 0.1))
+    assert not (cut & surely & ~chosen & ~undecided).any()
+    assert not (chosen & ~(cut & maybe) & ~undecided).any()
+    assert (np.diff(rows) > 0).all()
+
+
+@settings(max_examples=30)
+@given(
+    seed=seeds,
+    profile=st.sampled_from(PROFILES),
+    visibility=st.sampled_from(VISIBILITIES),
+    dilation=st.sampled_from([0.3, 0.0, 2.0]),
+)
+def test_kernel_finds_the_defined_cut(seed, profile, visibility, dilation):
+    scene, camera = random_scene(seed), random_camera(seed)
+    options = SelectOptions(pixel_error=random_tau(seed), profile=profile, visibility=visibility)
+    scene = with_blocks(scene, rows_per_block=16)
+    rows = select(scene, camera, options, dilation_px2=dilation).rows
+    assert_is_the_cut(rows, scene, camera, options, dilation)
+
+
+@pytest.mark.parametrize("seed", [3, 8, 21])
+@pytest.mark.parametrize("profile", PROFILES)
+def test_each_instruction_set_finds_the_defined_cut(isa, seed, profile):
+    scene, camera = random_scene(seed), random_camera(seed)
+    options = SelectOptions(pixel_error=random_tau(seed), profile=profile)
+    rows = select(with_blocks(scene, rows_per_block=16), camera, options).rows
+    assert_is_the_cut(rows, scene, camera, options, 0.3)
+
+
+@settings(max_examples=30)
+@given(seed=seeds, profile=st.sampled_from(PROFILES), visibility=st.sampled_from(VISIBILITIES))
+def test_threads_and_size_of_blocks_change_nothing(seed, profile, visibility):
+    scene, camera = random_scene(seed), random_camera(seed)
+    options = SelectOptions(pixel_error=random_tau(seed), profile=profile, visibility=visibility)
+    rows = select(scene, camera, options, threads=1).rows.tolist()
+    for rows_per_block in (16, 33, 1024):
+        split = with_blocks(scene, rows_per_block=rows_per_block)
+        for threads in (1, 2, 3):
+            assert select(split, camera, options, threads=threads).rows.tolist() == rows
+
+
+@settings(max_examples=20)
+@given(seed=seeds, profile=st.sampled_from(PROFILES))
+def test_order_of_roots_changes_nothing(seed, profile):
+    scene, camera = random_scene(seed), random_camera(seed)
+    options = SelectOptions(pixel_error=random_tau(seed), profile=profile)
+    roots = np.flatnonzero(scene.tree.depth == 0)
+    runs = [np.arange(root, scene.tree.subtree_end[root]) for root in roots]
+    order = np.concatenate([runs[i] for i in np.random.default_rng(seed).permutation(len(runs))])
+    place = np.argsort(order).astype(np.int32)
+    tree = scene.tree
+    moved_tree = GaussianTree(
+        place[tree.subtree_end[order] - 1] + 1, np.ascontiguousarray(tree.depth[order]), tree.extents[order]
+    )
+    moved = Scene(scene.gaussians.take(order), moved_tree)
+    there = select(with_blocks(moved, rows_per_block=16), camera, options).rows
+    assert sorted(order[there].tolist()) == select(scene, camera, options).rows.tolist()
+
+
+@settings(max_examples=30)
+@given(seed=seeds, mode=st.sampled_from(["classic", "antialiased"]), threshold=st.sampled_from([1 / 255, 0.1, 0.9]))
+def test_no_row_is_dropped_that_the_projection_keeps(seed, mode, threshold):
+    scene, camera = replace(random_scene(seed), mode=mode, threshold=threshold), random_camera(seed)
+    resolved = RenderOptions().resolved(scene)
+    options = SelectOptions(pixel_error=random_tau(seed))
+    scene = with_blocks(scene, rows_per_block=16)
+    drawn = select(scene, camera, options).rows
+    cut = select(scene, camera, replace(options, visibility="none")).rows
+    kept = project(scene.gaussians, None, cut, camera, resolved).rows
+    assert np.isin(kept, drawn).all()
+    assert np.isin(drawn, cut).all()
+
+
+@settings(max_examples=20)
+@given(seed=seeds, rows_per_block=st.sampled_from([16, 50, 1024]), threads=st.integers(1, 3))
+def test_block_index_is_as_defined(seed, rows_per_block, threads):
+    scene = random_scene(seed)
+    fast = index_blocks(scene.gaussians, scene.tree, rows_per_block=rows_per_block, threads=threads)
+    slow = reference_blocks.index_blocks(scene.gaussians, scene.tree, rows_per_block=rows_per_block)
+    for name in ("lower", "upper", "min_logits", "ancestor_start", "ancestors", "group_lower", "group_upper"):
+        assert np.array_equal(getattr(fast, name), getattr(slow, name)), name
+    # Scales are widened by 1e-5 against rounding: up those of leaves, down those of inner rows.
+    for name, sign in (("leaf_scales", 1), ("group_leaf_scales", 1), ("inner_scales", -1)):
+        ours, theirs = getattr(fast, name), getattr(slow, name)
+        assert np.allclose(ours, theirs, rtol=2e-5)
+        assert (ours >= theirs if sign > 0 else ours <= theirs).all()
+
+
+def city(side: int) -> Scene:
+    """A grid of side × side roots with four leaves each, along rows of the grid."""
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(side), np.arange(side)))
+    roots = np.stack([x, y, 0 * x], axis=1)
+    corners = np.array([[0, 0, 0], [-1, -1, 0], [-1, 1, 0], [1, -1, 0], [1, 1, 0]]) / 4
+    n = 5 * side * side
+    means = (roots[:, None] + corners).reshape(-1, 3).astype(np.float32)
+    is_root = np.arange(n) % 5 == 0
+    end = np.where(is_root, np.arange(n) + 5, np.arange(n) + 1).astype(np.int32)
+    log_scales = np.repeat(np.log(np.where(is_root, 0.3, 0.15))[:, None], 3, axis=1).astype(np.float32)
+    quats = np.tile(np.float32([1, 0, 0, 0]), (n, 1))
+    gaussians = Gaussians(means, quats, log_scales, np.full(n, 3, np.float32), np.zeros((n, 1, 3), np.float32))
+    return with_blocks(Scene(gaussians, GaussianTree(end, (~is_root).astype(np.uint8), np.full(n, 2, np.float32))))
+
+
+def test_work_follows_what_can_be_seen():
+    scene = city(150)
+    centre = np.array([75.0, 75.0, 0.0])
+
+    def visited(height: float) -> tuple[int, int]:
+        camera = Camera.look_at(centre - [0, 0, height], centre, width=400, height=400)
+        found = select(scene, camera)
+        return found.num_visited, len(found)
+
+    near, far = visited(10.0), visited(1000.0)
+    # 400 rows are seen, in 9 rows of the grid; each of these takes a block or two of 51 roots.
+    assert near[1] == 400
+    assert near[0] <= 9 * 3 * 256
+    assert far[0] == len(scene)
+    away = Camera.look_at(centre - [0, 0, 10.0], centre - [0, 0, 20.0])
+    assert select(scene, away).num_visited == 0
+
+
+def test_shadowed_blocks_are_passed_over():
+    # One root above 4000 leaves: far away it is drawn alone, and of the other blocks none is looked at.
+    n = 4001
+    rng = np.random.default_rng(0)
+    end = np.arange(1, n + 1, dtype=np.int32)
+    end[0] = n
+    depth = np.ones(n, np.uint8)
+    depth[0] = 0
+    columns = (rng.normal(size=(n, 3)), rng.normal(size=(n, 4)), np.full((n, 3), -1), np.ones(n), np.zeros((n, 1, 3)))
+    gaussians = Gaussians(*(column.astype(np.float32) for column in columns))
+    scene = with_blocks(Scene(gaussians, GaussianTree(end, depth, np.full(n, 9, np.float32))))
+    found = select(scene, Camera.look_at(np.array([0.0, 0.0, -1e4]), np.zeros(3)))
+    assert found.rows.tolist() == [0]
+    assert found.num_visited == scene.blocks.rows_per_block
+
+
+def test_rows_that_are_not_finite_are_never_drawn():
+    scene = city(12)
+    means = scene.gaussians.means.copy()
+    means[[1, 7, 33]] = np.nan, np.inf, -np.inf
+    camera = Camera.look_at(np.array([6.0, 6.0, -9.0]), np.array([6.0, 6.0, 0.0]))
+    broken = replace(scene, gaussians=replace(scene.gaussians, means=means), blocks=None)
+    rows = select(broken, camera, SelectOptions(pixel_error=0)).rows
+    wanted = np.setdiff1d(select(scene, camera, SelectOptions(pixel_error=0)).rows, [1, 7, 33])
+    assert rows.tolist() == wanted.tolist()
+
+
+def test_a_world_far_from_its_origin_loses_nothing():
+    # Map coordinates of 500 km have steps of 3 cm in float32; given such means, no further rounding comes on top.
+    scene = city(20)
+    shift = np.array([500_000.0, 4_000_000.0, 100.0])
+    means = (scene.gaussians.means + shift).astype(np.float32)
+    moved = replace(scene, gaussians=replace(scene.gaussians, means=means), blocks=None)
+    camera = Camera.look_at(shift + [10.0, 10.0, -12.0], shift + [10.0, 10.0, 0.0])
+    options = SelectOptions(pixel_error=60.0)
+    assert_is_the_cut(select(moved, camera, options).rows, moved, camera, options, 0.3)
