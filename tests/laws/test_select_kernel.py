@@ -239,7 +239,7 @@ def test_work_follows_what_can_be_seen():
     # 400 rows are seen, in 9 rows of the grid; each of these takes a block or two of 51 roots.
     assert near[1] == 400
     assert near[0] <= 9 * 3 * 256
-    assert far[0] == len(scene)
+    assert far[0] > 0.95 * len(scene)  # all but the leaves of roots at the end of a block that stop there
     away = Camera.look_at(centre - [0, 0, 10.0], centre - [0, 0, 20.0])
     assert select(scene, away).num_visited == 0
 
