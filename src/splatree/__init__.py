@@ -1,6 +1,8 @@
 """splatree makes large 3D Gaussian Splatting scenes small, fast and streamable."""
 
 from splatree.errors import FormatError, InputError, MissingExtraError, OutputError, ShapeError, SplatreeError
+from splatree.io.cameras import read_cameras, write_cameras
+from splatree.io.images import read_image, write_image
 from splatree.io.registry import read, write
 from splatree.lod.build import BuildOptions, build_lod
 from splatree.lod.select import select
@@ -49,6 +51,8 @@ __all__ = [
     "orbit",
     "psnr",
     "read",
+    "read_cameras",
+    "read_image",
     "render",
     "render_batch",
     "select",
@@ -57,4 +61,6 @@ __all__ = [
     "trace",
     "trace_batch",
     "write",
+    "write_cameras",
+    "write_image",
 ]

@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 
 from splatree.errors import InputError, SplatreeError
-from splatree.io import ply, sog, streamed_sog
+from splatree.io import ply, sog, splat, store, streamed_sog
 from splatree.io.inputs import find_inputs
 from splatree.io.joined import joined
 from splatree.io.options import ReadOptions
@@ -49,7 +49,9 @@ class Format:
 
 
 FORMATS: tuple[Format, ...] = (
+    Format("splatree", "native, with levels", (".splatree",), "1", True, "tree", store.sniff, store.read, store.write),
     Format("ply", "3DGS training output", (".ply",), "SH 0-3", True, "none", ply.sniff, ply.read, ply.write),
+    Format("splat", "antimatter15, 32 bytes", (".splat",), "-", False, "none", splat.sniff, splat.read, splat.write),
     Format("sog", "PlayCanvas SOG", (".sog",), "1, 2", False, "none", sog.sniff, sog.read),
     Format("streamed-sog", "PlayCanvas streamed SOG", (), "1", False, "one of", streamed_sog.sniff, streamed_sog.read),
 )

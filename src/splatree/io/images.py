@@ -1,0 +1,74 @@
+"""Pictures: photographs read for evaluation, renders written as PNG. Colours are the file's own, sRGB as it is."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+from splatree.errors import FormatError, InputError, ShapeError
+from splatree.io.replacing import replacing
+from splatree.shapes import Array, Float32
+
+
+def read_image(path: str | os.PathLike[str], *, size: tuple[int, int] | None = None) -> Float32[Array, "h w 3"]:
+    """Read a picture as RGB, 0 to 1; alpha is blended over black.
+
+    Args:
+        path: PNG, JPEG, WebP or whatever else Pillow opens.
+        size: width and height in px to which it is resampled (each pixel the mean of what it covers); None: as it is.
+    """
+    from PIL import Image
+
+    file = _existing(path)
+    try:
+        with Image.open(file) as opened:
+            image: Image.Image = (
+                opened  # not turned by its EXIF orientation: COLMAP and the 3DGS code do not turn it either
+            )
+            if image.mode in ("RGBA", "LA", "PA") or "transparency" in image.info:
+                rgba = image.convert("RGBA")
+                image = Image.alpha_composite(Image.new("RGBA", rgba.size, (0, 0, 0, 255)), rgba)
+            image = image.convert("RGB")
+            if size is not None and image.size != size:
+                image = image.resize(size, Image.Resampling.BOX)
+            return np.asarray(image, np.float32) / np.float32(255)
+    except (OSError, SyntaxError, ValueError, EOFError, Image.DecompressionBombError) as error:
+        raise FormatError(f"{file}: not a whole picture ({error})") from error
+
+
+def image_size(path: str | os.PathLike[str]) -> tuple[int, int]:
+    """Width and height in px, from the header alone."""
+    from PIL import Image
+
+    file = _existing(path)
+    try:
+        with Image.open(file) as image:
+            return image.size
+    except (OSError, SyntaxError, ValueError, EOFError, Image.DecompressionBombError) as error:
+        raise FormatError(f"{file}: not a picture ({error})") from error
+
+
+def write_image(image: Float32[Array, "h w 3"], path: str | os.PathLike[str], *, force: bool = False) -> None:
+    """Write RGB or grey, 0 to 1, as PNG of 8 bits a channel: clipped and rounded.
+
+    Raises:
+        OutputError: the file exists and ``force`` is not set, or it cannot be written.
+    """
+    from PIL import Image
+
+    if Path(path).suffix.lower() != ".png":
+        raise InputError(f"{path}: pictures are written as PNG, wanted the suffix .png")
+    if not ((image.ndim == 3 and image.shape[2] == 3) or image.ndim == 2) or 0 in image.shape:
+        raise ShapeError(f"write_image: found shape {image.shape}, wanted (h w 3) or (h w) with at least one pixel")
+    if np.isnan(image).any():
+        raise InputError(f"{path}: found NaN in the picture, wanted numbers")
+    pixels = np.rint(np.clip(image, 0, 1) * 255).astype(np.uint8)
+    with replacing(path, force=force) as temporary, temporary.open("wb") as file:
+        Image.fromarray(pixels).save(file, format="PNG")
+
+
+def _existing(path: str | os.PathLike[str]) -> Path:
+    file = Path(path)
+    if not file.is_file():
+        raise InputError(f"{file}: not found, wanted a picture")
+    return file
