@@ -5,6 +5,7 @@ import pytest
 
 import splatree
 from splatree import FormatError, Gaussians, GaussianTree, Scene
+from splatree.lod.blocks import with_blocks
 from splatree.scene.scene import Source
 
 from .conftest import COLUMNS, random_gaussians, same_bits
@@ -17,7 +18,7 @@ def tree_scene(n=7):
     )
     ids = np.array([3, 1, 4, 0, 5, 9, 2], np.uint32)
     source = Source(("/home/someone/city.ply",), "ply", {"credit": "Samuel Hiero, CC BY 4.0"})
-    return Scene(random_gaussians(7, 2), tree, ids, "antialiased", 0.01, source)
+    return Scene(random_gaussians(7, 2), tree, ids, mode="antialiased", threshold=0.01, source=source)
 
 
 def test_round_trip_keeps_every_bit_and_field(tmp_path):
@@ -38,6 +39,16 @@ def test_tiny_scenes_round_trip(tmp_path, n):
     splatree.write(Scene.flat(random_gaussians(n, 1)), tmp_path / "a.splatree")
     back = splatree.read(tmp_path / "a.splatree")
     assert len(back) == n and back.gaussians.sh_degree == 1 and back.ids is None
+
+
+def test_the_block_index_is_made_anew_for_a_scene_with_levels(tmp_path):
+    scene = with_blocks(tree_scene())
+    splatree.write(scene, tmp_path / "a.splatree")
+    back = splatree.read(tmp_path / "a.splatree")
+    assert b"blocks" not in (tmp_path / "a.splatree").read_bytes()
+    assert back.blocks is not None and scene.blocks is not None
+    for name in ("lower", "upper", "ancestors", "ancestor_start", "leaf_scales"):
+        assert same_bits(getattr(back.blocks, name), getattr(scene.blocks, name))
 
 
 def test_the_columns_are_mapped_not_copied(tmp_path):
