@@ -4,6 +4,7 @@
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/tuple.h>
 
+#include <algorithm>
 #include <cmath>
 #include <numeric>
 #include <optional>
@@ -27,22 +28,28 @@ template <class T>
 using Out = nb::ndarray<T, nb::c_contig, nb::device::cpu>;
 
 int64_t project_rows(In<float> means, In<float> quats, In<float> log_scales, In<float> logit_opacities, In<float> sh,
-                     std::optional<In<int32_t>> rows, int64_t num_rows, In<double> view, double threshold,
-                     bool antialiased, int degree, Out<int32_t> out_rows, Out<float> out_records, int threads) {
+                     In<int32_t> rows, In<double> view, double threshold, bool antialiased, int degree,
+                     Out<int32_t> out_rows, Out<float> out_records, Out<float> out_depths, int threads) {
+  const int64_t num_rows = int64_t(rows.shape(0));
+  const int32_t last = int32_t(means.shape(0)) - 1;
+  float last_mean[4] = {}, last_log_scale[4] = {};
+  if (last >= 0) std::copy_n(means.data() + 3 * int64_t(last), 3, last_mean);
+  if (last >= 0) std::copy_n(log_scales.data() + 3 * int64_t(last), 3, last_log_scale);
   const ProjectJob job{means.data(), quats.data(), log_scales.data(), logit_opacities.data(), sh.data(),
-                       int(sh.shape(1)), degree, view_of(view.data(), threshold, antialiased),
-                       rows ? rows->data() : nullptr, num_rows, threads, out_rows.data(), out_records.data()};
+                       last, last_mean, last_log_scale, int(sh.shape(1)), degree,
+                       view_of(view.data(), threshold, antialiased), rows.data(), num_rows, threads,
+                       out_rows.data(), out_records.data(), out_depths.data()};
   nb::gil_scoped_release release;
-  std::vector<int64_t> place(num_rows / 16 + 2, -1);
+  std::vector<int64_t> place(num_rows / PROJECT_CHUNK + 2, -1);
   place[0] = 0;
   return kernels().project(job, place.data());
 }
 
-void order_splats(In<float> records, In<int32_t> rows, std::optional<In<uint32_t>> ids, Out<int32_t> order,
+void order_splats(In<float> depths, In<int32_t> rows, std::optional<In<uint32_t>> ids, Out<int32_t> order,
                   int threads) {
   const uint32_t* id = ids ? ids->data() : nullptr;
   nb::gil_scoped_release release;
-  order_by_depth(records.data(), rows.data(), id, int64_t(order.shape(0)), threads, order.data());
+  order_by_depth(depths.data(), rows.data(), id, int64_t(order.shape(0)), threads, order.data());
 }
 
 nb::ndarray<nb::numpy, int32_t, nb::ndim<1>> bin_splats(In<float> records, In<int32_t> order, double threshold, int width,
@@ -82,11 +89,11 @@ std::tuple<int64_t, int64_t> blend_tiles(In<float> records, In<int64_t> tile_sta
 
 void bind_render(nb::module_& m) {
   m.def("project_rows", &project_rows, nb::arg("means"), nb::arg("quats"), nb::arg("log_scales"),
-        nb::arg("logit_opacities"), nb::arg("sh"), nb::arg("rows").none(), nb::arg("num_rows"), nb::arg("view"),
+        nb::arg("logit_opacities"), nb::arg("sh"), nb::arg("rows"), nb::arg("view"),
         nb::arg("threshold"), nb::arg("antialiased"), nb::arg("degree"), nb::arg("out_rows"), nb::arg("out_records"),
-        nb::arg("threads"), "Project rows; returns the number of records written.");
-  m.def("order_splats", &order_splats, nb::arg("records"), nb::arg("rows"), nb::arg("ids").none(), nb::arg("order"),
-        nb::arg("threads"), "Indices of the records by depth, equal depths by id.");
+        nb::arg("out_depths"), nb::arg("threads"), "Project rows; returns the number of records written.");
+  m.def("order_splats", &order_splats, nb::arg("depths"), nb::arg("rows"), nb::arg("ids").none(), nb::arg("order"),
+        nb::arg("threads"), "Indices of the splats by depth, equal depths by id.");
   m.def("bin_splats", &bin_splats, nb::arg("records"), nb::arg("order"), nb::arg("threshold"), nb::arg("width"),
         nb::arg("height"), nb::arg("tile_start"), nb::arg("num_tiles_x"), nb::arg("num_tiles_y"), nb::arg("whole_box"),
         nb::arg("threads"), "Fill tile_start and return the splats of all tiles.");

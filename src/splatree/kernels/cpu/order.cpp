@@ -8,7 +8,6 @@
 
 #include "cpu/pool.h"
 #include "cpu/project.h"
-#include "shared/record.h"
 
 namespace splatree {
 namespace {
@@ -44,7 +43,7 @@ void radix_pass(const Entry* from, Entry* to, int64_t n, int shift, int64_t grai
 
 }  // namespace
 
-void order_by_depth(const float* records, const int32_t* rows, const uint32_t* ids, int64_t n, int threads,
+void order_by_depth(const float* depths, const int32_t* rows, const uint32_t* ids, int64_t n, int threads,
                     int32_t* order) {
   if (n == 0) return;
   std::unique_ptr<Entry[]> entries(new Entry[n]), scratch(new Entry[n]);
@@ -54,7 +53,7 @@ void order_by_depth(const float* records, const int32_t* rows, const uint32_t* i
   parallel_ranges(n, grain, threads, [&](int64_t begin, int64_t end) {
     uint32_t low = ~0u, high = 0;
     for (int64_t i = begin; i < end; ++i) {
-      const uint32_t key = uint32_t(bits_of(records[i * NUM_COLUMNS + DEPTH]));
+      const uint32_t key = uint32_t(bits_of(depths[i]));
       entries[i] = {key, int32_t(i)};
       low = std::min(low, key), high = std::max(high, key);
     }

@@ -1,5 +1,5 @@
 // Projection and colour of selected rows in one pass: blocks of 16 rows are gathered into planes, computed lane by lane, and
-// the visible lanes appended as records.
+// the visible lanes become records.
 //
 // A thread fills a chunk's records in a buffer of its own (64 KB, in its cache), waits for the place of the chunk before, and
 // copies: so the records are in the order of the rows, whatever the threads, and are written to memory once.
@@ -10,6 +10,7 @@
 
 #include "cpu/isa.h"
 #include "cpu/pool.h"
+#include "cpu/quad.h"
 #include "shared/harmonics.h"
 #include "shared/record.h"
 
@@ -17,122 +18,160 @@ namespace splatree::SPLATREE_ISA {
 namespace {
 
 constexpr int LANES = 16;
-constexpr int CHUNK = 1024;  // rows
+constexpr int BATCH = 128;  // rows gathered at a time: a vector load right behind scalar stores would wait for them
+constexpr int CHUNK = PROJECT_CHUNK;
 constexpr int MAX_COEFFICIENTS = 16;
 
+int smaller(int a, int b) { return a < b ? a : b; }
 
 struct alignas(64) Planes {
-  int32_t row[LANES];
-  float mean[3][LANES], quat[4][LANES], log_scale[3][LANES], logit_opacity[LANES];
-  float dx[LANES], dy[LANES], dz[LANES], x[LANES], y[LANES], z[LANES];
-  float out[NUM_COLUMNS][LANES];
-  int32_t visible[LANES];
-  float basis[MAX_COEFFICIENTS][LANES];
+  int32_t row[BATCH];
+  float mean[3][BATCH], quat[4][BATCH], log_scale[3][BATCH], logit_opacity[BATCH];
+  float dx[BATCH], dy[BATCH], dz[BATCH];
+  int32_t kept[BATCH];
+  float out[NUM_COLUMNS][BATCH];
+  float basis[MAX_COEFFICIENTS][BATCH];
 };
 
-// The rows of a block; after the end its last row is repeated, and dropped later.
-int load_rows(const ProjectJob& job, int64_t begin, int64_t end, Planes& p) {
-  const int used = end - begin < LANES ? int(end - begin) : LANES;
-  for (int l = 0; l < LANES; ++l) {
-    const int64_t i = begin + (l < used ? l : used - 1);
-    p.row[l] = job.rows ? job.rows[i] : int32_t(i);
-  }
-  return used;
+// What a thread computes of a chunk.
+struct alignas(64) Chunk {
+  float records[(CHUNK + 1) * NUM_COLUMNS];  // one more: what is not visible is written behind the last
+  float depths[CHUNK];
+  int32_t rows[CHUNK];
+  int count;
+};
+
+// Takes the rows of a batch; the last is repeated to fill whole blocks, whose number is returned.
+int load_rows(const int32_t* rows, int used, Planes& p) {
+  const int num_blocks = (used + LANES - 1) / LANES;
+  for (int i = 0; i < used; ++i) p.row[i] = rows[i];
+  for (int i = used; i < num_blocks * LANES; ++i) p.row[i] = rows[used - 1];
+  return num_blocks;
 }
 
+// A column of rows of three or four floats into planes, four rows at a time. Three are read as four: the row `last` of the
+// column from its padded copy, so that nothing is read behind its end.
 template <int WIDTH>
-void gather(const float* column, const int32_t* rows, float (*planes)[LANES]) {
-  for (int l = 0; l < LANES; ++l) {
-    const float* row = column + int64_t(rows[l]) * WIDTH;
-    for (int i = 0; i < WIDTH; ++i) planes[i][l] = row[i];
+void gather(const float* column, int32_t last, const float* padded, const Planes& p, int num_blocks, float (*planes)[BATCH]) {
+  for (int i = 0; i < num_blocks * LANES; i += 4) {
+    Quad rows[4];
+    for (int j = 0; j < 4; ++j) {
+      const int32_t row = p.row[i + j];
+      rows[j] = load_quad(row == last ? padded : column + int64_t(row) * WIDTH);
+    }
+    transpose(rows[0], rows[1], rows[2], rows[3]);
+    for (int j = 0; j < WIDTH; ++j) store_quad(&planes[j][i], rows[j]);
   }
 }
 
-// Camera coordinates; whether any lane is beyond the near plane.
-bool load_points(const ProjectJob& job, Planes& p) {
-  gather<3>(job.means, p.row, p.mean);
-  int any = 0;
-#pragma omp simd reduction(| : any)
-  for (int l = 0; l < LANES; ++l) {
-    const Point point = point_of(job.view, p.mean[0][l], p.mean[1][l], p.mean[2][l]);
-    p.dx[l] = point.dx, p.dy[l] = point.dy, p.dz[l] = point.dz;
-    p.x[l] = point.x, p.y[l] = point.y, p.z[l] = point.z;
-    any |= point.z > job.view.near;
-  }
-  return any;
+void gather(const float* column, const Planes& p, int num_blocks, float* plane) {
+  for (int i = 0; i < num_blocks * LANES; ++i) plane[i] = column[p.row[i]];
 }
 
-bool project_block(const ProjectJob& job, int used, Planes& p) {
-  gather<4>(job.quats, p.row, p.quat);
-  gather<3>(job.log_scales, p.row, p.log_scale);
-  gather<1>(job.logit_opacities, p.row, &p.logit_opacity);
-  int any = 0;
-#pragma omp simd reduction(| : any)
-  for (int l = 0; l < LANES; ++l) {
-    const Point point = {p.dx[l], p.dy[l], p.dz[l], p.x[l], p.y[l], p.z[l]};
-    const Splat splat =
-        splat_of(job.view, point, p.quat[0][l], p.quat[1][l], p.quat[2][l], p.quat[3][l],
-                 {p.log_scale[0][l], p.log_scale[1][l], p.log_scale[2][l]}, p.logit_opacity[l]);
-    p.out[X][l] = splat.x, p.out[Y][l] = splat.y;
-    p.out[FACTOR_A][l] = splat.a, p.out[FACTOR_B][l] = splat.b, p.out[FACTOR_C][l] = splat.c;
-    p.out[OPACITY][l] = splat.opacity, p.out[LOG2_OPACITY][l] = splat.log2_opacity;
-    p.out[DEPTH][l] = p.z[l];
-    p.out[EXTENT_X][l] = splat.extent_x, p.out[EXTENT_Y][l] = splat.extent_y;
-    p.visible[l] = splat.visible & (l < used);
-    any |= p.visible[l];
-  }
-  return any;
-}
-
-template <int DEGREE>
-void load_basis(Planes& p) {
+template <bool ANTIALIASED>
+void project_batch(const ProjectJob& job, int num_blocks, Planes& p) {
+  gather<3>(job.means, job.last, job.last_mean, p, num_blocks, p.mean);
+  gather<4>(job.quats, -1, nullptr, p, num_blocks, p.quat);
+  gather<3>(job.log_scales, job.last, job.last_log_scale, p, num_blocks, p.log_scale);
+  gather(job.logit_opacities, p, num_blocks, p.logit_opacity);
+  for (int block = 0; block < num_blocks; ++block) {
 #pragma omp simd
-  for (int l = 0; l < LANES; ++l) {
-    const float inverse = 1.f / __builtin_sqrtf(p.dx[l] * p.dx[l] + p.dy[l] * p.dy[l] + p.dz[l] * p.dz[l]);
-    harmonics_of(p.dx[l] * inverse, p.dy[l] * inverse, p.dz[l] * inverse, DEGREE, &p.basis[0][l], LANES);
+    for (int i = block * LANES; i < (block + 1) * LANES; ++i) {
+      const Point point = point_of(job.view, p.mean[0][i], p.mean[1][i], p.mean[2][i]);
+      const Splat splat =
+          splat_of<ANTIALIASED>(job.view, point, p.quat[0][i], p.quat[1][i], p.quat[2][i], p.quat[3][i],
+                                {p.log_scale[0][i], p.log_scale[1][i], p.log_scale[2][i]}, p.logit_opacity[i]);
+      p.dx[i] = point.dx, p.dy[i] = point.dy, p.dz[i] = point.dz;
+      p.out[X][i] = splat.x, p.out[Y][i] = splat.y;
+      p.out[FACTOR_A][i] = splat.a, p.out[FACTOR_B][i] = splat.b, p.out[FACTOR_C][i] = splat.c;
+      p.out[OPACITY][i] = splat.opacity, p.out[LOG2_OPACITY][i] = splat.log2_opacity;
+      p.out[DEPTH][i] = point.z;
+      p.out[EXTENT_X][i] = splat.extent_x, p.out[EXTENT_Y][i] = splat.extent_y;
+      p.kept[i] = splat.visible;
+    }
   }
 }
 
 template <int DEGREE>
-int append_block(const ProjectJob& job, Planes& p, int32_t* rows, float* records, int count) {
-  load_basis<DEGREE>(p);
-  for (int l = 0; l < LANES; ++l) {
-    if (!p.visible[l]) continue;
-    float* record = records + int64_t(count) * NUM_COLUMNS;
-    for (int i = 0; i < NUM_COLUMNS; ++i) record[i] = p.out[i][l];
-    const float* sh = job.sh + int64_t(p.row[l]) * job.num_coefficients * 3;
+void load_basis(int num_blocks, Planes& p) {
+  for (int block = 0; block < num_blocks; ++block) {
+#pragma omp simd
+    for (int i = block * LANES; i < (block + 1) * LANES; ++i) {
+      const float inverse = 1.f / __builtin_sqrtf(p.dx[i] * p.dx[i] + p.dy[i] * p.dy[i] + p.dz[i] * p.dz[i]);
+      harmonics_of(p.dx[i] * inverse, p.dy[i] * inverse, p.dz[i] * inverse, DEGREE, &p.basis[0][i], BATCH);
+    }
+  }
+}
+
+// Appends the visible rows of a batch. Every row's record is written, and overwritten by the next if it is not visible;
+// then the visible ones get their colour.
+template <int DEGREE>
+void append_batch(const ProjectJob& job, int used, const Planes& p, Chunk& chunk) {
+  int visible[BATCH + 1];  // place in the batch
+  int count = 0;
+  float* first = chunk.records + chunk.count * NUM_COLUMNS;
+  for (int i = 0; i < used; i += 4) {
+    float* records[4];
+    for (int j = 0; j < 4; ++j) {
+      records[j] = first + count * NUM_COLUMNS;
+      visible[count] = i + j;
+      count += p.kept[i + j] & (i + j < used);
+    }
+    for (int j = 0; j < NUM_COLUMNS; j += 4) {
+      Quad a = load_quad(&p.out[j][i]), b = load_quad(&p.out[j + 1][i]);
+      Quad c = load_quad(&p.out[j + 2][i]), d = load_quad(&p.out[j + 3][i]);
+      transpose(a, b, c, d);
+      store_quad(records[0] + j, a);
+      store_quad(records[1] + j, b);
+      store_quad(records[2] + j, c);
+      store_quad(records[3] + j, d);
+    }
+  }
+  for (int v = 0; v < count; ++v) {
+    const int i = visible[v];
+    const float* sh = job.sh + int64_t(p.row[i]) * job.num_coefficients * 3;
     float color[3] = {0.5f, 0.5f, 0.5f};
     for (int k = 0; k < (DEGREE + 1) * (DEGREE + 1); ++k)
-      for (int c = 0; c < 3; ++c) color[c] += p.basis[k][l] * sh[3 * k + c];
+      for (int c = 0; c < 3; ++c) color[c] += p.basis[k][i] * sh[3 * k + c];
+    float* record = first + v * NUM_COLUMNS;
     for (int c = 0; c < 3; ++c) record[RED + c] = greatest(color[c], 0.f);
-    rows[count++] = p.row[l];
+    chunk.rows[chunk.count + v] = p.row[i];
+    chunk.depths[chunk.count + v] = p.out[DEPTH][i];
   }
-  return count;
+  chunk.count += count;
+}
+
+template <int DEGREE, bool ANTIALIASED>
+int64_t project_all(const ProjectJob& job, int64_t* place) {
+  const int64_t num_chunks = (job.num_rows + CHUNK - 1) / CHUNK;
+  parallel_chunks(num_chunks, job.threads, [&](int64_t index) {
+    Chunk chunk;
+    Planes planes;
+    memset(&planes, 0, sizeof planes);
+    chunk.count = 0;
+    const int64_t begin = index * CHUNK;
+    const int num_rows = int(begin + CHUNK < job.num_rows ? CHUNK : job.num_rows - begin);
+    for (int i = 0; i < num_rows; i += BATCH) {
+      const int used = smaller(BATCH, num_rows - i);
+      const int num_blocks = load_rows(job.rows + begin + i, used, planes);
+      project_batch<ANTIALIASED>(job, num_blocks, planes);
+      load_basis<DEGREE>(num_blocks, planes);
+      append_batch<DEGREE>(job, used, planes, chunk);
+    }
+    // Chunks are handed out in order, so the one before is done or at work.
+    int64_t first;
+    while ((first = __atomic_load_n(&place[index], __ATOMIC_ACQUIRE)) < 0) sched_yield();
+    __atomic_store_n(&place[index + 1], first + chunk.count, __ATOMIC_RELEASE);
+    memcpy(job.out_rows + first, chunk.rows, chunk.count * sizeof(int32_t));
+    memcpy(job.out_depths + first, chunk.depths, chunk.count * sizeof(float));
+    memcpy(job.out_records + first * NUM_COLUMNS, chunk.records, chunk.count * sizeof(float) * NUM_COLUMNS);
+  });
+  return place[num_chunks];
 }
 
 template <int DEGREE>
 int64_t project_all(const ProjectJob& job, int64_t* place) {
-  const int64_t num_chunks = (job.num_rows + CHUNK - 1) / CHUNK;
-  parallel_chunks(num_chunks, job.threads, [&](int64_t chunk) {
-    alignas(64) float records[CHUNK * NUM_COLUMNS];
-    int32_t rows[CHUNK];
-    Planes planes;
-    memset(&planes, 0, sizeof planes);
-    const int64_t end = (chunk + 1) * CHUNK < job.num_rows ? (chunk + 1) * CHUNK : job.num_rows;
-    int count = 0;
-    for (int64_t begin = chunk * CHUNK; begin < end; begin += LANES) {
-      const int used = load_rows(job, begin, end, planes);
-      if (load_points(job, planes) && project_block(job, used, planes))
-        count = append_block<DEGREE>(job, planes, rows, records, count);
-    }
-    // Chunks are handed out in order, so the one before is done or at work.
-    int64_t first;
-    while ((first = __atomic_load_n(&place[chunk], __ATOMIC_ACQUIRE)) < 0) sched_yield();
-    __atomic_store_n(&place[chunk + 1], first + count, __ATOMIC_RELEASE);
-    memcpy(job.out_rows + first, rows, count * sizeof *rows);
-    memcpy(job.out_records + first * NUM_COLUMNS, records, count * sizeof(float) * NUM_COLUMNS);
-  });
-  return place[num_chunks];
+  return job.view.antialiased ? project_all<DEGREE, true>(job, place) : project_all<DEGREE, false>(job, place);
 }
 
 }  // namespace

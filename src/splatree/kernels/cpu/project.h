@@ -9,19 +9,24 @@ namespace splatree {
 struct ProjectJob {
   // n rows of Gaussians, as stored
   const float *means, *quats, *log_scales, *logit_opacities, *sh;
+  int32_t last;                                // n - 1
+  const float *last_mean, *last_log_scale;     // of row n - 1, padded to four floats
   int num_coefficients;  // of sh, a channel
   int degree;            // evaluated
   View view;
-  const int32_t* rows;  // v rows to project, or null: rows 0 to v - 1
+  const int32_t* rows;  // v rows to project
   int64_t num_rows;
   int threads;
   // capacity v each
   int32_t* out_rows;
   float* out_records;
+  float* out_depths;  // the column of the records once more, dense for the sort
 };
 
-// order[i] is the index of the i-th nearest of v records; equal depths by ids[rows[.]], or by rows[.] without ids.
-void order_by_depth(const float* records, const int32_t* rows, const uint32_t* ids, int64_t num_splats, int threads,
+constexpr int PROJECT_CHUNK = 1024;  // rows
+
+// order[i] is the index of the i-th nearest of v splats; equal depths by ids[rows[.]], or by rows[.] without ids.
+void order_by_depth(const float* depths, const int32_t* rows, const uint32_t* ids, int64_t num_splats, int threads,
                     int32_t* order);
 
 }  // namespace splatree

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from splatree.errors import InputError
 from splatree.kernels.cpu import _core
 from splatree.kernels.cpu.view import pack_view
 from splatree.scene.cameras import Camera
@@ -23,8 +24,13 @@ def project(
     threads: int = 0,
 ) -> Splats:
     """Splats of the rows that touch the image."""
-    out_rows = np.empty(len(rows), np.int32)
-    records = _empty_records(len(rows))
+    if len(rows) and not (rows.min() >= 0 and rows.max() < len(gaussians)):
+        raise InputError(f"rows: found {rows.min()} to {rows.max()}, wanted 0 to {len(gaussians) - 1}")
+    out_rows, depths, records = (
+        np.empty(len(rows), np.int32),
+        np.empty(len(rows), np.float32),
+        _empty_records(len(rows)),
+    )
     num_splats = _core.project_rows(
         gaussians.means,
         gaussians.quats,
@@ -32,18 +38,18 @@ def project(
         gaussians.logit_opacities,
         gaussians.sh,
         rows,
-        len(rows),
         pack_view(camera, options.dilation_px2),
         options.threshold,
         options.mode == "antialiased",
         min(options.sh_degree, gaussians.sh_degree),
         out_rows,
         records,
+        depths,
         threads,
     )
     out_rows, records = out_rows[:num_splats], records[:num_splats]
     order = np.empty(num_splats, np.int32)
-    _core.order_splats(records, out_rows, ids, order, threads)
+    _core.order_splats(depths, out_rows, ids, order, threads)
     return Splats(out_rows, records, order)
 
 

@@ -58,9 +58,9 @@ struct Factor {
 };
 
 SPLATREE_FN Factor factor_of(const View& view, const Point& p, float qw, float qx, float qy, float qz, Vector log_scale) {
-  // Columns of the rotation of a quaternion of any length; first its largest entry is made 1 against overflow.
+  // Columns of the rotation of a quaternion of any length, which is first scaled by a power of two against overflow.
   const float aw = qw < 0 ? -qw : qw, ax = qx < 0 ? -qx : qx, ay = qy < 0 ? -qy : qy, az = qz < 0 ? -qz : qz;
-  const float unit = 1.f / greatest(greatest(greatest(aw, ax), greatest(ay, az)), 1e-37f);
+  const float unit = power_of_two_over(greatest(greatest(aw, ax), greatest(ay, az)));
   const float w = qw * unit, x = qx * unit, y = qy * unit, z = qz * unit;
   const float s = 2.f / greatest(w * w + x * x + y * y + z * z, 1e-37f);
   const Vector axes[3] = {
@@ -83,6 +83,7 @@ SPLATREE_FN Factor factor_of(const View& view, const Point& p, float qw, float q
   return {row_of(tx, axes, scale), row_of(ty, axes, scale), slope_x, slope_y};
 }
 
+template <bool ANTIALIASED>
 SPLATREE_FN Splat splat_of(const View& view, const Point& p, float qw, float qx, float qy, float qz, Vector log_scale,
                            float logit_opacity) {
   const Factor factor = factor_of(view, p, qw, qx, qy, qz, log_scale);
@@ -99,15 +100,17 @@ SPLATREE_FN Splat splat_of(const View& view, const Point& p, float qw, float qx,
   splat.x = view.fx * factor.slope_x + view.cx;
   splat.y = view.fy * factor.slope_y + view.cy;
   const float sigmoid = 1.f / (1.f + exp_of(-logit_opacity));
-  const float compensation = view.antialiased ? __builtin_sqrtf(undilated_det / det) : 1.f;
-  splat.opacity = sigmoid * compensation;
+  splat.opacity = ANTIALIASED ? sigmoid * __builtin_sqrtf(undilated_det / det) : sigmoid;
   splat.log2_opacity = log2_of(greatest(splat.opacity, 1e-37f));
-  const float k_squared = 1.38629436f * greatest(splat.log2_opacity - view.log2_threshold, 0.f);  // 2 ln(o/τ)
-  splat.extent_x = __builtin_sqrtf(k_squared * xx);
-  splat.extent_y = __builtin_sqrtf(k_squared * yy);
-  splat.a = __builtin_sqrtf(yy / det);
-  splat.b = -splat.a * (xy / yy);
-  splat.c = __builtin_sqrtf(1.f / yy);
+  const float k = __builtin_sqrtf(1.38629436f * greatest(splat.log2_opacity - view.log2_threshold, 0.f));  // √(2 ln(o/τ))
+  const float sigma_x = __builtin_sqrtf(xx), sigma_y = __builtin_sqrtf(yy), root_det = __builtin_sqrtf(det);
+  splat.extent_x = k * sigma_x;
+  splat.extent_y = k * sigma_y;
+  // a = σ_y / √det, b = -a xy / yy, c = 1 / σ_y
+  const float inverse = 1.f / (sigma_y * root_det);
+  splat.c = root_det * inverse;
+  splat.a = yy * inverse;
+  splat.b = -xy * inverse;
   // NaN anywhere makes a comparison false: such a row is not drawn.
   splat.visible = (p.z > view.near) & (splat.opacity >= view.threshold) & (splat.x + splat.extent_x >= 0.5f) &
                   (splat.x - splat.extent_x <= view.width - 0.5f) & (splat.y + splat.extent_y >= 0.5f) &
