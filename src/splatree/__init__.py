@@ -14,6 +14,7 @@ from splatree.render.paths import PathOptions, flyout, orbit
 from splatree.render.pipeline import render, trace
 from splatree.render.video import open_video
 from splatree.scene.cameras import Camera, Cameras
+from splatree.scene.frame import Frame, RenderResult, Selection
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.options import RenderOptions, SelectOptions
 from splatree.scene.scene import Scene
@@ -28,6 +29,7 @@ __all__ = [
     "Cameras",
     "Evaluation",
     "FormatError",
+    "Frame",
     "GaussianTree",
     "Gaussians",
     "Groups",
@@ -37,8 +39,10 @@ __all__ = [
     "OutputError",
     "PathOptions",
     "RenderOptions",
+    "RenderResult",
     "Scene",
     "SelectOptions",
+    "Selection",
     "ShapeError",
     "SplatreeError",
     "ThinOptions",

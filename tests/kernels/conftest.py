@@ -1,0 +1,104 @@
+"""Scenes that are hard for a renderer, and the instruction sets of this processor."""
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+
+import splatree as st
+from splatree.kernels.cpu import _core
+
+
+@pytest.fixture(params=_core.isas())
+def isa(request: pytest.FixtureRequest) -> Iterator[str]:
+    """Each level that this processor runs, in turn."""
+    before = _core.isa()
+    _core.use_isa(request.param)
+    yield request.param
+    _core.use_isa(before)
+
+
+def gaussians(
+    n: int, seed: int, *, log_scales: tuple[float, float] = (-5, -1.5), spread: float = 1.0, degree: int = 1
+) -> st.Gaussians:
+    """A random cloud around the origin; quaternions of many lengths."""
+    rng = np.random.default_rng(seed)
+    quats = rng.normal(size=(n, 4)) * 10.0 ** rng.uniform(-3, 3, (n, 1))
+    return st.Gaussians(
+        (spread * rng.normal(size=(n, 3))).astype(np.float32),
+        quats.astype(np.float32),
+        rng.uniform(*log_scales, (n, 3)).astype(np.float32),
+        rng.normal(0, 3, n).astype(np.float32),
+        (0.3 * rng.normal(size=(n, (degree + 1) ** 2, 3))).astype(np.float32),
+    )
+
+
+def camera(width: int = 52, height: int = 37, *, distance: float = 4.0, **changes: float) -> st.Camera:
+    """A camera in front of the cloud, with changed intrinsics."""
+    view = st.Camera.look_at((0.3, -0.4, -distance), (0, 0, 0), width=width, height=height)
+    K = view.K.copy()
+    K[0, 2] += changes.get("shift_x", 0.0)
+    K[1, 2] += changes.get("shift_y", 0.0)
+    return st.Camera(view.camera_from_world, K, width, height, near=changes.get("near", view.near))
+
+
+def needles() -> st.Gaussians:
+    """Splats of an aspect of 10,000 to 1, up to some thousand pixels long, in all directions."""
+    g = gaussians(60, 2)
+    log_scales = np.tile(np.log(np.array([20.0, 2e-3, 2e-3], np.float32)), (60, 1))
+    return st.Gaussians(g.means, g.quats, log_scales, g.logit_opacities, g.sh)
+
+
+def moved(g: st.Gaussians, offset: float) -> st.Gaussians:
+    """The cloud far from the origin, on a grid that float32 holds there."""
+    means = np.float32(offset) + np.round(g.means * 64) / 64
+    return st.Gaussians(means.astype(np.float32), g.quats, g.log_scales, g.logit_opacities, g.sh)
+
+
+def far_camera(offset: float) -> st.Camera:
+    """The camera of a cloud that was moved."""
+    eye, target = np.array([0.3, -0.4, -4.0]) + offset, np.full(3, offset)
+    return st.Camera.look_at(eye, target, width=52, height=37)
+
+
+def absurd() -> st.Gaussians:
+    """Rows that a reader would refuse, among good ones: they must not crash, nor spoil the others."""
+    g = gaussians(40, 7)
+    g.means[0] = np.nan
+    g.means[1] = np.inf
+    g.log_scales[2] = 80
+    g.log_scales[3] = -200
+    g.quats[4] = 0
+    g.quats[5] = 1e30
+    g.quats[6] = 1e-30
+    g.logit_opacities[7] = np.inf
+    g.logit_opacities[8] = -np.inf
+    g.means[9] = (0.3, -0.4, -4.0)  # at the eye
+    g.means[10] = 1e30
+    return g
+
+
+SCENES: dict[str, Callable[[], tuple[st.Gaussians, st.Camera]]] = {
+    "cloud": lambda: (gaussians(300, 1, degree=3), camera()),
+    "needles": lambda: (needles(), camera()),
+    "huge": lambda: (gaussians(40, 3, log_scales=(1, 4)), camera()),
+    "inside": lambda: (gaussians(80, 4, log_scales=(-2, 1), spread=2), camera(distance=0.1)),
+    "close": lambda: (gaussians(80, 4, log_scales=(-6, -2), spread=0.5), camera(distance=0.3, near=1e-3)),
+    "sub-pixel": lambda: (gaussians(300, 5, log_scales=(-12, -8)), camera()),
+    "off-centre": lambda: (gaussians(200, 6), camera(shift_x=70.0, shift_y=-31.5)),
+    "one pixel": lambda: (gaussians(100, 8), camera(1, 1)),
+    "one column": lambda: (gaussians(100, 8), camera(1, 33)),
+    "whole tiles": lambda: (gaussians(100, 9), camera(48, 32)),
+    "one Gaussian": lambda: (gaussians(1, 10, log_scales=(-2, -1), spread=0.1), camera()),
+    "nothing": lambda: (st.Gaussians.empty(1), camera()),
+    "behind": lambda: (gaussians(20, 11), camera(distance=-9.0)),
+    "map coordinates": lambda: (moved(gaussians(200, 12), 100_000.0), far_camera(100_000.0)),
+}
+"""Hard scenes by name; each with a camera."""
+
+
+@pytest.fixture(params=SCENES)
+def view(request: pytest.FixtureRequest) -> tuple[st.Scene, st.Camera]:
+    """Each hard scene in turn."""
+    g, seen_by = SCENES[request.param]()
+    return st.Scene.flat(g), seen_by

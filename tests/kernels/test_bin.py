@@ -1,0 +1,79 @@
+import numpy as np
+
+import splatree as st
+from splatree.kernels import cpu, reference
+from splatree.kernels.reference.bin import smallest_distances
+from splatree.scene.frame import Splats, TileBins
+
+from .conftest import camera, gaussians
+from .test_project import all_rows, options
+
+
+def splats_of(scene: st.Scene, seen_by: st.Camera) -> Splats:
+    return cpu.project.project(scene.gaussians, None, all_rows(scene), seen_by, options())
+
+
+def pairs_of(bins: TileBins) -> set[tuple[int, int]]:
+    tiles = np.repeat(np.arange(len(bins.tile_start) - 1), np.diff(bins.tile_start))
+    return set(zip(tiles.tolist(), bins.splat_from_pair.tolist(), strict=True))
+
+
+def test_pairs_are_those_of_the_reference(view: tuple[st.Scene, st.Camera]) -> None:
+    scene, seen_by = view
+    splats = splats_of(scene, seen_by)
+    fast, slow = (stage.bin.bin(splats, seen_by, options()) for stage in (cpu, reference))
+    found, wanted = pairs_of(fast), pairs_of(slow)
+    assert wanted <= found
+    # More only where the ellipse misses the tile by less than the margin for rounding: 2e-3 px and 2e-6 of the box. In
+    # units of |L d| a pixel is at most as long as the short axis allows.
+    distances = smallest_distances(splats, seen_by)
+    k = np.sqrt(2 * np.log(splats.opacities.astype(np.float64) * 255))
+    steepest = np.linalg.norm(splats.factors, axis=1)
+    margin = (3e-3 + 4e-6 * splats.extents_px.sum(axis=1)) * steepest + 1e-4
+    for tile, splat in found - wanted:
+        assert distances[splat, tile] <= k[splat] + margin[splat]
+
+
+def test_lists_are_in_depth_order_without_duplicates(view: tuple[st.Scene, st.Camera]) -> None:
+    scene, seen_by = view
+    splats = splats_of(scene, seen_by)
+    bins = cpu.bin.bin(splats, seen_by, options())
+    place = np.empty(len(splats), np.int64)
+    place[splats.order] = np.arange(len(splats))
+    for start, end in zip(bins.tile_start[:-1], bins.tile_start[1:], strict=True):
+        assert np.all(np.diff(place[bins.splat_from_pair[start:end]]) > 0)
+
+
+def test_ellipse_lists_fewer_pairs_than_the_box(view: tuple[st.Scene, st.Camera]) -> None:
+    scene, seen_by = view
+    splats = splats_of(scene, seen_by)
+    ellipse = cpu.bin.bin(splats, seen_by, options())
+    box = cpu.bin.bin(splats, seen_by, options(), whole_box=True)
+    assert pairs_of(ellipse) <= pairs_of(box)
+
+
+def test_threads_do_not_change_the_lists() -> None:
+    scene = st.Scene.flat(gaussians(9000, 3))  # more than one chunk
+    seen_by = camera(120, 90)
+    splats = splats_of(scene, seen_by)
+    assert len(splats) > 4096
+    one, two, three = (cpu.bin.bin(splats, seen_by, options(), threads=n) for n in (1, 2, 3))
+    for other in (two, three):
+        np.testing.assert_array_equal(one.tile_start, other.tile_start)
+        np.testing.assert_array_equal(one.splat_from_pair, other.splat_from_pair)
+
+
+def test_a_diagonal_needle_skips_the_corners_of_its_box() -> None:
+    g = st.Gaussians(
+        np.array([[0, 0, 4]], np.float32),
+        np.array([[np.cos(np.pi / 8), 0, 0, np.sin(np.pi / 8)]], np.float32),
+        np.log(np.array([[2, 1e-3, 1e-3]], np.float32)),
+        np.full(1, 9, np.float32),
+        np.zeros((1, 1, 3), np.float32),
+    )
+    seen_by = st.Camera.look_at((0, 0, 0), (0, 0, 1), width=160, height=160)
+    splats = splats_of(st.Scene.flat(g), seen_by)
+    bins = cpu.bin.bin(splats, seen_by, options())
+    # Through the middle of 10 × 10 tiles the diagonal meets 10 tiles and, being about 4 px thick, their neighbours' corners.
+    assert bins.num_pairs <= 28
+    assert cpu.bin.bin(splats, seen_by, options(), whole_box=True).num_pairs == 100

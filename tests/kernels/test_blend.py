@@ -1,0 +1,125 @@
+import numpy as np
+import pytest
+
+import splatree as st
+from splatree.constants import ALPHA_MAX
+from splatree.kernels import cpu, reference
+from splatree.scene.frame import Picture, Splats, TileBins
+
+from .conftest import camera, gaussians
+from .test_bin import splats_of
+from .test_project import options
+
+BACKGROUND = {"background": (0.2, 0.5, 0.9)}
+
+
+def same_bits(one: Picture, other: Picture) -> bool:
+    return (
+        one.image.tobytes() == other.image.tobytes()
+        and one.alpha.tobytes() == other.alpha.tobytes()
+        and one.depth.tobytes() == other.depth.tobytes()
+        and one.num_blended == other.num_blended
+    )
+
+
+def test_picture_of_the_same_lists_is_that_of_the_reference(view: tuple[st.Scene, st.Camera], isa: str) -> None:
+    scene, seen_by = view
+    splats = splats_of(scene, seen_by)
+    bins = cpu.bin.bin(splats, seen_by, options())
+    fast, slow = (stage.blend.blend(splats, bins, seen_by, options(**BACKGROUND)) for stage in (cpu, reference))
+    brightest = max(1.0, float(splats.colors.max(initial=0)))
+    difference = np.abs(fast.image - slow.image).max(axis=-1)
+    # Hundreds of products of float32; |L d| of a long splat adds 6e-8 of its length in px times 1.8.
+    tolerance = brightest * (2e-5 + 1e-6 * min(float(splats.extents_px.max(initial=0)), 1e3))
+    flipped = difference > tolerance
+    # A splat at τ or a pixel at its last splat may fall either way: few do, and each changes little.
+    assert flipped.mean() <= 0.01
+    assert difference.max() <= brightest * 1.5 / 255
+    np.testing.assert_array_less(np.abs(fast.alpha - slow.alpha)[~flipped], tolerance)
+    assert abs(fast.num_blended - slow.num_blended) <= 1e-3 * slow.num_blended + 2
+
+
+def test_blocks_left_out_change_no_bit(view: tuple[st.Scene, st.Camera], isa: str) -> None:
+    scene, seen_by = view
+    splats = splats_of(scene, seen_by)
+    ellipse = cpu.bin.bin(splats, seen_by, options())
+    box = cpu.bin.bin(splats, seen_by, options(), whole_box=True)
+    picture = cpu.blend.blend(splats, ellipse, seen_by, options(**BACKGROUND))
+    assert same_bits(picture, cpu.blend.blend(splats, ellipse, seen_by, options(**BACKGROUND), whole_tile=True))
+    assert same_bits(picture, cpu.blend.blend(splats, box, seen_by, options(**BACKGROUND), whole_tile=True))
+    assert same_bits(picture, cpu.blend.blend(splats, box, seen_by, options(**BACKGROUND)))
+
+
+def test_all_tiles_of_the_image_change_no_bit() -> None:
+    # Stronger than the box: every splat in every tile.
+    scene, seen_by = st.Scene.flat(gaussians(150, 3)), camera()
+    splats = splats_of(scene, seen_by)
+    bins = cpu.bin.bin(splats, seen_by, options())
+    num_tiles = bins.num_tiles_x * bins.num_tiles_y
+    start = np.arange(num_tiles + 1, dtype=np.int64) * len(splats)
+    everywhere = TileBins(start, np.tile(splats.order, num_tiles), bins.num_tiles_x, bins.num_tiles_y)
+    one = cpu.blend.blend(splats, bins, seen_by, options(**BACKGROUND))
+    other = cpu.blend.blend(splats, everywhere, seen_by, options(**BACKGROUND), whole_tile=True)
+    assert same_bits(one, other)
+
+
+def stack(opacities: list[float], colors: list[tuple[float, float, float]]) -> tuple[Splats, TileBins, st.Camera]:
+    """Flat wide splats one behind the other over a picture of one pixel, at its centre."""
+    n = len(opacities)
+    records = np.zeros((n, 16), np.float32)
+    records[:, 0:2] = 0.5
+    records[:, 2], records[:, 4] = 1e-3, 1e-3
+    records[:, 5], records[:, 6] = opacities, np.log2(opacities)
+    records[:, 7:10], records[:, 10], records[:, 11:13] = colors, np.arange(1, n + 1), 3000
+    rows = np.arange(n, dtype=np.int32)
+    seen_by = st.Camera.look_at((0, 0, 0), (0, 0, 1), width=1, height=1)
+    return Splats(rows, records, rows), TileBins(np.array([0, n]), rows, 1, 1), seen_by
+
+
+@pytest.mark.parametrize("stage", [cpu, reference], ids=["cpu", "reference"])
+def test_two_splats_in_closed_form(stage: object) -> None:
+    splats, bins, seen_by = stack([0.5, 0.25], [(1, 0, 0), (0, 1, 0)])
+    picture = stage.blend.blend(splats, bins, seen_by, options(background=(0.0, 0.0, 1.0)))  # type: ignore[attr-defined]
+    # At the centre α is the opacity: weights 1/2, 1/2 · 1/4, and 3/8 for the background.
+    np.testing.assert_allclose(picture.image[0, 0], [0.5, 0.125, 0.375], rtol=1e-6)
+    np.testing.assert_allclose(picture.alpha[0, 0], 0.625, rtol=1e-6)
+    np.testing.assert_allclose(picture.depth[0, 0], (0.5 * 1 + 0.125 * 2) / 0.625, rtol=1e-6)
+    assert picture.num_blended == 2
+
+
+@pytest.mark.parametrize("stage", [cpu, reference], ids=["cpu", "reference"])
+def test_alpha_stops_at_its_maximum_and_the_pixel_at_its_minimum(stage: object) -> None:
+    splats, bins, seen_by = stack([1.0] * 50, [(1, 1, 1)] * 50)
+    picture = stage.blend.blend(splats, bins, seen_by, options())  # type: ignore[attr-defined]
+    # 0.01² = 1e-4 is where a pixel is finished. In float64 1 − 0.99 is a little above 0.01, in float32 a little below; the
+    # second splat may be drawn or not, the third never is.
+    assert picture.num_blended in (1, 2)
+    np.testing.assert_allclose(
+        picture.alpha[0, 0], [ALPHA_MAX, 1 - (1 - ALPHA_MAX) ** 2][picture.num_blended - 1], rtol=1e-6
+    )
+
+
+@pytest.mark.parametrize("stage", [cpu, reference], ids=["cpu", "reference"])
+def test_the_splat_that_would_finish_a_pixel_is_not_drawn(stage: object) -> None:
+    # T = 0.1, 0.01, 0.001, then 0.000095 < 1e-4: the fourth is left out, and so is all behind it, however faint.
+    splats, bins, seen_by = stack([0.9, 0.9, 0.9, 0.905, 0.1], [(0, 0, 0)] * 3 + [(1, 0, 0), (0, 1, 0)])
+    picture = stage.blend.blend(splats, bins, seen_by, options())  # type: ignore[attr-defined]
+    assert picture.num_blended == 3
+    np.testing.assert_allclose(picture.alpha[0, 0], 0.999, rtol=1e-6)
+    np.testing.assert_array_equal(picture.image[0, 0], [0, 0, 0])
+
+
+@pytest.mark.parametrize("stage", [cpu, reference], ids=["cpu", "reference"])
+def test_opacity_below_the_threshold_leaves_no_trace(stage: object) -> None:
+    splats, bins, seen_by = stack([0.0039, 0.004], [(1, 0, 0), (0, 1, 0)])  # 1/255 is 0.00392
+    picture = stage.blend.blend(splats, bins, seen_by, options())  # type: ignore[attr-defined]
+    assert picture.num_blended == 1
+    np.testing.assert_allclose(picture.image[0, 0], [0, 0.004, 0], rtol=1e-5)
+
+
+def test_nothing_is_background() -> None:
+    scene, seen_by = st.Scene.flat(st.Gaussians.empty()), camera()
+    splats = splats_of(scene, seen_by)
+    picture = cpu.blend.blend(splats, cpu.bin.bin(splats, seen_by, options()), seen_by, options(**BACKGROUND))
+    np.testing.assert_array_equal(picture.image, np.broadcast_to(np.float32([0.2, 0.5, 0.9]), picture.image.shape))
+    assert not picture.alpha.any() and not picture.depth.any()

@@ -1,0 +1,181 @@
+import numpy as np
+import pytest
+
+import splatree as st
+from splatree.constants import SH_C0
+from splatree.kernels import cpu, reference
+from splatree.scene.frame import Splats
+from splatree.scene.options import ResolvedOptions
+
+from .conftest import absurd, camera, gaussians
+
+MODES = ("classic", "antialiased")
+
+
+def options(mode: str = "classic", **changes: float) -> ResolvedOptions:
+    fields = {"background": (0.0, 0.0, 0.0), "dilation_px2": 0.3, "threshold": 1 / 255, "sh_degree": 3}
+    return ResolvedOptions(**{**fields, "mode": mode, **changes})  # type: ignore[arg-type]
+
+
+def all_rows(scene: st.Scene) -> np.ndarray:
+    return np.arange(len(scene), dtype=np.int32)
+
+
+def aspect(splats: Splats) -> np.ndarray:
+    """Longer over shorter axis of each splat."""
+    a, b, c = splats.factors.astype(np.float64).T
+    singular = np.linalg.svd(np.stack([np.stack([a, b], -1), np.stack([0 * a, c], -1)], -2), compute_uv=False)
+    return singular[:, 0] / singular[:, 1] if len(splats) else np.ones(0)
+
+
+def assert_at_a_step(splats: Splats, rows: np.ndarray, view: st.Camera, threshold: float) -> None:
+    """Rows of only one implementation must lie within rounding of one of the tests that drop a row."""
+    chosen = np.isin(splats.rows, rows)
+    means, extents = splats.means_px[chosen].astype(np.float64), splats.extents_px[chosen].astype(np.float64)
+    size = np.array([view.width, view.height])
+    band = 1e-5 * (1 + extents + np.abs(means))
+    at_border = (np.abs(means + extents - 0.5) < band) | (np.abs(means - extents - size + 0.5) < band)
+    at_threshold = np.abs(splats.opacities[chosen] / threshold - 1) < 1e-3
+    at_near = np.abs(splats.depths[chosen] / view.near - 1) < 1e-5
+    assert (at_border.any(axis=1) | at_threshold | at_near).all()
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_splats_are_those_of_the_reference(view: tuple[st.Scene, st.Camera], isa: str, mode: str) -> None:
+    scene, seen_by = view
+    fast = cpu.project.project(scene.gaussians, None, all_rows(scene), seen_by, options(mode))
+    slow = reference.project.project(scene.gaussians, None, all_rows(scene), seen_by, options(mode))
+    assert_at_a_step(fast, np.setdiff1d(fast.rows, slow.rows), seen_by, 1 / 255)
+    assert_at_a_step(slow, np.setdiff1d(slow.rows, fast.rows), seen_by, 1 / 255)
+
+    _, i, j = np.intersect1d(fast.rows, slow.rows, return_indices=True)
+    # The small axis of a long splat is a difference of products of the large one: errors of float32, 6e-8 each, grow with
+    # the aspect; about ten of them add up.
+    relative = 1e-6 * aspect(slow)[j] + 4e-6
+    # Direction x/z times the focal length: what float32 loses far outside of the image is relative to the place.
+    place = np.abs(slow.means_px[j]) + seen_by.K[0, 0]
+    assert np.all(np.abs(fast.means_px[i] - slow.means_px[j]) <= 4e-6 * place)
+    np.testing.assert_allclose(fast.depths[i], slow.depths[j], rtol=4e-6)
+    largest = np.abs(slow.factors[j]).max(axis=1, initial=0)
+    assert np.all(np.abs(fast.factors[i] - slow.factors[j]).max(axis=1, initial=0) <= relative * largest)
+    assert np.all(np.abs(fast.opacities[i] - slow.opacities[j]) <= relative * slow.opacities[j].max(initial=0))
+    np.testing.assert_allclose(fast.colors[i], slow.colors[j], atol=4e-6)  # 16 terms of at most about 1
+    # The box follows the opacity by √(2 ln(o/τ)), steep at τ: compared where it is not.
+    clear = slow.opacities[j] > 1.1 / 255
+    np.testing.assert_allclose(fast.extents_px[i][clear], slow.extents_px[j][clear], rtol=2e-4)
+    np.testing.assert_allclose(np.exp2(fast.records[:, 6]), fast.opacities, rtol=2e-6)
+
+
+def test_order_is_by_depth_and_then_by_id(isa: str) -> None:
+    g = gaussians(200, 1)
+    g.means[:, 2] = np.round(g.means[:, 2])  # many of one depth for a camera that looks along z
+    g.log_scales[:] = -1
+    ids = np.random.default_rng(0).permutation(200).astype(np.uint32)
+    seen_by = st.Camera.look_at((0, 0, -6), (0, 0, 0), width=40, height=30)
+    splats = cpu.project.project(g, ids, np.arange(200, dtype=np.int32), seen_by, options())
+    assert len(np.unique(splats.depths)) < len(splats) / 4
+    wanted = np.lexsort((ids[splats.rows], splats.depths))
+    np.testing.assert_array_equal(splats.order, wanted)
+
+
+def test_large_sets_are_ordered_too() -> None:
+    # More than one chunk of the sort, all bits of the depth in use.
+    rng = np.random.default_rng(3)
+    n = 40_000
+    depths = np.exp(rng.uniform(-3, 60, n)).astype(np.float32)
+    depths[::7] = depths[3]
+    ids = rng.permutation(n).astype(np.uint32)
+    orders = []
+    for threads in (1, 3):
+        order = np.empty(n, np.int32)
+        cpu._core.order_splats(depths, np.arange(n, dtype=np.int32), ids, order, threads)
+        orders.append(order)
+    np.testing.assert_array_equal(orders[0], np.lexsort((ids, depths)))
+    np.testing.assert_array_equal(orders[0], orders[1])
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_harmonics_of_each_degree(degree: int, isa: str) -> None:
+    g = gaussians(100, 4, degree=3)
+    rows = np.arange(100, dtype=np.int32)
+    given = g.with_sh_degree(degree)
+    fast = cpu.project.project(given, None, rows, camera(), options())
+    slow = reference.project.project(given, None, rows, camera(), options())
+    cut = cpu.project.project(g, None, rows, camera(), options(sh_degree=degree))
+    np.testing.assert_allclose(fast.colors, slow.colors, atol=4e-6)
+    np.testing.assert_array_equal(fast.colors, cut.colors)
+
+
+def test_a_gaussian_on_the_axis_in_closed_form(isa: str) -> None:
+    sigma, depth = 0.05, 4.0
+    g = st.Gaussians(
+        np.array([[0, 0, depth]], np.float32),
+        np.array([[2, 0, 0, 0]], np.float32),
+        np.full((1, 3), np.log(sigma), np.float32),
+        np.zeros(1, np.float32),
+        np.zeros((1, 1, 3), np.float32) + np.float32(0.25 / SH_C0),
+    )
+    seen_by = st.Camera.look_at((0, 0, 0), (0, 0, 1), width=64, height=48)
+    for mode in MODES:
+        splats = cpu.project.project(g, None, np.zeros(1, np.int32), seen_by, options(mode))
+        variance = (seen_by.K[0, 0] * sigma / depth) ** 2
+        opacity = 0.5 if mode == "classic" else 0.5 * variance / (variance + 0.3)
+        extent = np.sqrt(2 * np.log(255 * opacity) * (variance + 0.3))
+        np.testing.assert_allclose(splats.means_px, [[32, 24]], atol=1e-5)
+        np.testing.assert_allclose(
+            splats.conics, [[1 / (variance + 0.3), 0, 1 / (variance + 0.3)]], rtol=1e-5, atol=1e-7
+        )
+        np.testing.assert_allclose(splats.opacities, [opacity], rtol=1e-6)
+        np.testing.assert_allclose(splats.extents_px, [[extent, extent]], rtol=1e-5)
+        np.testing.assert_allclose(splats.colors, [[0.75] * 3], rtol=1e-6)
+
+
+def test_absurd_rows_are_dropped_or_drawn_and_spoil_no_other(isa: str) -> None:
+    g = absurd()
+    rows = np.arange(len(g), dtype=np.int32)
+    splats = cpu.project.project(g, None, rows, camera(), options())
+    assert not np.isin([0, 1, 8, 9, 10], splats.rows).any()  # not finite, without opacity, at the eye, far away
+    drawn = np.array([2, 4, 5, 6], np.int32)  # scales of e^80, quaternions of length 0, 1e30, 1e-30
+    wanted = reference.project.project(g, None, drawn, camera(), options()).rows
+    assert len(wanted) >= 3
+    np.testing.assert_array_equal(np.intersect1d(drawn, splats.rows), wanted)
+    assert np.isfinite(splats.records).all()
+    good = np.delete(rows, np.arange(11))
+    alone = cpu.project.project(g, None, good, camera(), options())
+    np.testing.assert_array_equal(splats.records[splats.rows > 10], alone.records)
+
+
+def test_a_subset_of_rows_gives_its_records_bit_for_bit(isa: str) -> None:
+    g = gaussians(3000, 5)  # more than one chunk
+    rows = np.arange(3000, dtype=np.int32)
+    everything = cpu.project.project(g, None, rows, camera(), options())
+    for chosen in (rows[::3], rows[1:-1], rows[-5:]):
+        part = cpu.project.project(g, None, chosen, camera(), options())
+        both = np.isin(everything.rows, chosen)
+        np.testing.assert_array_equal(part.rows, everything.rows[both])
+        np.testing.assert_array_equal(part.records.view(np.uint32), everything.records[both].view(np.uint32))
+
+
+def test_rows_outside_of_the_scene_are_refused() -> None:
+    g = gaussians(5, 1)
+    for row in (-1, 5):
+        with pytest.raises(st.InputError, match="wanted 0 to 4"):
+            cpu.project.project(g, None, np.array([row], np.int32), camera(), options())
+
+
+def test_determinant_of_a_needle_does_not_cancel(isa: str) -> None:
+    # A needle across the picture at 45°: A C − B² in float32 would lose all of its digits.
+    g = st.Gaussians(
+        np.array([[0, 0, 4]], np.float32),
+        np.array([[np.cos(np.pi / 8), 0, 0, np.sin(np.pi / 8)]], np.float32),
+        np.log(np.array([[30, 1e-3, 1e-3]], np.float32)),
+        np.full(1, 5, np.float32),
+        np.zeros((1, 1, 3), np.float32),
+    )
+    seen_by = st.Camera.look_at((0, 0, 0), (0, 0, 1), width=640, height=480)
+    fast = cpu.project.project(g, None, np.zeros(1, np.int32), seen_by, options())
+    a, b, c = fast.factors[0].astype(np.float64)
+    across = np.array([np.sqrt(0.5), -np.sqrt(0.5)])
+    thickness = 1 / np.hypot(a * across[0] + b * across[1], c * across[1])
+    sigma_px = seen_by.K[0, 0] * 1e-3 / 4
+    np.testing.assert_allclose(thickness, np.sqrt(sigma_px**2 + 0.3), rtol=1e-3)
