@@ -202,13 +202,21 @@ def test_block_index_is_as_defined(seed, rows_per_block, threads):
     scene = random_scene(seed)
     fast = index_blocks(scene.gaussians, scene.tree, rows_per_block=rows_per_block, threads=threads)
     slow = reference_blocks.index_blocks(scene.gaussians, scene.tree, rows_per_block=rows_per_block)
-    for name in ("lower", "upper", "min_logits", "ancestor_start", "ancestors", "group_lower", "group_upper"):
+    for name in (
+        "lower",
+        "upper",
+        "min_logits",
+        "ancestor_start",
+        "ancestors",
+        "group_lower",
+        "group_upper",
+        "size_classes",
+    ):
         assert np.array_equal(getattr(fast, name), getattr(slow, name)), name
-    # Scales are widened by 1e-5 against rounding: up those of leaves, down those of inner rows.
-    for name, sign in (("leaf_scales", 1), ("group_leaf_scales", 1), ("inner_scales", -1)):
+    for name in ("leaf_scales", "group_leaf_scales"):  # the compiled ones are 1e-5 larger, a reserve for rounding
         ours, theirs = getattr(fast, name), getattr(slow, name)
         assert np.allclose(ours, theirs, rtol=2e-5)
-        assert (ours >= theirs if sign > 0 else ours <= theirs).all()
+        assert (ours >= theirs).all()
 
 
 def city(side: int) -> Scene:

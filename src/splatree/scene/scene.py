@@ -52,9 +52,9 @@ class Scene:
         if len(self.tree) != len(self.gaussians):
             raise ShapeError(f"Scene.tree: found {len(self.tree)} rows, wanted {len(self.gaussians)}")
         check_fields(self, n=len(self.gaussians))
-        if self.blocks is not None and len(self.blocks) != -(-len(self) // self.blocks.rows_per_block):
+        if self.blocks is not None and len(self.blocks.size_classes) != len(self):
             raise ShapeError(
-                f"Scene.blocks: found {len(self.blocks)} blocks of {self.blocks.rows_per_block} rows for {len(self)} rows"
+                f"Scene.blocks: found an index of {len(self.blocks.size_classes)} rows, wanted {len(self)}"
             )
         if self.mode not in ("classic", "antialiased"):
             raise InputError(f"Scene.mode: found {self.mode!r}, wanted 'classic' or 'antialiased'")

@@ -78,8 +78,6 @@ class BlockIndex:
     """Largest coordinates."""
     leaf_scales: Float32[Array, "b"]
     """Largest standard deviation of the leaves, world units; 0 if there are none."""
-    inner_scales: Float32[Array, "b"]
-    """Smallest middle standard deviation of the rows with children, world units; infinite if there are none."""
     min_logits: Float32[Array, "b"]
     """Smallest logit opacity."""
     ancestor_start: Int32[Array, "b+1"]
@@ -92,9 +90,15 @@ class BlockIndex:
     """As ``upper``, of groups."""
     group_leaf_scales: Float32[Array, "g"]
     """As ``leaf_scales``, of groups."""
+    size_classes: UInt8[Array, "n"]
+    """255 for a leaf; else the whole part of 8 log₂ σ + 128, σ the row's middle standard deviation, held in 0 to 254."""
 
     def __post_init__(self) -> None:
         sizes = check_fields(self)
+        if sizes["b"] != -(-sizes["n"] // max(self.rows_per_block, 1)):
+            raise ShapeError(
+                f"BlockIndex: found {sizes['b']} blocks of {self.rows_per_block} rows for {sizes['n']} size classes"
+            )
         if not 16 <= self.rows_per_block <= 1024:
             raise ShapeError(f"BlockIndex.rows_per_block: found {self.rows_per_block}, wanted 16 to 1024")
         if sizes["g"] != -(-sizes["b"] // BLOCKS_PER_GROUP):

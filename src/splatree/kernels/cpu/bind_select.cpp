@@ -36,13 +36,6 @@ Vector32 to_numpy(int32_t* data, size_t size) {
   return Vector32(data, {size}, owner);
 }
 
-Plane plane_of(const double*& v) {
-  Plane plane;
-  for (double& n : plane.n) n = *v++;
-  plane.d = *v++;
-  return plane;
-}
-
 SelectRule rule_of(const double* v) {
   SelectRule rule{};
   float* const fields[] = {&rule.limit, &rule.add, &rule.least_diagonal, &rule.floor, &rule.pixel_error, &rule.focal_max,
@@ -74,26 +67,23 @@ BlockColumns blocks_of(nb::handle blocks) {
           {column<float>(blocks, "lower"), column<float>(blocks, "upper"), column<float>(blocks, "leaf_scales")},
           {column<float>(blocks, "group_lower"), column<float>(blocks, "group_upper"),
            column<float>(blocks, "group_leaf_scales")},
-          column<float>(blocks, "inner_scales"),
           column<float>(blocks, "min_logits"),
+          column<uint8_t>(blocks, "size_classes"),
           column<int32_t>(blocks, "ancestor_start"),
           column<int32_t>(blocks, "ancestors")};
 }
 
 std::pair<Vector32, int64_t> select_cut(nb::handle gaussians, nb::handle tree, nb::handle blocks, In<double> view,
-                                        double threshold, In<double> rule, int visibility, bool cull, In<double> sides,
-                                        In<double> depth, int threads) {
+                                        double threshold, In<double> rule, int visibility, bool cull, In<double> planes,
+                                        In<double> reach, int threads) {
   SelectJob job = job_of(gaussians, tree, view, threshold, rule, visibility);
   job.index = blocks_of(blocks);
   job.cull = cull;
-  const double* values = sides.data();
-  for (ViewSide& side : job.sides) {
-    side.outside = plane_of(values);
-    side.inside = plane_of(values);
-    side.reach = *values++;
+  for (size_t i = 0; i < planes.shape(0); ++i) {
+    const double* plane = planes.data() + 4 * i;
+    job.planes.x[i] = plane[0], job.planes.y[i] = plane[1], job.planes.z[i] = plane[2], job.planes.d[i] = plane[3];
   }
-  values = depth.data();
-  job.depth = plane_of(values);
+  for (int i = 0; i < NUM_SIDES; ++i) job.reach[i] = reach.data()[i];
 
   const int64_t rows_per_group = int64_t(job.index.rows_per_block) * BLOCKS_PER_GROUP;
   const int64_t num_groups = (job.num_rows + rows_per_group - 1) / rows_per_group;
@@ -166,12 +156,12 @@ std::pair<Vector32, Vector32> block_ancestors(In<int32_t> subtree_end, int rows_
 }
 
 void block_bounds(nb::handle gaussians, In<int32_t> subtree_end, int rows_per_block, Out<float> lower, Out<float> upper,
-                  Out<float> leaf_scales, Out<float> inner_scales, Out<float> min_logits, Out<float> group_lower,
-                  Out<float> group_upper, Out<float> group_leaf_scales, int threads) {
+                  Out<float> leaf_scales, Out<float> min_logits, Out<float> group_lower, Out<float> group_upper,
+                  Out<float> group_leaf_scales, Out<uint8_t> size_classes, int threads) {
   const BoundsJob job{column<float>(gaussians, "means"), column<float>(gaussians, "log_scales"),
                       column<float>(gaussians, "logit_opacities"), subtree_end.data(), int64_t(subtree_end.shape(0)),
-                      rows_per_block, threads, lower.data(), upper.data(), leaf_scales.data(), inner_scales.data(),
-                      min_logits.data(), group_lower.data(), group_upper.data(), group_leaf_scales.data()};
+                      rows_per_block, threads, lower.data(), upper.data(), leaf_scales.data(), min_logits.data(),
+                      group_lower.data(), group_upper.data(), group_leaf_scales.data(), size_classes.data()};
   nb::gil_scoped_release release;
   bound_blocks(job);
 }

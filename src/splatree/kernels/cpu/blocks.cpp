@@ -27,30 +27,30 @@ struct Box {
   }
 };
 
-// Standard deviations come from float32 logarithms; the reserve covers the rounding of any exponential of them.
-float scale_above(float log_scale) { return std::exp(log_scale) * (1.f + 1e-5f); }
-float scale_below(float log_scale) { return std::exp(log_scale) * (1.f - 1e-5f); }
+float lesser(float a, float b) { return a < b ? a : b; }   // a NaN in a gives b
+float greater(float a, float b) { return a > b ? a : b; }  // and here
 
-float middle_of(const float* v) {
-  const float low = std::fmin(v[0], v[1]), high = std::fmax(v[0], v[1]);
-  return std::fmax(low, std::fmin(high, v[2]));
+uint8_t class_of(const float* log_scales) {
+  const float a = log_scales[0], b = log_scales[1], c = log_scales[2];
+  const float middle = greater(lesser(a, b), lesser(greater(a, b), c));
+  const double size_class = std::floor(middle * (CLASSES_PER_OCTAVE / M_LN2)) + CLASS_OF_UNIT;
+  return uint8_t(size_class > 0 ? size_class < LEAF_CLASS - 1 ? size_class : LEAF_CLASS - 1 : 0);
 }
 
 void bound_block(const BoundsJob& job, int64_t block, int64_t begin, int64_t end) {
   Box box;
-  float leaf = -INFINITE, inner = INFINITE, logit = INFINITE;
+  float leaf = -INFINITE, logit = INFINITE;
   for (int64_t i = begin; i < end; ++i) {
     const float* s = job.log_scales + 3 * i;
     box.add(job.means + 3 * i, job.means + 3 * i);
-    logit = std::fmin(logit, job.logit_opacities[i]);
-    if (job.subtree_end[i] == i + 1)
-      leaf = std::fmax(leaf, std::fmax(std::fmax(s[0], s[1]), s[2]));
-    else
-      inner = std::fmin(inner, middle_of(s));
+    logit = lesser(job.logit_opacities[i], logit);
+    const bool is_leaf = job.subtree_end[i] == i + 1;
+    if (is_leaf) leaf = greater(greater(greater(s[0], s[1]), s[2]), leaf);
+    job.size_classes[i] = is_leaf ? LEAF_CLASS : class_of(s);
   }
   box.store(job.lower + 3 * block, job.upper + 3 * block);
-  job.leaf_scales[block] = scale_above(leaf);
-  job.inner_scales[block] = scale_below(inner);
+  // A reserve for the rounding of any exponential in float32.
+  job.leaf_scales[block] = std::exp(leaf) * (1.f + 1e-5f);
   job.min_logits[block] = logit;
 }
 
@@ -66,7 +66,7 @@ void bound_blocks(const BoundsJob& job) {
       const int64_t begin = b * job.rows_per_block, end = begin + job.rows_per_block;
       bound_block(job, b, begin, end < job.num_rows ? end : job.num_rows);
       box.add(job.lower + 3 * b, job.upper + 3 * b);
-      leaf = std::fmax(leaf, job.leaf_scales[b]);
+      leaf = greater(job.leaf_scales[b], leaf);
     }
     box.store(job.group_lower + 3 * group, job.group_upper + 3 * group);
     job.group_leaf_scales[group] = leaf;

@@ -6,12 +6,11 @@
 //
 // In a block, only what is needed is computed, and in this order:
 //   1. nothing, if its bound is out of the image or it lies in a shadow;
-//   2. which rows have children; if the bound says that all of these are large, they are refined without a look at them;
-//   3. for the inner rows, bounds of the radius from the scales; for those left open and not shadowed, the covariance;
-//   4. shadows within the block;
-//   5. for rows kept, visibility: nothing if the block is well inside the image, else from bounds, else from the covariance.
-// 3 and 5 run in full vectors of 16 gathered rows, so a row's answer does not depend on its place; bounds never contradict
-// the full computation. The result is the same for any size of block.
+//   2. from one byte a row, its size class: which rows are leaves, and which inner rows could be small at all;
+//   3. for these few, in order and outside of shadows, the radius;
+//   4. for rows kept, visibility: nothing if the block is well inside the image, else from bounds, else from the covariance.
+// 3 and 4 run in full vectors of 16 gathered rows, so a row's answer does not depend on its place, and bounds never contradict
+// the full computation: the result is the same for any size of block.
 #include "cpu/select.h"
 
 #include "cpu/isa.h"
@@ -44,7 +43,7 @@ struct Rows {
   }
 };
 
-void answer_small_bounds(const SelectJob& job, const int32_t* rows, Planes& p) {
+void answer_small(const SelectJob& job, const int32_t* rows, Planes& p) {
   gather<3>(job.means, rows, p.mean);
   if (job.rule.sphere) {
     gather<1>(job.extents, rows, &p.extent);
@@ -54,23 +53,13 @@ void answer_small_bounds(const SelectJob& job, const int32_t* rows, Planes& p) {
     return;
   }
   gather<3>(job.log_scales, rows, p.log_scale);
-#pragma omp simd
-  for (int l = 0; l < LANES; ++l)
-    p.answer[l] = is_small_bound(job.view, job.rule, point_of(job.view, p.mean[0][l], p.mean[1][l], p.mean[2][l]),
-                                 {p.log_scale[0][l], p.log_scale[1][l], p.log_scale[2][l]});
-}
-
-void answer_small(const SelectJob& job, const int32_t* rows, Planes& p) {
-  gather<3>(job.means, rows, p.mean);
-  gather<3>(job.log_scales, rows, p.log_scale);
   gather<4>(job.quats, rows, p.quat);
 #pragma omp simd
   for (int l = 0; l < LANES; ++l) {
     const Point point = point_of(job.view, p.mean[0][l], p.mean[1][l], p.mean[2][l]);
-    const Covariance c =
-        covariance_of(factor_of(job.view, point, p.quat[0][l], p.quat[1][l], p.quat[2][l], p.quat[3][l],
-                                {p.log_scale[0][l], p.log_scale[1][l], p.log_scale[2][l]}));
-    p.answer[l] = is_small(job.view, job.rule, point, c);
+    const Factor m = factor_of(job.view, point, p.quat[0][l], p.quat[1][l], p.quat[2][l], p.quat[3][l],
+                               {p.log_scale[0][l], p.log_scale[1][l], p.log_scale[2][l]});
+    p.answer[l] = is_small(job.view, job.rule, point, m);
   }
 }
 
@@ -98,10 +87,9 @@ void answer_visible(const SelectJob& job, const int32_t* rows, Planes& p) {
 #pragma omp simd
   for (int l = 0; l < LANES; ++l) {
     const Point point = point_of(job.view, p.mean[0][l], p.mean[1][l], p.mean[2][l]);
-    const Covariance c =
-        covariance_of(factor_of(job.view, point, p.quat[0][l], p.quat[1][l], p.quat[2][l], p.quat[3][l],
-                                {p.log_scale[0][l], p.log_scale[1][l], p.log_scale[2][l]}));
-    p.answer[l] = is_visible(job.view, point, c, p.logit[l]);
+    const Factor m = factor_of(job.view, point, p.quat[0][l], p.quat[1][l], p.quat[2][l], p.quat[3][l],
+                               {p.log_scale[0][l], p.log_scale[1][l], p.log_scale[2][l]});
+    p.answer[l] = is_visible(job.view, point, m, p.logit[l]);
   }
 }
 
@@ -116,66 +104,82 @@ void ask_all(const SelectJob& job, Answers ask, const Rows& rows, uint8_t* answe
   }
 }
 
-// Asks `bound`, and where it leaves the answer open, `full`. Rows that were answered YES before an open one may have made the
-// question void: settle(answers) is called once between and may turn OPEN into NO.
-template <class Settle>
-void answer(const SelectJob& job, Answers bound, Answers full, const Rows& rows, uint8_t* answers, const Settle& settle) {
-  ask_all(job, bound, rows, answers);
-  settle(answers);
+// Whether each row of a padded list can be seen: 0 or 1.
+void ask_visible(const SelectJob& job, const Rows& rows, uint8_t* answers) {
+  ask_all(job, answer_visible_bounds, rows, answers);
   Rows open;
   int32_t place[MAX_BLOCK_ROWS + LANES];
+  int size = 0;
   for (int i = 0; i < rows.size; ++i) {
-    open.row[open.size] = rows.row[i];
-    place[open.size] = i;
-    open.size += answers[i] == OPEN;
+    open.row[size] = rows.row[i];
+    place[size] = i;
+    size += answers[i] == OPEN;
   }
-  if (!open.size) return;
+  if (!size) return;
+  open.size = size;
   open.pad();
-  uint8_t full_answers[MAX_BLOCK_ROWS + LANES];
-  ask_all(job, full, open, full_answers);
-  for (int i = 0; i < open.size; ++i) answers[place[i]] = full_answers[i];
+  uint8_t full[MAX_BLOCK_ROWS + LANES];
+  ask_all(job, answer_visible, open, full);
+  for (int i = 0; i < size; ++i) answers[place[i]] = full[i];
 }
 
-void answer_small_rows(const SelectJob& job, const Rows& rows, uint8_t* answers) {
-  if (job.all_small) {
-    for (int i = 0; i < rows.size; ++i) answers[i] = YES;
-    return;
+// For each byte of eight flags, the places of those that are set.
+struct PlacesOfByte {
+  uint8_t place[256][8] = {};
+
+  constexpr PlacesOfByte() {
+    for (int byte = 0; byte < 256; ++byte)
+      for (int bit = 0, size = 0; bit < 8; ++bit)
+        if (byte >> bit & 1) place[byte][size++] = uint8_t(bit);
   }
-  const int32_t* end = job.subtree_end;
-  answer(job, answer_small_bounds, answer_small, rows, answers, [&](uint8_t* found) {
-    int64_t shadow = 0;
-    for (int i = 0; i < rows.size; ++i) {
-      if (rows.row[i] < shadow)
-        found[i] = NO;
-      else if (found[i] == YES)
-        shadow = end[rows.row[i]];
-    }
-  });
+};
+
+constexpr PlacesOfByte PLACES;
+
+// first + i for each i < count with flags[i] = 1; flags end with zeros up to a multiple of 8, out has room for 8 more.
+int compact(const uint8_t* flags, int count, int32_t first, int32_t* out) {
+  int size = 0;
+  for (int i = 0; i < count; i += 8) {
+    uint64_t bytes;
+    __builtin_memcpy(&bytes, flags + i, 8);
+    const unsigned byte = unsigned(bytes * 0x0102040810204080u >> 56);  // gathers the lowest bits of the eight
+    for (int l = 0; l < 8; ++l) out[size + l] = first + i + PLACES.place[byte][l];
+    size += __builtin_popcount(byte);
+  }
+  return size;
 }
 
 // How a run of rows lies to the image.
 struct Placement {
   bool outside, inside;
-  double depth_max;
+  double depth_max, distance_max;  // the distance for the radius of balls only
 };
-
-// Smallest and largest value of a plane over a box.
-struct Range {
-  double low, high;
-};
-
-Range range_over(const Plane& plane, const float* lower, const float* upper) {
-  double center = plane.d, half = 0;
-  for (int i = 0; i < 3; ++i) {
-    center += 0.5 * plane.n[i] * (double(upper[i]) + lower[i]);
-    half += 0.5 * __builtin_fabs(plane.n[i]) * (double(upper[i]) - lower[i]);
-  }
-  return {center - half, center + half};
-}
 
 Placement place(const SelectJob& job, const RunBounds& bounds, int64_t run) {
   const float *lower = bounds.lower + 3 * run, *upper = bounds.upper + 3 * run;
-  Placement found = {false, true, range_over(job.depth, lower, upper).high};
+  double center[3], half[3];
+  for (int i = 0; i < 3; ++i) {
+    center[i] = 0.5 * (double(upper[i]) + lower[i]);
+    half[i] = 0.5 * (double(upper[i]) - lower[i]);
+  }
+  double low[NUM_PLANES], high[NUM_PLANES];
+  const ViewPlanes& p = job.planes;
+#pragma omp simd
+  for (int i = 0; i < NUM_PLANES; ++i) {
+    const double middle = p.x[i] * center[0] + p.y[i] * center[1] + p.z[i] * center[2] + p.d[i];
+    const double width = __builtin_fabs(p.x[i]) * half[0] + __builtin_fabs(p.y[i]) * half[1] + __builtin_fabs(p.z[i]) * half[2];
+    low[i] = middle - width;
+    high[i] = middle + width;
+  }
+  Placement found = {false, true, high[DEPTH_PLANE], 0};
+  if (job.rule.sphere) {
+    double squared = 0;
+    for (int i = 0; i < 3; ++i) {
+      const double far = __builtin_fabs(job.eye[i] - center[i]) + half[i];
+      squared += far * far;
+    }
+    found.distance_max = __builtin_sqrt(squared);
+  }
   if (!job.cull) {
     found.inside = job.visibility == UNSEEN_TOO;
     return found;
@@ -183,94 +187,102 @@ Placement place(const SelectJob& job, const RunBounds& bounds, int64_t run) {
   double scale = bounds.leaf_scales[run];
   if (job.rule.sphere) {
     // An inner row that is drawn has 3σ <= extent <= τ_R (distance - extent) / f.
-    double squared = 0;
-    for (int i = 0; i < 3; ++i) {
-      const double below = job.eye[i] - lower[i], above = upper[i] - job.eye[i];
-      const double far = below > above ? below : above;
-      squared += far * far;
-    }
-    const double drawn = job.rule.pixel_error / (3.0 * job.rule.focal_max) * __builtin_sqrt(squared);
+    const double drawn = job.rule.pixel_error * found.distance_max / (3.0 * job.rule.focal_max);
     scale = drawn > scale ? drawn : scale;
   }
-  for (const ViewSide& side : job.sides) {
-    if (range_over(side.outside, lower, upper).low > side.reach * scale) found.outside = true;
-    if (!(range_over(side.inside, lower, upper).high < 0)) found.inside = false;
+  for (int i = 0; i < NUM_SIDES; ++i) {
+    found.outside |= low[OUTSIDE + i] > job.reach[i] * scale;
+    found.inside &= high[INSIDE + i] < 0;
   }
   return found;
+}
+
+// Asks in order for the rows of a list that are not shadowed, and calls stop(row) for each that is small; `shadow` moves on.
+template <class Stop>
+void each_stop(const SelectJob& job, const int32_t* rows, int size, int64_t& shadow, const Stop& stop) {
+  Planes planes;
+  int32_t batch[LANES];
+  for (int i = 0; i < size;) {
+    int used = 0;
+    for (; i < size && used < LANES; ++i) {
+      batch[used] = rows[i];
+      used += rows[i] >= shadow;
+    }
+    if (!used) return;
+    for (int l = used; l < LANES; ++l) batch[l] = batch[used - 1];
+    if (!job.all_small) answer_small(job, batch, planes);
+    for (int l = 0; l < used; ++l) {
+      if (batch[l] < shadow || !(job.all_small || planes.answer[l])) continue;
+      shadow = job.subtree_end[batch[l]];
+      stop(batch[l]);
+    }
+  }
 }
 
 // The end of the shadow in which a block begins, 0 if none.
 int64_t shadow_before(const SelectJob& job, int64_t block) {
   int64_t shadow = 0;
-  const int32_t begin = job.index.ancestor_start[block], end = job.index.ancestor_start[block + 1];
-  Rows rows;
-  uint8_t answers[MAX_BLOCK_ROWS + LANES];
-  for (int32_t i = begin; i < end; ++i) {
-    rows.row[rows.size++] = job.index.ancestors[i];
-    if (rows.size < MAX_BLOCK_ROWS && i + 1 < end) continue;
-    rows.pad();
-    answer_small_rows(job, rows, answers);
-    for (int j = 0; j < rows.size; ++j)
-      if (answers[j] == YES && job.subtree_end[rows.row[j]] > shadow) shadow = job.subtree_end[rows.row[j]];
-    rows.size = 0;
-  }
+  const int32_t* start = job.index.ancestor_start + block;
+  each_stop(job, job.index.ancestors + start[0], start[1] - start[0], shadow, [](int64_t) {});
   return shadow;
 }
 
-// Whether the inner rows of a block are all larger than τ_R, from the bound of their scales.
-bool all_large(const SelectJob& job, int64_t block, double depth_max) {
-  if (job.rule.sphere || job.all_small) return false;
-  const double below = job.index.inner_scales[block] * job.rule.focal_min / depth_max;
-  return depth_max > 0 && below * below + job.rule.add > job.rule.limit * (2 * MARGIN - 1);
-}
-
-int append(const uint8_t* kept, int64_t begin, int count, int32_t* out) {
-  int size = 0;
-  for (int i = 0; i < count; ++i) {
-    out[size] = int32_t(begin + i);
-    size += kept[i];
+// The largest size class that a small inner row of a block can have, -1 if none can be small: R >= 3 σ_mid f / z, and so is
+// that of the ball with the distance in place of z.
+int largest_small_class(const SelectJob& job, const Placement& placement) {
+  if (job.all_small) return LEAF_CLASS - 1;
+  double scale;
+  if (job.rule.sphere) {
+    scale = job.rule.pixel_error * placement.distance_max / (3.0 * job.rule.focal_max);
+  } else {
+    const double room = double(job.rule.limit) - job.rule.add;
+    if (!(room > 0 && placement.depth_max > 0)) return -1;
+    scale = __builtin_sqrt(room) * placement.depth_max / job.rule.focal_min;
   }
-  return size;
+  const double size_class = CLASSES_PER_OCTAVE * __builtin_log2(scale * MARGIN) + CLASS_OF_UNIT;
+  // Class 0 holds everything smaller too, so it can always be small; NaN and infinity exclude nothing.
+  return size_class < 0 ? 0 : size_class < LEAF_CLASS - 1 ? int(size_class) : LEAF_CLASS - 1;
 }
 
 // The rows drawn of [begin, end), a part of a block that starts outside of any shadow; moves `shadow` on.
 int select_rows(const SelectJob& job, int64_t block, const Placement& placement, int64_t begin, int64_t end, int64_t& shadow,
                 int32_t* out) {
   const int count = int(end - begin);
-  const int32_t* subtree_end = job.subtree_end + begin;
+  const uint8_t* size_class = job.index.size_classes + begin;
   alignas(64) uint8_t kept[MAX_BLOCK_ROWS + LANES];
-  for (int i = 0; i < count; ++i) kept[i] = subtree_end[i] == int32_t(begin) + i + 1;
+  for (int i = 0; i < count; ++i) kept[i] = size_class[i] == LEAF_CLASS;
+  for (int i = count; i < count + 8; ++i) kept[i] = 0;
 
-  if (!all_large(job, block, placement.depth_max)) {
-    Rows inner;
-    for (int i = 0; i < count; ++i) {
-      inner.row[inner.size] = int32_t(begin) + i;
-      inner.size += !kept[i];
-    }
-    inner.pad();
-    uint8_t small[MAX_BLOCK_ROWS + LANES];
-    answer_small_rows(job, inner, small);
-    for (int j = 0; j < inner.size; ++j) {
-      const int64_t row = inner.row[j];
-      if (row < shadow || small[j] != YES) continue;
-      shadow = job.subtree_end[row];
+  const int largest = largest_small_class(job, placement);
+  if (largest >= 0) {
+    alignas(64) uint8_t maybe[MAX_BLOCK_ROWS + LANES];
+    for (int i = 0; i < count; ++i) maybe[i] = size_class[i] <= uint8_t(largest);
+    for (int i = count; i < count + 8; ++i) maybe[i] = 0;
+    int32_t inner[MAX_BLOCK_ROWS + LANES];
+    const int size = compact(maybe, count, int32_t(begin), inner);
+    each_stop(job, inner, size, shadow, [&](int64_t row) {
       kept[row - begin] = 1;
       const int64_t last = shadow < end ? shadow : end;
       for (int64_t r = row + 1; r < last; ++r) kept[r - begin] = 0;
-    }
+    });
   }
 
-  const bool opaque = job.visibility != FOOTPRINT || job.index.min_logits[block] >= job.rule.logit_min;
-  if (placement.inside && opaque) return append(kept, begin, count, out);
+  if (placement.inside) {
+    if (job.visibility == FOOTPRINT && job.index.min_logits[block] < job.rule.logit_min) {
+      const float* logits = job.logit_opacities + begin;
+      for (int i = 0; i < count; ++i) kept[i] &= logits[i] >= job.rule.logit_min;
+    }
+    return compact(kept, count, int32_t(begin), out);
+  }
   Rows drawn;
-  drawn.size = append(kept, begin, count, drawn.row);
+  drawn.size = compact(kept, count, int32_t(begin), drawn.row);
   drawn.pad();
   uint8_t visible[MAX_BLOCK_ROWS + LANES];
-  answer(job, answer_visible_bounds, answer_visible, drawn, visible, [](uint8_t*) {});
+  ask_visible(job, drawn, visible);
   int size = 0;
   for (int i = 0; i < drawn.size; ++i) {
     out[size] = drawn.row[i];
-    size += visible[i] == YES;
+    size += visible[i];
   }
   return size;
 }
@@ -313,11 +325,8 @@ void small_rows(const SelectJob& job, const int32_t* rows, int64_t count, uint8_
     list.size = count - begin < MAX_BLOCK_ROWS ? int(count - begin) : MAX_BLOCK_ROWS;
     for (int i = 0; i < list.size; ++i) list.row[i] = rows[begin + i];
     list.pad();
-    if (job.all_small)
-      for (int i = 0; i < list.size; ++i) answers[i] = YES;
-    else
-      answer(job, answer_small_bounds, answer_small, list, answers, [](uint8_t*) {});
-    for (int i = 0; i < list.size; ++i) small[begin + i] = answers[i] == YES;
+    if (!job.all_small) ask_all(job, answer_small, list, answers);
+    for (int i = 0; i < list.size; ++i) small[begin + i] = job.all_small || answers[i];
   }
 }
 
@@ -328,8 +337,8 @@ void visible_rows(const SelectJob& job, const int32_t* rows, int64_t count, uint
     list.size = count - begin < MAX_BLOCK_ROWS ? int(count - begin) : MAX_BLOCK_ROWS;
     for (int i = 0; i < list.size; ++i) list.row[i] = rows[begin + i];
     list.pad();
-    answer(job, answer_visible_bounds, answer_visible, list, answers, [](uint8_t*) {});
-    for (int i = 0; i < list.size; ++i) visible[begin + i] = answers[i] == YES;
+    ask_visible(job, list, answers);
+    for (int i = 0; i < list.size; ++i) visible[begin + i] = answers[i];
   }
 }
 

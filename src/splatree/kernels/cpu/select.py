@@ -46,8 +46,7 @@ def select(
         _pack_rule(camera, options, dilation_px2, threshold),
         VISIBILITIES.index(options.visibility),
         options.visibility != "none" and options.pixel_error < CULL_BELOW_PX,
-        _view_sides(camera, options, dilation_px2, threshold),
-        _planes(camera)[2],
+        *_view_planes(camera, options, dilation_px2, threshold),
         threads,
     )
     return rows, num_visited
@@ -109,13 +108,10 @@ def _reach_of_opaque(threshold: float) -> float:
     return float(np.sqrt(-2 * np.log(threshold)))
 
 
-def _planes(camera: Camera) -> Float64[Array, "3 4"]:
-    """Camera coordinates x, y, z as functions n·p + d of a point in the world: rows (n, d)."""
-    return np.ascontiguousarray(camera.camera_from_world[:3])
-
-
-def _view_sides(camera: Camera, options: SelectOptions, dilation_px2: float, threshold: float) -> Float64[Array, "5 9"]:
-    """The struct ViewSide of the right, left, bottom, top border and of the near plane.
+def _view_planes(
+    camera: Camera, options: SelectOptions, dilation_px2: float, threshold: float
+) -> tuple[Float64[Array, "11 4"], Float64[Array, "5"]]:
+    """The struct ViewPlanes of cpu/select.h as rows (n, d) of n·p + d, and how far a unit of σ reaches over each side.
 
     A splat at view coordinates (x, z) with standard deviation s reaches at most k (s (f/z) √(1 + u²) + √h) px from its
     centre f x/z + c, u the largest slope that the Jacobian has; so it is right of the border b if
@@ -124,23 +120,21 @@ def _view_sides(camera: Camera, options: SelectOptions, dilation_px2: float, thr
 
     An inner node that is drawn is small, so it reaches at most k √((τ_R / 3)² + h) whatever its s; s is that of the leaves.
     """
-    planes = _planes(camera)
-    z = planes[2]
+    axes = camera.camera_from_world[:3]  # x, y, z in the camera
+    z = axes[2]
     footprint = options.visibility == "footprint"
     k = _reach_of_opaque(threshold) if footprint else 0.0
     largest = min(options.pixel_error, CULL_BELOW_PX)  # beyond that the sides are not asked
     own_reach = k * np.sqrt((largest / SIGMAS) ** 2 + dilation_px2)
-    view = pack_view(camera, dilation_px2)
-    slopes = np.abs(view[19:23]).reshape(2, 2).max(axis=1)
-    sides = []
+    slopes = np.abs(pack_view(camera, dilation_px2)[19:23]).reshape(2, 2).max(axis=1)
+    near = np.array([0, 0, 0, camera.near])
+    outside, inside, reach = [], [], []
     for axis, size in ((0, camera.width), (1, camera.height)):
         focal, centre = camera.K[axis, axis], camera.K[axis, 2]
         margin = -0.5 if footprint else CENTRE_PAD * size / 2
-        reach = 1.002 * k * focal * np.sqrt(1 + slopes[axis] ** 2)
         for sign, border in ((1, size - centre + margin), (-1, centre + margin)):
-            outside = sign * focal * planes[axis] - (border + own_reach + BORDER_PX) * z
-            inside = sign * focal * planes[axis] - (border - BORDER_PX / 2) * z
-            sides.append([*outside, *inside, reach])
-    behind = np.array([0, 0, 0, camera.near])
-    sides.append([*(0.99 * behind - z), *(1.01 * behind - z), 0.0])
-    return np.array(sides, np.float64)
+            outside.append(sign * focal * axes[axis] - (border + own_reach + BORDER_PX) * z)
+            inside.append(sign * focal * axes[axis] - (border - BORDER_PX / 2) * z)
+            reach.append(1.002 * k * focal * np.sqrt(1 + slopes[axis] ** 2))
+    planes = [*outside, 0.99 * near - z, *inside, 1.01 * near - z, z]
+    return np.array(planes, np.float64), np.array([*reach, 0.0])

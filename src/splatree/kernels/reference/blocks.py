@@ -15,9 +15,9 @@ def index_blocks(
     """Bounds and ancestors of all blocks; ``threads`` is not used."""
     n = len(tree)
     starts = range(0, n, rows_per_block)
-    scales = np.sort(np.exp(gaussians.log_scales.astype(np.float64)), axis=1)
-    largest = np.where(tree.is_leaf, scales[:, 2], 0.0)
-    middle = np.where(tree.is_leaf, np.inf, scales[:, 1])
+    log_scales = np.sort(gaussians.log_scales.astype(np.float64), axis=1)
+    largest = np.where(tree.is_leaf, np.exp(log_scales[:, 2]), 0.0)
+    size_classes = np.clip(np.floor(log_scales[:, 1] * (8 / np.log(2))) + 128, 0, 254)
     lists = [np.flatnonzero(tree.subtree_end[:first] > first) for first in starts]
 
     def bound(values: np.ndarray, reduce: np.ufunc, rows: int) -> np.ndarray:
@@ -30,11 +30,11 @@ def index_blocks(
         lower=bound(gaussians.means, np.minimum, rows_per_block),
         upper=bound(gaussians.means, np.maximum, rows_per_block),
         leaf_scales=bound(largest, np.maximum, rows_per_block),
-        inner_scales=bound(middle, np.minimum, rows_per_block),
         min_logits=bound(gaussians.logit_opacities, np.minimum, rows_per_block),
         ancestor_start=np.cumsum([0, *map(len, lists)]).astype(np.int32),
         ancestors=np.concatenate([np.zeros(0, np.int64), *lists]).astype(np.int32),
         group_lower=bound(gaussians.means, np.minimum, rows_per_group),
         group_upper=bound(gaussians.means, np.maximum, rows_per_group),
         group_leaf_scales=bound(largest, np.maximum, rows_per_group),
+        size_classes=np.where(tree.is_leaf, 255, size_classes).astype(np.uint8),
     )

@@ -18,11 +18,6 @@ struct SelectRule {
 
 namespace {
 
-// Σ' without dilation: the entries 00, 01, 11, px².
-struct Covariance {
-  float xx, xy, yy;
-};
-
 struct Slopes {
   float x, y;  // of the view direction, held within the limits of the Jacobian
 };
@@ -33,13 +28,12 @@ SPLATREE_FN Slopes clamped_slopes(const View& view, const Point& p) {
           least(greatest(p.y * inverse_z, view.slope_min_y), view.slope_max_y)};
 }
 
-SPLATREE_FN Covariance covariance_of(const Factor& m) { return {dot(m.x, m.x), dot(m.x, m.y), dot(m.y, m.y)}; }
-
 // Whether R <= τ_R. A comparison with NaN is false: such a node is refined, and so is one not beyond the near plane.
-SPLATREE_FN int is_small(const View& view, const SelectRule& rule, const Point& p, const Covariance& c) {
-  const float a = greatest(c.xx + rule.add, rule.least_diagonal), b = greatest(c.yy + rule.add, rule.least_diagonal);
+SPLATREE_FN int is_small(const View& view, const SelectRule& rule, const Point& p, const Factor& m) {
+  const float xx = dot(m.x, m.x), xy = dot(m.x, m.y), yy = dot(m.y, m.y);
+  const float a = greatest(xx + rule.add, rule.least_diagonal), b = greatest(yy + rule.add, rule.least_diagonal);
   const float half_difference = 0.5f * (a - b);
-  const float root = __builtin_sqrtf(greatest(half_difference * half_difference + c.xy * c.xy, rule.floor));
+  const float root = __builtin_sqrtf(greatest(half_difference * half_difference + xy * xy, rule.floor));
   return (p.z > view.near) & (0.5f * (a + b) + root <= rule.limit);
 }
 
@@ -50,27 +44,8 @@ SPLATREE_FN int is_small_ball(const SelectRule& rule, const Point& p, float exte
 
 enum Answer { NO, YES, OPEN };
 
-// Margin that keeps the bounds below apart from the rounding of the full computation.
+// Margin that keeps bounds apart from the rounding of the full computation.
 constexpr float MARGIN = 1.0001f;
-
-// is_small from the scales alone, where they tell. With M = J W = f/z (I | -u) in camera axes, M Mᵀ lies between (f/z)² and
-// (f/z)² (1 + |u|²), so by interlacing σ_mid² (f_min/z)² <= λ(Σ') <= σ_max² (f_max/z)² (1 + |u|²). What dilation and floor
-// add to the eigenvalue lies between 0 and add + least_diagonal + √floor.
-SPLATREE_FN int is_small_bound(const View& view, const SelectRule& rule, const Point& p, Vector log_scale) {
-  const float x = log_scale.x, y = log_scale.y, z = log_scale.z;
-  const float low = least(x, y), high = greatest(x, y);
-  const float largest = exp_of(greatest(high, z)), middle = exp_of(greatest(low, least(high, z)));
-  const float inverse_z = 1.f / p.z;
-  const Slopes u = clamped_slopes(view, p);
-  const float above = largest * rule.focal_max * inverse_z, below = middle * rule.focal_min * inverse_z;
-  const float upper = above * above * (1.f + u.x * u.x + u.y * u.y) + rule.add + rule.least_diagonal +
-                      __builtin_sqrtf(rule.floor);
-  const float lower = below * below + rule.add;
-  const int near = !(p.z > view.near);
-  const int small = !near & (upper * MARGIN <= rule.limit);
-  const int large = near | (lower > rule.limit * MARGIN);
-  return small ? YES : large ? NO : OPEN;
-}
 
 // Whether the centre is in the image enlarged by the pad.
 SPLATREE_FN int is_centred(const View& view, const SelectRule& rule, const Point& p) {
@@ -105,11 +80,11 @@ SPLATREE_FN int is_visible_bound(const View& view, const SelectRule& rule, const
   return (1 - possible) | outside ? NO : inside ? YES : OPEN;
 }
 
-SPLATREE_FN int is_visible(const View& view, const Point& p, const Covariance& c, float logit) {
+SPLATREE_FN int is_visible(const View& view, const Point& p, const Factor& m, float logit) {
   const float log2_opacity = -log2_of(1.f + exp_of(-logit));
   const float k_squared = 1.38629436f * greatest(log2_opacity - view.log2_threshold, 0.f);  // 2 ln(o/τ)
-  return meets_image(view, p, __builtin_sqrtf(k_squared * (c.xx + view.dilation)),
-                     __builtin_sqrtf(k_squared * (c.yy + view.dilation)));
+  return meets_image(view, p, __builtin_sqrtf(k_squared * (dot(m.x, m.x) + view.dilation)),
+                     __builtin_sqrtf(k_squared * (dot(m.y, m.y) + view.dilation)));
 }
 
 }  // namespace
