@@ -19,7 +19,7 @@ def _find(path: Path, is_scene: Callable[[Path], bool]) -> list[Path]:
         return _match(path)
     if is_scene(path):
         return [path]
-    if path.is_file():
+    if not path.is_dir():
         raise InputError(f"{path}: of no known format, by content or by suffix; see splatree.io.registry.formats()")
     if newest := newest_iteration(path):
         return [newest]

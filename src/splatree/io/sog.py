@@ -103,6 +103,7 @@ def _read(where: str, read_bytes: ReadBytes, options: ReadOptions) -> Scene:
 class _Meta:
     """The fields of meta.json, checked."""
 
+    @np.errstate(over="ignore", invalid="ignore")  # absurd ranges give values that the check of values finds
     def __init__(self, meta: dict[str, Any], where: str) -> None:
         self.where = where
         self.version = untrusted.integer(meta, "version", where, low=1, high=2) if "version" in meta else 1
@@ -122,8 +123,7 @@ class _Meta:
 
         low, high = (untrusted.numbers(means, key, f"{where}: means", (3,)) for key in ("mins", "maxs"))
         m = low[:, None] + (high - low)[:, None] * (np.arange(1 << 16) / 65535)  # [3 65536]
-        with np.errstate(over="ignore"):  # an absurd range gives infinite means, which the check of values finds
-            self.mean_tables = (np.sign(m) * np.expm1(np.abs(m))).astype(np.float32)
+        self.mean_tables = (np.sign(m) * np.expm1(np.abs(m))).astype(np.float32)
 
         self.files = {
             "means": self._files(means, "means", 2),

@@ -70,10 +70,11 @@ class Scene:
         n = len(gaussians)
         # Three standard deviations along the longest axis; a last bit is added so that rounding keeps it a bound. e^87 is the
         # last power that float32 holds.
-        reach = np.maximum(gaussians.log_scales[:, 0], gaussians.log_scales[:, 1])
-        np.maximum(reach, gaussians.log_scales[:, 2], out=reach)
-        np.exp(np.minimum(reach, np.float32(87), out=reach), out=reach)
-        reach *= np.float32(3 * (1 + 2**-20))
+        with np.errstate(invalid="ignore"):  # NaN gives NaN; whoever reads untrusted values checks them
+            reach = np.maximum(gaussians.log_scales[:, 0], gaussians.log_scales[:, 1])
+            np.maximum(reach, gaussians.log_scales[:, 2], out=reach)
+            np.exp(np.minimum(reach, np.float32(87), out=reach), out=reach)
+            reach *= np.float32(3 * (1 + 2**-20))
         tree = GaussianTree(
             subtree_end=np.arange(1, n + 1, dtype=np.int32),
             depth=np.zeros(n, np.uint8),

@@ -1,0 +1,108 @@
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+import splatree
+from splatree import FormatError, Gaussians, Scene
+from splatree.io.check import LOGIT_CERTAIN, checked
+
+from .conftest import COLUMNS, random_gaussians, same_bits
+
+
+def spoiled(column, index, value, n=9):
+    """Nine good Gaussians with one bad value."""
+    g = random_gaussians(n, 1)
+    array = getattr(g, column).copy()
+    array[index] = value
+    return dataclasses.replace(g, **{column: array})
+
+
+BAD = [
+    ("means", (4, 1), np.nan, r"row 4, means\[1\]: found nan"),
+    ("means", (4, 2), -np.inf, r"row 4, means\[2\]: found -inf"),
+    ("means", (4, 0), 1e30, r"row 4, means\[0\]"),
+    ("log_scales", (4, 2), 31, r"row 4, log_scales\[2\]: found 31.0, wanted between"),
+    ("log_scales", (4, 2), -np.inf, r"row 4, log_scales\[2\]"),
+    ("log_scales", (4, 0), np.nan, r"row 4, log_scales\[0\]"),
+    ("logit_opacities", 4, np.inf, "row 4, logit_opacities: found inf"),
+    ("logit_opacities", 4, np.nan, "row 4, logit_opacities: found nan"),
+    ("quats", 4, 0, r"row 4, quats: found \[0.0, 0.0, 0.0, 0.0\], wanted a finite length"),
+    ("quats", 4, 1e-30, "row 4, quats"),
+    ("quats", (4, 3), 1e30, "row 4, quats"),
+    ("quats", (4, 3), np.nan, "row 4, quats"),
+    ("sh", (4, 3, 1), np.inf, r"row 4, sh\[3\]\[1\]"),
+    ("sh", (4, 0, 0), 1e9, r"row 4, sh\[0\]\[0\]"),
+]
+
+
+@pytest.mark.parametrize(("column", "index", "value", "message"), BAD)
+def test_one_bad_value_is_refused_with_its_place(column, index, value, message):
+    scene = Scene.flat(spoiled(column, index, value))
+    with pytest.raises(FormatError, match=rf"a\.ply: {message}.*1 of 9 rows .* repair"):
+        checked(scene, "a.ply", repair=False)
+
+
+REPAIRS = {
+    "dropped_rows": [0, 1, 2, 5, 7, 11, 12, 13],
+    "clamped_scales": [3, 4],
+    "clamped_opacities": [6],
+    "repaired_quaternions": [8, 9, 10],
+}
+
+
+@pytest.mark.parametrize(("rule", "case"), [(rule, case) for rule, cases in REPAIRS.items() for case in cases])
+def test_repair_follows_the_documented_rule_and_counts_it(rule, case):
+    column, index, value, _ = BAD[case]
+    bad = spoiled(column, index, value)
+    scene = checked(Scene.flat(bad), "a.ply", repair=True)
+    assert json.loads(scene.source.metadata["repairs"]) == {rule: 1}
+    others = np.delete(np.arange(9), 4)
+    kept = others if rule != "dropped_rows" else np.arange(8)
+    assert len(scene) == (8 if rule == "dropped_rows" else 9)
+    for c in COLUMNS:
+        assert same_bits(getattr(scene.gaussians, c)[kept], getattr(bad, c)[others])
+    checked(scene, "again", repair=False)
+
+
+def test_repaired_values():
+    fixed = checked(Scene.flat(spoiled("log_scales", (4, 2), -np.inf)), "", repair=True).gaussians
+    assert fixed.log_scales[4, 2] == -30
+    fixed = checked(Scene.flat(spoiled("logit_opacities", 4, -np.inf)), "", repair=True).gaussians
+    assert fixed.logit_opacities[4] == np.float32(-LOGIT_CERTAIN)
+    fixed = checked(Scene.flat(spoiled("quats", 4, 0)), "", repair=True).gaussians
+    np.testing.assert_array_equal(fixed.quats[4], [1, 0, 0, 0])
+    fixed = checked(Scene.flat(spoiled("quats", 4, [3e-30, 0, 4e-30, 0])), "", repair=True).gaussians
+    np.testing.assert_allclose(fixed.quats[4], [0.6, 0, 0.8, 0], rtol=1e-6)
+
+
+def test_values_at_the_limits_are_accepted():
+    g = random_gaussians(4, 1)
+    g.log_scales[0] = 30, -30, 30
+    g.quats[1] = 1e-12, 0, 0, 2e-12
+    g.quats[2] = 5e11, 5e11, 5e11, 0
+    g.means[3] = 1e15
+    g.logit_opacities[2] = -3e38
+    scene = Scene.flat(g)
+    assert checked(scene, "", repair=False) is scene
+
+
+@pytest.mark.parametrize("n", [0, 1])
+def test_empty_and_single_scenes_are_valid(n):
+    scene = Scene.flat(random_gaussians(n, 0))
+    assert checked(scene, "", repair=False) is scene
+
+
+def test_a_scene_of_nothing_but_bad_rows_is_repaired_to_an_empty_one(tmp_path):
+    g = random_gaussians(3, 0)
+    bad = Gaussians(np.full_like(g.means, np.nan), g.quats, g.log_scales, g.logit_opacities, g.sh)
+    splatree.write(Scene.flat(bad), tmp_path / "a.ply")
+    assert len(splatree.read(tmp_path / "a.ply", repair=True)) == 0
+
+
+def test_repairs_of_reading_and_of_values_are_added_up(tmp_path):
+    splatree.write(Scene.flat(spoiled("means", 4, np.nan)), tmp_path / "a.ply")
+    (tmp_path / "a.ply").write_bytes((tmp_path / "a.ply").read_bytes()[:-10])
+    scene = splatree.read([tmp_path / "a.ply", tmp_path / "a.ply"], repair=True)
+    assert json.loads(scene.source.metadata["repairs"]) == {"missing_rows": 2, "dropped_rows": 2}

@@ -1,0 +1,155 @@
+"""Files changed at random are read as a valid scene or refused by one of our errors; nothing else may happen.
+
+A change sets bytes, cuts the file off, or puts bytes in, mostly in the head where the structure is. What is accepted must hold
+values that can be drawn. Warnings are errors here, so a silent overflow fails as well.
+"""
+
+import json
+import shutil
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import splatree
+from splatree import GaussianTree, Scene, SplatreeError
+from splatree.io.check import checked
+
+from .conftest import random_gaussians
+from .sog_files import bundle, write_sog
+from .test_cameras import POSES, transforms, write_colmap
+
+EXAMPLES = settings(max_examples=60)
+
+
+@pytest.fixture(scope="module")
+def originals(tmp_path_factory):
+    """One small file or folder of each kind."""
+    root = tmp_path_factory.mktemp("originals")
+    scene = Scene.flat(random_gaussians(12, 1))
+    for name in ("a.ply", "a.splat"):
+        splatree.write(scene, root / name)
+    tree = GaussianTree(np.array([3, 2, 3], np.int32), np.array([0, 1, 1], np.uint8), np.ones(3, np.float32))
+    splatree.write(Scene(random_gaussians(3, 0), tree), root / "a.splatree")
+    write_sog(root / "v1", n=9, version=1)
+    write_sog(root / "v2", n=9, version=2)
+    bundle(root / "v2", root / "a.sog")
+    write_colmap(root / "bin", binary=True)
+    write_colmap(root / "txt", binary=False)
+    splatree.write_cameras(POSES, root / "cameras.json")
+    (root / "transforms.json").write_text(json.dumps(transforms(k1=0.0)))
+    return root
+
+
+@st.composite
+def changes(draw):
+    """A list of (kind, share of the file, bytes)."""
+    place = st.one_of(st.floats(0, 1), st.floats(0, 0.05), st.floats(0.95, 1))
+    raw = st.one_of(
+        st.binary(min_size=1, max_size=8),
+        st.sampled_from(
+            [
+                b"\x00" * 8,
+                b"\xff" * 8,
+                b"\x00\x00\xc0\x7f",
+                b"\x00\x00\xa0\x7f",
+                b"999999999999",
+                b"-1",
+                b"1e999",
+                b"NaN",
+                b"{",
+                b"]",
+            ]
+        ),
+    )
+    return draw(st.lists(st.tuples(st.sampled_from(["set", "cut", "insert"]), place, raw), min_size=1, max_size=4))
+
+
+def changed(data: bytes, edits) -> bytes:
+    for kind, share, raw in edits:
+        at = int(share * len(data))
+        if kind == "set":
+            data = data[:at] + raw + data[at + len(raw) :]
+        elif kind == "cut":
+            data = data[:at] if len(raw) > 4 else data[:at] + data[at + len(raw) :]
+        else:
+            data = data[:at] + raw + data[at:]
+    return data
+
+
+def read_any(path: Path, repair: bool) -> None:
+    try:
+        scene = splatree.read(path, repair=repair)
+    except SplatreeError as error:
+        assert str(error)
+    else:
+        checked(scene, "accepted", repair=False)
+        assert np.isfinite(scene.tree.extents).all()
+
+
+@pytest.mark.parametrize("name", ["a.ply", "a.splat", "a.splatree", "a.sog"])
+@given(edits=changes(), repair=st.booleans())
+@EXAMPLES
+def test_changed_files_are_refused_or_valid(originals, name, edits, repair):
+    changed_file = originals / f"changed_{name}"
+    changed_file.write_bytes(changed((originals / name).read_bytes(), edits))
+    read_any(changed_file, repair)
+
+
+@pytest.mark.parametrize("folder", ["v1", "v2"])
+@pytest.mark.parametrize("name", ["meta.json", "means_l.webp", "quats.webp", "centroids.webp", "labels.webp"])
+@given(edits=changes(), repair=st.booleans())
+@settings(max_examples=12)
+def test_changed_parts_of_a_folder_are_refused_or_valid(originals, folder, name, edits, repair):
+    copy = originals / f"changed_{folder}"
+    if not copy.exists():
+        shutil.copytree(originals / folder, copy)
+    whole = (originals / folder / name).read_bytes()
+    (copy / name).write_bytes(changed(whole, edits))
+    read_any(copy, repair)
+    (copy / name).write_bytes(whole)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["bin/cameras.bin", "bin/images.bin", "txt/cameras.txt", "txt/images.txt", "cameras.json", "transforms.json"],
+)
+@given(edits=changes())
+@EXAMPLES
+def test_changed_cameras_are_refused_or_valid(originals, name, edits):
+    path = originals / name
+    whole = path.read_bytes()
+    path.write_bytes(changed(whole, edits))
+    try:
+        splatree.read_cameras(path if path.suffix == ".json" else path.parent)  # what is accepted, Camera has checked
+    except SplatreeError as error:
+        assert str(error)
+    finally:
+        path.write_bytes(whole)
+
+
+@pytest.mark.parametrize("lie", ["ply", "sog", "splatree"])
+def test_a_lying_count_allocates_no_more_than_a_few_times_the_file(originals, tmp_path, lie):
+    if lie == "ply":
+        path = tmp_path / "a.ply"
+        path.write_bytes((originals / "a.ply").read_bytes().replace(b"vertex 12\n", b"vertex 400000000\n"))
+    elif lie == "sog":
+        path = tmp_path / "s"
+        shutil.copytree(originals / "v2", path)
+        text = (path / "meta.json").read_text()
+        (path / "meta.json").write_text(text.replace('"count": 9', '"count": 400000000'))
+    else:
+        path = tmp_path / "a.splatree"
+        path.write_bytes((originals / "a.splatree").read_bytes().replace(b'"shape":[3,3]', b'"shape":[3,3000000000]'))
+    tracemalloc.start()
+    try:
+        with pytest.raises(SplatreeError):
+            splatree.read(path)
+        assert (
+            tracemalloc.get_traced_memory()[1] < 10_000_000
+        )  # the tables of means alone take 3 MB; 400 M rows would 94 GB
+    finally:
+        tracemalloc.stop()

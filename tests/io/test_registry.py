@@ -1,0 +1,228 @@
+import json
+import os
+import resource
+import shutil
+
+import numpy as np
+import pytest
+
+import splatree
+from splatree import FormatError, InputError, OutputError, Scene
+from splatree.io.registry import detect, formats
+from splatree.io.replacing import replacing
+
+from .conftest import COLUMNS, random_gaussians, same_bits
+from .sog_files import write_sog
+
+
+def write_scene(path, n=3, seed=0, **fields):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    splatree.write(Scene.flat(random_gaussians(n, 1, seed), **fields), path)
+    return path
+
+
+def test_each_written_format_reads_back_from_any_name(tmp_path):
+    """By content; `.splat` alone has no mark and needs its suffix."""
+    for f in formats():
+        if f.write is None:
+            continue
+        path = write_scene(tmp_path / f"a{f.suffixes[0]}")
+        assert splatree.read(path).source.format == f.name
+        if f.name != "splat":
+            shutil.copy(path, tmp_path / "renamed.dat")
+            assert splatree.read(tmp_path / "renamed.dat").source.format == f.name
+
+
+@pytest.mark.parametrize("f", [f for f in formats() if f.write], ids=lambda f: f.name)
+def test_every_format_checks_the_values_it_reads(tmp_path, f):
+    g = random_gaussians(5, 1)
+    g.means[3, 2] = np.nan
+    splatree.write(Scene.flat(g), tmp_path / f"a{f.suffixes[0]}")
+    with pytest.raises(FormatError, match=r"means\[2\]: found nan"):
+        splatree.read(tmp_path / f"a{f.suffixes[0]}")
+
+
+@pytest.mark.parametrize("f", [f for f in formats() if f.write and f.lossless], ids=lambda f: f.name)
+def test_lossless_formats_are(tmp_path, f):
+    g = random_gaussians(40, 3)
+    splatree.write(Scene.flat(g), tmp_path / f"a{f.suffixes[0]}")
+    back = splatree.read(tmp_path / f"a{f.suffixes[0]}").gaussians
+    assert all(same_bits(getattr(g, c), getattr(back, c)) for c in COLUMNS)
+
+
+def test_content_wins_over_the_suffix(tmp_path):
+    path = write_scene(tmp_path / "a.ply").rename(tmp_path / "a.splat")
+    assert splatree.read(path).source.format == "ply"
+
+
+def test_several_inputs_are_one_scene_in_their_order(tmp_path):
+    paths = [write_scene(tmp_path / f"{i}.ply", n=i + 1, seed=i) for i in range(3)]
+    scene = splatree.read(paths[::-1])
+    parts = [splatree.read(p).gaussians.means for p in paths[::-1]]
+    assert same_bits(scene.gaussians.means, np.concatenate(parts))
+    assert scene.source.paths == tuple(str(p) for p in paths[::-1]) and scene.tree.num_leaves == 6
+
+
+def test_inputs_of_other_degrees_are_raised_to_the_highest(tmp_path):
+    splatree.write(Scene.flat(random_gaussians(2, 0)), tmp_path / "a.ply")
+    splatree.write(Scene.flat(random_gaussians(2, 3)), tmp_path / "b.ply")
+    sh = splatree.read([tmp_path / "a.ply", tmp_path / "b.ply"]).gaussians.sh
+    assert sh.shape == (4, 16, 3) and not sh[:2, 1:].any() and sh[2:, 1:].any()
+
+
+def test_inputs_of_different_modes_are_not_joined(tmp_path):
+    write_scene(tmp_path / "a.ply")
+    write_scene(tmp_path / "b.ply", mode="antialiased")
+    with pytest.raises(InputError, match="differ in their mode"):
+        splatree.read([tmp_path / "a.ply", tmp_path / "b.ply"])
+
+
+def test_a_folder_of_chunks_is_one_scene_in_natural_order(tmp_path):
+    for i in (10, 9, 1):
+        write_sog(tmp_path / f"chunk_{i}", n=i, seed=i)
+    (tmp_path / "license.txt").write_text("CC BY 4.0")
+    scene = splatree.read(tmp_path)
+    assert len(scene) == 20
+    assert [p.rsplit("_", 1)[1] for p in scene.source.paths] == ["1", "9", "10"]
+
+
+def test_a_pattern_that_no_shell_expanded_is_expanded(tmp_path):
+    for i in range(3):
+        write_scene(tmp_path / f"part{i}.ply", n=i + 1)
+    assert len(splatree.read(tmp_path / "part*.ply")) == 6
+    assert len(splatree.read(str(tmp_path / "part[12].ply"))) == 5
+
+
+def test_the_newest_iteration_of_a_training_is_read(tmp_path):
+    for i in (7000, 30000, 900):
+        write_scene(tmp_path / f"point_cloud/iteration_{i}/point_cloud.ply", n=i // 100)
+    (tmp_path / "input.ply").write_text("ply\nof points")
+    assert len(splatree.read(tmp_path)) == 300
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("gone.ply", "not found"),
+        ("gone*.ply", "no file matches"),
+        ("empty", "found no scene in this folder"),
+        ("text.txt", "of no known format"),
+        ("zero.dat", "of no known format"),
+        ("zero.ply", "no end_header"),
+        ("zero.splatree", "cut off"),
+        ("zero.sog", "not a whole ZIP"),
+    ],
+)
+def test_what_is_no_scene_is_refused_with_a_reason(tmp_path, name, message):
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "text.txt").write_text("hello")
+    for suffix in ("dat", "ply", "splatree", "sog"):
+        (tmp_path / f"zero.{suffix}").write_bytes(b"")
+    with pytest.raises(InputError, match=message):
+        splatree.read(tmp_path / name)
+
+
+def test_an_empty_splat_file_is_an_empty_scene(tmp_path):
+    (tmp_path / "a.splat").write_bytes(b"")
+    assert len(splatree.read(tmp_path / "a.splat")) == 0
+
+
+def test_a_pipe_is_refused_and_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "a.ply")
+    with pytest.raises(InputError, match="of no known format"):
+        splatree.read(tmp_path / "a.ply")
+
+
+def test_no_input_at_all_is_refused():
+    with pytest.raises(InputError, match="wanted at least one"):
+        splatree.read([])
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
+def test_an_unreadable_file_is_refused(tmp_path):
+    path = write_scene(tmp_path / "a.ply")
+    path.chmod(0)
+    with pytest.raises(InputError, match="cannot be read"):
+        splatree.read(path)
+
+
+def test_detect_of_a_folder_and_of_nothing(tmp_path):
+    write_sog(tmp_path / "s")
+    assert detect(tmp_path / "s").name == "sog" and detect(tmp_path) is None
+
+
+def test_an_existing_file_is_kept_unless_forced(tmp_path):
+    path = write_scene(tmp_path / "a.ply")
+    old = path.read_bytes()
+    with pytest.raises(OutputError, match="exists already"):
+        write_scene(path, n=9)
+    assert path.read_bytes() == old
+    splatree.write(Scene.flat(random_gaussians(9)), path, force=True)
+    assert len(splatree.read(path)) == 9
+
+
+@pytest.mark.parametrize(
+    ("name", "message"), [("a.xyz", "wanted one of .splatree .ply .splat"), ("a", "suffix"), ("a.sog", "suffix")]
+)
+def test_an_unknown_suffix_is_refused(tmp_path, name, message):
+    with pytest.raises(InputError, match=message):
+        splatree.write(Scene.flat(random_gaussians(1)), tmp_path / name)
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".splat", ".splatree"])
+def test_a_full_disk_leaves_the_old_file_whole_and_nothing_beside_it(tmp_path, suffix):
+    path = write_scene(tmp_path / f"a{suffix}")
+    old = path.read_bytes()
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    big = Scene.flat(random_gaussians(3000))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, hard))  # as a full disk, a write stops half-way
+    try:
+        with pytest.raises(OutputError, match="could not be written"):
+            splatree.write(big, path, force=True)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert path.read_bytes() == old and [p.name for p in tmp_path.iterdir()] == [path.name]
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError, MemoryError])
+def test_any_interruption_leaves_the_old_file_whole(tmp_path, error):
+    (tmp_path / "a.txt").write_text("old")
+    with pytest.raises(error), replacing(tmp_path / "a.txt", force=True) as temporary:
+        temporary.write_text("half")
+        raise error
+    assert (tmp_path / "a.txt").read_text() == "old" and len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_missing_folder_and_a_device_are_refused(tmp_path):
+    scene = Scene.flat(random_gaussians(1))
+    with pytest.raises(OutputError, match="there is no folder"):
+        splatree.write(scene, tmp_path / "gone" / "a.ply")
+    (tmp_path / "b.ply").mkdir()
+    with pytest.raises(OutputError, match="not a plain file"):
+        splatree.write(scene, tmp_path / "b.ply", force=True)
+    os.mkfifo(tmp_path / "c.ply")
+    with pytest.raises(OutputError, match="not a plain file"):
+        splatree.write(scene, tmp_path / "c.ply", force=True)
+
+
+def test_a_link_is_followed_when_its_target_is_replaced(tmp_path):
+    path = write_scene(tmp_path / "a.ply")
+    (tmp_path / "link.ply").symlink_to(path)
+    splatree.write(Scene.flat(random_gaussians(8)), tmp_path / "link.ply", force=True)
+    assert (tmp_path / "link.ply").is_symlink() and len(splatree.read(path)) == 8
+
+
+def test_a_mapped_scene_can_be_written_over_its_own_file(tmp_path):
+    path = write_scene(tmp_path / "a.splatree", n=50)
+    scene = splatree.read(path)
+    splatree.write(scene, path, force=True)
+    assert same_bits(splatree.read(path).gaussians.sh, scene.gaussians.sh)
+
+
+def test_metadata_of_joined_scenes(tmp_path):
+    for i, names in enumerate((["label"], ["mask"])):
+        path = write_scene(tmp_path / f"{i}.ply", n=1)
+        data = path.read_bytes().replace(b"property float nx", b"property float " + names[0].encode())
+        path.write_bytes(data)
+    found = splatree.read(tmp_path).source.metadata["extra_properties"]
+    assert [json.loads(x) for x in json.loads(found)] == [["label"], ["mask"]]
