@@ -36,7 +36,7 @@ def test_video_holds_its_frames(tmp_path):
 @needs_ffmpeg
 def test_interrupted_video_leaves_the_old_file(tmp_path):
     (tmp_path / "out.mp4").write_bytes(b"old")
-    with pytest.raises(KeyboardInterrupt), open_video(tmp_path / "out.mp4") as add:
+    with pytest.raises(KeyboardInterrupt), open_video(tmp_path / "out.mp4", force=True) as add:
         add(pictures()[0])
         raise KeyboardInterrupt
     assert (tmp_path / "out.mp4").read_bytes() == b"old"
@@ -44,10 +44,28 @@ def test_interrupted_video_leaves_the_old_file(tmp_path):
 
 
 @needs_ffmpeg
+def test_old_video_is_replaced_only_by_force(tmp_path):
+    (tmp_path / "out.mp4").write_bytes(b"old")
+    with pytest.raises(OutputError, match="exists"), open_video(tmp_path / "out.mp4"):
+        pass
+    with open_video(tmp_path / "out.mp4", force=True) as add:
+        add(pictures()[0])
+    assert (tmp_path / "out.mp4").stat().st_size > 100
+
+
+@needs_ffmpeg
 def test_video_into_a_missing_folder_is_an_output_error(tmp_path):
-    with pytest.raises(OutputError, match="No such file"), open_video(tmp_path / "none" / "out.mp4") as add:
+    with pytest.raises(OutputError, match="no folder"), open_video(tmp_path / "none" / "out.mp4"):
+        pass
+
+
+@needs_ffmpeg
+def test_failing_encoder_is_an_output_error(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys.modules[open_video.__module__], "CRF", "nonsense")
+    with pytest.raises(OutputError, match="ffmpeg stopped"), open_video(tmp_path / "out.mp4") as add:
         for image in pictures(100):
             add(image)
+    assert list(tmp_path.iterdir()) == []
 
 
 @needs_ffmpeg

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from splatree.errors import InputError, MissingExtraError, OutputError
+from splatree.io.replacing import replacing
 from splatree.shapes import Array
 
 CRF = 18
@@ -15,7 +16,7 @@ CRF = 18
 
 
 @contextmanager
-def open_video(path: str | Path, *, fps: float = 30.0) -> Iterator[Callable[[Array], None]]:
+def open_video(path: str | Path, *, fps: float = 30.0, force: bool = False) -> Iterator[Callable[[Array], None]]:
     """Write the pictures given to the yielded function, float32 (h w 3) of one size, as a video.
 
     The file appears when all is written. Values outside 0 to 1 are clipped. The last line or column of an odd size is
@@ -24,7 +25,7 @@ def open_video(path: str | Path, *, fps: float = 30.0) -> Iterator[Callable[[Arr
     Raises:
         MissingExtraError: imageio-ffmpeg is not installed.
         InputError: the name does not end in .mp4, or pictures differ in size, or there are none.
-        OutputError: the file could not be written; what was there before is as it was.
+        OutputError: the file exists and ``force`` is not set, or it could not be written; an old file is then whole.
     """
     path = Path(path)
     if path.suffix.lower() != ".mp4":
@@ -32,41 +33,38 @@ def open_video(path: str | Path, *, fps: float = 30.0) -> Iterator[Callable[[Arr
     if not fps > 0:
         raise InputError(f"video {path}: found {fps} frames a second, wanted more than 0")
     program = _find_ffmpeg()
-    partial = path.with_name(f".{path.stem}.partial.mp4")
     encoder: subprocess.Popen[bytes] | None = None
     shape: tuple[int, ...] = ()
+    with replacing(path, force=force) as partial:
 
-    def add(image: Array) -> None:
-        nonlocal encoder, shape
-        if encoder is None:
-            shape = image.shape
-            encoder = _start(program, partial, shape[1] + shape[1] % 2, shape[0] + shape[0] % 2, fps)
-        if image.shape != shape:
-            raise InputError(f"video {path}: found a picture of shape {image.shape} after {shape}, wanted equal sizes")
-        pixels = np.rint(255 * np.clip(image, 0, 1)).astype(np.uint8)
-        pixels = np.pad(pixels, ((0, shape[0] % 2), (0, shape[1] % 2), (0, 0)), mode="edge")
-        assert encoder.stdin is not None
-        try:
-            encoder.stdin.write(pixels.tobytes())
-        except BrokenPipeError:
-            raise OutputError(f"video {path}: {_message(encoder)}") from None
+        def add(image: Array) -> None:
+            nonlocal encoder, shape
+            if encoder is None:
+                shape = image.shape
+                encoder = _start(program, partial, shape[1] + shape[1] % 2, shape[0] + shape[0] % 2, fps)
+            if image.shape != shape:
+                raise InputError(
+                    f"video {path}: found a picture of shape {image.shape} after {shape}, wanted equal sizes"
+                )
+            pixels = np.rint(255 * np.clip(image, 0, 1)).astype(np.uint8)
+            pixels = np.pad(pixels, ((0, shape[0] % 2), (0, shape[1] % 2), (0, 0)), mode="edge")
+            assert encoder.stdin is not None
+            try:
+                encoder.stdin.write(pixels.tobytes())
+            except BrokenPipeError:
+                raise OutputError(f"video {path}: {_message(encoder)}") from None
 
-    try:
-        yield add
-        if encoder is None:
-            raise InputError(f"video {path}: found no pictures, wanted at least one")
-        message = _message(encoder)
-        if encoder.returncode != 0:
-            raise OutputError(f"video {path}: {message}")
         try:
-            partial.replace(path)
-        except OSError as error:
-            raise OutputError(f"video {path}: could not be written ({error})") from error
-    finally:
-        if encoder is not None:
-            encoder.kill()
-            encoder.communicate()
-        partial.unlink(missing_ok=True)
+            yield add
+            if encoder is None:
+                raise InputError(f"video {path}: found no pictures, wanted at least one")
+            message = _message(encoder)
+            if encoder.returncode != 0:
+                raise OutputError(f"video {path}: {message}")
+        finally:
+            if encoder is not None:
+                encoder.kill()
+                encoder.communicate()
 
 
 def _find_ffmpeg() -> str:
@@ -79,7 +77,19 @@ def _find_ffmpeg() -> str:
 
 def _start(program: str, target: Path, width: int, height: int, fps: float) -> subprocess.Popen[bytes]:
     source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", f"{fps:g}", "-i", "-"]
-    coded = ["-c:v", "libx264", "-crf", str(CRF), "-pix_fmt", "yuv420p", "-movflags", "+faststart", str(target)]
+    coded = [
+        "-c:v",
+        "libx264",
+        "-crf",
+        str(CRF),
+        "-pix_fmt",
+        "yuv420p",
+        "-movflags",
+        "+faststart",
+        "-f",
+        "mp4",
+        str(target),
+    ]
     command = [program, "-loglevel", "error", "-y", *source, *coded]
     return subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE)
 

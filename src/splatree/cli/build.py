@@ -1,0 +1,106 @@
+"""``splatree build``: the levels of detail of a scene."""
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from tyro.conf import Positional, arg
+
+from splatree.cli.console import Console, table
+from splatree.cli.files import inputs_and_output
+from splatree.io.registry import read, write
+from splatree.lod.build import BuildOptions, build_lod
+from splatree.scene.scene import Mode
+from splatree.scene.tree import GaussianTree
+from splatree.shapes import Array, Int64
+
+
+@dataclass(frozen=True)
+class Command:
+    """Build the levels of detail of a scene and write them as one file: in.ply out.splatree, or chunk_*/ -o city.splatree."""
+
+    paths: Positional[tuple[Path, ...]]
+    """Inputs, and last the output unless it is named with -o; several inputs are read as one scene."""
+    output: Annotated[Path | None, arg(aliases=["-o"])] = None
+    """File to write (.splatree)."""
+    mode: Mode | None = None
+    """How the scene was trained and will be drawn; merged nodes depend on it. None: as the file says, else `classic`."""
+    repair: bool = False
+    """Fix or drop values that cannot be used, and count them, instead of stopping."""
+    force: bool = False
+    """Replace the output if it exists."""
+    options: Annotated[BuildOptions, arg(name="")] = BuildOptions()
+    console: Annotated[Console, arg(name="")] = Console()
+
+
+@dataclass(frozen=True)
+class Built:
+    """What was written."""
+
+    output: Path
+    """The file."""
+    num_gaussians: int
+    """Leaves."""
+    num_nodes: int
+    """Leaves and merged nodes."""
+    levels: int
+    """Largest depth + 1."""
+    num_roots: int
+    """Nodes without a parent."""
+    nodes_per_depth: tuple[int, ...]
+    """Nodes at each depth, roots first."""
+    children: dict[str, int]
+    """How many merged nodes have 2, 3, ... children."""
+    rules: dict[str, Any]
+    """Radii, and nodes left after each level, and the rules, as they are written into the file."""
+    bytes: int
+    """Size of the file."""
+
+
+def run(command: Command) -> Built:
+    """Read, build, write."""
+    inputs, output = inputs_and_output(command.paths, command.output)
+    scene = read(inputs, repair=command.repair)
+    if command.mode is not None:
+        scene = replace(scene, mode=command.mode)
+    scene = build_lod(scene, command.options)
+    write(scene, output, force=command.force)
+    tree = scene.tree
+    counts, numbers = np.unique(children_per_node(tree)[~tree.is_leaf], return_counts=True)
+    return Built(
+        output=output,
+        num_gaussians=tree.num_leaves,
+        num_nodes=len(scene),
+        levels=tree.num_levels,
+        num_roots=int((tree.depth == 0).sum()),
+        nodes_per_depth=tuple(int(n) for n in np.bincount(tree.depth)),
+        children={str(count): int(number) for count, number in zip(counts, numbers, strict=True)},
+        rules=json.loads(scene.source.metadata["levels"]),
+        bytes=output.stat().st_size,
+    )
+
+
+def children_per_node(tree: GaussianTree) -> Int64[Array, "n"]:
+    """Children of each row: in preorder the parent of a row is the last row before it that is one level up."""
+    counts = np.zeros(len(tree), np.int64)
+    parents = np.flatnonzero(tree.depth == 0)
+    for depth in range(1, tree.num_levels):
+        children = np.flatnonzero(tree.depth == depth)
+        counts += np.bincount(parents[np.searchsorted(parents, children) - 1], minlength=len(tree))
+        parents = children
+    return counts
+
+
+def show(built: Built) -> str:
+    """The result in words."""
+    rows = [
+        {"level": i + 1, "radius": f"{r:.4g}", "nodes left": n}
+        for i, (r, n) in enumerate(zip(built.rules["radii"], built.rules["nodes"][1:], strict=True))
+    ]
+    return (
+        f"{table(rows)}\nwrote {built.output}: {built.num_gaussians:,} Gaussians, {built.num_nodes:,} nodes "
+        f"({built.num_nodes / max(1, built.num_gaussians):.2f} ×), {built.levels} levels, {built.num_roots} roots, "
+        f"{built.bytes / 2**20:.1f} MiB"
+    )

@@ -1,0 +1,111 @@
+"""What every verb shares: the flags of the output, progress on the terminal, and tables in plain text."""
+
+import sys
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from typing import Annotated, Any
+
+from tyro.conf import arg
+
+from splatree.progress import Event, Sink, listen
+
+PATIENCE_S = 1.0
+"""Bars appear once a task has taken this long."""
+
+
+@dataclass(frozen=True)
+class Console:
+    """What is printed."""
+
+    json: bool = False
+    """Print the result as JSON on stdout; everything else goes to stderr."""
+    verbose: Annotated[bool, arg(aliases=["-v"])] = False
+    """Say what each step took, and where an error came from."""
+    quiet: Annotated[bool, arg(aliases=["-q"])] = False
+    """Print neither progress nor a summary; errors and --json still appear."""
+
+
+@contextmanager
+def progress_shown(console: Console) -> Iterator[None]:
+    """Show the library's progress: bars on a terminal, lines of finished steps with ``--verbose``, else nothing."""
+    if console.verbose:
+        with listen(_lines()):
+            yield
+    elif sys.stderr.isatty() and not console.quiet:
+        with _bars() as sink, listen(sink):
+            yield
+    else:
+        yield
+
+
+def program_version() -> str:
+    """Version of the installed package; "of a source tree" if it runs without being installed."""
+    try:
+        return version("splatree")
+    except PackageNotFoundError:
+        return "of a source tree"
+
+
+def table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Rows as aligned columns; numbers to the right."""
+    columns = list(dict.fromkeys(key for row in rows for key in row))
+    cells = [columns] + [[_cell(row.get(column, "")) for column in columns] for row in rows]
+    widths = [max(len(line[i]) for line in cells) for i in range(len(columns))]
+    left = [any(isinstance(row.get(column), str) for row in rows) for column in columns]
+    return "\n".join(
+        "  ".join(
+            c.ljust(w) if is_left else c.rjust(w) for c, w, is_left in zip(line, widths, left, strict=True)
+        ).rstrip()
+        for line in cells
+    )
+
+
+def _cell(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:.2f}" if abs(value) < 100 else f"{value:,.0f}"
+    if isinstance(value, int) and not isinstance(value, bool):
+        return f"{value:,}"
+    return "" if value is None else str(value)
+
+
+def _lines() -> Sink:
+    started: dict[str, float] = {}
+
+    def sink(event: Event) -> None:
+        begin = started.setdefault(event.name, time.perf_counter())
+        if event.finished:
+            print(f"{event.name}: {time.perf_counter() - begin:.2f} s", file=sys.stderr)
+            del started[event.name]
+
+    return sink
+
+
+@contextmanager
+def _bars() -> Iterator[Sink]:
+    from rich.console import Console as Terminal
+    from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    progress = Progress(*columns, console=Terminal(stderr=True), transient=True)
+    started: dict[str, float] = {}
+    bars: dict[str, TaskID] = {}
+
+    def sink(event: Event) -> None:
+        begin = started.setdefault(event.name, time.perf_counter())
+        if event.finished:
+            del started[event.name]
+            if event.name in bars:
+                progress.remove_task(bars.pop(event.name))
+        elif time.perf_counter() - begin >= PATIENCE_S:
+            if event.name not in bars:
+                progress.start()
+                bars[event.name] = progress.add_task(event.name, total=event.total)
+            progress.update(bars[event.name], completed=event.done)
+
+    try:
+        yield sink
+    finally:
+        progress.stop()

@@ -1,0 +1,59 @@
+"""``splatree convert``: a scene in another format."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+from splatree.cli.console import Console
+from splatree.cli.files import inputs_and_output
+from splatree.io.registry import read, write
+
+
+@dataclass(frozen=True)
+class Command:
+    """Write a scene in another format, which the suffix of the output names."""
+
+    paths: Positional[tuple[Path, ...]]
+    """Inputs, and last the output unless it is named with -o; several inputs are read as one scene."""
+    output: Annotated[Path | None, arg(aliases=["-o"])] = None
+    """File to write."""
+    level: int | None = None
+    """Level of detail to read from a format that has several; 0 is the finest."""
+    depth: int | None = None
+    """Write one cut of the tree to a format without levels: the nodes at this depth, 0 the roots; None: the leaves."""
+    repair: bool = False
+    """Fix or drop values that cannot be used, and count them, instead of stopping."""
+    force: bool = False
+    """Replace the output if it exists."""
+    console: Annotated[Console, arg(name="")] = Console()
+
+
+@dataclass(frozen=True)
+class Converted:
+    """What was written."""
+
+    output: Path
+    """The file."""
+    num_gaussians: int
+    """Gaussians read, without merged ones."""
+    bytes: int
+    """Size of the file."""
+    repairs: str | None
+    """What was fixed or dropped while reading, as JSON; None if nothing was."""
+
+
+def run(command: Command) -> Converted:
+    """Read, then write."""
+    inputs, output = inputs_and_output(command.paths, command.output)
+    scene = read(inputs, level=command.level, repair=command.repair)
+    write(scene, output, depth=command.depth, force=command.force)
+    return Converted(output, scene.tree.num_leaves, output.stat().st_size, scene.source.metadata.get("repairs"))
+
+
+def show(converted: Converted) -> str:
+    """The result in words."""
+    repairs = f"; repaired: {converted.repairs}" if converted.repairs else ""
+    size = f"{converted.bytes / 2**20:.1f} MiB"
+    return f"wrote {converted.output}: {converted.num_gaussians:,} Gaussians, {size}{repairs}"

@@ -1,0 +1,157 @@
+"""``splatree demo``: the main job on a bundled piece of a real city, with pictures and a report.
+
+Reads the scene, builds its tree, flies away from the ground, and draws each view twice, from the cut and from all leaves. The
+report says how many nodes were drawn, what that cost and how near the pictures are.
+"""
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from importlib.resources import as_file, files
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from tyro.conf import arg
+
+from splatree.cli.console import Console, table
+from splatree.cli.eval import View, row_of, view_of
+from splatree.cli.report import write_report
+from splatree.errors import OutputError
+from splatree.io.registry import read
+from splatree.lod.build import build_lod
+from splatree.metrics.psnr import psnr
+from splatree.progress import task
+from splatree.render.evaluate import Evaluation, evaluate
+from splatree.render.paths import PathOptions, bounds_of, flyout
+from splatree.render.pipeline import trace
+from splatree.scene.options import SelectOptions
+from splatree.scene.scene import Scene
+
+SCENE = "semarang_5_9.sog"
+
+CREDIT = (
+    "Scene: a piece of “KARANGKIDUL KOTA SEMARANG 2” by Samuel Hiero, https://superspl.at/scene/b4b950fe, "
+    "CC BY 4.0 (http://creativecommons.org/licenses/by/4.0/); levels of detail added by splatree."
+)
+
+PIXEL_ERRORS = (2.0, 3.0, 4.0, 6.0, 9.0, 14.0)
+"""τ_R of the curves of quality over nodes drawn, px."""
+
+
+@dataclass(frozen=True)
+class Command:
+    """Build, draw and judge a bundled piece of a real city; writes a report with pictures."""
+
+    output: Annotated[Path, arg(aliases=["-o"])] = Path("splatree-demo")
+    """Folder for report.html and its pictures; an earlier report there is replaced."""
+    made: Annotated[PathOptions, arg(name="")] = PathOptions(views=6, elevation_deg=40.0)
+    select: Annotated[SelectOptions, arg(name="")] = SelectOptions()
+    console: Annotated[Console, arg(name="")] = Console()
+
+
+@dataclass(frozen=True)
+class DemoView(View):
+    """One distance of the flight."""
+
+    distance: float = 0.0
+    """From the camera to the centre of the scene, world units (about a metre here)."""
+    psnr_where_covered: float = 0.0
+    """PSNR over the pixels that the scene covers: what the black around a distant scene would flatter."""
+    curve: tuple[tuple[float, int, float], ...] = ()
+    """Quality at other settings: τ_R, nodes drawn, PSNR against all leaves."""
+
+
+@dataclass(frozen=True)
+class Demo:
+    """What the demo found."""
+
+    num_gaussians: int
+    """Leaves: the Gaussians of the scene as it was trained."""
+    num_nodes: int
+    """Leaves and merged nodes."""
+    levels: int
+    """Largest depth + 1."""
+    nodes_per_depth: tuple[int, ...]
+    """Nodes at each depth, roots first."""
+    mode: str
+    """How the scene is drawn."""
+    select: SelectOptions
+    """How the cuts were chosen."""
+    seconds: dict[str, float]
+    """Wall time of reading, building, and drawing and comparing all views."""
+    views: tuple[DemoView, ...]
+    """The flight, from near to far."""
+    report: Path
+    """The page with the pictures."""
+    credit: str
+    """Whose scene it is."""
+
+
+def run(command: Command) -> Demo:
+    """Read, build, fly, compare, report."""
+    try:
+        command.output.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"{command.output}: cannot be made a folder for the report ({error.strerror})") from error
+    seconds: dict[str, float] = {}
+    with _timed(seconds, "read"), as_file(files("splatree") / "data" / SCENE) as path:
+        scene = read(path)
+    with _timed(seconds, "build"):
+        scene = build_lod(scene)
+    cameras = flyout(scene, command.made, nearest=0.25, farthest=8.0)
+    trace(scene, cameras[0], select=command.select)  # the first frame also pays for indices and caches: not timed
+    with _timed(seconds, "views"):
+        evaluations = list(evaluate(scene, cameras, select=command.select))
+    with _timed(seconds, "curves"), task("draw curves", len(cameras)) as advance:
+        views = []
+        for evaluation in evaluations:
+            views.append(_demo_view(scene, evaluation, command.select))
+            advance(1)
+    demo = Demo(
+        num_gaussians=scene.tree.num_leaves,
+        num_nodes=len(scene),
+        levels=scene.tree.num_levels,
+        nodes_per_depth=tuple(int(n) for n in np.bincount(scene.tree.depth)),
+        mode=scene.mode,
+        select=command.select,
+        seconds=seconds,
+        views=tuple(views),
+        report=command.output / "report.html",
+        credit=CREDIT,
+    )
+    write_report(demo, scene, evaluations)
+    return demo
+
+
+def show(demo: Demo) -> str:
+    """The flight as a table."""
+    rows = [{"distance": round(view.distance), **row_of(view)} for view in demo.views]
+    took = ", ".join(f"{name} {duration:.1f} s" for name, duration in demo.seconds.items())
+    return (
+        f"{demo.num_gaussians:,} Gaussians became a tree of {demo.num_nodes:,} nodes in {demo.levels} levels ({took})\n"
+        f"{table(rows)}\n{demo.credit}\nreport: {demo.report}"
+    )
+
+
+def _demo_view(scene: Scene, evaluation: Evaluation, select: SelectOptions) -> DemoView:
+    cut, leaves = (np.clip(frame.result.image, 0, 1) for frame in (evaluation.cut, evaluation.leaves))
+    covered = evaluation.leaves.result.alpha > 0.5
+    curve = []
+    for pixel_error in PIXEL_ERRORS:
+        frame = trace(scene, evaluation.camera, select=replace(select, pixel_error=pixel_error, budget=None))
+        curve.append((pixel_error, len(frame.selection), psnr(np.clip(frame.result.image, 0, 1), leaves)))
+    return DemoView(
+        **vars(view_of(evaluation)),
+        distance=float(np.linalg.norm(evaluation.camera.position - bounds_of(scene)[0])),
+        psnr_where_covered=psnr(cut[covered], leaves[covered]) if covered.any() else np.inf,
+        curve=tuple(curve),
+    )
+
+
+@contextmanager
+def _timed(seconds: dict[str, float], name: str) -> Iterator[None]:
+    start = time.perf_counter()
+    yield
+    seconds[name] = time.perf_counter() - start

@@ -1,0 +1,203 @@
+"""``splatree eval``: what the levels of detail cost in quality and save in work."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from tyro.conf import Positional, arg
+
+from splatree.cli.console import Console, table
+from splatree.errors import InputError
+from splatree.io.cameras import read_cameras
+from splatree.io.images import read_image
+from splatree.io.registry import read
+from splatree.render.evaluate import Evaluation, evaluate
+from splatree.render.paths import PathOptions, flyout
+from splatree.scene.cameras import Camera
+from splatree.scene.options import RenderOptions, SelectOptions
+from splatree.shapes import Array
+
+PHOTO_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp")
+
+
+@dataclass(frozen=True)
+class Command:
+    """Compare the cut with all leaves, view by view; with --data also both with photographs."""
+
+    paths: Positional[tuple[Path, ...]]
+    """Scene; several files or folders are read as one."""
+    cameras: Path | None = None
+    """cameras.json, transforms.json or a COLMAP model; without it a flight away from the scene is made."""
+    data: Path | None = None
+    """Folder of photographs named like the cameras."""
+    every: int = 1
+    """Take each n-th camera only, from the first; 8 is the usual held-out split."""
+    scale: float = 1.0
+    """Factor on the width and height of the cameras; photographs are resized likewise."""
+    made: Annotated[PathOptions, arg(name="")] = PathOptions(views=8)
+    select: Annotated[SelectOptions, arg(name="")] = SelectOptions()
+    options: Annotated[RenderOptions, arg(name="")] = RenderOptions()
+    console: Annotated[Console, arg(name="")] = Console()
+
+
+@dataclass(frozen=True)
+class View:
+    """One view; pictures are compared clipped to 0 to 1."""
+
+    name: str
+    """Name of the camera."""
+    selected: int
+    """Nodes drawn from the cut."""
+    pairs: int
+    """N_P of the cut."""
+    pixel_error: float
+    """τ_R, px, as raised to meet a budget."""
+    psnr_vs_leaves: float
+    """Cut against all leaves, dB; infinity (null in JSON) for equal pictures."""
+    ssim_vs_leaves: float | None
+    """The same, structural similarity."""
+    ms: dict[str, float]
+    """Wall time of each stage for the cut."""
+    leaves_selected: int
+    """Nodes drawn of all leaves."""
+    leaves_pairs: int
+    """N_P of all leaves."""
+    leaves_ms: dict[str, float]
+    """Wall time of each stage for all leaves."""
+    psnr_vs_photo: float | None = None
+    """Cut against the photograph, dB."""
+    ssim_vs_photo: float | None = None
+    """The same, structural similarity."""
+    leaves_psnr_vs_photo: float | None = None
+    """All leaves against the photograph, dB."""
+    leaves_ssim_vs_photo: float | None = None
+    """The same, structural similarity."""
+
+
+@dataclass(frozen=True)
+class Evaluated:
+    """What the views say together."""
+
+    num_gaussians: int
+    """Leaves of the scene."""
+    num_nodes: int
+    """All nodes."""
+    levels: int
+    """Largest depth + 1."""
+    select: SelectOptions
+    """How the cut was chosen."""
+    mode: str
+    """How the scene was drawn."""
+    mean: dict[str, float | None]
+    """Mean over the views of each number."""
+    views: tuple[View, ...]
+    """One entry a view."""
+
+
+def run(command: Command) -> Evaluated:
+    """Draw and compare each view."""
+    if command.every < 1 or not command.scale > 0:
+        raise InputError(f"every, scale: found {command.every}, {command.scale}, wanted at least 1, and more than 0")
+    scene = read(command.paths)
+    cameras = read_cameras(command.cameras) if command.cameras else flyout(scene, command.made)
+    chosen = [camera.scaled(command.scale) for camera in list(cameras)[:: command.every]]
+    photos = _Photos(command.data, chosen) if command.data else None
+    views = tuple(view_of(e) for e in evaluate(scene, chosen, command.options, command.select, photos=photos))
+    return Evaluated(
+        num_gaussians=scene.tree.num_leaves,
+        num_nodes=len(scene),
+        levels=scene.tree.num_levels,
+        select=command.select,
+        mode=command.options.mode or scene.mode,
+        mean=_means(views),
+        views=views,
+    )
+
+
+def show(evaluated: Evaluated) -> str:
+    """The views as a table."""
+    rows = [row_of(view) for view in evaluated.views]
+    mean = ", ".join(f"{name} {value:.4g}" for name, value in evaluated.mean.items() if value is not None)
+    head = f"{evaluated.num_gaussians:,} Gaussians, {evaluated.num_nodes:,} nodes, {evaluated.levels} levels, {evaluated.mode}"
+    return f"{head}\n{table(rows)}\nmean: {mean}"
+
+
+def view_of(e: Evaluation) -> View:
+    """The numbers of one view."""
+    return View(
+        name=e.camera.name,
+        selected=e.cut.result.counters.num_selected,
+        pairs=e.cut.result.counters.num_pairs,
+        pixel_error=e.cut.selection.pixel_error,
+        psnr_vs_leaves=e.cut_vs_leaves.psnr,
+        ssim_vs_leaves=e.cut_vs_leaves.ssim,
+        ms=e.cut.result.milliseconds,
+        leaves_selected=e.leaves.result.counters.num_selected,
+        leaves_pairs=e.leaves.result.counters.num_pairs,
+        leaves_ms=e.leaves.result.milliseconds,
+        psnr_vs_photo=e.cut_vs_photo.psnr if e.cut_vs_photo else None,
+        ssim_vs_photo=e.cut_vs_photo.ssim if e.cut_vs_photo else None,
+        leaves_psnr_vs_photo=e.leaves_vs_photo.psnr if e.leaves_vs_photo else None,
+        leaves_ssim_vs_photo=e.leaves_vs_photo.ssim if e.leaves_vs_photo else None,
+    )
+
+
+def row_of(view: View) -> dict[str, object]:
+    """One line of the table."""
+    row: dict[str, object] = {
+        "view": view.name,
+        "nodes": view.selected,
+        "of": view.leaves_selected,
+        "pairs": view.pairs,
+        "of ": view.leaves_pairs,
+        "PSNR": view.psnr_vs_leaves,
+        "SSIM": None if view.ssim_vs_leaves is None else f"{view.ssim_vs_leaves:.4f}",
+    }
+    row |= {f"{stage} ms": ms for stage, ms in view.ms.items()}
+    if view.psnr_vs_photo is not None:
+        row |= {"PSNR photo": view.psnr_vs_photo, "leaves": view.leaves_psnr_vs_photo}
+    return row
+
+
+def _means(views: Sequence[View]) -> dict[str, float | None]:
+    means: dict[str, float | None] = {}
+    for field in fields(View):
+        values = [getattr(view, field.name) for view in views]
+        numbers = [float(value) for value in values if isinstance(value, int | float)]
+        if len(numbers) == len(values) and numbers:
+            means[field.name] = float(np.mean(numbers))
+    return means
+
+
+class _Photos(Mapping[str, Array]):
+    """Photographs by the camera's name, read when they are asked for, at the camera's size."""
+
+    def __init__(self, folder: Path, cameras: Sequence[Camera]) -> None:
+        if not folder.is_dir():
+            raise InputError(f"data: {folder} is not a folder; wanted the folder of the photographs")
+        self._cameras = {camera.name: camera for camera in cameras}
+        files = [path for path in sorted(folder.rglob("*")) if path.suffix.lower() in PHOTO_SUFFIXES]
+        by_name = {path.relative_to(folder).as_posix(): path for path in files}
+        by_stem = {path.stem: path for path in files}
+        self._paths = {
+            name: path
+            for name in self._cameras
+            if (path := by_name.get(name) or by_stem.get(Path(name).stem)) is not None
+        }
+        if not self._paths:
+            first = cameras[0].name if cameras else ""
+            raise InputError(
+                f"data: none of the {len(files)} pictures in {folder} is named like a camera ({first!r}, ...)"
+            )
+
+    def __getitem__(self, name: str) -> Array:
+        camera = self._cameras[name]
+        return read_image(self._paths[name], size=(camera.width, camera.height))
+
+    def __iter__(self):  # type: ignore[no-untyped-def]
+        return iter(self._paths)
+
+    def __len__(self) -> int:
+        return len(self._paths)

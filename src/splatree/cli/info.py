@@ -1,0 +1,128 @@
+"""``splatree info``: what a scene holds."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from tyro.conf import Positional, arg
+
+from splatree.cli.console import Console, table
+from splatree.io.registry import read
+from splatree.render.paths import bounds_of
+from splatree.scene.scene import Scene
+
+
+@dataclass(frozen=True)
+class Command:
+    """Say what a scene holds: counts, levels, sizes, where it lies, how it is drawn, who made it."""
+
+    paths: Positional[tuple[Path, ...]]
+    """Files or folders; several are read as one scene."""
+    level: int | None = None
+    """Level of detail to read from a format that has several; 0 is the finest."""
+    repair: bool = False
+    """Fix or drop values that cannot be used, and count them, instead of stopping."""
+    console: Annotated[Console, arg(name="")] = Console()
+
+
+@dataclass(frozen=True)
+class Info:
+    """What is in a scene."""
+
+    paths: tuple[str, ...]
+    """Files or folders read."""
+    format: str
+    """Name of the format."""
+    num_gaussians: int
+    """Gaussians that were not made by merging: the leaves."""
+    num_nodes: int
+    """All rows, merged nodes included."""
+    levels: int
+    """Largest depth + 1."""
+    nodes_per_depth: tuple[int, ...]
+    """Nodes at each depth, roots first."""
+    sh_degree: int
+    """Degree of the spherical harmonics."""
+    mode: str
+    """How it is meant to be drawn."""
+    threshold: float
+    """τ: opacity below which a splat ends."""
+    bytes: int
+    """Memory of the columns."""
+    box_min: tuple[float, ...]
+    """Least coordinates of the centres, world units."""
+    box_max: tuple[float, ...]
+    """Largest coordinates of the centres, world units."""
+    centre: tuple[float, ...]
+    """Median of the centres, weighted by opacity."""
+    radius: float
+    """Distance from there that holds 90 % of the opacity, world units."""
+    opacity: dict[str, float]
+    """Quantiles of the leaves' opacities."""
+    scale: dict[str, float]
+    """Quantiles of the leaves' largest standard deviations, world units."""
+    metadata: dict[str, str] = field(default_factory=dict)
+    """Rules and provenance that the file carries."""
+
+
+def run(command: Command) -> Info:
+    """Read the scene and describe it."""
+    return describe(read(command.paths, level=command.level, repair=command.repair))
+
+
+def describe(scene: Scene) -> Info:
+    """What is in a scene."""
+    leaves = scene.gaussians.take(scene.tree.is_leaf)
+    opacities = 1 / (1 + np.exp(-leaves.logit_opacities.astype(np.float64)))
+    centre, radius = bounds_of(scene) if len(scene) else (np.zeros(3), 0.0)
+    box = leaves.means if len(leaves) else np.zeros((1, 3), np.float32)
+    return Info(
+        paths=scene.source.paths,
+        format=scene.source.format,
+        num_gaussians=len(leaves),
+        num_nodes=len(scene),
+        levels=scene.tree.num_levels,
+        nodes_per_depth=tuple(int(n) for n in np.bincount(scene.tree.depth)),
+        sh_degree=scene.gaussians.sh_degree,
+        mode=scene.mode,
+        threshold=scene.threshold,
+        bytes=scene.gaussians.nbytes,
+        box_min=tuple(float(x) for x in box.min(axis=0)),
+        box_max=tuple(float(x) for x in box.max(axis=0)),
+        centre=tuple(float(x) for x in centre),
+        radius=radius,
+        opacity=_quantiles(opacities),
+        scale=_quantiles(np.exp(leaves.log_scales.max(axis=1, initial=-np.inf).astype(np.float64))),
+        metadata=dict(scene.source.metadata),
+    )
+
+
+def show(info: Info) -> str:
+    """The description in words."""
+    point = "({:.4g}, {:.4g}, {:.4g})".format
+    rows = [
+        ("read", ", ".join(info.paths) or "(in memory)"),
+        ("format", info.format),
+        ("Gaussians", f"{info.num_gaussians:,}"),
+        ("nodes", f"{info.num_nodes:,} in {info.levels} level{'s' if info.levels != 1 else ''}"),
+        ("nodes per depth", " ".join(f"{n:,}" for n in info.nodes_per_depth)),
+        ("harmonics", f"degree {info.sh_degree}"),
+        ("drawn", f"{info.mode}, τ = {info.threshold:.4g}"),
+        ("memory", f"{info.bytes / 2**20:.1f} MiB"),
+        ("box", f"{point(*info.box_min)} to {point(*info.box_max)}"),
+        ("90 % within", f"{info.radius:.4g} of {point(*info.centre)}"),
+        ("opacity", _in_words(info.opacity)),
+        ("largest scale", _in_words(info.scale)),
+        *((f"  {key}", value if len(value) < 200 else value[:197] + "...") for key, value in info.metadata.items()),
+    ]
+    return table([{"": name, " ": value} for name, value in rows]).strip("\n ")
+
+
+def _quantiles(values: np.ndarray) -> dict[str, float]:
+    shares = {"min": 0.0, "5 %": 0.05, "median": 0.5, "95 %": 0.95, "max": 1.0}
+    return {name: float(np.quantile(values, share)) if len(values) else 0.0 for name, share in shares.items()}
+
+
+def _in_words(quantiles: dict[str, float]) -> str:
+    return ", ".join(f"{name} {value:.3g}" for name, value in quantiles.items())

@@ -1,0 +1,235 @@
+"""The demo's report: one HTML page that needs nothing else, and the same pictures beside it as PNG, without loss."""
+
+import base64
+import html
+import io
+import platform
+from collections.abc import Sequence
+from dataclasses import replace
+from importlib.resources import files
+from pathlib import Path
+from string import Template
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from splatree.cli.console import program_version
+from splatree.constants import SH_C0
+from splatree.io.images import write_image
+from splatree.kernels.cpu import _core
+from splatree.render.evaluate import Evaluation
+from splatree.render.pipeline import trace
+from splatree.scene.scene import Scene
+from splatree.shapes import Array, Float32
+
+if TYPE_CHECKING:
+    from splatree.cli.demo import Demo, DemoView
+
+ERROR_GAIN = 4.0
+"""Differences are shown this many times brighter, or hardly any could be seen."""
+
+RAMP = (
+    (0.99, 0.91, 0.55),
+    (0.96, 0.62, 0.36),
+    (0.86, 0.34, 0.42),
+    (0.58, 0.23, 0.55),
+    (0.30, 0.19, 0.55),
+    (0.10, 0.12, 0.35),
+)
+"""Colours of merged nodes from few leaves to many, RGB; equal steps in the logarithm."""
+
+LEAF_GREY = 0.82
+"""Leaves themselves are this grey."""
+
+
+def write_report(demo: "Demo", scene: Scene, evaluations: Sequence[Evaluation]) -> None:
+    """Write the pictures and the page into the folder of ``demo.report``."""
+    folder = demo.report.parent
+    coloured = with_level_colors(scene)
+    cards = []
+    for i, (view, e) in enumerate(zip(demo.views, evaluations, strict=True)):
+        same_cut = replace(demo.select, pixel_error=view.pixel_error, budget=None)
+        levels = trace(coloured, e.camera, select=same_cut).result.image
+        error = ERROR_GAIN * np.abs(np.clip(e.cut.result.image, 0, 1) - np.clip(e.leaves.result.image, 0, 1))
+        pictures = {"cut": e.cut.result.image, "leaves": e.leaves.result.image, "levels": levels, "error": error}
+        for name, image in pictures.items():
+            write_image(image, folder / f"{i}_{name}.png", force=True)
+        y, x = _window(e.leaves.result.alpha)
+        sources = {name: _data_uri(image[y, x]) for name, image in pictures.items()}
+        enlarged = e.camera.width / (x.stop - x.start)
+        cards.append(_filled("report_view.html", enlarged=_enlarged(enlarged), **sources, **_words(view)))
+    strip = np.concatenate(
+        [np.concatenate([e.cut.result.image, e.leaves.result.image], axis=0) for e in evaluations[::2]], axis=1
+    )
+    write_image(strip, folder / "strip.png", force=True)
+    page = _filled(
+        "report.html",
+        gaussians=f"{demo.num_gaussians:,}",
+        nodes=f"{demo.num_nodes:,}",
+        levels=str(demo.levels),
+        mode=demo.mode,
+        pixel_error=f"{demo.select.pixel_error:g}",
+        build_s=f"{demo.seconds['build']:.1f}",
+        gain=f"{ERROR_GAIN:g}",
+        cards="\n".join(cards),
+        table=_table(demo.views),
+        chart=_chart(demo.views),
+        legend=_legend(scene),
+        depths=" · ".join(f"{n:,}" for n in demo.nodes_per_depth),
+        machine=html.escape(_machine()),
+        credit=html.escape(demo.credit),
+    )
+    demo.report.write_text(page, encoding="utf-8")
+
+
+def _filled(template: str, **values: str) -> str:
+    text = (files("splatree") / "data" / template).read_text(encoding="utf-8")
+    return Template(text).substitute(values)
+
+
+def with_level_colors(scene: Scene) -> Scene:
+    """The scene with each merged node coloured by the number of leaves that it stands for, and leaves grey."""
+    num_leaves = leaves_per_node(scene)
+    place = (
+        np.log2(np.maximum(num_leaves, 1))
+        / max(1.0, float(np.log2(max(2, num_leaves.max(initial=2)))))
+        * (len(RAMP) - 1)
+    )
+    steps = np.arange(len(RAMP))
+    colors = np.stack([np.interp(place, steps, [color[c] for color in RAMP]) for c in range(3)], axis=-1)
+    colors[scene.tree.is_leaf] = LEAF_GREY
+    sh = ((colors - 0.5) / SH_C0).astype(np.float32)[:, None]
+    return replace(scene, gaussians=replace(scene.gaussians, sh=np.ascontiguousarray(sh)))
+
+
+def leaves_per_node(scene: Scene) -> Array:
+    """Leaves below each row, itself included: subtrees are ranges."""
+    before = np.concatenate([[0], np.cumsum(scene.tree.is_leaf)])
+    return np.asarray(before[scene.tree.subtree_end] - before[:-1])
+
+
+def _window(alpha: Float32[Array, "h w"]) -> tuple[slice, slice]:
+    """The part of a picture that holds the scene, in the picture's own proportions and at least an eighth of its width."""
+    height, width = alpha.shape
+    ys, xs = np.nonzero(alpha > 0.05)
+    if len(ys) == 0:
+        return slice(0, height), slice(0, width)
+    low, high = (np.array([np.quantile(ys, share), np.quantile(xs, share)]) for share in (0.001, 0.999))
+    full = np.array([height, width])
+    share = float(np.clip(1.1 * np.max((high - low) / full), 0.125, 1.0))
+    h, w = np.rint(share * full).astype(int)
+    top, left = np.clip((low + high - (h, w)) / 2, 0, full - (h, w)).astype(int)
+    return slice(top, top + h), slice(left, left + w)
+
+
+def _enlarged(factor: float) -> str:
+    return f", shown {factor:.1f} × enlarged" if factor > 1.05 else ""
+
+
+def _data_uri(image: Float32[Array, "h w 3"]) -> str:
+    from PIL import Image
+
+    buffer = io.BytesIO()
+    pixels = np.rint(255 * np.clip(image, 0, 1)).astype(np.uint8)
+    Image.fromarray(pixels).save(buffer, "JPEG", quality=90, optimize=True)
+    return "data:image/jpeg;base64," + base64.b64encode(buffer.getvalue()).decode()
+
+
+def _words(view: "DemoView") -> dict[str, str]:
+    return {
+        "distance": f"{view.distance:,.0f}",
+        "selected": f"{view.selected:,}",
+        "leaves_selected": f"{view.leaves_selected:,}",
+        "share": f"{100 * view.selected / max(1, view.leaves_selected):.0f}",
+        "psnr": f"{view.psnr_vs_leaves:.1f}",
+    }
+
+
+def _table(views: Sequence["DemoView"]) -> str:
+    stages = list(views[0].ms)
+    head = [
+        "distance",
+        "nodes drawn",
+        "all leaves",
+        "share",
+        "N<sub>P</sub>",
+        "N<sub>P</sub> leaves",
+        "PSNR",
+        "PSNR covered",
+        "SSIM",
+    ]
+    head += [f"{stage} ms" for stage in stages] + ["total ms", "total ms leaves"]
+    rows = ["<tr>" + "".join(f"<th>{cell}</th>" for cell in head) + "</tr>"]
+    for view in views:
+        cells = [
+            f"{view.distance:,.0f}",
+            f"{view.selected:,}",
+            f"{view.leaves_selected:,}",
+            f"{100 * view.selected / max(1, view.leaves_selected):.0f} %",
+            f"{view.pairs:,}",
+            f"{view.leaves_pairs:,}",
+            f"{view.psnr_vs_leaves:.1f}",
+            f"{view.psnr_where_covered:.1f}",
+            "" if view.ssim_vs_leaves is None else f"{view.ssim_vs_leaves:.4f}",
+            *(f"{view.ms[stage]:.1f}" for stage in stages),
+            f"{sum(view.ms.values()):.0f}",
+            f"{sum(view.leaves_ms.values()):.0f}",
+        ]
+        rows.append("<tr>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>")
+    return "\n".join(rows)
+
+
+def _chart(views: Sequence["DemoView"]) -> str:
+    """Quality over nodes drawn, one line a distance, as SVG of 720 × 300."""
+    points = [(nodes, quality) for view in views for _, nodes, quality in view.curve if np.isfinite(quality)]
+    if not points:
+        return ""
+    low_x, high_x = np.log10(max(1, min(n for n, _ in points))), np.log10(max(2, *(n for n, _ in points)))
+    low_y, high_y = np.floor(min(q for _, q in points) / 5) * 5, np.ceil(max(q for _, q in points) / 5) * 5
+
+    def at(nodes: float, quality: float) -> tuple[float, float]:
+        x = 60 + 640 * (np.log10(max(1, nodes)) - low_x) / max(1e-9, high_x - low_x)
+        return x, 260 - 240 * (quality - low_y) / max(1e-9, high_y - low_y)
+
+    parts = []
+    for quality in np.arange(low_y, high_y + 1, 5):
+        y = at(10**low_x, quality)[1]
+        parts.append(f'<line class="grid" x1="60" x2="700" y1="{y:.1f}" y2="{y:.1f}"/>')
+        parts.append(f'<text x="52" y="{y + 4:.1f}" text-anchor="end">{quality:.0f}</text>')
+    for nodes in (n * 10**e for e in range(7) for n in (1, 2, 5)):
+        if low_x <= np.log10(nodes) <= high_x:
+            x = at(nodes, low_y)[0]
+            parts.append(f'<line class="grid" x1="{x:.1f}" x2="{x:.1f}" y1="20" y2="260"/>')
+            parts.append(f'<text x="{x:.1f}" y="278" text-anchor="middle">{nodes:,}</text>')
+    for i, view in enumerate(views):
+        line = [at(nodes, quality) for _, nodes, quality in view.curve if np.isfinite(quality)]
+        color = f"hsl({20 + 220 * i / max(1, len(views) - 1):.0f} 65% 50%)"
+        path = " ".join(f"{x:.1f},{y:.1f}" for x, y in line)
+        parts.append(f'<polyline fill="none" stroke="{color}" stroke-width="2" points="{path}"/>')
+        parts += [f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3" fill="{color}"/>' for x, y in line]
+        parts += [
+            f'<text x="{x - 8:.1f}" y="{y + 4:.1f}" text-anchor="end">{view.distance:,.0f}</text>' for x, y in line[-1:]
+        ]
+    return '<svg viewBox="0 0 720 300" role="img" aria-label="PSNR over nodes drawn">' + "".join(parts) + "</svg>"
+
+
+def _legend(scene: Scene) -> str:
+    top = max(2, int(leaves_per_node(scene).max(initial=2)))
+    stops = ", ".join("rgb({:.0f} {:.0f} {:.0f})".format(*(255 * c for c in color)) for color in RAMP)
+    grey = f"{255 * LEAF_GREY:.0f}"
+    return (
+        f'<span class="key" style="background: rgb({grey} {grey} {grey})"></span> a leaf &nbsp; 2 leaves '
+        f'<span class="key ramp" style="background: linear-gradient(to right, {stops})"></span> {top:,} leaves'
+    )
+
+
+def _machine() -> str:
+    processor = platform.processor() or platform.machine()
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        models = [
+            line.split(":", 1)[1].strip() for line in info.read_text().splitlines() if line.startswith("model name")
+        ]
+        processor = models[0] if models else processor
+    threads = f"{_core.hardware_threads()} threads, instruction set {_core.isa()}"
+    return f"splatree {program_version()} · {processor}, {threads} · Python {platform.python_version()}"

@@ -1,0 +1,78 @@
+"""``splatree thin``: fewer Gaussians that look alike, merged rather than dropped."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+from splatree.cli.console import Console
+from splatree.cli.files import inputs_and_output
+from splatree.io.registry import read, write
+from splatree.scene.scene import Scene
+from splatree.scene.thinning import ThinOptions
+from splatree.simplify.thin import thin
+
+
+@dataclass(frozen=True)
+class Command:
+    """Merge Gaussians that are close to each other: to a radius, a share or a count; to the radius `auto` if none is given."""
+
+    paths: Positional[tuple[Path, ...]]
+    """Inputs, and last the output unless it is named with -o; several inputs are read as one scene."""
+    output: Annotated[Path | None, arg(aliases=["-o"])] = None
+    """File to write."""
+    repair: bool = False
+    """Fix or drop values that cannot be used, and count them, instead of stopping."""
+    force: bool = False
+    """Replace the output if it exists."""
+    options: Annotated[ThinOptions, arg(name="")] = ThinOptions()
+    console: Annotated[Console, arg(name="")] = Console()
+
+
+@dataclass(frozen=True)
+class Result:
+    """What was written."""
+
+    output: Path
+    """The file."""
+    num_read: int
+    """Gaussians read, without merged ones."""
+    num_gaussians: int
+    """Gaussians written."""
+    radius: float
+    """r, world units, given or found."""
+    rounds: int
+    """Rounds of parallel decisions."""
+    options: ThinOptions
+    """The rules."""
+    bytes: int
+    """Size of the file."""
+
+
+def run(command: Command) -> Result:
+    """Read the leaves, thin them, write."""
+    inputs, output = inputs_and_output(command.paths, command.output)
+    scene = read(inputs, repair=command.repair)
+    leaves = scene.gaussians if scene.tree.is_leaf.all() else scene.gaussians.take(scene.tree.is_leaf)
+    thinned = thin(leaves, command.options)
+    flat = Scene.flat(thinned.gaussians, mode=scene.mode, source=scene.source)
+    write(replace(flat, threshold=scene.threshold), output, force=command.force)
+    return Result(
+        output=output,
+        num_read=len(leaves),
+        num_gaussians=len(thinned),
+        radius=thinned.radius,
+        rounds=thinned.groups.rounds,
+        options=command.options,
+        bytes=output.stat().st_size,
+    )
+
+
+def show(result: Result) -> str:
+    """The result in words."""
+    share = 100 * result.num_gaussians / max(1, result.num_read)
+    return (
+        f"wrote {result.output}: {result.num_gaussians:,} of {result.num_read:,} Gaussians ({share:.1f} %), "
+        f"radius {result.radius:.4g}, {result.bytes / 2**20:.1f} MiB"
+    )

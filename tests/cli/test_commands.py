@@ -1,0 +1,142 @@
+"""Each verb from end to end on a small real scene."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from splatree.cli.render import file_names
+from splatree.io.images import read_image
+from splatree.io.registry import read
+from splatree.scene.cameras import Camera
+
+NUM_GAUSSIANS = 3161
+
+SIZE = ("--width", "64", "--height", "36")
+
+
+def result_of(run):
+    code, out, err = run
+    assert (code, err) == (0, "")
+    return json.loads(out)
+
+
+def test_info_counts_and_places_the_scene(splatree, small_tree):
+    info = result_of(splatree("info", small_tree, "--json"))
+    scene = read(small_tree)
+    assert info["num_gaussians"] == NUM_GAUSSIANS
+    assert info["num_nodes"] == len(scene) > NUM_GAUSSIANS
+    assert info["levels"] == scene.tree.num_levels == len(info["nodes_per_depth"])
+    assert sum(info["nodes_per_depth"]) == info["num_nodes"]
+    assert info["sh_degree"] == 3
+    assert info["box_min"] == [float(x) for x in scene.gaussians.means[scene.tree.is_leaf].min(axis=0)]
+    assert 0 < info["opacity"]["median"] < 1
+    code, words, _ = splatree("info", small_tree)
+    assert code == 0
+    assert "3,161" in words
+
+
+def test_convert_writes_the_same_gaussians(splatree, small_tree, tmp_path):
+    converted = result_of(splatree("convert", small_tree, tmp_path / "out.ply", "--json"))
+    assert converted["num_gaussians"] == len(read(tmp_path / "out.ply")) == NUM_GAUSSIANS
+    assert converted["bytes"] == (tmp_path / "out.ply").stat().st_size
+
+
+@pytest.mark.parametrize(
+    ("options", "count"),
+    [(("--keep", "0.25"), NUM_GAUSSIANS / 4), (("--count", "500"), 500), (("--radius", "20"), None)],
+)
+def test_thin_leaves_what_was_asked_for(splatree, small_ply, tmp_path, options, count):
+    thinned = result_of(splatree("thin", small_ply, tmp_path / "out.ply", *options, "--json"))
+    assert thinned["num_read"] == NUM_GAUSSIANS
+    assert thinned["num_gaussians"] == len(read(tmp_path / "out.ply")) < NUM_GAUSSIANS
+    if count is not None:
+        assert thinned["num_gaussians"] == pytest.approx(count, rel=0.01)  # the promise of --keep and --count
+    else:
+        assert thinned["radius"] == 20
+
+
+def test_build_takes_two_names_or_many_inputs(splatree, small_ply, tmp_path):
+    one = result_of(splatree("build", small_ply, tmp_path / "one.splatree", "--json"))
+    two = result_of(splatree("build", small_ply, small_ply, "-o", tmp_path / "two.splatree", "--json"))
+    assert one["num_gaussians"] == NUM_GAUSSIANS
+    assert two["num_gaussians"] == 2 * NUM_GAUSSIANS
+    tree = read(tmp_path / "one.splatree").tree
+    assert one["num_nodes"] == len(tree)
+    assert one["levels"] == tree.num_levels
+    # Each merged node has at least two children, and every node but the roots is a child.
+    assert min(map(int, one["children"])) >= 2
+    assert sum(int(c) * n for c, n in one["children"].items()) == one["num_nodes"] - one["num_roots"]
+
+
+def test_render_makes_an_orbit_or_follows_cameras(splatree, small_tree, tmp_path):
+    made = result_of(splatree("render", small_tree, "-o", tmp_path / "orbit", "--views", "2", *SIZE, "--json"))
+    assert [Path(view["file"]).name for view in made["views"]] == ["view_0000.png", "view_0001.png"]
+    assert read_image(tmp_path / "orbit" / "view_0000.png").shape == (36, 64, 3)
+    cameras = [
+        {"id": i, "img_name": f"photos/{name}.jpg", "width": 80, "height": 60, "fx": 60, "fy": 60}
+        | {"position": [215, -120, 370], "rotation": [[1, 0, 0], [0, 0, 1], [0, -1, 0]]}
+        for i, name in enumerate("ab")
+    ]
+    (tmp_path / "cameras.json").write_text(json.dumps(cameras))
+    words = ("render", small_tree, "--cameras", tmp_path / "cameras.json", "-o", tmp_path / "given")
+    given = result_of(splatree(*words, "--scale", "0.5", "--background", "1", "0", "0", "--json"))
+    assert sorted(path.name for path in (tmp_path / "given").iterdir()) == ["a.png", "b.png"]
+    image = read_image(tmp_path / "given" / "a.png")
+    assert image.shape == (30, 40, 3)
+    assert image.std() > 0.05  # something is drawn
+    assert given["views"][0]["selected"] > 0
+
+
+def test_budget_bounds_the_nodes_of_each_view(splatree, small_tree, tmp_path):
+    words = ("render", small_tree, "-o", tmp_path, "--views", "2", *SIZE, "--budget", "200", "--json")
+    rendered = result_of(splatree(*words))
+    assert all(view["selected"] <= 200 and view["pixel_error"] > 3 for view in rendered["views"])
+
+
+def test_eval_compares_with_all_leaves(splatree, small_tree):
+    words = ("eval", small_tree, "--views", "2", *SIZE, "--pixel-error", "20", "--json")
+    evaluated = result_of(splatree(*words))
+    assert evaluated["num_gaussians"] == NUM_GAUSSIANS
+    for view in evaluated["views"]:
+        assert view["selected"] < view["leaves_selected"]
+        assert 5 < view["psnr_vs_leaves"] < 60
+        assert set(view["ms"]) == {"select", "project", "bin", "blend"}
+    assert evaluated["mean"]["psnr_vs_leaves"] == pytest.approx(
+        np.mean([v["psnr_vs_leaves"] for v in evaluated["views"]])
+    )
+
+
+def test_eval_of_equal_pictures_is_null_in_json(splatree, small_ply):
+    evaluated = result_of(splatree("eval", small_ply, "--views", "1", *SIZE, "--json"))
+    assert evaluated["views"][0]["psnr_vs_leaves"] is None
+    assert evaluated["views"][0]["ssim_vs_leaves"] == pytest.approx(1)
+
+
+def test_eval_finds_the_photographs_of_the_views(splatree, small_tree, tmp_path):
+    made = ("--views", "2", *SIZE)
+    code, _, _ = splatree("render", small_tree, "-o", tmp_path, "--path", "flyout", "--pixel-error", "0", *made)
+    assert code == 0
+    (tmp_path / "view_0001.png").unlink()
+    evaluated = result_of(splatree("eval", small_tree, "--data", tmp_path, *made, "--elevation-deg", "30", "--json"))
+    first, second = evaluated["views"]
+    # The photograph is the picture of all leaves, rounded to 8 bits: at most half a step off, so better than 20 log10(510) dB.
+    assert first["leaves_psnr_vs_photo"] > 54
+    assert first["psnr_vs_photo"] == pytest.approx(first["psnr_vs_leaves"], abs=0.1)
+    assert second["psnr_vs_photo"] is None
+
+
+def test_formats_lists_what_is_read_and_written(splatree):
+    lines = {line["name"]: line for line in result_of(splatree("formats", "--json"))}
+    assert lines["ply"]["written"] and lines["ply"]["suffixes"] == [".ply"]
+    assert not lines["sog"]["written"]
+    assert lines["splatree"]["levels"] == "tree"
+
+
+def test_names_of_pictures_are_safe_and_unique():
+    def camera(name):
+        return Camera(np.eye(4), np.eye(3), 2, 2, name=name)
+
+    names = file_names([camera("a/left.jpg"), camera("../../etc/x y.png"), camera("b/left.jpg"), camera("")])
+    assert names == ["0000", "x_y", "0002", "0003"]

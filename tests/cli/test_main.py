@@ -1,0 +1,133 @@
+"""Errors, exit codes and what is printed where."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from splatree.cli.main import VERBS
+
+COMMAND = [sys.executable, "-c", "import sys; from splatree.cli.main import main; sys.exit(main())"]
+
+
+def test_help_names_every_verb(splatree):
+    code, out, _ = splatree("--help")
+    assert code == 0
+    assert all(verb in out for verb in VERBS)
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_each_verb_explains_its_options(splatree, verb):
+    code, out, _ = splatree(verb, "--help")
+    assert code == 0
+    assert "--json" in out and "--verbose" in out and "--quiet" in out
+
+
+@pytest.mark.parametrize(
+    "words", [(), ("bild",), ("info", "--no-such-option"), ("render", "x.ply", "--pixel-error", "-1")]
+)
+def test_wrong_command_line_is_code_2(splatree, words):
+    code, out, err = splatree(*words)
+    assert code == 2
+    assert out == ""
+    assert err
+
+
+def one_line(run):
+    code, out, err = run
+    assert code == 1
+    assert out == ""
+    assert err.count("\n") == 1 and "error: " in err and "Traceback" not in err
+    return err
+
+
+@pytest.mark.parametrize("verb", ["info", "convert", "thin", "build", "render", "eval"])
+def test_missing_input_is_one_line_that_names_it(splatree, tmp_path, verb):
+    outputs = {"render": ["-o", tmp_path / "frames"], "info": [], "eval": []}.get(verb, [tmp_path / "out.ply"])
+    assert "nothing.ply" in one_line(splatree(verb, tmp_path / "nothing.ply", *outputs))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_existing_output_is_replaced_only_by_force(splatree, small_ply, tmp_path):
+    target = tmp_path / "out.ply"
+    target.write_bytes(b"old")
+    for verb in ("convert", "thin"):
+        assert "exists" in one_line(splatree(verb, small_ply, target))
+        assert target.read_bytes() == b"old"
+    assert splatree("convert", small_ply, target, "--force")[0] == 0
+    assert target.read_bytes() == small_ply.read_bytes()
+
+
+def test_existing_picture_is_replaced_only_by_force(splatree, small_ply, tmp_path):
+    words = ("render", small_ply, "-o", tmp_path, "--views", "1", "--width", "20", "--height", "20")
+    assert splatree(*words)[0] == 0
+    assert "view_0000.png" in one_line(splatree(*words))
+    assert splatree(*words, "--force")[0] == 0
+
+
+def test_output_must_be_named(splatree, small_ply, tmp_path):
+    assert "wanted an input and an output" in one_line(splatree("build", small_ply))
+    assert "is a folder" in one_line(splatree("build", small_ply, tmp_path))
+    assert "is an input too" in one_line(splatree("convert", small_ply, small_ply, "--force"))
+    assert "nothing to write" in one_line(splatree("render", small_ply))
+
+
+def test_unknown_suffix_is_refused_before_anything_is_written(splatree, small_ply, tmp_path):
+    assert ".xyz" in one_line(splatree("convert", small_ply, tmp_path / "out.xyz"))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_verbose_shows_steps_and_the_origin_of_an_error(splatree, small_ply, tmp_path):
+    code, out, err = splatree("thin", small_ply, tmp_path / "out.ply", "--keep", "0.5", "--verbose", "--json")
+    assert code == 0
+    assert json.loads(out)["num_gaussians"] > 0
+    assert "thin: " in err
+    code, _, err = splatree("info", tmp_path / "nothing.ply", "-v")
+    assert code == 1
+    assert "Traceback" in err
+
+
+def test_quiet_prints_nothing(splatree, small_ply, tmp_path):
+    assert splatree("convert", small_ply, tmp_path / "out.ply", "-q") == (0, "", "")
+
+
+def test_bug_is_reported_in_one_line(splatree, small_ply, monkeypatch):
+    monkeypatch.setattr("splatree.cli.info.describe", lambda scene: 1 / 0)
+    assert "ZeroDivisionError" in one_line(splatree("info", small_ply))
+
+
+def test_installed_command_runs_and_reads_no_standard_input(small_ply):
+    run = subprocess.run(
+        [*COMMAND, "info", small_ply, "--json"], capture_output=True, text=True, stdin=subprocess.DEVNULL
+    )
+    assert run.returncode == 0, run.stderr
+    assert json.loads(run.stdout)["num_gaussians"] == 3161
+
+
+def test_reader_that_leaves_early_is_no_error(small_ply):
+    with subprocess.Popen([*COMMAND, "info", small_ply], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as run:
+        run.stdout.close()
+        assert run.stderr.read() == b""
+        assert run.wait() == 0
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="sends SIGINT as a terminal does")
+def test_interrupt_leaves_no_half_files(small_ply, tmp_path):
+    words = ["render", small_ply, "-o", tmp_path, "--views", "500", "--width", "40", "--height", "30"]
+    # A process started in the background of a shell inherits an ignored SIGINT; a terminal's does not.
+    listening = COMMAND[2].replace("import sys;", "import signal, sys; signal.signal(2, signal.default_int_handler);")
+    command = [*COMMAND[:2], listening, *words]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as run:
+        try:
+            while not list(tmp_path.glob("*.png")) and run.poll() is None:
+                time.sleep(0.02)
+            run.send_signal(signal.SIGINT)
+            _, err = run.communicate(timeout=60)
+        finally:
+            run.kill()
+    assert run.returncode == 130
+    assert err == "splatree: interrupted\n"
+    assert all(path.suffix == ".png" and not path.name.startswith(".") for path in tmp_path.iterdir())
