@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 
 import splatree as st
 from splatree.kernels import cpu, reference
@@ -77,3 +78,9 @@ def test_a_diagonal_needle_skips_the_corners_of_its_box() -> None:
     # Through the middle of 10 × 10 tiles the diagonal meets 10 tiles and, being about 4 px thick, their neighbours' corners.
     assert bins.num_pairs <= 28
     assert cpu.bin.bin(splats, seen_by, options(), whole_box=True).num_pairs == 100
+
+
+def test_pictures_with_too_many_tiles_are_refused() -> None:
+    wide = camera(16 * 2**16, 1)
+    with pytest.raises(st.InputError, match="wanted at most 1048560 px a side"):
+        cpu.bin.bin(splats_of(st.Scene.flat(st.Gaussians.empty()), wide), wide, options())

@@ -1,92 +1,92 @@
 // Stable counting scatter of depth-ordered splats to tiles.
 //
-// Chunks of the order count their pairs for each tile, the counts become places (tile by tile, in a tile chunk by chunk), and
-// each chunk writes its pairs there: every tile's list is in depth order for any number of threads and chunks.
+// First the tiles of each splat, in the order of memory. Then chunks of the depth order count their pairs for each tile, the
+// counts become places (tile by tile, in a tile chunk by chunk), and each chunk writes its pairs there: every tile's list is
+// in depth order for any number of threads and chunks.
 #include "cpu/bin.h"
 
 #include <algorithm>
-#include <cmath>
+#include <cstdlib>
+#include <memory>
+#include <stdexcept>
 #include <vector>
 
+#include "cpu/isa.h"
 #include "cpu/pool.h"
-#include "shared/ellipse.h"
 
 namespace splatree {
 namespace {
 
-constexpr float TILE = 16.f;
+constexpr int AHEAD = 16;  // splats between the fetch of an entry and its use
 
-struct Span {
-  int first, end;  // tiles
-};
-
-// Tiles whose pixel centres, 16 i + ½ to 16 i + 15½, meet [low, high]; of num tiles that hold `size` pixels.
-Span tiles_between(float low, float high, int num, float size) {
-  if (!(high >= 0.5f && low <= size - 0.5f)) return {0, 0};
-  const float first = std::ceil((std::max(low, 0.f) - (TILE - 0.5f)) / TILE);
-  const float last = std::floor((std::min(high, size) - 0.5f) / TILE);
-  return {std::max(int(first), 0), std::min(int(last) + 1, num)};
-}
-
-// Calls visit(tile) for each tile that the splat touches. Not inlined: counting and writing must run the same code, since
-// another contraction of multiply and add could put a tile on the other side.
-template <class Visit>
-__attribute__((noinline)) void visit_spans(const BinJob& job, int32_t index, Visit& visit) {
-  const float* record = job.records + int64_t(index) * NUM_COLUMNS;
-  const Ellipse e = ellipse_of(record, job.log2_threshold);
-  const float half_height = job.whole_box ? record[EXTENT_Y] + e.margin : e.height + e.margin;
-  const Span rows = tiles_between(e.y - half_height, e.y + half_height, job.num_tiles_y, job.height);
-  for (int row = rows.first; row < rows.end; ++row) {
-    float left = record[EXTENT_X] + e.margin, right = left;
-    if (!job.whole_box) {
-      const float top = TILE * row + 0.5f - e.y, bottom = std::min(TILE * (row + 1), float(job.height)) - 0.5f - e.y;
-      left = reach_of(e, -1.f, top, bottom);
-      right = reach_of(e, 1.f, top, bottom);
-    }
-    const Span columns = tiles_between(e.x - left, e.x + right, job.num_tiles_x, job.width);
-    for (int column = columns.first; column < columns.end; ++column) visit(row * job.num_tiles_x + column);
+// The tiles of all splats.
+class Cover {
+ public:
+  explicit Cover(const BinJob& job)
+      : tiles_(new SplatTiles[job.num_splats]), spans_((job.num_splats + SPAN_CHUNK - 1) / SPAN_CHUNK, Spans{nullptr, 0, 0}) {
+    parallel_ranges(job.num_splats, SPAN_CHUNK, job.threads, [&](int64_t begin, int64_t end) {
+      kernels().list_spans(job, begin, end, tiles_.get() + begin, spans_[begin / SPAN_CHUNK]);
+    });
   }
-}
+  ~Cover() {
+    for (Spans& spans : spans_) std::free(spans.data);
+  }
+
+  void prefetch(int32_t splat) const { __builtin_prefetch(tiles_.get() + splat); }
+
+  // Calls visit(row, span) for each row of a splat.
+  template <class Visit>
+  void each_row(int32_t splat, const Visit& visit) const {
+    const SplatTiles& t = tiles_[splat];
+    if (t.num_rows == 0) return;
+    if (t.num_rows == 1) return visit(t.first_row, t.span);
+    const Span* spans = spans_[splat / SPAN_CHUNK].data + t.first_span;
+    for (int row = 0; row < t.num_rows; ++row) visit(t.first_row + row, spans[row]);
+  }
+
+ private:
+  std::unique_ptr<SplatTiles[]> tiles_;
+  std::vector<Spans> spans_;
+};
 
 }  // namespace
 
 int32_t* bin(const BinJob& job, int64_t* tile_start) {
+  const Cover cover(job);
   const int64_t num_tiles = int64_t(job.num_tiles_x) * job.num_tiles_y;
-  const int64_t grain = std::max<int64_t>(4096, (job.num_splats + 15) / 16);
+  const int64_t grain = std::max<int64_t>(16384, (job.num_splats + 15) / 16);
   const int64_t num_chunks = (job.num_splats + grain - 1) / grain;
-  std::vector<int64_t> place(num_chunks * num_tiles, 0);
-  int32_t* pairs = nullptr;
+  std::vector<uint32_t> places(num_chunks * num_tiles, 0);
 
-  // One visitor for both passes, hence one instance of visit_spans.
-  struct Visitor {
-    int64_t* place;
-    int32_t* pairs;  // null while counting
-    int32_t splat;
-    void operator()(int64_t tile) {
-      if (pairs) pairs[place[tile]] = splat;
-      ++place[tile];
-    }
+  // Calls visit(splat, place) with the place of the tile in its chunk, for each pair in order.
+  auto each_pair = [&](const auto& visit) {
+    parallel_ranges(job.num_splats, grain, job.threads, [&](int64_t begin, int64_t end) {
+      uint32_t* place = &places[begin / grain * num_tiles];
+      for (int64_t i = begin; i < end; ++i) {
+        if (i + AHEAD < end) cover.prefetch(job.order[i + AHEAD]);
+        const int32_t splat = job.order[i];
+        cover.each_row(splat, [&](int row, Span span) {
+          uint32_t* tile = place + int64_t(row) * job.num_tiles_x;
+          for (int column = span.first; column < span.end; ++column) visit(splat, tile[column]);
+        });
+      }
+    });
   };
-  auto pass = [&](int64_t begin, int64_t end) {
-    Visitor visitor{&place[begin / grain * num_tiles], pairs, 0};
-    for (int64_t i = begin; i < end; ++i) {
-      visitor.splat = job.order[i];
-      visit_spans(job, visitor.splat, visitor);
-    }
-  };
-  parallel_ranges(job.num_splats, grain, job.threads, pass);
+
+  each_pair([](int32_t, uint32_t& place) { ++place; });
   int64_t total = 0;
-  for (int64_t t = 0; t < num_tiles; ++t) {
-    tile_start[t] = total;
-    for (int64_t c = 0; c < num_chunks; ++c) {
-      const int64_t count = place[c * num_tiles + t];
-      place[c * num_tiles + t] = total;
+  for (int64_t tile = 0; tile < num_tiles; ++tile) {
+    tile_start[tile] = total;
+    for (int64_t chunk = 0; chunk < num_chunks; ++chunk) {
+      const uint32_t count = places[chunk * num_tiles + tile];
+      places[chunk * num_tiles + tile] = uint32_t(total);
       total += count;
     }
   }
   tile_start[num_tiles] = total;
-  pairs = new int32_t[total];
-  parallel_ranges(job.num_splats, grain, job.threads, pass);
+  if (total > UINT32_MAX) throw std::length_error("more than 2^32 pairs of splat and tile: draw fewer splats or fewer pixels");
+  int32_t* pairs = new int32_t[total];
+  each_pair([pairs](int32_t splat, uint32_t& place) { pairs[place++] = splat; });
   return pairs;
 }
 

@@ -1,8 +1,29 @@
-// Job of the binning: which tiles each splat touches, and the scatter to tiles.
+// Jobs of the binning: the tiles of each splat (spans.cpp) and the scatter to tiles (bin.cpp).
 #pragma once
 #include <cstdint>
 
 namespace splatree {
+
+// The tiles of one splat: a span of columns in each of its rows.
+struct Span {
+  uint16_t first, end;  // columns
+};
+
+struct SplatTiles {
+  uint16_t first_row, num_rows;
+  union {
+    Span span;            // of the row, if there is one
+    uint32_t first_span;  // of the rows in the chunk's spans, if there are more
+  };
+};
+
+// The spans of the splats of a chunk that have several rows.
+struct Spans {
+  Span* data;  // from malloc, or null
+  uint32_t size, capacity;
+};
+
+constexpr int64_t SPAN_CHUNK = 4096;  // splats
 
 struct BinJob {
   const float* records;  // v splats
@@ -15,7 +36,7 @@ struct BinJob {
   int threads;
 };
 
-// Fills tile_start (t + 1) and returns the splats of all tiles, tile_start[t] of them, to be freed with delete[].
+// Fills tile_start (t + 1) and returns the splats of all tiles, to be freed with delete[].
 int32_t* bin(const BinJob& job, int64_t* tile_start);
 
 }  // namespace splatree

@@ -2,12 +2,17 @@
 
 import numpy as np
 
+from splatree.constants import TILE_PX
+from splatree.errors import InputError
 from splatree.kernels.cpu import _core
 from splatree.scene.cameras import Camera
 from splatree.scene.frame import Splats, TileBins, tiles_of
 from splatree.scene.options import ResolvedOptions
 
 __all__ = ["bin"]
+
+MOST_TILES = 2**16 - 1
+"""Rows and columns of tiles are kept in 16 bits."""
 
 
 def bin(
@@ -19,6 +24,10 @@ def bin(
     same picture.
     """
     num_x, num_y = tiles_of(camera)
+    if max(num_x, num_y) > MOST_TILES:
+        raise InputError(
+            f"camera {camera.name!r}: found {camera.width} × {camera.height} px, wanted at most {MOST_TILES * TILE_PX} px a side"
+        )
     tile_start = np.empty(num_x * num_y + 1, np.int64)
     splat_from_pair = _core.bin_splats(
         splats.records,

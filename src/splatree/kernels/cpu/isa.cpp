@@ -7,6 +7,7 @@
 #define SPLATREE_DECLARE(isa)                                             \
   namespace splatree::isa {                                               \
   int64_t project(const ProjectJob&, int64_t*);                           \
+  void list_spans(const BinJob&, int64_t, int64_t, SplatTiles*, Spans&);  \
   void blend(const BlendJob&);                                            \
   int32_t largest_bits(const float*, int64_t);                            \
   RunResult select_group(const SelectJob&, int64_t, int32_t*);            \
@@ -14,7 +15,7 @@
   void visible_rows(const SelectJob&, const int32_t*, int64_t, uint8_t*); \
   }
 #define SPLATREE_TABLE(name, isa)                                                                                  \
-  {name, isa::project, isa::blend, isa::largest_bits, isa::select_group, isa::small_rows, isa::visible_rows}
+  {name, isa::project, isa::list_spans, isa::blend, isa::largest_bits, isa::select_group, isa::small_rows, isa::visible_rows}
 
 #if defined(__x86_64__)
 SPLATREE_DECLARE(isa_v4)

@@ -12,6 +12,9 @@
 namespace splatree {
 
 struct ProjectJob;
+struct SplatTiles;
+struct Spans;
+struct BinJob;
 struct BlendJob;
 struct SelectJob;
 struct RunResult;
@@ -19,6 +22,7 @@ struct RunResult;
 struct Kernels {
   const char* isa;
   int64_t (*project)(const ProjectJob& job, int64_t* place);
+  void (*list_spans)(const BinJob& job, int64_t begin, int64_t end, SplatTiles* tiles, Spans& spans);
   void (*blend)(const BlendJob& job);
   int32_t (*largest_bits)(const float* values, int64_t num_values);
   RunResult (*select_group)(const SelectJob& job, int64_t group, int32_t* out);

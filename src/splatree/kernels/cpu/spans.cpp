@@ -1,0 +1,105 @@
+// The tiles of each splat, 16 splats at a time in the order of the records, hence of memory. Most splats lie in one row of
+// tiles: their span comes from the vector loop; the others go on row by row.
+#include <stdlib.h>
+
+#include "cpu/bin.h"
+#include "cpu/isa.h"
+#include "cpu/quad.h"
+#include "shared/ellipse.h"
+#include "shared/record.h"
+
+namespace splatree::SPLATREE_ISA {
+namespace {
+
+constexpr int LANES = 16;
+constexpr int BATCH = 128;  // splats gathered at a time
+
+struct alignas(64) Planes {
+  float column[NUM_COLUMNS][BATCH];
+  int32_t first_row[BATCH], end_row[BATCH], first[BATCH], end[BATCH];
+};
+
+// Records into planes, four by four; the last is repeated to fill whole blocks, whose number is returned.
+int load_records(const float* records, int used, Planes& p) {
+  const int num_blocks = (used + LANES - 1) / LANES;
+  for (int i = 0; i < num_blocks * LANES; i += 4)
+    for (int j = 0; j < NUM_COLUMNS; j += 4) {
+      Quad q[4];
+      for (int l = 0; l < 4; ++l) q[l] = load_quad(records + (i + l < used ? i + l : used - 1) * NUM_COLUMNS + j);
+      transpose(q[0], q[1], q[2], q[3]);
+      for (int l = 0; l < 4; ++l) store_quad(&p.column[j + l][i], q[l]);
+    }
+  return num_blocks;
+}
+
+SPLATREE_FN Ellipse ellipse_at(const Planes& p, int i, float log2_threshold) {
+  return ellipse_of(p.column[X][i], p.column[Y][i], p.column[FACTOR_A][i], p.column[FACTOR_B][i], p.column[FACTOR_C][i],
+                    p.column[LOG2_OPACITY][i], p.column[EXTENT_X][i], p.column[EXTENT_Y][i], log2_threshold);
+}
+
+Span* grow(Spans& spans, int num_rows) {
+  if (spans.size + num_rows > spans.capacity) {
+    spans.capacity = 2 * spans.capacity + num_rows + 1024;
+    spans.data = static_cast<Span*>(realloc(spans.data, spans.capacity * sizeof(Span)));
+    if (!spans.data) abort();
+  }
+  Span* first = spans.data + spans.size;
+  spans.size += num_rows;
+  return first;
+}
+
+// Appends the spans of a splat of several rows, eight at a time; returns the first.
+const Span* list_rows(const BinJob& job, const Ellipse& e, int first_row, int num_rows, float extent_x, Spans& spans) {
+  constexpr int ROWS = 8;
+  const float width = job.width, height = job.height, box = extent_x + e.margin;
+  Span* out = grow(spans, num_rows);
+  for (int begin = 0; begin < num_rows; begin += ROWS) {
+    int32_t first[ROWS], end[ROWS];
+#pragma omp simd
+    for (int r = 0; r < ROWS; ++r) {
+      const Interval strip = strip_of(first_row + begin + r, height);
+      Interval reach = reach_of(e, strip.low, strip.high);
+      if (job.whole_box) reach = {e.x - box, e.x + box};
+      const Tiles columns = tiles_in(reach, width);
+      first[r] = columns.first, end[r] = columns.end;
+    }
+    for (int r = 0; r < ROWS && begin + r < num_rows; ++r) out[begin + r] = {uint16_t(first[r]), uint16_t(end[r])};
+  }
+  return out;
+}
+
+}  // namespace
+
+void list_spans(const BinJob& job, int64_t begin, int64_t end, SplatTiles* tiles, Spans& spans) {
+  Planes p;
+  const float width = job.width, height = job.height;
+  for (int64_t batch = begin; batch < end; batch += BATCH) {
+    const int used = end - batch < BATCH ? int(end - batch) : BATCH;
+    const int num_blocks = load_records(job.records + batch * NUM_COLUMNS, used, p);
+    for (int block = 0; block < num_blocks; ++block) {
+#pragma omp simd
+      for (int i = block * LANES; i < (block + 1) * LANES; ++i) {
+        const Ellipse e = ellipse_at(p, i, job.log2_threshold);
+        const Tiles rows = tiles_in({e.y - e.height - e.margin, e.y + e.height + e.margin}, height);
+        const Interval strip = strip_of(rows.first, height);
+        const Tiles columns = tiles_in(reach_of(e, strip.low, strip.high), width);
+        p.first_row[i] = rows.first, p.end_row[i] = rows.end;
+        p.first[i] = columns.first, p.end[i] = columns.end;
+      }
+    }
+    for (int i = 0; i < used; ++i) {
+      const int num_rows = p.end_row[i] - p.first_row[i];
+      SplatTiles& t = tiles[batch - begin + i];
+      t.first_row = uint16_t(p.first_row[i]);
+      t.num_rows = uint16_t(num_rows);
+      t.span = {uint16_t(p.first[i]), uint16_t(p.end[i])};
+      if (num_rows > 1 || (num_rows && job.whole_box)) {
+        t.first_span = spans.size;
+        const Span* span = list_rows(job, ellipse_at(p, i, job.log2_threshold), p.first_row[i], num_rows, p.column[EXTENT_X][i], spans);
+        if (num_rows == 1) t.span = *span;
+      }
+    }
+  }
+}
+
+}  // namespace splatree::SPLATREE_ISA
