@@ -44,7 +44,8 @@ _NUM_REST = {1: 3, 2: 8, 3: 15}
 """Harmonics beyond the DC of each degree."""
 
 _PALETTE_MAX = 1 << 16
-_ROWS_PER_GATHER = 1 << 16
+_ROWS_PER_GATHER = 1 << 12
+"""4096 rows of 180 bytes stay in the second-level cache between the look-up and the copy."""
 
 ReadBytes = Callable[[str], bytes]
 
