@@ -97,6 +97,20 @@ def test_cut_off_colmap_files_are_refused(tmp_path, name):
             splatree.read_cameras(tmp_path / "m")
 
 
+@pytest.mark.parametrize("value", [1e300, float("inf"), float("nan")])
+@pytest.mark.parametrize("place", range(7))
+def test_absurd_poses_are_refused_or_valid(tmp_path, value, place):
+    write_colmap(tmp_path / "m", binary=True)
+    data = bytearray((tmp_path / "m/images.bin").read_bytes())
+    struct.pack_into("<d", data, 12 + 8 * place, value)
+    (tmp_path / "m/images.bin").write_bytes(data)
+    if value == 1e300 and place > 3:  # far away, but a pose
+        assert len(splatree.read_cameras(tmp_path / "m")) == 3
+    else:
+        with pytest.raises(FormatError, match="quaternion"):
+            splatree.read_cameras(tmp_path / "m")
+
+
 def test_a_lying_count_ends_with_the_file(tmp_path):
     write_colmap(tmp_path / "m", binary=True)
     whole = (tmp_path / "m/images.bin").read_bytes()

@@ -6,6 +6,7 @@ import pytest
 import splatree
 from splatree import FormatError, Gaussians, GaussianTree, Scene
 from splatree.lod.blocks import with_blocks
+from splatree.lod.build import build_lod
 from splatree.scene.scene import Source
 
 from .conftest import COLUMNS, random_gaussians, same_bits
@@ -49,6 +50,13 @@ def test_the_block_index_is_made_anew_for_a_scene_with_levels(tmp_path):
     assert back.blocks is not None and scene.blocks is not None
     for name in ("lower", "upper", "ancestors", "ancestor_start", "leaf_scales"):
         assert same_bits(getattr(back.blocks, name), getattr(scene.blocks, name))
+
+
+def test_a_scene_that_was_read_can_be_built_again(tmp_path):
+    """Its columns are read-only and it brings a block index, which is not that of the new tree."""
+    splatree.write(tree_scene(), tmp_path / "a.splatree")
+    again = build_lod(splatree.read(tmp_path / "a.splatree"))
+    assert again.tree.num_leaves == 5 and again.blocks is None
 
 
 def test_the_columns_are_mapped_not_copied(tmp_path):

@@ -90,6 +90,7 @@ def write_cameras(cameras: Cameras | Sequence[Camera], path: str | os.PathLike[s
         temporary.write_text(json.dumps(records, indent=1) + "\n", encoding="utf-8")
 
 
+@np.errstate(over="ignore", invalid="ignore")  # absurd numbers become infinite, which Camera refuses
 def _parse_inria(records: list[object], path: Path) -> Cameras:
     views = []
     for i, value in enumerate(records):

@@ -26,6 +26,7 @@ def is_model(folder: Path) -> bool:
     )
 
 
+@np.errstate(over="ignore", invalid="ignore")  # absurd numbers become infinite, which Camera refuses
 def read(folder: Path) -> Cameras:
     """Read all views, ordered by the names of their pictures; binary files are preferred to text."""
     if (folder / "images.bin").is_file() and (folder / "cameras.bin").is_file():

@@ -21,6 +21,7 @@ from splatree.scene.cameras import Camera, Cameras
 _DISTORTION = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")  # in the order of COLMAP's FULL_OPENCV
 
 
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")  # absurd numbers become infinite, which Camera refuses
 def parse(content: dict[str, Any], path: Path) -> Cameras:
     """The frames in order."""
     frames = untrusted.as_list(content["frames"], f"{path}: frames")

@@ -197,4 +197,4 @@ def _assemble(scene: Scene, leaves: Gaussians, leaf_ids: Array, forest: _Forest,
     ids[row_from_leaf] = leaf_ids
     ids[row[len(leaves) :]] = np.arange(first_id, first_id + n - len(leaves), dtype=np.uint32)
     source = dataclasses.replace(scene.source, metadata={**scene.source.metadata, "levels": report})
-    return dataclasses.replace(scene, gaussians=gaussians, tree=order.tree, ids=ids, source=source)
+    return dataclasses.replace(scene, gaussians=gaussians, tree=order.tree, ids=ids, blocks=None, source=source)
