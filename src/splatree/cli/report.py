@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from splatree.cli.chart import quality_chart
 from splatree.cli.console import program_version
 from splatree.constants import SH_C0
 from splatree.io.images import write_image
@@ -38,6 +39,9 @@ RAMP = (
 )
 """Colours of merged nodes from few leaves to many, RGB; equal steps in the logarithm."""
 
+STRIP_PX = (480, 270)
+"""Width and height of a picture in strip.png: each second view in a row; cut, all leaves, levels."""
+
 LEAF_GREY = 0.82
 """Leaves themselves are this grey."""
 
@@ -46,7 +50,7 @@ def write_report(demo: "Demo", scene: Scene, evaluations: Sequence[Evaluation]) 
     """Write the pictures and the page into the folder of ``demo.report``."""
     folder = demo.report.parent
     coloured = with_level_colors(scene)
-    cards = []
+    cards, strip = [], []
     for i, (view, e) in enumerate(zip(demo.views, evaluations, strict=True)):
         same_cut = replace(demo.select, pixel_error=view.pixel_error, budget=None)
         levels = trace(coloured, e.camera, select=same_cut).result.image
@@ -55,13 +59,12 @@ def write_report(demo: "Demo", scene: Scene, evaluations: Sequence[Evaluation]) 
         for name, image in pictures.items():
             write_image(image, folder / f"{i}_{name}.png", force=True)
         y, x = _window(e.leaves.result.alpha)
-        sources = {name: _data_uri(image[y, x]) for name, image in pictures.items()}
+        crops = {name: image[y, x] for name, image in pictures.items()}
+        strip.append(np.concatenate([_resized(crops[name], STRIP_PX) for name in ("cut", "leaves", "levels")], axis=1))
+        sources = {name: _data_uri(crop) for name, crop in crops.items()}
         enlarged = e.camera.width / (x.stop - x.start)
         cards.append(_filled("report_view.html", enlarged=_enlarged(enlarged), **sources, **_words(view)))
-    strip = np.concatenate(
-        [np.concatenate([e.cut.result.image, e.leaves.result.image], axis=0) for e in evaluations[::2]], axis=1
-    )
-    write_image(strip, folder / "strip.png", force=True)
+    write_image(np.concatenate(strip[1::2]), folder / "strip.png", force=True)
     page = _filled(
         "report.html",
         gaussians=f"{demo.num_gaussians:,}",
@@ -73,7 +76,7 @@ def write_report(demo: "Demo", scene: Scene, evaluations: Sequence[Evaluation]) 
         gain=f"{ERROR_GAIN:g}",
         cards="\n".join(cards),
         table=_table(demo.views),
-        chart=_chart(demo.views),
+        chart=quality_chart(demo.views),
         legend=_legend(scene),
         depths=" · ".join(f"{n:,}" for n in demo.nodes_per_depth),
         machine=html.escape(_machine()),
@@ -122,6 +125,16 @@ def _window(alpha: Float32[Array, "h w"]) -> tuple[slice, slice]:
     return slice(top, top + h), slice(left, left + w)
 
 
+def _resized(image: Float32[Array, "h w 3"], size: tuple[int, int]) -> Array:
+    from PIL import Image
+
+    return np.asarray(Image.fromarray(_bytes(image)).resize(size, Image.Resampling.LANCZOS), np.float32) / 255
+
+
+def _bytes(image: Float32[Array, "h w 3"]) -> Array:
+    return np.asarray(np.rint(255 * np.clip(image, 0, 1)), np.uint8)
+
+
 def _enlarged(factor: float) -> str:
     return f", shown {factor:.1f} × enlarged" if factor > 1.05 else ""
 
@@ -130,8 +143,7 @@ def _data_uri(image: Float32[Array, "h w 3"]) -> str:
     from PIL import Image
 
     buffer = io.BytesIO()
-    pixels = np.rint(255 * np.clip(image, 0, 1)).astype(np.uint8)
-    Image.fromarray(pixels).save(buffer, "JPEG", quality=90, optimize=True)
+    Image.fromarray(_bytes(image)).save(buffer, "JPEG", quality=90, optimize=True)
     return "data:image/jpeg;base64," + base64.b64encode(buffer.getvalue()).decode()
 
 
@@ -177,40 +189,6 @@ def _table(views: Sequence["DemoView"]) -> str:
         ]
         rows.append("<tr>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>")
     return "\n".join(rows)
-
-
-def _chart(views: Sequence["DemoView"]) -> str:
-    """Quality over nodes drawn, one line a distance, as SVG of 720 × 300."""
-    points = [(nodes, quality) for view in views for _, nodes, quality in view.curve if np.isfinite(quality)]
-    if not points:
-        return ""
-    low_x, high_x = np.log10(max(1, min(n for n, _ in points))), np.log10(max(2, *(n for n, _ in points)))
-    low_y, high_y = np.floor(min(q for _, q in points) / 5) * 5, np.ceil(max(q for _, q in points) / 5) * 5
-
-    def at(nodes: float, quality: float) -> tuple[float, float]:
-        x = 60 + 640 * (np.log10(max(1, nodes)) - low_x) / max(1e-9, high_x - low_x)
-        return x, 260 - 240 * (quality - low_y) / max(1e-9, high_y - low_y)
-
-    parts = []
-    for quality in np.arange(low_y, high_y + 1, 5):
-        y = at(10**low_x, quality)[1]
-        parts.append(f'<line class="grid" x1="60" x2="700" y1="{y:.1f}" y2="{y:.1f}"/>')
-        parts.append(f'<text x="52" y="{y + 4:.1f}" text-anchor="end">{quality:.0f}</text>')
-    for nodes in (n * 10**e for e in range(7) for n in (1, 2, 5)):
-        if low_x <= np.log10(nodes) <= high_x:
-            x = at(nodes, low_y)[0]
-            parts.append(f'<line class="grid" x1="{x:.1f}" x2="{x:.1f}" y1="20" y2="260"/>')
-            parts.append(f'<text x="{x:.1f}" y="278" text-anchor="middle">{nodes:,}</text>')
-    for i, view in enumerate(views):
-        line = [at(nodes, quality) for _, nodes, quality in view.curve if np.isfinite(quality)]
-        color = f"hsl({20 + 220 * i / max(1, len(views) - 1):.0f} 65% 50%)"
-        path = " ".join(f"{x:.1f},{y:.1f}" for x, y in line)
-        parts.append(f'<polyline fill="none" stroke="{color}" stroke-width="2" points="{path}"/>')
-        parts += [f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3" fill="{color}"/>' for x, y in line]
-        parts += [
-            f'<text x="{x - 8:.1f}" y="{y + 4:.1f}" text-anchor="end">{view.distance:,.0f}</text>' for x, y in line[-1:]
-        ]
-    return '<svg viewBox="0 0 720 300" role="img" aria-label="PSNR over nodes drawn">' + "".join(parts) + "</svg>"
 
 
 def _legend(scene: Scene) -> str:
