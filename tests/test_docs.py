@@ -1,0 +1,43 @@
+"""What the pages promise is there: files they link to, options they list, commands they show."""
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from splatree.cli.main import VERBS, main
+
+ROOT = Path(__file__).parent.parent
+PAGES = sorted(p.relative_to(ROOT) for p in [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("src/**/*.md")])
+
+
+@pytest.mark.parametrize("page", PAGES, ids=str)
+def test_links_lead_somewhere(page):
+    text = re.sub(r"```.*?```", "", (ROOT / page).read_text(), flags=re.DOTALL)
+    targets = [target.split("#")[0] for target in re.findall(r"\]\(([^)\s]+)\)", text) if "://" not in target]
+    missing = [target for target in targets if target and not (ROOT / page).parent.joinpath(target).exists()]
+    assert missing == []
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_command_line_page_lists_every_option(verb, capsys):
+    page = (ROOT / "docs" / "cli.md").read_text()
+    section = page.split(f"## splatree {verb}\n")[1].split("\n## ")[0]
+    assert main([verb, "--help"]) == 0
+    options = set(re.findall(r"--[a-z][a-z0-9.-]+", capsys.readouterr().out))
+    missing = [option for option in sorted(options) if option not in section]
+    assert missing == [], "run scripts/docs"
+
+
+def test_readme_shows_verbs_that_exist():
+    lines = re.findall(r"^splatree ([a-z]+) +\S", (ROOT / "README.md").read_text(), flags=re.MULTILINE)
+    assert lines
+    assert set(lines) <= set(VERBS)
+
+
+def test_readme_commands_are_the_ones_that_are_checked():
+    """``.ci/run`` takes the test command out of the README: there must be one, and one for the demo."""
+    commands = [line for line in (ROOT / "README.md").read_text().splitlines() if line.startswith("python3 -m venv")]
+    ends = [shlex.split(command)[-1] for command in commands]
+    assert ends == ["demo", "pytest"]
