@@ -3,11 +3,10 @@
 // First the tiles of each splat, in the order of memory. Then chunks of the depth order count their pairs for each tile, the
 // counts become places (tile by tile, in a tile chunk by chunk), and each chunk writes its pairs there: every tile's list is
 // in depth order for any number of threads and chunks.
-#include "cpu/bin.h"
+#include "cpu/scatter.h"
 
 #include <algorithm>
 #include <cstdlib>
-#include <memory>
 #include <stdexcept>
 #include <vector>
 
@@ -23,7 +22,7 @@ constexpr int AHEAD = 16;  // splats between the fetch of an entry and its use
 class Cover {
  public:
   explicit Cover(const BinJob& job)
-      : tiles_(new SplatTiles[job.num_splats]), spans_((job.num_splats + SPAN_CHUNK - 1) / SPAN_CHUNK, Spans{nullptr, 0, 0}) {
+      : tiles_(allocate<SplatTiles>(job.num_splats)), spans_((job.num_splats + SPAN_CHUNK - 1) / SPAN_CHUNK, Spans{nullptr, 0, 0}) {
     parallel_ranges(job.num_splats, SPAN_CHUNK, job.threads, [&](int64_t begin, int64_t end) {
       kernels().list_spans(job, begin, end, tiles_.get() + begin, spans_[begin / SPAN_CHUNK]);
     });
@@ -45,13 +44,13 @@ class Cover {
   }
 
  private:
-  std::unique_ptr<SplatTiles[]> tiles_;
+  Scratch<SplatTiles> tiles_;
   std::vector<Spans> spans_;
 };
 
 }  // namespace
 
-int32_t* bin(const BinJob& job, int64_t* tile_start) {
+Scratch<int32_t> bin(const BinJob& job, int64_t* tile_start) {
   const Cover cover(job);
   const int64_t num_tiles = int64_t(job.num_tiles_x) * job.num_tiles_y;
   const int64_t grain = std::max<int64_t>(16384, (job.num_splats + 15) / 16);
@@ -85,9 +84,10 @@ int32_t* bin(const BinJob& job, int64_t* tile_start) {
   }
   tile_start[num_tiles] = total;
   if (total > UINT32_MAX) throw std::length_error("more than 2^32 pairs of splat and tile: draw fewer splats or fewer pixels");
-  int32_t* pairs = new int32_t[total];
+  Scratch<int32_t> splat_from_pair = allocate<int32_t>(total);
+  int32_t* pairs = splat_from_pair.get();
   each_pair([pairs](int32_t splat, uint32_t& place) { pairs[place++] = splat; });
-  return pairs;
+  return splat_from_pair;
 }
 
 }  // namespace splatree

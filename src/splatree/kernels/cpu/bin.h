@@ -36,7 +36,5 @@ struct BinJob {
   int threads;
 };
 
-// Fills tile_start (t + 1) and returns the splats of all tiles, to be freed with delete[].
-int32_t* bin(const BinJob& job, int64_t* tile_start);
 
 }  // namespace splatree

@@ -11,10 +11,10 @@
 #include <tuple>
 #include <vector>
 
-#include "cpu/bin.h"
 #include "cpu/blend.h"
 #include "cpu/isa.h"
 #include "cpu/project.h"
+#include "cpu/scatter.h"
 #include "cpu/view.h"
 
 namespace nb = nanobind;
@@ -57,14 +57,14 @@ nb::ndarray<nb::numpy, int32_t, nb::ndim<1>> bin_splats(In<float> records, In<in
                                           bool whole_box, int threads) {
   const BinJob job{records.data(), order.data(), int64_t(order.shape(0)), float(std::log2(threshold)), width, height,
                    num_tiles_x, num_tiles_y, whole_box, threads};
-  int32_t* pairs;
+  Scratch<int32_t> pairs;
   {
     nb::gil_scoped_release release;
     pairs = bin(job, tile_start.data());
   }
-  const nb::capsule owner(pairs, [](void* p) noexcept { delete[] static_cast<int32_t*>(p); });
+  const nb::capsule owner(pairs.get(), [](void* p) noexcept { Free()(p); });
   const size_t num_pairs = size_t(tile_start.data()[num_tiles_x * num_tiles_y]);
-  return nb::ndarray<nb::numpy, int32_t, nb::ndim<1>>(pairs, {num_pairs}, owner);
+  return nb::ndarray<nb::numpy, int32_t, nb::ndim<1>>(pairs.release(), {num_pairs}, owner);
 }
 
 std::tuple<int64_t, int64_t> blend_tiles(In<float> records, In<int64_t> tile_start, In<int32_t> splat_from_pair,

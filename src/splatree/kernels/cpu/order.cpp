@@ -3,11 +3,11 @@
 // Depths are positive, so their bits order like integers. Chunks count and scatter on their own; as a chunk's entries go where
 // the counts of the digits and chunks before it end, the result is the stable order for any number of threads.
 #include <algorithm>
-#include <memory>
 #include <vector>
 
 #include "cpu/pool.h"
 #include "cpu/project.h"
+#include "cpu/scratch.h"
 
 namespace splatree {
 namespace {
@@ -17,28 +17,41 @@ struct Entry {
   int32_t index;
 };
 
-constexpr int DIGIT_BITS = 11;
-constexpr int NUM_DIGITS = 1 << DIGIT_BITS;
+constexpr int MAX_DIGIT_BITS = 11;  // 2048 places to write to fit the second-level cache
 
-void radix_pass(const Entry* from, Entry* to, int64_t n, int shift, int64_t grain, int threads) {
+void radix_pass(const Entry* from, Entry* to, int64_t n, int shift, int digit_bits, int64_t grain, int threads) {
   const int64_t num_chunks = (n + grain - 1) / grain;
-  std::vector<int64_t> place(num_chunks * NUM_DIGITS, 0);
-  auto digit = [shift](const Entry& e) { return (e.key >> shift) & (NUM_DIGITS - 1); };
+  const int64_t num_digits = int64_t(1) << digit_bits;
+  std::vector<uint32_t> place(num_chunks * num_digits, 0);
+  const uint32_t mask = uint32_t(num_digits - 1);
   parallel_ranges(n, grain, threads, [&](int64_t begin, int64_t end) {
-    int64_t* counts = &place[begin / grain * NUM_DIGITS];
-    for (int64_t i = begin; i < end; ++i) ++counts[digit(from[i])];
+    uint32_t* counts = &place[begin / grain * num_digits];
+    for (int64_t i = begin; i < end; ++i) ++counts[(from[i].key >> shift) & mask];
   });
-  int64_t total = 0;
-  for (int d = 0; d < NUM_DIGITS; ++d)
+  uint32_t total = 0;
+  for (int64_t d = 0; d < num_digits; ++d)
     for (int64_t c = 0; c < num_chunks; ++c) {
-      const int64_t count = place[c * NUM_DIGITS + d];
-      place[c * NUM_DIGITS + d] = total;
+      const uint32_t count = place[c * num_digits + d];
+      place[c * num_digits + d] = total;
       total += count;
     }
   parallel_ranges(n, grain, threads, [&](int64_t begin, int64_t end) {
-    int64_t* next = &place[begin / grain * NUM_DIGITS];
-    for (int64_t i = begin; i < end; ++i) to[next[digit(from[i])]++] = from[i];
+    uint32_t* next = &place[begin / grain * num_digits];
+    for (int64_t i = begin; i < end; ++i) {
+      const Entry entry = from[i];
+      to[next[(entry.key >> shift) & mask]++] = entry;
+    }
   });
+}
+
+// Puts runs of one depth in the order of their ids.
+void order_ties(Entry* entries, const int32_t* rows, const uint32_t* ids, int64_t n) {
+  auto id = [&](const Entry& e) { return ids ? ids[rows[e.index]] : uint32_t(rows[e.index]); };
+  for (int64_t begin = 0, end; begin < n; begin = end) {
+    for (end = begin + 1; end < n && entries[end].key == entries[begin].key;) ++end;
+    if (end - begin > 1)
+      std::sort(entries + begin, entries + end, [&](const Entry& e, const Entry& f) { return id(e) < id(f); });
+  }
 }
 
 }  // namespace
@@ -46,7 +59,7 @@ void radix_pass(const Entry* from, Entry* to, int64_t n, int shift, int64_t grai
 void order_by_depth(const float* depths, const int32_t* rows, const uint32_t* ids, int64_t n, int threads,
                     int32_t* order) {
   if (n == 0) return;
-  std::unique_ptr<Entry[]> entries(new Entry[n]), scratch(new Entry[n]);
+  Scratch<Entry> entries = allocate<Entry>(n), scratch = allocate<Entry>(n);
   const int64_t grain = std::max<int64_t>(16384, (n + 15) / 16);
   const int64_t num_chunks = (n + grain - 1) / grain;
   std::vector<uint32_t> lows(num_chunks), highs(num_chunks);
@@ -64,18 +77,15 @@ void order_by_depth(const float* depths, const int32_t* rows, const uint32_t* id
   parallel_ranges(n, grain, threads, [&](int64_t begin, int64_t end) {
     for (int64_t i = begin; i < end; ++i) entries[i].key -= low;
   });
-  for (int shift = 0; shift < 32 && (range >> shift) != 0; shift += DIGIT_BITS) {
-    radix_pass(entries.get(), scratch.get(), n, shift, grain, threads);
+  const int num_bits = range ? 32 - __builtin_clz(range) : 0;
+  const int num_passes = (num_bits + MAX_DIGIT_BITS - 1) / MAX_DIGIT_BITS;
+  const int digit_bits = num_passes ? (num_bits + num_passes - 1) / num_passes : 0;
+  for (int pass = 0; pass < num_passes; ++pass) {
+    radix_pass(entries.get(), scratch.get(), n, pass * digit_bits, digit_bits, grain, threads);
     entries.swap(scratch);
   }
-  // Runs of one depth are in the order of their indices; now of their ids.
-  auto id = [&](const Entry& e) { return ids ? ids[rows[e.index]] : uint32_t(rows[e.index]); };
-  for (int64_t begin = 0, end; begin < n; begin = end) {
-    for (end = begin + 1; end < n && entries[end].key == entries[begin].key;) ++end;
-    if (end - begin > 1)
-      std::sort(&entries[begin], &entries[begin] + (end - begin),
-                [&](const Entry& e, const Entry& f) { return id(e) < id(f); });
-  }
+  // Runs of one depth are in the order of their indices, which may be that of their ids.
+  if (ids || !std::is_sorted(rows, rows + n)) order_ties(entries.get(), rows, ids, n);
   parallel_ranges(n, grain, threads, [&](int64_t begin, int64_t end) {
     for (int64_t i = begin; i < end; ++i) order[i] = entries[i].index;
   });

@@ -70,6 +70,9 @@ void gather(const float* column, const Planes& p, int num_blocks, float* plane) 
 
 template <bool ANTIALIASED>
 void project_batch(const ProjectJob& job, int num_blocks, Planes& p) {
+  // The coefficients are read last; each row has cache lines of its own.
+  for (int i = 0; i < num_blocks * LANES; ++i)
+    __builtin_prefetch(job.sh + int64_t(p.row[i]) * job.num_coefficients * 3);
   gather<3>(job.means, job.last, job.last_mean, p, num_blocks, p.mean);
   gather<4>(job.quats, -1, nullptr, p, num_blocks, p.quat);
   gather<3>(job.log_scales, job.last, job.last_log_scale, p, num_blocks, p.log_scale);
