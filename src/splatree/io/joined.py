@@ -1,7 +1,13 @@
-"""Several scenes as one: chunks of a large capture, joined in order."""
+"""Several scenes as one: chunks of a large capture, joined in order.
+
+A chunk is appended as it arrives and then given back, so the peak is the joined scene and one chunk. The columns grow by
+`ndarray.resize`, which moves large blocks by their pages and does not copy them.
+"""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import fields
+from itertools import chain
 
 import numpy as np
 
@@ -9,42 +15,62 @@ from splatree.errors import InputError
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Scene, Source
 from splatree.scene.tree import GaussianTree
+from splatree.shapes import Array
 
 
-def joined(scenes: Sequence[Scene]) -> Scene:
+def joined(scenes: Iterable[Scene]) -> Scene:
     """All rows of ``scenes`` in order; their trees side by side; harmonics at the highest degree among them.
 
     Raises:
-        InputError: the scenes are drawn in different modes or with different thresholds.
+        InputError: the scenes are drawn in different modes or with different thresholds, or are too many rows together.
     """
-    if len(scenes) == 1:
-        return scenes[0]
-    for name in ("mode", "threshold"):
-        values = {getattr(scene, name): scene for scene in scenes}
-        if len(values) > 1:
-            found = ", ".join(f"{' '.join(scene.source.paths)} with {value}" for value, scene in values.items())
-            raise InputError(
-                f"inputs differ in their {name}: {found}; wanted scenes of one training, read them one by one"
-            )
+    remaining = iter(scenes)
+    first = next(remaining)
+    second = next(remaining, None)
+    if second is None:
+        return first
 
-    starts = np.cumsum([0, *(len(scene) for scene in scenes)])
-    if starts[-1] >= 2**31:
-        raise InputError(f"inputs hold {starts[-1]} Gaussians together, wanted less than 2^31 in one scene")
-    tree = GaussianTree(
-        subtree_end=np.concatenate(
-            [s.tree.subtree_end + np.int32(start) for s, start in zip(scenes, starts, strict=False)]
-        ),
-        depth=np.concatenate([s.tree.depth for s in scenes]),
-        extents=np.concatenate([s.tree.extents for s in scenes]),
-    )
+    gaussians = _empty(Gaussians.empty(first.gaussians.sh_degree))
+    tree = _empty(GaussianTree(np.zeros(0, np.int32), np.zeros(0, np.uint8), np.zeros(0, np.float32)))
+    mode, threshold, has_ids, sources, start = first.mode, first.threshold, False, [], 0
+    for scene in chain((first, second), remaining):
+        first = second = None  # type: ignore[assignment]  # let go of what is appended
+        for name, found, wanted in (("mode", scene.mode, mode), ("threshold", scene.threshold, threshold)):
+            if found != wanted:
+                raise InputError(
+                    f"inputs differ in their {name}: {' '.join(scene.source.paths)} has {found}, those before it {wanted}; "
+                    "wanted scenes of one training, read them one by one"
+                )
+        part, end = scene.gaussians, start + len(scene)
+        if end >= 2**31:
+            raise InputError(f"inputs hold more than {end} Gaussians together, wanted less than 2^31 in one scene")
+        degree = max(part.sh_degree, int(np.sqrt(gaussians["sh"].shape[1])) - 1)
+        if gaussians["sh"].shape[1] < (degree + 1) ** 2:
+            gaussians["sh"] = Gaussians(**gaussians).with_sh_degree(degree).sh
+        _append(gaussians, vars(part.with_sh_degree(degree)))
+        _append(tree, {**vars(scene.tree), "subtree_end": scene.tree.subtree_end + np.int32(start)})
+        has_ids |= scene.ids is not None
+        sources.append(scene.source)
+        start = end
     return Scene(
-        Gaussians.concatenate([s.gaussians for s in scenes]),
-        tree,
-        ids=None if all(s.ids is None for s in scenes) else np.arange(starts[-1], dtype=np.uint32),
-        mode=scenes[0].mode,
-        threshold=scenes[0].threshold,
-        source=_source([s.source for s in scenes]),
+        Gaussians(**gaussians),
+        GaussianTree(**tree),
+        ids=np.arange(start, dtype=np.uint32) if has_ids else None,
+        mode=mode,
+        threshold=threshold,
+        source=_source(sources),
     )
+
+
+def _empty(struct: Gaussians | GaussianTree) -> dict[str, Array]:
+    return {f.name: getattr(struct, f.name).copy() for f in fields(struct)}
+
+
+def _append(columns: dict[str, Array], parts: dict[str, Array]) -> None:
+    for name, column in columns.items():
+        start = len(column)
+        column.resize((start + len(parts[name]), *column.shape[1:]), refcheck=False)  # nothing else looks into it yet
+        column[start:] = parts[name]
 
 
 def _source(sources: Sequence[Source]) -> Source:

@@ -83,7 +83,7 @@ def read(
     options = ReadOptions(level, repair)
     paths = [path] if isinstance(path, str | os.PathLike) else list(path)
     inputs = find_inputs([Path(p) for p in paths], lambda p: detect(p) is not None)
-    return joined([_read_one(p, options) for p in inputs])
+    return joined(_read_one(p, options) for p in inputs)
 
 
 def write(scene: Scene, path: str | os.PathLike[str], *, force: bool = False, depth: int | None = None) -> None:
