@@ -22,6 +22,7 @@ from splatree.constants import DILATION_PX2, SIGMAS
 from splatree.errors import InputError
 from splatree.kernels.cpu import merge as merge_kernel
 from splatree.kernels.cpu import thin as thin_kernel
+from splatree.kernels.cpu.blocks import index_blocks
 from splatree.lod.order import Level, preorder
 from splatree.maths.morton import morton_codes
 from splatree.progress import task
@@ -197,4 +198,5 @@ def _assemble(scene: Scene, leaves: Gaussians, leaf_ids: Array, forest: _Forest,
     ids[row_from_leaf] = leaf_ids
     ids[row[len(leaves) :]] = np.arange(first_id, first_id + n - len(leaves), dtype=np.uint32)
     source = dataclasses.replace(scene.source, metadata={**scene.source.metadata, "levels": report})
-    return dataclasses.replace(scene, gaussians=gaussians, tree=order.tree, ids=ids, blocks=None, source=source)
+    blocks = index_blocks(gaussians, order.tree, threads=threads)
+    return dataclasses.replace(scene, gaussians=gaussians, tree=order.tree, ids=ids, blocks=blocks, source=source)

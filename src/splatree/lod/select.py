@@ -5,7 +5,7 @@ that can be seen, not with the scene. The rules that reproduce published code, `
 run in NumPy over all rows: they are there to be compared with.
 
 A budget is met by raising τ_R: coarser cuts are nested in finer ones, so the number of nodes falls as τ_R grows (but for
-the few at the border of the image), and bisection finds where it fits.
+the few at the border of the image), and interpolation between two values finds where it fits.
 """
 
 from collections.abc import Callable
@@ -84,7 +84,9 @@ def select(
     pixel_error = options.pixel_error
     smallest = smallest_radius(options.profile, dilation_px2)
     if options.budget is not None and len(rows) > options.budget:
-        rows, visited, pixel_error = _meet_budget(rows_at, options.budget, max(pixel_error, smallest), camera)
+        rows, visited, pixel_error = _meet_budget(
+            rows_at, options.budget, max(pixel_error, smallest), len(rows), camera
+        )
     notes = []
     if 0 < pixel_error < smallest:
         notes.append(
@@ -111,28 +113,42 @@ def count_nested(tree: GaussianTree, rows: Array) -> int:
 
 
 def _meet_budget(
-    rows_at: Callable[[float], tuple[Array, int]], budget: int, finest: float, camera: Camera
+    rows_at: Callable[[float], tuple[Array, int]], budget: int, finest: float, num_finest: int, camera: Camera
 ) -> tuple[Array, int, float]:
-    """The rows at the smallest τ_R above ``finest`` whose number is within the budget, the rows visited, and that τ_R."""
-    coarse, coarse_rows = np.inf, rows_at(np.inf)
-    if len(coarse_rows[0]) > budget:
+    """Rows at a τ_R above ``finest``, where there are too many, whose number is just within the budget.
+
+    Nodes are fewer as τ_R grows, about as 1/τ_R² on surfaces: interpolation between the logarithms takes a handful of steps.
+    """
+    fine, num_fine = finest, num_finest
+    coarse = max(finest, 0.1)
+    found: tuple[Array, int] = np.zeros(0, np.int32), 0
+    while coarse < COARSEST_PX:
+        coarse *= max(2.0, float(np.sqrt(num_fine / budget)))
+        found = rows_at(coarse)
+        if len(found[0]) <= budget:
+            break
+        if fine == finest:
+            _check_roots(len(rows_at(np.inf)[0]), budget, camera)
+        fine, num_fine = coarse, len(found[0])
+    else:
+        return *rows_at(np.inf), np.inf  # what is left is refined at any finite τ_R: it reaches behind the near plane
+
+    wanted = (1 + BUDGET_SHARE) / 2 * budget
+    while coarse > BUDGET_PRECISION * max(fine, 1e-3) and len(found[0]) < BUDGET_SHARE * budget:
+        drop = np.log(num_fine / max(len(found[0]), 1))
+        share = np.clip(np.log(num_fine / wanted) / drop, 0.1, 0.9)
+        middle = float(max(fine, coarse / 16) ** (1 - share) * coarse**share)
+        between = rows_at(middle)
+        if len(between[0]) <= budget:
+            coarse, found = middle, between
+        else:
+            fine, num_fine = middle, len(between[0])
+    return *found, float(coarse)
+
+
+def _check_roots(num_roots: int, budget: int, camera: Camera) -> None:
+    if num_roots > budget:
         raise InputError(
-            f"budget: found {len(coarse_rows[0])} roots in view of camera {camera.name!r}, wanted at most {budget} nodes; "
+            f"budget: found {num_roots} roots in view of camera {camera.name!r}, wanted at most {budget} nodes; "
             f"build levels with fewer roots or allow more nodes"
         )
-    fine = finest
-    step = max(2 * finest, 1e-3)
-    while step < COARSEST_PX:
-        found = rows_at(step)
-        if len(found[0]) <= budget:
-            coarse, coarse_rows = step, found
-            break
-        fine, step = step, 2 * step
-    while np.isfinite(coarse) and coarse > BUDGET_PRECISION * fine and len(coarse_rows[0]) < BUDGET_SHARE * budget:
-        middle = float(np.sqrt(coarse * max(fine, coarse / 4)))
-        found = rows_at(middle)
-        if len(found[0]) <= budget:
-            coarse, coarse_rows = middle, found
-        else:
-            fine = middle
-    return *coarse_rows, float(coarse)

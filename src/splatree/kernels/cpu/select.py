@@ -45,7 +45,7 @@ def select(
         threshold,
         _pack_rule(camera, options, dilation_px2, threshold),
         VISIBILITIES.index(options.visibility),
-        options.visibility != "none" and options.pixel_error < CULL_BELOW_PX,
+        bool(options.visibility != "none" and options.pixel_error < CULL_BELOW_PX),
         *_view_planes(camera, options, dilation_px2, threshold),
         threads,
     )
