@@ -36,10 +36,15 @@ def test_each_written_format_reads_back_from_any_name(tmp_path):
 @pytest.mark.parametrize("f", [f for f in formats() if f.write], ids=lambda f: f.name)
 def test_every_format_checks_the_values_it_reads(tmp_path, f):
     g = random_gaussians(5, 1)
-    g.means[3, 2] = np.nan
-    splatree.write(Scene.flat(g), tmp_path / f"a{f.suffixes[0]}")
-    with pytest.raises(FormatError, match=r"means\[2\]: found nan"):
-        splatree.read(tmp_path / f"a{f.suffixes[0]}")
+    path = tmp_path / f"a{f.suffixes[0]}"
+    splatree.write(Scene.flat(g), path)
+    data = path.read_bytes()
+    for row in range(5):
+        z = g.means[row, 2].tobytes()
+        assert data.count(z) == 1
+        path.write_bytes(data.replace(z, np.float32(np.nan).tobytes()))
+        with pytest.raises(FormatError, match=r"row \d, means\[2\]: found nan"):
+            splatree.read(path)
 
 
 @pytest.mark.parametrize("f", [f for f in formats() if f.write and f.lossless], ids=lambda f: f.name)
@@ -97,7 +102,7 @@ def test_the_newest_iteration_of_a_training_is_read(tmp_path):
     for i in (7000, 30000, 900):
         write_scene(tmp_path / f"point_cloud/iteration_{i}/point_cloud.ply", n=i // 100)
     (tmp_path / "input.ply").write_text("ply\nof points")
-    assert len(splatree.read(tmp_path)) == 300
+    assert len(splatree.read(tmp_path)) == len(splatree.read(tmp_path / "point_cloud")) == 300
 
 
 @pytest.mark.parametrize(

@@ -72,3 +72,11 @@ def test_a_cut_off_file_is_refused_or_repaired(tmp_path):
         splatree.read(tmp_path / "a.splat")
     scene = splatree.read(tmp_path / "a.splat", repair=True)
     assert len(scene) == 3 and json.loads(scene.source.metadata["repairs"]) == {"unexpected_bytes": 25}
+
+
+def test_what_has_no_code_is_refused_before_a_file_is_made(tmp_path):
+    g = random_gaussians(3, 0)
+    g.quats[1] = 0
+    with pytest.raises(FormatError, match="scene to write: row 1, quats"):
+        splatree.write(Scene.flat(g), tmp_path / "a.splat")
+    assert list(tmp_path.iterdir()) == []

@@ -33,10 +33,11 @@ def _find(path: Path, is_scene: Callable[[Path], bool]) -> list[Path]:
 
 
 def newest_iteration(folder: Path) -> Path | None:
-    """The latest point_cloud.ply of a training output; None if the folder is something else."""
+    """The latest point_cloud.ply of a training output or of its point_cloud folder; None if the folder is something else."""
     files = {
         int(match[1]): file
-        for file in folder.glob("point_cloud/iteration_*/point_cloud.ply")
+        for pattern in ("point_cloud/iteration_*/point_cloud.ply", "iteration_*/point_cloud.ply")
+        for file in folder.glob(pattern)
         if (match := re.fullmatch(r"iteration_(\d+)", file.parent.name))
     }
     return files[max(files)] if files else None

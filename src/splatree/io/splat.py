@@ -66,7 +66,7 @@ def read(path: Path, options: ReadOptions) -> Scene:
 
 def write(scene: Scene, path: Path) -> None:
     """Write all rows by descending opacity × volume; the harmonics beyond the DC and the mode are dropped."""
-    g = scene.gaussians
+    g = checked(scene, "scene to write", repair=False).gaussians  # what cannot be used has no code either
     log_opacity = -np.logaddexp(0, -g.logit_opacities.astype(np.float64))
     order = np.argsort(-(log_opacity + g.log_scales.sum(axis=1, dtype=np.float64)), kind="stable")
     with path.open("wb") as file, task(f"write {path.name}", len(g)) as advance:
