@@ -1,12 +1,13 @@
 // Projection and colour of selected rows in one pass: blocks of 16 rows are gathered into planes, computed lane by lane, and
 // the visible lanes become records.
 //
-// A thread fills a chunk's records in a buffer of its own (64 KB, in its cache), waits for the place of the chunk before, and
+// A thread fills a chunk's records in a buffer of its own (32 KB, in its cache), waits for the place of the chunk before, and
 // copies: so the records are in the order of the rows, whatever the threads, and are written to memory once.
 #include "cpu/project.h"
 
 #include <sched.h>
 #include <string.h>
+#include <time.h>
 
 #include "cpu/isa.h"
 #include "cpu/pool.h"
@@ -18,7 +19,7 @@ namespace splatree::SPLATREE_ISA {
 namespace {
 
 constexpr int LANES = 16;
-constexpr int BATCH = 128;  // rows gathered at a time: a vector load right behind scalar stores would wait for them
+constexpr int BATCH = 64;  // rows gathered at a time: a vector load right behind scalar stores would wait for them
 constexpr int CHUNK = PROJECT_CHUNK;
 constexpr int MAX_COEFFICIENTS = 16;
 
@@ -144,6 +145,17 @@ void append_batch(const ProjectJob& job, int used, const Planes& p, Chunk& chunk
   chunk.count += count;
 }
 
+// Waits until a place is known. Chunks are handed out in order, so the one before is done or at work; if its thread has lost
+// its processor, sleeping leaves this one to others.
+int64_t wait_for(const int64_t* place) {
+  for (int tries = 0;; ++tries) {
+    const int64_t first = __atomic_load_n(place, __ATOMIC_ACQUIRE);
+    if (first >= 0) return first;
+    const timespec pause = {0, 20000};
+    tries < 8 ? sched_yield() : nanosleep(&pause, nullptr);
+  }
+}
+
 template <int DEGREE, bool ANTIALIASED>
 int64_t project_all(const ProjectJob& job, int64_t* place) {
   const int64_t num_chunks = (job.num_rows + CHUNK - 1) / CHUNK;
@@ -161,9 +173,7 @@ int64_t project_all(const ProjectJob& job, int64_t* place) {
       load_basis<DEGREE>(num_blocks, planes);
       append_batch<DEGREE>(job, used, planes, chunk);
     }
-    // Chunks are handed out in order, so the one before is done or at work.
-    int64_t first;
-    while ((first = __atomic_load_n(&place[index], __ATOMIC_ACQUIRE)) < 0) sched_yield();
+    const int64_t first = wait_for(&place[index]);
     __atomic_store_n(&place[index + 1], first + chunk.count, __ATOMIC_RELEASE);
     memcpy(job.out_rows + first, chunk.rows, chunk.count * sizeof(int32_t));
     memcpy(job.out_depths + first, chunk.depths, chunk.count * sizeof(float));

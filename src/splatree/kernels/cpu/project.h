@@ -23,7 +23,7 @@ struct ProjectJob {
   float* out_depths;  // the column of the records once more, dense for the sort
 };
 
-constexpr int PROJECT_CHUNK = 1024;  // rows
+constexpr int PROJECT_CHUNK = 512;  // rows
 
 // order[i] is the index of the i-th nearest of v splats; equal depths by ids[rows[.]], or by rows[.] without ids.
 void order_by_depth(const float* depths, const int32_t* rows, const uint32_t* ids, int64_t num_splats, int threads,
