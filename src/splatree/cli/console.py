@@ -101,8 +101,8 @@ def _bars() -> Iterator[Sink]:
                 progress.remove_task(bars.pop(event.name))
         elif time.perf_counter() - begin >= PATIENCE_S:
             if event.name not in bars:
-                progress.start()
                 bars[event.name] = progress.add_task(event.name, total=event.total)
+                progress.start()  # draws at once, if it is the first
             progress.update(bars[event.name], completed=event.done)
 
     try:

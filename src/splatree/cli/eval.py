@@ -13,6 +13,7 @@ from splatree.errors import InputError
 from splatree.io.cameras import read_cameras
 from splatree.io.images import read_image
 from splatree.io.registry import read
+from splatree.metrics.lpips import Lpips, Net
 from splatree.render.evaluate import Evaluation, evaluate
 from splatree.render.paths import PathOptions, flyout
 from splatree.scene.cameras import Camera
@@ -36,6 +37,12 @@ class Command:
     """Take each n-th camera only, from the first; 8 is the usual held-out split."""
     scale: float = 1.0
     """Factor on the width and height of the cameras; photographs are resized likewise."""
+    lpips: Net | None = None
+    """Also LPIPS by this network; needs the extra `lpips` and its weights."""
+    lpips_trunk: Path | None = None
+    """Weights of the classifier, from torchvision; None: where torch keeps them."""
+    lpips_heads: Path | None = None
+    """Weights of LPIPS version 0.1; None: from an installed package lpips or torchmetrics."""
     made: Annotated[PathOptions, arg(name="")] = PathOptions(views=8)
     select: Annotated[SelectOptions, arg(name="")] = SelectOptions()
     options: Annotated[RenderOptions, arg(name="")] = RenderOptions()
@@ -58,6 +65,8 @@ class View:
     """Cut against all leaves, dB; infinity (null in JSON) for equal pictures."""
     ssim_vs_leaves: float | None
     """The same, structural similarity."""
+    lpips_vs_leaves: float | None
+    """The same, LPIPS."""
     ms: dict[str, float]
     """Wall time of each stage for the cut."""
     leaves_selected: int
@@ -74,6 +83,10 @@ class View:
     """All leaves against the photograph, dB."""
     leaves_ssim_vs_photo: float | None = None
     """The same, structural similarity."""
+    lpips_vs_photo: float | None = None
+    """Cut against the photograph, LPIPS."""
+    leaves_lpips_vs_photo: float | None = None
+    """All leaves against the photograph, LPIPS."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +117,9 @@ def run(command: Command) -> Evaluated:
     cameras = read_cameras(command.cameras) if command.cameras else flyout(scene, command.made)
     chosen = [camera.scaled(command.scale) for camera in list(cameras)[:: command.every]]
     photos = _Photos(command.data, chosen) if command.data else None
-    views = tuple(view_of(e) for e in evaluate(scene, chosen, command.options, command.select, photos=photos))
+    network = Lpips(command.lpips, trunk=command.lpips_trunk, heads=command.lpips_heads) if command.lpips else None
+    compared = evaluate(scene, chosen, command.options, command.select, photos=photos, lpips=network)
+    views = tuple(view_of(evaluation) for evaluation in compared)
     return Evaluated(
         num_gaussians=scene.tree.num_leaves,
         num_nodes=len(scene),
@@ -133,6 +148,7 @@ def view_of(e: Evaluation) -> View:
         pixel_error=e.cut.selection.pixel_error,
         psnr_vs_leaves=e.cut_vs_leaves.psnr,
         ssim_vs_leaves=e.cut_vs_leaves.ssim,
+        lpips_vs_leaves=e.cut_vs_leaves.lpips,
         ms=e.cut.result.milliseconds,
         leaves_selected=e.leaves.result.counters.num_selected,
         leaves_pairs=e.leaves.result.counters.num_pairs,
@@ -141,6 +157,8 @@ def view_of(e: Evaluation) -> View:
         ssim_vs_photo=e.cut_vs_photo.ssim if e.cut_vs_photo else None,
         leaves_psnr_vs_photo=e.leaves_vs_photo.psnr if e.leaves_vs_photo else None,
         leaves_ssim_vs_photo=e.leaves_vs_photo.ssim if e.leaves_vs_photo else None,
+        lpips_vs_photo=e.cut_vs_photo.lpips if e.cut_vs_photo else None,
+        leaves_lpips_vs_photo=e.leaves_vs_photo.lpips if e.leaves_vs_photo else None,
     )
 
 
@@ -155,6 +173,8 @@ def row_of(view: View) -> dict[str, object]:
         "PSNR": view.psnr_vs_leaves,
         "SSIM": None if view.ssim_vs_leaves is None else f"{view.ssim_vs_leaves:.4f}",
     }
+    if view.lpips_vs_leaves is not None:
+        row["LPIPS"] = f"{view.lpips_vs_leaves:.4f}"
     row |= {f"{stage} ms": ms for stage, ms in view.ms.items()}
     if view.psnr_vs_photo is not None:
         row |= {"PSNR photo": view.psnr_vs_photo, "leaves": view.leaves_psnr_vs_photo}

@@ -5,7 +5,7 @@ Each view is drawn twice at the same size and in the same run: from the cut that
 clipped to 0 to 1 before they are compared, as a screen would show them.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,6 +29,8 @@ class Score:
     """Peak signal-to-noise ratio, dB; infinity for equal pictures."""
     ssim: float | None
     """Structural similarity (Wang 2004); None for pictures smaller than its window of 11 px."""
+    lpips: float | None = None
+    """Learned perceptual similarity (Zhang 2018), smaller is nearer; None if it was not asked for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,8 +58,12 @@ def evaluate(
     select: SelectOptions | None = None,
     *,
     photos: Mapping[str, Array] | None = None,
+    lpips: Callable[[Array, Array], float] | None = None,
 ) -> Iterator[Evaluation]:
-    """Yield the comparison of each view; ``photos`` are pictures, float32 (h w 3), by the camera's name."""
+    """Yield the comparison of each view.
+
+    ``photos`` are pictures, float32 (h w 3), by the camera's name. ``lpips`` is a loaded `splatree.metrics.lpips.Lpips`.
+    """
     select = select or SelectOptions()
     all_leaves = replace(select, pixel_error=0.0, budget=None, rule="cut", max_radius=None)
     for camera in track(list(cameras), "evaluate views"):
@@ -68,14 +74,18 @@ def evaluate(
             camera,
             cut,
             leaves,
-            score(cut.result.image, leaves.result.image),
-            None if photo is None else score(cut.result.image, photo),
-            None if photo is None else score(leaves.result.image, photo),
+            score(cut.result.image, leaves.result.image, lpips),
+            None if photo is None else score(cut.result.image, photo, lpips),
+            None if photo is None else score(leaves.result.image, photo, lpips),
         )
 
 
-def score(image: Array, reference: Array) -> Score:
-    """PSNR and SSIM of two pictures as a screen shows them."""
+def score(image: Array, reference: Array, lpips: Callable[[Array, Array], float] | None = None) -> Score:
+    """PSNR, SSIM and, if its network is given, LPIPS of two pictures as a screen shows them."""
     image, reference = np.clip(image, 0, 1), np.clip(reference, 0, 1)
     large = min(image.shape[:2]) >= WINDOW_PX
-    return Score(psnr(image, reference), ssim(image, reference) if large else None)
+    return Score(
+        psnr(image, reference),
+        ssim(image, reference) if large else None,
+        None if lpips is None else lpips(image, reference),
+    )

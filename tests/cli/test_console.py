@@ -1,0 +1,44 @@
+import io
+
+import pytest
+
+from splatree.cli import console
+from splatree.cli.console import Console, progress_shown, table
+from splatree.progress import task
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+def shown(monkeypatch, stream, flags, patience_s=0.0):
+    """What a task of two steps leaves on a stream in place of stderr."""
+    monkeypatch.setattr(
+        "sys.stderr", stream
+    )  # here, not in a fixture: pytest renews sys.stderr before the test is called
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setattr(console, "PATIENCE_S", patience_s)
+    with progress_shown(flags), task("work", 2) as advance:
+        advance(1)
+    return stream.getvalue()
+
+
+def test_bar_appears_once_a_task_has_taken_long(monkeypatch):
+    assert "work" in shown(monkeypatch, Terminal(), Console())
+    assert shown(monkeypatch, Terminal(), Console(), patience_s=float("inf")) == ""
+
+
+def test_no_bar_when_quiet_or_without_a_terminal(monkeypatch):
+    assert shown(monkeypatch, Terminal(), Console(quiet=True)) == ""
+    assert shown(monkeypatch, io.StringIO(), Console()) == ""
+
+
+@pytest.mark.parametrize("stream", [Terminal, io.StringIO])
+def test_verbose_says_what_each_step_took(monkeypatch, stream):
+    assert shown(monkeypatch, stream(), Console(verbose=True)).startswith("work: ")
+
+
+def test_table_aligns_numbers_right_and_words_left():
+    rows = [{"name": "a", "n": 1234, "dB": 3.14159}, {"name": "long", "n": 5, "dB": None}]
+    assert table(rows).splitlines() == ["name      n    dB", "a     1,234  3.14", "long      5"]
