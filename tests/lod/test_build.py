@@ -78,8 +78,8 @@ def test_extents_hold_the_subtree_and_grow_upwards(gaussians):
 
 def test_an_inner_node_has_the_mean_and_covariance_of_its_leaves():
     gaussians = surface(400, degree=1)
-    options = BuildOptions(max_roots=4, color_radius=None, merge=MergeOptions(opacity="union"))
-    scene = build_lod(Scene.flat(gaussians), options)
+    merge = MergeOptions(opacity="union", weight="opacity")
+    scene = build_lod(Scene.flat(gaussians), BuildOptions(max_roots=4, color_radius=None, merge=merge))
     g = scene.gaussians
     covariances = covariances_from_gaussians(g.quats, g.log_scales)
     is_leaf = scene.tree.is_leaf
@@ -160,7 +160,11 @@ def test_rules_and_counts_are_in_the_metadata():
     assert levels["mode"] == "antialiased"
     assert levels["nodes"][0] == 200
     classic = build_lod(Scene.flat(surface(200)))
-    assert json.loads(classic.source.metadata["levels"])["merge"]["dilation"] == 0.3
+    merge = json.loads(classic.source.metadata["levels"])["merge"]
+    # 0.3 px² where a node of σ² + 0.3 = 1 px² is seen from √2 times as far.
+    assert merge["dilation"] == pytest.approx(0.3 * 2 / 0.7)
+    assert merge["weight"] == "opacity"
+    assert levels["merge"]["weight"] == "opacity-area"
 
 
 def test_report_counts_every_node_once():

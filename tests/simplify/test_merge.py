@@ -40,7 +40,10 @@ def grouped(draw):
 RULES = [
     MergeOptions(rule=rule, opacity=opacity, position=position, dilation=dilation, scale_bound=bound)
     for rule, opacity, position, (dilation, bound) in itertools.product(
-        ("moments", "mean"), ("standard", "union", "mass"), ("centroid", "representative"), ((0.0, None), (0.3, 1.2))
+        ("moments", "mean"),
+        ("standard", "optical", "union", "mass"),
+        ("centroid", "representative"),
+        ((0.0, None), (0.3, 1.2)),
     )
 ]
 
@@ -77,7 +80,7 @@ def test_moments_keep_mean_and_covariance(data):
 @given(grouped(), st.sampled_from(["moments", "mean"]))
 def test_rotations_are_proper_and_unit(data, rule):
     gaussians, groups, weights = data
-    merged = fast.merge(gaussians, groups, weights, MergeOptions(rule=rule))
+    merged = fast.merge(gaussians, groups, weights, MergeOptions(rule=rule, opacity="union"))
     many = groups.sizes > 1
     # Float32 rounding of four numbers.
     np.testing.assert_allclose(np.linalg.norm(merged.quats[many], axis=1), 1, atol=1e-6)
@@ -145,6 +148,25 @@ def test_excess_mass_widens_a_standard_merge():
     np.testing.assert_allclose(widened.log_scales - plain.log_scales, 0.4 * np.log(2), rtol=1e-3)
 
 
+def test_optical_depth_of_far_twins_is_kept():
+    far = twins(1000.0, logit=2.0)
+    merged = merge(far, all_of(far), MergeOptions(opacity="optical"))
+    area = reference.mean_projected_area(np.exp(2 * merged.log_scales[0].astype(np.float64)))
+    alphas = 1 / (1 + np.exp(-np.array([2.0, merged.logit_opacities[0]], np.float64)))
+    before, after = (reference.dilogarithm(a) for a in alphas)
+    assert after * area == pytest.approx(2 * before, rel=1e-5)  # float32 logit
+
+
+def test_an_opaque_stack_widens_by_what_it_covers():
+    stack = Gaussians.concatenate([twins(0.0, logit=8.0)] * 5)
+    merged = merge(stack, all_of(stack), MergeOptions(opacity="optical"))
+    depth = 10 * reference.dilogarithm(1 / (1 + np.exp(-8.0)))
+    x = np.linspace(0, 60, 2_000_001)  # ∫ 1 − exp(−T e^−x) dx: rings of a Gaussian, in units of its area
+    covered = [float(np.mean(-np.expm1(-t * np.exp(-x))) * 60) for t in (depth, reference.dilogarithm(0.999))]
+    # The mean of two million samples has an error of about 1e-5.
+    np.testing.assert_allclose(merged.log_scales, 0.5 * np.log(covered[0] / covered[1]), rtol=1e-4)
+
+
 def test_mean_projected_area_is_within_its_bound():
     rng = np.random.default_rng(0)
     directions = rng.normal(size=(200_000, 3))
@@ -179,3 +201,12 @@ def test_weights_are_relative_products(rule):
     factor = {"opacity": [1, 1], "opacity-scale": np.exp([1, 3]), "opacity-area": np.exp([3, 6])}[rule]
     expected = alphas * factor
     np.testing.assert_allclose(weights_of(g, rule), expected / expected.max(), rtol=1e-5)  # float32 logarithms
+
+
+def test_rules_follow_the_mode_unless_given():
+    classic, antialiased = (MergeOptions().resolved(mode) for mode in ("classic", "antialiased"))
+    assert (classic.weight, classic.opacity, classic.dilation) == ("opacity", "standard", 0.0)
+    assert (antialiased.weight, antialiased.opacity, antialiased.dilation) == ("opacity-area", "optical", 0.0)
+    assert MergeOptions().resolved("classic", growth=2.0).opacity == "optical"
+    given = MergeOptions(weight="opacity-scale", opacity="mass", dilation=0.1)
+    assert given.resolved("antialiased", growth=2.0) == given

@@ -55,7 +55,7 @@ def run(command: Command) -> Result:
     inputs, output = inputs_and_output(command.paths, command.output)
     scene = read(inputs, repair=command.repair)
     leaves = scene.gaussians if scene.tree.is_leaf.all() else scene.gaussians.take(scene.tree.is_leaf)
-    thinned = thin(leaves, command.options)
+    thinned = thin(leaves, command.options, mode=scene.mode)
     flat = Scene.flat(thinned.gaussians, mode=scene.mode, source=scene.source)
     write(replace(flat, threshold=scene.threshold), output, force=command.force)
     return Result(
@@ -64,7 +64,7 @@ def run(command: Command) -> Result:
         num_gaussians=len(thinned),
         radius=thinned.radius,
         rounds=thinned.groups.rounds,
-        options=command.options,
+        options=thinned.options,
         bytes=output.stat().st_size,
     )
 

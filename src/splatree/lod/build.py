@@ -18,7 +18,7 @@ from typing import Literal
 
 import numpy as np
 
-from splatree.constants import DILATION_PX2, SIGMAS
+from splatree.constants import SIGMAS
 from splatree.errors import InputError
 from splatree.kernels.cpu import merge as merge_kernel
 from splatree.kernels.cpu import thin as thin_kernel
@@ -48,7 +48,7 @@ class BuildOptions:
     """Levels end when at most this many nodes are left."""
     importance: Importance = "opacity-scale"
     """Which of two close Gaussians a group forms around: the larger `opacity`, times mean scale, or times area."""
-    color_radius: float | None = 0.35
+    color_radius: float | None = 0.5
     """ρ: distance in linear RGB (DC colour) that counts as much as r in space; None: colour keeps nothing apart."""
     merge: MergeOptions = field(default_factory=MergeOptions)
     """How a group becomes one Gaussian."""
@@ -81,9 +81,7 @@ def build_lod(scene: Scene, options: BuildOptions | None = None, *, threads: int
     options = options or BuildOptions()
     leaves, leaf_ids = _leaves_of(scene)
     check_finite(leaves)
-    if options.merge.dilation is None:
-        dilation = DILATION_PX2 if scene.mode == "classic" else 0.0
-        options = dataclasses.replace(options, merge=dataclasses.replace(options.merge, dilation=dilation))
+    options = dataclasses.replace(options, merge=options.merge.resolved(scene.mode, growth=options.growth))
     radius = auto_radius(leaves, threads=threads) if isinstance(options.radius, str) else float(options.radius)
     forest = _grow(leaves, options, radius, threads)
     report = {
@@ -129,7 +127,7 @@ class _Forest:
 def _grow(leaves: Gaussians, options: BuildOptions, radius: float, threads: int) -> _Forest:
     order = np.argsort(morton_codes(leaves.means), kind="stable").astype(np.int32)
     present = leaves.with_sh_degree(0).take(order)
-    weights = weights_of(leaves, options.merge.weight)[order]
+    weights = weights_of(leaves, options.merge.weight or "opacity")[order]
     nodes = np.arange(len(leaves), dtype=np.int32)
     forest = _Forest(order, [present], [weights], [], nodes, [len(leaves)], [])
     color_radius = np.inf if options.color_radius is None else options.color_radius

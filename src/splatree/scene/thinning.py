@@ -10,7 +10,9 @@ from typing import Literal
 
 import numpy as np
 
+from splatree.constants import DILATION_PX2, PIXEL_ERROR, SIGMAS
 from splatree.errors import InputError
+from splatree.scene.scene import Mode
 from splatree.shapes import Array, Int32, Int64, check_fields
 
 Importance = Literal["opacity-scale", "opacity", "opacity-area"]
@@ -23,7 +25,7 @@ Weight = Literal["opacity", "opacity-scale", "opacity-area"]
 MergeRule = Literal["moments", "mean"]
 """`moments` keeps mass, mean and covariance of the group; `mean` averages axis by axis (the literal radius scheme)."""
 
-OpacityRule = Literal["standard", "union", "mass"]
+OpacityRule = Literal["standard", "optical", "union", "mass"]
 """Opacity of a merged Gaussian; kernels/reference/merge.py has the equations."""
 
 Position = Literal["centroid", "representative"]
@@ -36,10 +38,13 @@ class MergeOptions:
 
     rule: MergeRule = "moments"
     """Shape: `moments` keeps mean and covariance of the group, `mean` averages scales and quaternions axis by axis."""
-    weight: Weight = "opacity"
-    """Weight of a member in means: `opacity`, or times its mean scale, or times its area."""
-    opacity: OpacityRule = "standard"
-    """`union` 1 − Π(1 − α), `mass` Σ α A / A, or `standard`: the larger of both, excess mass widens the Gaussian."""
+    weight: Weight | None = None
+    """Weight of a member in means: `opacity`, or times its mean scale, or times its area; None: `opacity-area` in a scene of
+    mode `antialiased`, whose splats keep their mass however small they get, else `opacity`."""
+    opacity: OpacityRule | None = None
+    """`union` 1 − Π(1 − α), `mass` Σ α A / A, `standard`: the larger of both, excess mass widens the Gaussian, or `optical`:
+    the group's optical depth is kept, and what a stack covers beyond one Gaussian widens it; None: `optical` for levels and
+    in a scene of mode `antialiased`, else `standard`."""
     position: Position = "centroid"
     """`centroid`, or the `representative`'s own place (then merged Gaussians keep the minimum distance)."""
     scale_bound: float | None = None
@@ -49,8 +54,8 @@ class MergeOptions:
     mass_limit: float = 5.0
     """`standard`: mass above this is not drawn."""
     dilation: float | None = None
-    """Added to variances where areas are compared, in units of the merged σ_max²; None: 0.3 for the levels of a scene of
-    mode `classic` (its renderer dilates splats, and a merged one is drawn where it is about a pixel wide), else 0."""
+    """Added to variances where areas are compared, in units of the merged σ_max²; None: what the renderer's dilation amounts
+    to where a node is drawn, for the levels of a scene of mode `classic`, else 0."""
 
     def __post_init__(self) -> None:
         if self.scale_bound is not None and not self.scale_bound > 0:
@@ -59,6 +64,26 @@ class MergeOptions:
             raise InputError(f"mass_limit: found {self.mass_limit}, wanted 1 or more")
         if not (self.widening >= 0 and (self.dilation is None or self.dilation >= 0)):
             raise InputError(f"widening, dilation: found {self.widening}, {self.dilation}, wanted 0 or more")
+
+    def resolved(self, mode: Mode, *, growth: float | None = None) -> "MergeOptions":
+        """The options with what follows from the mode of the scene, for levels that grow by ``growth`` or for one thinning.
+
+        `antialiased` splats keep their mass at any distance, so true areas weigh and compare. `classic` ones are dilated by
+        0.3 px². A node is drawn from where σ² + 0.3 = 1 px² (3 σ is τ_R = 3 px) to g times as far, where its parent takes
+        over; in the middle, at p² = g σ² / 0.7, the dilation is 0.3 p², which makes all small members count alike. A scene
+        that is thinned once has no such distance.
+        """
+        classic = mode == "classic"
+        dilation = 0.0
+        if classic and growth is not None:
+            drawn_px2 = (PIXEL_ERROR / SIGMAS) ** 2
+            dilation = DILATION_PX2 * growth / (drawn_px2 - DILATION_PX2)
+        return dataclasses.replace(
+            self,
+            weight=self.weight or ("opacity" if classic else "opacity-area"),
+            opacity=self.opacity or ("standard" if classic and growth is None else "optical"),
+            dilation=dilation if self.dilation is None else self.dilation,
+        )
 
     @property
     def bound(self) -> float:

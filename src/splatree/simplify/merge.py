@@ -5,6 +5,7 @@ import numpy as np
 from splatree.errors import InputError
 from splatree.kernels.cpu import merge as kernel
 from splatree.scene.gaussians import Gaussians
+from splatree.scene.scene import Mode
 from splatree.scene.thinning import Groups, Importance, MergeOptions, Weight
 from splatree.shapes import Array, Float32
 
@@ -14,10 +15,17 @@ WEIGHT_MIN = 1e-30
 """Smallest weight, relative to the scene's largest: a group of invisible Gaussians still has a mean."""
 
 
-def merge(gaussians: Gaussians, groups: Groups, options: MergeOptions | None = None, *, threads: int = 0) -> Gaussians:
-    """One Gaussian for each group; a group of one is copied bit for bit."""
-    options = options or MergeOptions()
-    return kernel.merge(gaussians, groups, weights_of(gaussians, options.weight), options, threads=threads)
+def merge(
+    gaussians: Gaussians,
+    groups: Groups,
+    options: MergeOptions | None = None,
+    *,
+    mode: Mode = "classic",
+    threads: int = 0,
+) -> Gaussians:
+    """One Gaussian for each group; a group of one is copied bit for bit. ``mode``: how the result will be drawn."""
+    options = (options or MergeOptions()).resolved(mode)
+    return kernel.merge(gaussians, groups, weights_of(gaussians, options.weight or "opacity"), options, threads=threads)
 
 
 def importance_of(gaussians: Gaussians, rule: Importance) -> Float32[Array, "n"]:

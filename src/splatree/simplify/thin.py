@@ -5,6 +5,7 @@ join theirs (kernels/reference/thin.py), then each group is merged (kernels/refe
 O(n) for a radius; a count is found by about six of them, without merging.
 """
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,7 @@ from splatree.errors import InputError
 from splatree.kernels.cpu import thin as kernel
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
+from splatree.scene.scene import Mode
 from splatree.scene.thinning import Groups, ThinOptions
 from splatree.shapes import Array, Float32
 from splatree.simplify.merge import check_finite, importance_of, merge
@@ -44,8 +46,12 @@ class Thinned:
         return len(self.gaussians)
 
 
-def thin(gaussians: Gaussians, options: ThinOptions | None = None, *, threads: int = 0) -> Thinned:
+def thin(
+    gaussians: Gaussians, options: ThinOptions | None = None, *, mode: Mode = "classic", threads: int = 0
+) -> Thinned:
     """Thin to a radius, a share or a count; the result is the same for any number of threads.
+
+    ``mode`` is how the result will be drawn (`Scene.mode`): the merge depends on it.
 
     A count is met to 1 % where the scene allows: duplicates are always merged, and colours that differ by more than ρ never.
 
@@ -53,6 +59,7 @@ def thin(gaussians: Gaussians, options: ThinOptions | None = None, *, threads: i
         InputError: NaN or infinity in the Gaussians, or a count that colour does not allow.
     """
     options = options or ThinOptions()
+    options = dataclasses.replace(options, merge=options.merge.resolved(mode))
     check_finite(gaussians)
     space = _Space(gaussians, options, threads)
     with task("thin", 3) as advance:
@@ -68,7 +75,7 @@ def thin(gaussians: Gaussians, options: ThinOptions | None = None, *, threads: i
         advance(1)
         groups = space.groups(radius)
         advance(1)
-        merged = merge(gaussians, groups, options.merge, threads=threads)
+        merged = merge(gaussians, groups, options.merge, mode=mode, threads=threads)
         advance(1)
     return Thinned(merged, groups, radius, options)
 

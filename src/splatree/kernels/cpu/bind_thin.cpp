@@ -45,6 +45,7 @@ void merge_groups(In<float> means, In<float> quats, In<float> log_scales, In<flo
                rule == "mean" ? MergeRule::kMean : MergeRule::kMoments,
                opacity == "union"  ? OpacityRule::kUnion
                : opacity == "mass" ? OpacityRule::kMass
+               : opacity == "optical" ? OpacityRule::kOptical
                                    : OpacityRule::kStandard,
                keep_position,
                scale_bound,

@@ -114,6 +114,41 @@ void eigen_symmetric(double A[3][3], double* values, double* R) {
     for (int i = 0; i < 3; ++i) R[3 * i + 2] = -R[3 * i + 2];
 }
 
+// Dilogarithm Li₂ on [0, 1]; above ½ by Euler's reflection formula.
+double dilogarithm(double x) {
+  if (x >= 1) return 1.6449340668482264;
+  if (x > 0.5) return 1.6449340668482264 - std::log(x) * std::log1p(-x) - dilogarithm(1 - x);
+  double sum = 0, power = x;
+  for (int k = 1; k < 40 && power > 1e-17; ++k, power *= x) sum += power / (double(k) * k);
+  return sum;
+}
+
+// The opacity in [0, limit] with the given dilogarithm: bisection, then Newton's steps with Li₂'(x) = −log(1 − x) / x.
+double inverse_dilogarithm(double value, double limit) {
+  double low = 0, high = limit;
+  double x = std::min(value, limit) * 0.8;
+  for (int i = 0; i < 24; ++i) {
+    const double error = dilogarithm(x) - value;
+    (error > 0 ? high : low) = x;
+    if (std::abs(error) < 1e-9 * value) break;
+    const double slope = x > 1e-12 ? -std::log1p(-x) / x : 1;
+    x -= error / slope;
+    if (!(x > low && x < high)) x = 0.5 * (low + high);
+  }
+  return x;
+}
+
+// What a stack of Gaussians of optical depth T covers, ∫ 1 − exp(−T g) over a Gaussian g of area 1: Ein(T) = E₁(T) + ln T + γ.
+double coverage(double depth) {
+  if (depth > 8) return std::log(depth) + 0.57721566490153286;  // E₁ is below 4e-5
+  double sum = 0, term = 1;
+  for (int k = 1; k < 48; ++k) {
+    term *= depth / k;
+    sum += (k % 2 ? 1 : -1) * term / k;
+  }
+  return sum;
+}
+
 double logit_of_alpha(double alpha) { return std::log(alpha) - std::log1p(-alpha); }
 
 class Merger {
@@ -234,11 +269,13 @@ class Merger {
 
   // Writes the opacity and returns what is to be added to the logarithm of the scales.
   double merge_opacity(const double* variance, int64_t group) {
-    double log_through = 0, mass = 0;  // log Π (1 − α_i); Σ α_i A_i
+    double log_through = 0, mass = 0;  // log Π (1 − α_i); Σ α_i A_i or Σ Li₂(α_i) A_i
     const double added = job_.dilation * std::max({variance[0], variance[1], variance[2]});
     for (const Member& m : members_) {
       log_through -= m.logit > 0 ? m.logit + std::log1p(std::exp(-m.logit)) : std::log1p(std::exp(m.logit));
-      if (job_.opacity != OpacityRule::kUnion) mass += m.alpha * dilated_area(m.variance, added);
+      if (job_.opacity == OpacityRule::kUnion) continue;
+      const double depth = job_.opacity == OpacityRule::kOptical ? dilogarithm(m.alpha) : m.alpha;
+      mass += depth * dilated_area(m.variance, added);
     }
     const double limit = logit_of_alpha(kAlphaMax);
     // logit(1 − e^L) = log(e^−L − 1)
@@ -246,7 +283,11 @@ class Merger {
     double logit = std::min(union_logit, limit), widening = 0;
     if (job_.opacity != OpacityRule::kUnion) {
       mass /= dilated_area(variance, added);
-      if (job_.opacity == OpacityRule::kMass) {
+      if (job_.opacity == OpacityRule::kOptical) {
+        const double most = dilogarithm(kAlphaMax);
+        logit = mass >= most ? limit : mass > 0 ? logit_of_alpha(inverse_dilogarithm(mass, kAlphaMax)) : union_logit;
+        if (mass > most) widening = 0.5 * std::log(coverage(mass) / coverage(most));
+      } else if (job_.opacity == OpacityRule::kMass) {
         logit = mass > 0 ? logit_of_alpha(std::min(mass, kAlphaMax)) : union_logit;
       } else {
         if (mass > -std::expm1(log_through)) logit = logit_of_alpha(std::min(mass, kAlphaMax));

@@ -5,7 +5,7 @@
 namespace splatree {
 
 enum class MergeRule { kMean, kMoments };
-enum class OpacityRule { kUnion, kMass, kStandard };
+enum class OpacityRule { kUnion, kMass, kStandard, kOptical };
 
 struct GaussianColumns {
   const float *means, *quats, *log_scales, *logit_opacities, *sh;

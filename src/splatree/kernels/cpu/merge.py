@@ -18,7 +18,8 @@ def merge(
     *,
     threads: int = 0,
 ) -> Gaussians:
-    """One Gaussian for each group, in the order of the groups."""
+    """One Gaussian for each group, in the order of the groups; ``options`` resolved."""
+    assert options.opacity is not None
     g, k = len(groups), gaussians.sh.shape[1]
     shapes = ((g, 3), (g, 4), (g, 3), (g,), (g, k, 3))
     out = Gaussians(*(np.empty(shape, np.float32) for shape in shapes))

@@ -9,6 +9,10 @@ opacity   ``union``    u = 1 − Π (1 − α_i)
           ``mass``     m = Σ α_i A_i / A, with A the mean projected area of an ellipsoid
           ``standard`` max(u, m); what of m is above 1 (up to ``mass_limit``) widens the Gaussian by m^``widening``
 
+          ``optical``  α with Li₂(α) A = Σ Li₂(α_i) A_i: the integral of −log(1 − α g) over a Gaussian g is A Li₂(α), so the light
+                       that passes is kept as it multiplies through layers; a depth T beyond Li₂(0.999) cannot be drawn
+                       and widens the Gaussian by √Ein, as ∫ 1 − e^(−T g) = A Ein(T) is what a stack of depth T covers
+
 Opacities stay below 0.999. ``dilation`` h adds h σ_max² (of the merged Gaussian) to every variance inside A: a renderer of
 mode ``classic`` adds 0.3 px² to every splat, and at the distance where the merged Gaussian comes into use a pixel is about
 its σ_max. A group of one is copied bit for bit.
@@ -27,11 +31,11 @@ from splatree.scene.gaussians import Gaussians
 from splatree.scene.thinning import Groups, MergeOptions
 from splatree.shapes import Array, Float32
 
-__all__ = ["mean_projected_area", "merge", "quat_from_matrix"]
+__all__ = ["coverage", "dilogarithm", "mean_projected_area", "merge", "quat_from_matrix"]
 
 
 def merge(gaussians: Gaussians, groups: Groups, weights: Float32[Array, "n"], options: MergeOptions) -> Gaussians:
-    """One Gaussian for each group, in the order of the groups."""
+    """One Gaussian for each group, in the order of the groups; ``options`` resolved."""
     rows = [
         _merge_members(gaussians, groups.rows[begin:end], int(representative), weights, options)
         for begin, end, representative in zip(groups.start, groups.start[1:], groups.representatives, strict=False)
@@ -95,6 +99,17 @@ def _merge_opacity(
         return min(union_logit, limit), 0.0
     added = (options.dilation or 0.0) * variances.max()
     areas = np.array([mean_projected_area(v + added) for v in member_variances])
+    if options.opacity == "optical":
+        depth = float(sum(dilogarithm(a) * area for a, area in zip(alphas, areas, strict=True)))
+        depth /= mean_projected_area(variances + added)
+        most = dilogarithm(MERGED_ALPHA_MAX)
+        if depth > most:
+            return limit, 0.5 * float(np.log(coverage(depth) / coverage(most)))
+        low, high = 0.0, MERGED_ALPHA_MAX
+        for _ in range(200):
+            middle = (low + high) / 2
+            low, high = (low, middle) if dilogarithm(middle) > depth else (middle, high)
+        return (float(np.log(high) - np.log1p(-high)) if depth > 0 else union_logit), 0.0
     mass = float(alphas @ areas) / mean_projected_area(variances + added)
     bounded = min(mass, MERGED_ALPHA_MAX)
     mass_logit = float(np.log(bounded) - np.log1p(-bounded)) if mass > 0 else union_logit
@@ -113,6 +128,25 @@ def mean_projected_area(variances: Array) -> float:
     a, b, c = np.log(np.asarray(variances, np.float64)) / 2
     terms = power * np.array([a + b, a + c, b + c])
     return float(np.exp((np.logaddexp.reduce(terms) - np.log(3)) / power))
+
+
+def dilogarithm(x: float) -> float:
+    """Li₂(x) = Σ x^k / k² on [0, 1]; above ½ by Euler's reflection formula."""
+    if x >= 1:
+        return float(np.pi**2 / 6)
+    if x > 0.5:
+        return float(np.pi**2 / 6 - np.log(x) * np.log1p(-x)) - dilogarithm(1 - x)
+    k = np.arange(1, 64)
+    return float(np.sum(x**k / k**2))
+
+
+def coverage(depth: float) -> float:
+    """Ein(T) = ∫ (1 − e^−t) / t dt from 0 to T."""
+    if depth > 8:
+        return float(np.log(depth) + np.euler_gamma)  # E₁ is below 4e-5
+    k = np.arange(1, 48)
+    terms = np.cumprod(depth / k) / k
+    return float(np.sum(np.where(k % 2 == 1, terms, -terms)))
 
 
 def quat_from_matrix(matrix: Array) -> Array:
