@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from splatree.cli.render import file_names
+from splatree.io.cameras import write_cameras
 from splatree.io.images import read_image
 from splatree.io.registry import read
+from splatree.render.paths import PathOptions, flyout
 from splatree.scene.cameras import Camera
 
 NUM_GAUSSIANS = 3161
@@ -114,17 +116,25 @@ def test_eval_of_equal_pictures_is_null_in_json(splatree, small_ply):
     assert evaluated["views"][0]["ssim_vs_leaves"] == pytest.approx(1)
 
 
-def test_eval_finds_the_photographs_of_the_views(splatree, small_tree, tmp_path):
-    made = ("--views", "2", *SIZE)
-    code, _, _ = splatree("render", small_tree, "-o", tmp_path, "--path", "flyout", "--pixel-error", "0", *made)
-    assert code == 0
-    (tmp_path / "view_0001.png").unlink()
-    evaluated = result_of(splatree("eval", small_tree, "--data", tmp_path, *made, "--elevation-deg", "30", "--json"))
+def test_eval_finds_the_photographs_and_the_cameras_beside_them(splatree, small_tree, tmp_path):
+    cameras = flyout(read(small_tree), PathOptions(views=2, width=64, height=36))
+    write_cameras(cameras, tmp_path / "cameras.json")
+    words = ("--cameras", tmp_path / "cameras.json", "-o", tmp_path / "images", "--pixel-error", "0")
+    assert splatree("render", small_tree, *words)[0] == 0
+    (tmp_path / "images" / "view_0001.png").unlink()
+    evaluated = result_of(splatree("eval", small_tree, "--data", tmp_path, "--json"))
     first, second = evaluated["views"]
     # The photograph is the picture of all leaves, rounded to 8 bits: at most half a step off, so better than 20 log10(510) dB.
     assert first["leaves_psnr_vs_photo"] > 54
     assert first["psnr_vs_photo"] == pytest.approx(first["psnr_vs_leaves"], abs=0.1)
     assert second["psnr_vs_photo"] is None
+
+
+def test_eval_without_a_picture_named_like_a_camera_is_refused(splatree, small_tree, tmp_path):
+    write_cameras(flyout(read(small_tree), PathOptions(views=1)), tmp_path / "cameras.json")
+    code, out, err = splatree("eval", small_tree, "--data", tmp_path)
+    assert (code, out) == (1, "")
+    assert "view_0000" in err
 
 
 def test_formats_lists_what_is_read_and_written(splatree):

@@ -1,6 +1,6 @@
 """``splatree eval``: what the levels of detail cost in quality and save in work."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated
@@ -30,9 +30,9 @@ class Command:
     paths: Positional[tuple[Path, ...]]
     """Scene; several files or folders are read as one."""
     cameras: Path | None = None
-    """cameras.json, transforms.json or a COLMAP model; without it a flight away from the scene is made."""
+    """cameras.json, transforms.json or a COLMAP model; None: those in --data, or else a flight away from the scene."""
     data: Path | None = None
-    """Folder of photographs named like the cameras."""
+    """Folder of photographs, named like the cameras; subfolders are searched too."""
     every: int = 1
     """Take each n-th camera only, from the first; 8 is the usual held-out split."""
     scale: float = 1.0
@@ -114,7 +114,8 @@ def run(command: Command) -> Evaluated:
     if command.every < 1 or not command.scale > 0:
         raise InputError(f"every, scale: found {command.every}, {command.scale}, wanted at least 1, and more than 0")
     scene = read(command.paths)
-    cameras = read_cameras(command.cameras) if command.cameras else flyout(scene, command.made)
+    source = command.cameras or command.data
+    cameras = read_cameras(source) if source else flyout(scene, command.made)
     chosen = [camera.scaled(command.scale) for camera in list(cameras)[:: command.every]]
     photos = _Photos(command.data, chosen) if command.data else None
     network = Lpips(command.lpips, trunk=command.lpips_trunk, heads=command.lpips_heads) if command.lpips else None
@@ -177,7 +178,7 @@ def row_of(view: View) -> dict[str, object]:
         row["LPIPS"] = f"{view.lpips_vs_leaves:.4f}"
     row |= {f"{stage} ms": ms for stage, ms in view.ms.items()}
     if view.psnr_vs_photo is not None:
-        row |= {"PSNR photo": view.psnr_vs_photo, "leaves": view.leaves_psnr_vs_photo}
+        row |= {"PSNR photo": view.psnr_vs_photo, "leaves photo": view.leaves_psnr_vs_photo}
     return row
 
 
@@ -216,7 +217,7 @@ class _Photos(Mapping[str, Array]):
         camera = self._cameras[name]
         return read_image(self._paths[name], size=(camera.width, camera.height))
 
-    def __iter__(self):  # type: ignore[no-untyped-def]
+    def __iter__(self) -> Iterator[str]:
         return iter(self._paths)
 
     def __len__(self) -> int:
