@@ -166,20 +166,33 @@ def test_threads_and_size_of_blocks_change_nothing(seed, profile, visibility):
 
 @settings(max_examples=20)
 @given(seed=seeds, profile=st.sampled_from(PROFILES))
-def test_order_of_roots_changes_nothing(seed, profile):
+def test_order_of_roots_and_siblings_changes_nothing(seed, profile):
     scene, camera = random_scene(seed), random_camera(seed)
     options = SelectOptions(pixel_error=random_tau(seed), profile=profile)
-    roots = np.flatnonzero(scene.tree.depth == 0)
-    runs = [np.arange(root, scene.tree.subtree_end[root]) for root in roots]
-    order = np.concatenate([runs[i] for i in np.random.default_rng(seed).permutation(len(runs))])
-    place = np.argsort(order).astype(np.int32)
-    tree = scene.tree
-    moved_tree = GaussianTree(
-        place[tree.subtree_end[order] - 1] + 1, np.ascontiguousarray(tree.depth[order]), tree.extents[order]
-    )
-    moved = Scene(scene.gaussians.take(order), moved_tree)
+    order = shuffled_preorder(scene.tree, np.random.default_rng(seed))
+    depth, sizes = scene.tree.depth[order], (scene.tree.subtree_end - np.arange(len(scene)))[order]
+    tree = GaussianTree((np.arange(len(scene)) + sizes).astype(np.int32), depth, scene.tree.extents[order])
+    moved = Scene(scene.gaussians.take(order), tree)
     there = select(with_blocks(moved, rows_per_block=16), camera, options).rows
     assert sorted(order[there].tolist()) == select(scene, camera, options).rows.tolist()
+
+
+def shuffled_preorder(tree: GaussianTree, rng: np.random.Generator) -> np.ndarray:
+    """Rows in another preorder of the same forest."""
+    order: list[int] = []
+    stack = [(0, len(tree))]  # runs of siblings with all that is below them
+    while stack:
+        begin, end = stack.pop()
+        if begin < 0:
+            order.append(end)
+            continue
+        siblings = []
+        while begin < end:
+            siblings.append(begin)
+            begin = int(tree.subtree_end[begin])
+        for row in rng.permutation(siblings).tolist():
+            stack += [(row + 1, int(tree.subtree_end[row])), (-1, row)]
+    return np.array(order)
 
 
 @settings(max_examples=30)

@@ -3,6 +3,7 @@ import pytest
 
 from splatree import Camera, Gaussians, GaussianTree, InputError, Scene, SelectOptions, select
 from splatree.lod.select import smallest_radius
+from splatree.lod.serial import select_serial
 
 
 def quad_tree(levels: int) -> Scene:
@@ -112,6 +113,22 @@ def test_log_serial_counts_what_is_out_of_view_as_small():
     assert set(scene.tree.depth[nearer]) == {1}
     away = Camera.look_at(np.array([0.0, 0.0, -2.0]), np.array([0.0, 0.0, -4.0]))
     assert len(select(scene, away, options)) == 0
+
+
+def test_roots_that_were_found_hidden_lose_their_subtrees():
+    one = quad_tree(2)
+    n = len(one)
+    ends = np.concatenate([one.tree.subtree_end, one.tree.subtree_end + n]).astype(np.int32)
+    depth, extents = np.tile(one.tree.depth, 2), np.tile(one.tree.extents, 2)
+    gaussians = Gaussians.concatenate([one.gaussians, one.gaussians])
+    options = SelectOptions(rule="log-serial", profile="ref", visibility="none")
+    keywords = {"dilation_px2": 0.3, "threshold": 1 / 255}
+    tree, camera = GaussianTree(ends, depth, extents), camera_at(2.0)
+    both, _ = select_serial(gaussians, tree, None, camera, options, **keywords)
+    second, visited = select_serial(gaussians, tree, None, camera, options, roots=np.array([n]), **keywords)
+    assert both.tolist() == [1, 2, 3, 4, 6, 7, 8, 9]
+    assert second.tolist() == [6, 7, 8, 9]
+    assert visited == 5
 
 
 def test_options_that_do_not_exist_are_refused_by_name():

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Iterator
 
+from splatree.lod.blocks import with_blocks
 from splatree.progress import track
 from splatree.render.pipeline import trace
 from splatree.scene.cameras import Camera
@@ -34,5 +35,6 @@ def trace_batch(
     threads: int = 0,
 ) -> Iterator[Frame]:
     """Yield each view, in order, with what each stage computed."""
+    scene = with_blocks(scene, threads=threads)
     for camera in track(list(cameras), "render views"):
         yield trace(scene, camera, options, select, threads=threads)

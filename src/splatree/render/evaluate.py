@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from splatree.lod.blocks import with_blocks
 from splatree.metrics.psnr import psnr
 from splatree.metrics.ssim import WINDOW_PX, ssim
 from splatree.progress import track
@@ -65,6 +66,7 @@ def evaluate(
     ``photos`` are pictures, float32 (h w 3), by the camera's name. ``lpips`` is a loaded `splatree.metrics.lpips.Lpips`.
     """
     select = select or SelectOptions()
+    scene = with_blocks(scene)
     all_leaves = replace(select, pixel_error=0.0, budget=None, rule="cut", max_radius=None)
     for camera in track(list(cameras), "evaluate views"):
         cut = trace(scene, camera, options, select)
