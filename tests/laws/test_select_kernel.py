@@ -247,6 +247,41 @@ def city(side: int) -> Scene:
     return with_blocks(Scene(gaussians, GaussianTree(end, (~is_root).astype(np.uint8), np.full(n, 2, np.float32))))
 
 
+def pairs_of_leaves(roots: np.ndarray, scales: np.ndarray) -> Scene:
+    """Round roots at given places with given σ, each above two specks in its middle."""
+    n = 3 * len(roots)
+    is_root = np.arange(n) % 3 == 0
+    means = np.repeat(roots, 3, axis=0).astype(np.float32)
+    log_scales = np.where(is_root, np.log(np.repeat(scales, 3)), -12.0)
+    quats = np.tile(np.float32([1, 0, 0, 0]), (n, 1))
+    log_scales = np.repeat(log_scales[:, None], 3, axis=1).astype(np.float32)
+    gaussians = Gaussians(means, quats, log_scales, np.full(n, 5, np.float32), np.zeros((n, 1, 3), np.float32))
+    end = np.where(is_root, np.arange(n) + 3, np.arange(n) + 1).astype(np.int32)
+    tree = GaussianTree(end, (~is_root).astype(np.uint8), np.full(n, 9, np.float32))
+    return with_blocks(Scene(gaussians, tree), rows_per_block=16)
+
+
+@pytest.mark.parametrize("profile", ["exact", "3dgs", "ref"])
+def test_nodes_just_below_the_limit_are_not_passed_over_by_their_size_class(profile):
+    # Round splats in the middle of the view have the least radius that their size class allows.
+    sizes = 0.02 * 2 ** np.linspace(-1, 1, 400)
+    scene = pairs_of_leaves(np.zeros((400, 3)), sizes)
+    camera = Camera.look_at(np.array([0.0, 0.0, -5.0]), np.zeros(3), width=640, height=640)
+    radius = reference.radii(scene.gaussians, scene.tree.extents, camera, profile, 0.3)[::3]
+    for limit in radius[150:250:7]:
+        rows = select(scene, camera, SelectOptions(pixel_error=1.001 * limit, profile=profile)).rows
+        assert np.isin(np.flatnonzero(radius <= limit) * 3, rows).all()
+
+
+def test_a_small_node_is_not_lost_with_its_block_at_the_border():
+    # Half the image is 4.66 wide at this distance. The node's σ is 15 px, its centre 30 px out of it, its leaves are specks.
+    camera = Camera.look_at(np.array([0.0, 0.0, -10.0]), np.zeros(3), width=1000, height=1000)
+    pixel = 10 / camera.K[0, 0]
+    for out, seen in ((30.0, True), (60.0, False)):
+        scene = pairs_of_leaves(np.array([[(500 + out) * pixel, 0, 0]]), np.array([15 * pixel]))
+        assert select(scene, camera, SelectOptions(pixel_error=60.0)).rows.tolist() == [0] * seen
+
+
 def test_work_follows_what_can_be_seen():
     scene = city(150)
     centre = np.array([75.0, 75.0, 0.0])
