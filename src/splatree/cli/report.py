@@ -17,6 +17,7 @@ from splatree.cli.chart import quality_chart
 from splatree.cli.console import program_version
 from splatree.constants import SH_C0
 from splatree.io.images import write_image
+from splatree.io.replacing import replacing
 from splatree.kernels.cpu import _core
 from splatree.render.evaluate import Evaluation
 from splatree.render.pipeline import trace
@@ -64,7 +65,7 @@ def write_report(demo: "Demo", scene: Scene, evaluations: Sequence[Evaluation]) 
         sources = {name: _data_uri(crop) for name, crop in crops.items()}
         enlarged = e.camera.width / (x.stop - x.start)
         cards.append(_filled("report_view.html", enlarged=_enlarged(enlarged), **sources, **_words(view)))
-    write_image(np.concatenate(strip[1::2]), folder / "strip.png", force=True)
+    write_image(np.concatenate(strip[1::2] or strip), folder / "strip.png", force=True)
     page = _filled(
         "report.html",
         gaussians=f"{demo.num_gaussians:,}",
@@ -82,7 +83,8 @@ def write_report(demo: "Demo", scene: Scene, evaluations: Sequence[Evaluation]) 
         machine=html.escape(_machine()),
         credit=html.escape(demo.credit),
     )
-    demo.report.write_text(page, encoding="utf-8")
+    with replacing(demo.report, force=True) as temporary:
+        temporary.write_text(page, encoding="utf-8")
 
 
 def _filled(template: str, **values: str) -> str:
