@@ -4,13 +4,11 @@
 channel beyond the DC. ``f_rest`` is channel-major: all K of red, then of green, then of blue; scales are natural logarithms,
 opacity is a logit, the quaternion is wxyz and need not have length one. Layout and deviations: docs/formats/ply.md.
 
-Reading goes by name, so properties may come in any order and as any scalar type. The file is memory-mapped and taken apart
-by one native pass over its bytes: cost about that of copying the file once. A file that shrinks while it is read ends the
-process with SIGBUS, as with any mapped file.
+Reading goes by name, so properties may come in any order and as any scalar type. One native pass reads the file chunk by
+chunk and takes it apart in the cache: no copy of the file is ever in memory, and the cost is about that of reading it once.
 """
 
 import json
-import mmap
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,7 +23,6 @@ from splatree.kernels.cpu.columns import deinterleave, largest_magnitude
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Mode, Scene, Source
-from splatree.shapes import Array
 
 _HEADER_MAX = 1 << 20
 """A longer header is refused: 62 properties take 1.5 kB."""
@@ -72,17 +69,15 @@ def read(path: Path, options: ReadOptions) -> Scene:
         num_bytes = path.stat().st_size
         num_rows, repairs = _check_size(path, header, num_bytes, repair=options.repair)
         fields, degree = _fields(path, header)
-        if num_rows:
-            with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as mapped:
-                records = np.frombuffer(mapped, header.dtype, num_rows, header.start)
-                with task(f"read {path.name}", num_rows) as advance:
-                    columns, magnitudes = _columns(records, fields)
-                    advance(num_rows)
-                del records  # the map cannot close while an array looks into it
-        else:
-            columns, magnitudes = _columns(np.empty(0, header.dtype), fields)
-    means, quats, log_scales, logits, sh = columns
-    sh = sh.reshape(num_rows, (degree + 1) ** 2, 3)
+        columns = [np.empty((num_rows, len(names)), np.float32) for names in fields]
+        with task(f"read {path.name}", num_rows) as advance:
+            try:
+                magnitudes = deinterleave(file, header.start, header.dtype, fields, columns)
+            except EOFError as error:
+                raise FormatError(f"{path}: cannot be read to its end ({error}); did it change meanwhile?") from error
+            advance(num_rows)
+    means, quats, log_scales, logits, harmonics = columns
+    sh = harmonics.reshape(num_rows, (degree + 1) ** 2, 3)
     if "f_dc_0" not in header.names:  # RGB of 8 bits, or 0 to 1: the inverse of colour = ½ + C0 dc
         is_bytes = header.dtype[header.names["red"]].kind in "iu"
         sh[:, 0] = (sh[:, 0] / np.float32(255 if is_bytes else 1) - np.float32(0.5)) / np.float32(SH_C0)
@@ -269,9 +264,3 @@ def _fields(path: Path, header: _Header) -> tuple[list[list[str]], int]:
     per_channel = num_rest // 3
     rest = [f"f_rest_{channel * per_channel + j}" for j in range(per_channel) for channel in range(3)]
     return [[names[n] for n in group] for group in (*_GEOMETRY, (*color, *rest))], degree
-
-
-def _columns(records: Array, fields: list[list[str]]) -> tuple[list[Array], list[float]]:
-    """The columns, and the largest magnitude of each."""
-    columns = [np.empty((len(records), len(names)), np.float32) for names in fields]
-    return columns, deinterleave(records, fields, columns)

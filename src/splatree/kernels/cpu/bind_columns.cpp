@@ -2,7 +2,9 @@
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/vector.h>
 
+#include <cerrno>
 #include <stdexcept>
+#include <system_error>
 #include <vector>
 
 #include "cpu/columns.h"
@@ -20,14 +22,15 @@ using Values = nb::ndarray<const float, nb::ndim<1>, nb::c_contig, nb::device::c
 
 using Quads = nb::ndarray<const float, nb::shape<-1, 4>, nb::c_contig, nb::device::cpu>;
 
+constexpr int64_t kMaxRecordBytes = 1 << 20;  // a chunk of records is read at once
 const int64_t kScalarBytes[] = {1, 1, 2, 2, 4, 4, 4, 8};
 
 // `offsets` and `types` list the values of the first column, then of the second, and so on.
-std::vector<float> bind_deinterleave(const Bytes& records, int64_t stride, const Longs& offsets, const Bytes& types,
+std::vector<float> bind_deinterleave(int file, int64_t start, int64_t stride, const Longs& offsets, const Bytes& types,
                        const std::vector<Matrix>& outputs, int threads) {
   const int64_t num_rows = outputs.empty() ? 0 : static_cast<int64_t>(outputs[0].shape(0));
-  if (stride <= 0 || num_rows > static_cast<int64_t>(records.size()) / stride)
-    throw std::invalid_argument("deinterleave: fewer records than rows of the columns");
+  if (start < 0 || stride <= 0 || stride > kMaxRecordBytes)
+    throw std::invalid_argument("deinterleave: no such place or size of a record");
   if (outputs.size() > kMaxColumns) throw std::invalid_argument("deinterleave: too many columns");
   if (offsets.size() != types.size()) throw std::invalid_argument("deinterleave: offsets and types differ in length");
   for (size_t i = 0; i < offsets.size(); ++i)
@@ -44,9 +47,13 @@ std::vector<float> bind_deinterleave(const Bytes& records, int64_t stride, const
                        reinterpret_cast<const Scalar*>(types.data()) + first, 0});
     first += output.shape(1);
   }
-  {
+  try {
     nb::gil_scoped_release released;
-    deinterleave(records.data(), num_rows, stride, columns.data(), static_cast<int>(columns.size()), threads);
+    deinterleave(file, start, num_rows, stride, columns.data(), static_cast<int>(columns.size()), threads);
+  } catch (const std::system_error& error) {
+    errno = error.code().value();
+    PyErr_SetFromErrno(PyExc_OSError);
+    throw nb::python_error();
   }
   std::vector<float> magnitudes;
   for (const Column& column : columns) magnitudes.push_back(column.largest_magnitude);
@@ -66,7 +73,7 @@ float bind_shortest(const Quads& vectors, int threads) {
 }  // namespace
 
 void bind_columns(nb::module_& m) {
-  m.def("deinterleave", &bind_deinterleave, "records"_a, "stride"_a, "offsets"_a, "types"_a, "outputs"_a, "threads"_a = 0);
+  m.def("deinterleave", &bind_deinterleave, "file"_a, "start"_a, "stride"_a, "offsets"_a, "types"_a, "outputs"_a, "threads"_a = 0);
   m.def("shortest", &bind_shortest, "vectors"_a, "threads"_a = 0);
   m.def("largest_magnitude", &bind_largest_magnitude, "values"_a, "threads"_a = 0);
 }

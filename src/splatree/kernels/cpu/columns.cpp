@@ -1,9 +1,15 @@
 #include "cpu/columns.h"
 
+#include <unistd.h>
+
 #include <algorithm>
 #include <atomic>
+#include <cerrno>
 #include <cmath>
 #include <cstring>
+#include <stdexcept>
+#include <system_error>
+#include <vector>
 
 #include "cpu/isa.h"
 #include "cpu/pool.h"
@@ -11,8 +17,7 @@
 namespace splatree {
 namespace {
 
-// 512 records of 248 bytes in and as many out fit a second-level cache of 512 kB.
-constexpr int64_t kRowsPerChunk = 512;
+constexpr int64_t kBytesPerChunk = 1 << 17;   // records in and as many floats out fit a second-level cache of 512 kB
 constexpr int64_t kValuesPerChunk = 1 << 18;  // 1 MB
 
 void raise(std::atomic<int32_t>& largest, int32_t found) {
@@ -107,20 +112,40 @@ void copy_column(const uint8_t* records, int64_t stride, const Column& column, L
   copy_scattered(records, stride, column, out, num_rows);
 }
 
+// Bytes of a file in a buffer of this thread, valid until its next call.
+const uint8_t* read_bytes(int file, int64_t at, int64_t num_bytes) {
+  thread_local std::vector<uint8_t> buffer;
+  if (static_cast<int64_t>(buffer.size()) < num_bytes) buffer.resize(num_bytes);
+  int64_t have = 0;
+  while (have < num_bytes) {
+    const ssize_t got = pread(file, buffer.data() + have, num_bytes - have, at + have);
+    if (got > 0)
+      have += got;
+    else if (got == 0)
+      throw std::runtime_error("the file ends before its last record");
+    else if (errno != EINTR)
+      throw std::system_error(errno, std::generic_category());
+  }
+  return buffer.data();
+}
+
 }  // namespace
 
-void deinterleave(const uint8_t* records, int64_t num_rows, int64_t stride, Column* columns, int num_columns, int threads) {
+void deinterleave(int file, int64_t start, int64_t num_rows, int64_t stride, Column* columns, int num_columns,
+                  int threads) {
   Layout layouts[kMaxColumns];
   std::atomic<int32_t> largest[kMaxColumns];
   for (int c = 0; c < num_columns; ++c) {
     layouts[c] = layout_of(columns[c]);
     largest[c] = 0;
   }
-  parallel_ranges(num_rows, kRowsPerChunk, threads, [&](int64_t begin, int64_t end) {
+  const int64_t rows_per_chunk = std::max<int64_t>(1, kBytesPerChunk / stride);
+  parallel_ranges(num_rows, rows_per_chunk, threads, [&](int64_t begin, int64_t end) {
+    const uint8_t* records = read_bytes(file, start + begin * stride, (end - begin) * stride);
     for (int c = 0; c < num_columns; ++c) {
       const int64_t width = columns[c].width;
       float* out = columns[c].data + begin * width;
-      copy_column(records + begin * stride, stride, columns[c], layouts[c], out, end - begin);
+      copy_column(records, stride, columns[c], layouts[c], out, end - begin);
       raise(largest[c], kernels().largest_bits(out, (end - begin) * width));
     }
   });

@@ -1,6 +1,7 @@
 """Interleaved records into float32 columns, and the extremes of a column, at the speed of memory."""
 
 from collections.abc import Sequence
+from typing import BinaryIO
 
 import numpy as np
 
@@ -11,22 +12,32 @@ _SCALARS = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "float32", "f
 
 
 def deinterleave(
-    records: Array, fields: Sequence[Sequence[str]], columns: Sequence[Array], *, threads: int = 0
+    file: BinaryIO,
+    start: int,
+    record: np.dtype[np.void],
+    fields: Sequence[Sequence[str]],
+    columns: Sequence[Array],
+    *,
+    threads: int = 0,
 ) -> list[float]:
-    """Copy fields of ``records`` "n" (a structured array) into float32 ``columns`` "n w", one list of w fields a column.
+    """Read records from byte ``start`` of a file into float32 ``columns`` "n w", one list of w fields a column.
 
     Values are converted to float32 as C does. A field may appear in several columns; the others are left out. Returns the
     largest magnitude of each column.
+
+    Raises:
+        EOFError: the file ends before the last record.
+        OSError: it cannot be read.
     """
-    if len(records) == 0:
-        return [0.0] * len(columns)
-    dtype = records.dtype
-    assert dtype.fields is not None
-    flat = [dtype.fields[name] for names in fields for name in names]
+    assert record.fields is not None
+    flat = [record.fields[name] for names in fields for name in names]
     offsets = np.array([offset for _, offset, *_ in flat], np.int64)
     types = np.array([_SCALARS.index(scalar.name) for scalar, *_ in flat], np.uint8)
-    magnitudes = _core.deinterleave(records.view(np.uint8), dtype.itemsize, offsets, types, list(columns), threads)
-    return [float(magnitude) for magnitude in magnitudes]
+    try:
+        found = _core.deinterleave(file.fileno(), start, record.itemsize, offsets, types, list(columns), threads)
+    except RuntimeError as error:
+        raise EOFError(str(error)) from error
+    return [float(magnitude) for magnitude in found]
 
 
 def largest_magnitude(values: Array, *, threads: int = 0) -> float:

@@ -1,6 +1,7 @@
 """Interleaved records into float32 columns, and the extremes of a column: what the fast kernels must give."""
 
 from collections.abc import Sequence
+from typing import BinaryIO
 
 import numpy as np
 
@@ -8,9 +9,20 @@ from splatree.shapes import Array
 
 
 def deinterleave(
-    records: Array, fields: Sequence[Sequence[str]], columns: Sequence[Array], *, threads: int = 0
+    file: BinaryIO,
+    start: int,
+    record: np.dtype[np.void],
+    fields: Sequence[Sequence[str]],
+    columns: Sequence[Array],
+    *,
+    threads: int = 0,
 ) -> list[float]:
-    """Copy fields of ``records`` "n" (a structured array) into float32 ``columns`` "n w"; return their largest magnitudes."""
+    """Read records from byte ``start`` of a file into float32 ``columns`` "n w"; return their largest magnitudes."""
+    file.seek(start)
+    data = file.read(record.itemsize * len(columns[0]))
+    if len(data) < record.itemsize * len(columns[0]):
+        raise EOFError("the file ends before its last record")
+    records = np.frombuffer(data, record)
     for names, column in zip(fields, columns, strict=True):
         for j, name in enumerate(names):
             column[:, j] = records[name].astype(np.float32)
