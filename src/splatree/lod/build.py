@@ -166,27 +166,30 @@ def _grow(leaves: Gaussians, options: BuildOptions, radius: float, threads: int)
 
 def _assemble(scene: Scene, leaves: Gaussians, leaf_ids: Array, forest: _Forest, report: str, threads: int) -> Scene:
     means = np.concatenate([part.means for part in forest.columns])
-    log_scales = np.concatenate([part.log_scales for part in forest.columns])
+    largest = np.concatenate([np.maximum.reduce(part.log_scales.T) for part in forest.columns])
     with np.errstate(over="ignore"):
-        reach = SIGMAS * np.exp(log_scales.max(axis=1, initial=-np.inf).astype(np.float64))
+        reach = SIGMAS * np.exp(largest.astype(np.float64))
     order = preorder(forest.levels, forest.roots, means, reach)
     row, n, k = order.row_from_node, len(means), leaves.sh.shape[1]
 
-    def placed(column: Array) -> Array:
-        out = np.empty_like(column)
-        out[row] = column
+    def placed(parts: list[Array]) -> Array:
+        out = np.empty((n, *parts[0].shape[1:]), np.float32)
+        begin = 0
+        for part in parts:
+            out[row[begin : begin + len(part)]] = part
+            begin += len(part)
         return out
 
     sh = np.empty((n, k, 3), np.float32)
     row_from_leaf = np.empty(len(leaves), np.int32)
     row_from_leaf[forest.leaf_from_node] = row[: len(leaves)]
     sh[row_from_leaf] = leaves.sh
-    merge_kernel.average_children(sh, order.tree.subtree_end, placed(np.concatenate(forest.weights)), threads=threads)
+    merge_kernel.average_children(sh, order.tree.subtree_end, placed(forest.weights), threads=threads)
     gaussians = Gaussians(
-        placed(means),
-        placed(np.concatenate([part.quats for part in forest.columns])),
-        placed(log_scales),
-        placed(np.concatenate([part.logit_opacities for part in forest.columns])),
+        placed([part.means for part in forest.columns]),
+        placed([part.quats for part in forest.columns]),
+        placed([part.log_scales for part in forest.columns]),
+        placed([part.logit_opacities for part in forest.columns]),
         sh,
     )
     ids = np.empty(n, np.uint32)

@@ -105,7 +105,7 @@ class ThinOptions:
     """Number of Gaussians to keep, to 1 %."""
     importance: Importance = "opacity-scale"
     """Which of two close Gaussians stays: the larger `opacity`, opacity times mean scale, or opacity times area."""
-    color_radius: float | None = 0.35
+    color_radius: float | None = 0.5
     """ρ: distance in linear RGB (DC colour) that counts as much as r in space; None: colour keeps nothing apart."""
     merge: MergeOptions = field(default_factory=MergeOptions)
     """How a group becomes one Gaussian."""

@@ -44,11 +44,11 @@ def _log_product(gaussians: Gaussians, rule: Importance | Weight) -> Float32[Arr
     # log α = −log(1 + e^−logit); np.logaddexp says the same ten times slower.
     logits = gaussians.logit_opacities
     log_alphas: Array = np.minimum(logits, 0) - np.log1p(np.exp(-np.abs(logits)))
-    log_scales = gaussians.log_scales
+    x, y, z = gaussians.log_scales.T  # column by column: reductions along an axis of three are ten times slower
     if rule == "opacity-scale":
-        log_alphas += log_scales.sum(axis=1) * np.float32(1 / 3)
+        log_alphas += (x + y + z) * np.float32(1 / 3)
     elif rule == "opacity-area":
-        log_alphas += log_scales.sum(axis=1) - log_scales.min(axis=1)
+        log_alphas += x + y + z - np.minimum(np.minimum(x, y), z)
     return log_alphas
 
 
@@ -71,7 +71,8 @@ def check_finite(gaussians: Gaussians) -> None:
                     f"{name}[{i}]: found {column[i].ravel()[:4]}, wanted finite numbers; {int(wrong.sum())} rows are not: "
                     f"read the file with repair, or drop them"
                 )
-    lengths = np.abs(gaussians.quats).max(axis=1)
-    if not (lengths > 0).all():
-        i = int(np.argmin(lengths))
+    w, x, y, z = (column != 0 for column in gaussians.quats.T)
+    is_rotation = w | x | y | z
+    if not is_rotation.all():
+        i = int(np.argmin(is_rotation))
         raise InputError(f"quats[{i}]: found zero, wanted a rotation; read the file with repair, or drop the row")

@@ -119,7 +119,7 @@ double dilogarithm(double x) {
   if (x >= 1) return 1.6449340668482264;
   if (x > 0.5) return 1.6449340668482264 - std::log(x) * std::log1p(-x) - dilogarithm(1 - x);
   double sum = 0, power = x;
-  for (int k = 1; k < 40 && power > 1e-17; ++k, power *= x) sum += power / (double(k) * k);
+  for (int k = 1; power > 1e-11; ++k, power *= x) sum += power / (double(k) * k);
   return sum;
 }
 
@@ -130,7 +130,7 @@ double inverse_dilogarithm(double value, double limit) {
   for (int i = 0; i < 24; ++i) {
     const double error = dilogarithm(x) - value;
     (error > 0 ? high : low) = x;
-    if (std::abs(error) < 1e-9 * value) break;
+    if (std::abs(error) < 1e-8 * value) break;
     const double slope = x > 1e-12 ? -std::log1p(-x) / x : 1;
     x -= error / slope;
     if (!(x > low && x < high)) x = 0.5 * (low + high);
@@ -142,9 +142,9 @@ double inverse_dilogarithm(double value, double limit) {
 double coverage(double depth) {
   if (depth > 8) return std::log(depth) + 0.57721566490153286;  // E₁ is below 4e-5
   double sum = 0, term = 1;
-  for (int k = 1; k < 48; ++k) {
+  for (int k = 1; term > 1e-11; ++k) {
     term *= depth / k;
-    sum += (k % 2 ? 1 : -1) * term / k;
+    sum += (k % 2 ? term : -term) / k;
   }
   return sum;
 }
@@ -284,9 +284,9 @@ class Merger {
     if (job_.opacity != OpacityRule::kUnion) {
       mass /= dilated_area(variance, added);
       if (job_.opacity == OpacityRule::kOptical) {
-        const double most = dilogarithm(kAlphaMax);
+        static const double most = dilogarithm(kAlphaMax), most_covered = coverage(most);
         logit = mass >= most ? limit : mass > 0 ? logit_of_alpha(inverse_dilogarithm(mass, kAlphaMax)) : union_logit;
-        if (mass > most) widening = 0.5 * std::log(coverage(mass) / coverage(most));
+        if (mass > most) widening = 0.5 * std::log(coverage(mass) / most_covered);
       } else if (job_.opacity == OpacityRule::kMass) {
         logit = mass > 0 ? logit_of_alpha(std::min(mass, kAlphaMax)) : union_logit;
       } else {

@@ -24,9 +24,7 @@
 namespace splatree {
 namespace {
 
-constexpr int kAxisBits = 21;
-constexpr int64_t kCellMax = (int64_t{1} << kAxisBits) - 2;  // one cell is left free at either end: ±1 never carries
-constexpr uint64_t kStepX = uint64_t{1} << (2 * kAxisBits), kStepY = uint64_t{1} << kAxisBits;
+constexpr int64_t kCellMax = (int64_t{1} << 21) - 4;  // cells along an axis; with a free one at either end, 3 × 21 bits
 constexpr int kColumns = 9;
 
 struct Point {
@@ -46,13 +44,16 @@ uint64_t priority_of(float importance, uint32_t row) {
   return (uint64_t{~rising} << 32) | row;
 }
 
-// Cells along each axis, counted from the middle of the scene. Far outliers share the outermost cells: clamping moves
-// cells together, never apart, so neighbours stay neighbours. The edge grows above r where most of the scene would not
-// fit in 2²¹ cells.
+// Cells along each axis, around the middle of the scene. Far outliers share the outermost cells: clamping moves cells
+// together, never apart, so neighbours stay neighbours. The edge grows above r where most of the scene would not fit. A key has
+// the x cell in its highest bits, just as many bits as the cells of each axis need, and a free cell at either end: a step to a
+// neighbour never carries into the next axis.
 struct Lattice {
   double origin[3], inverse_edge;
+  int64_t first[3];
+  int shift[3];
 
-  Lattice(int64_t n, const float* means, double radius) {
+  Lattice(int64_t n, const float* means, double radius, int threads) {
     constexpr int64_t kSamples = 4096;
     const int64_t stride = n / kSamples + 1;
     double span = 0;
@@ -65,17 +66,43 @@ struct Lattice {
       origin[a] = values[values.size() / 2];
       span = std::max({span, origin[a] - values[trimmed], values[values.size() - 1 - trimmed] - origin[a]});
     }
-    // The margin covers the rounding of the product in key().
+    // The margin covers the rounding of the product in cell().
     const double edge = std::max({radius * (1 + 1e-6), span / (kCellMax / 2 - 1), 1e-300});
     inverse_edge = 1 / edge;
+
+    constexpr int64_t kGrain = 1 << 16;
+    const int64_t num_chunks = (n + kGrain - 1) / kGrain;
+    std::vector<float> bounds(6 * num_chunks);
+    parallel_chunks(num_chunks, threads, [&](int64_t chunk) {
+      float* bound = &bounds[6 * chunk];
+      for (int a = 0; a < 3; ++a) bound[a] = bound[3 + a] = means[3 * chunk * kGrain + a];
+      for (int64_t i = chunk * kGrain; i < std::min(n, (chunk + 1) * kGrain); ++i)
+        for (int a = 0; a < 3; ++a) {
+          bound[a] = std::min(bound[a], means[3 * i + a]);
+          bound[3 + a] = std::max(bound[3 + a], means[3 * i + a]);
+        }
+    });
+    int bits = 0;
+    for (int a = 2; a >= 0; --a) {
+      int64_t low = kCellMax, high = -kCellMax;
+      for (int64_t chunk = 0; chunk < num_chunks; ++chunk) {
+        low = std::min(low, cell(bounds[6 * chunk + a], a));
+        high = std::max(high, cell(bounds[6 * chunk + 3 + a], a));
+      }
+      first[a] = low - 1;
+      shift[a] = bits;
+      while (high + 1 - first[a] >= int64_t{1} << (bits - shift[a])) ++bits;
+    }
+  }
+
+  int64_t cell(float coordinate, int axis) const {
+    const double c = std::floor((coordinate - origin[axis]) * inverse_edge);
+    return static_cast<int64_t>(std::min<double>(std::max<double>(c, -kCellMax / 2), kCellMax / 2));
   }
 
   uint64_t key(const float* mean) const {
     uint64_t key = 0;
-    for (int a = 0; a < 3; ++a) {
-      const double cell = std::floor((mean[a] - origin[a]) * inverse_edge) + kCellMax / 2;
-      key = (key << kAxisBits) | static_cast<uint64_t>(std::min<double>(std::max(cell, 1.0), kCellMax));
-    }
+    for (int a = 0; a < 3; ++a) key |= static_cast<uint64_t>(cell(mean[a], a) - first[a]) << shift[a];
     return key;
   }
 };
@@ -131,8 +158,13 @@ Cells sort_into_cells(const Lattice& lattice, int64_t n, const float* means, con
 // decides most points.
 class Columns {
  public:
-  explicit Columns(const Cells& cells) : cells_(cells) {
-    for (int64_t& c : first_) c = -1;
+  Columns(const Lattice& lattice, const Cells& cells) : cells_(cells) {
+    static constexpr int kDx[kColumns] = {0, 0, 0, -1, 1, -1, -1, 1, 1}, kDy[kColumns] = {0, -1, 1, 0, 0, -1, 1, -1, 1};
+    for (int k = 0; k < kColumns; ++k) {
+      first_[k] = -1;
+      step_[k] = (static_cast<uint64_t>(int64_t{kDx[k]}) << lattice.shift[0]) +
+                 (static_cast<uint64_t>(int64_t{kDy[k]}) << lattice.shift[1]);
+    }
   }
 
   void move_to(uint64_t key) {
@@ -144,10 +176,7 @@ class Columns {
   uint64_t last_key(int k) const { return base(k) + 1; }
 
  private:
-  uint64_t base(int k) const {
-    static constexpr int kDx[kColumns] = {0, 0, 0, -1, 1, -1, -1, 1, 1}, kDy[kColumns] = {0, -1, 1, 0, 0, -1, 1, -1, 1};
-    return key_ + kStepX * static_cast<uint64_t>(int64_t{kDx[k]}) + kStepY * static_cast<uint64_t>(int64_t{kDy[k]});
-  }
+  uint64_t base(int k) const { return key_ + step_[k]; }
 
   // The first cell with at least `key`: by galloping from where the last search ended.
   void seek(int k, uint64_t key) {
@@ -169,6 +198,7 @@ class Columns {
 
   const Cells& cells_;
   uint64_t key_ = 0;
+  uint64_t step_[kColumns];
   int64_t first_[kColumns];
 };
 
@@ -220,7 +250,7 @@ Status scan(const Cells& cells, const Columns& columns, const Metric& metric, co
   return kRepresentative;
 }
 
-std::vector<uint8_t> decide(const Cells& cells, const Metric& metric, ThinJob& job) {
+std::vector<uint8_t> decide(const Lattice& lattice, const Cells& cells, const Metric& metric, ThinJob& job) {
   constexpr int64_t kGrain = 1 << 14;
   const int64_t n = static_cast<int64_t>(cells.points.size());
   std::vector<uint8_t> status(n, kUndecided), next(n, kUndecided);
@@ -235,7 +265,7 @@ std::vector<uint8_t> decide(const Cells& cells, const Metric& metric, ThinJob& j
     ++job.rounds;
     const int64_t size = static_cast<int64_t>(waiting.size());
     parallel_ranges(size, kGrain, job.threads, [&](int64_t begin, int64_t end) {
-      Columns columns(cells);
+      Columns columns(lattice, cells);
       int64_t cell = -1, count = 0;
       for (int64_t w = begin; w < end; ++w) {
         Waiting& waits = waiting[w];
@@ -298,9 +328,9 @@ void thin(ThinJob& job) {
   job.num_visited = 0;
   if (job.n == 0) return;
   const Metric metric(job.radius, job.color_radius);
-  const Lattice lattice(job.n, job.means, job.radius);
+  const Lattice lattice(job.n, job.means, job.radius, job.threads);
   const Cells cells = sort_into_cells(lattice, job.n, job.means, job.colors, job.importance, job.threads);
-  const std::vector<uint8_t> status = decide(cells, metric, job);
+  const std::vector<uint8_t> status = decide(lattice, cells, metric, job);
   if (!job.assign) {
     for (int64_t i = 0; i < job.n; ++i) {
       const int32_t row = static_cast<int32_t>(row_of(cells.points[i]));
@@ -311,7 +341,7 @@ void thin(ThinJob& job) {
   const Cells kept = representatives_of(cells, status);
   std::atomic<int64_t> visited{0};
   parallel_ranges(cells.size(), 1 << 12, job.threads, [&](int64_t first, int64_t last) {
-    Columns columns(kept);
+    Columns columns(lattice, kept);
     int64_t count = 0;
     for (int64_t c = first; c < last; ++c) {
       columns.move_to(cells.keys[c]);
@@ -347,14 +377,14 @@ void thin(ThinJob& job) {
 
 void nearest_distances(int64_t n, const float* means, int64_t num_queries, const int32_t* queries, double edge,
                        double* distances, int threads) {
-  const Lattice lattice(n, means, edge);
+  const Lattice lattice(n, means, edge, threads);
   const Cells cells = sort_into_cells(lattice, n, means, nullptr, nullptr, threads);
   const Metric metric(edge, std::numeric_limits<double>::infinity());
   parallel_ranges(num_queries, 64, threads, [&](int64_t begin, int64_t end) {
     for (int64_t q = begin; q < end; ++q) {
       Point point{};
       std::memcpy(point.mean, means + 3 * int64_t{queries[q]}, sizeof point.mean);
-      Columns columns(cells);
+      Columns columns(lattice, cells);
       columns.move_to(lattice.key(point.mean));
       double best = std::numeric_limits<double>::infinity();
       for (int k = 0; k < kColumns; ++k)
