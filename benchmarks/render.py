@@ -1,4 +1,4 @@
-"""CPU time of each stage of a frame after the selection, beside plain scalar loops of the same maths, in one run.
+"""CPU time of each stage of a frame after the selection, beside plain scalar loops of the same maths, in one run, on one thread.
 
 Workloads: the projection of 2 M Gaussians, of which about half touch the picture; lists and blending of 200 k Gaussians at
 960 × 540 px with about 760 k pairs; and, if the shared data is there, a frame of the real city with all leaves in view.
@@ -36,7 +36,7 @@ def main() -> None:
     save(
         "render",
         rows,
-        about="CPU-milliseconds of each stage of a frame, all threads together, and of plain scalar loops.",
+        about="CPU-milliseconds of each stage of a frame on one thread, median of nine, and of plain scalar loops.",
     )
 
 
@@ -50,7 +50,7 @@ def project_rows(scalar: ctypes.CDLL) -> list[dict[str, Any]]:
     records = aligned_zeros(len(g))
     columns = (g.means, g.quats, g.log_scales, g.logit_opacities, g.sh)
 
-    def project(chosen: np.ndarray, threads: int = 0) -> int:
+    def project(chosen: np.ndarray, threads: int = 1) -> int:
         arguments = (chosen, view, threshold, False, 0, out_rows, records, depths, threads)
         return int(_core.project_rows(*columns, *arguments))
 
@@ -62,7 +62,7 @@ def project_rows(scalar: ctypes.CDLL) -> list[dict[str, Any]]:
     )
     seen = median_ms(lambda: project(visible))
     order = np.zeros(num, np.int32)
-    ordered = median_ms(lambda: _core.order_splats(depths[:num], out_rows[:num], None, order, 0))
+    ordered = median_ms(lambda: _core.order_splats(depths[:num], out_rows[:num], None, order, 1))
     return [
         row("project 2 M rows", num, ours, plain),
         row("project, only rows in view", num, seen),
@@ -78,8 +78,8 @@ def frame_rows(scalar: ctypes.CDLL) -> list[dict[str, Any]]:
     splats = st.trace(scene, camera, select=LEAVES).splats
     bins = cpu.bin.bin(splats, camera, options)
     picture = cpu.blend.blend(splats, bins, camera, options)
-    binned = median_ms(lambda: cpu.bin.bin(splats, camera, options))
-    blended = median_ms(lambda: cpu.blend.blend(splats, bins, camera, options))
+    binned = median_ms(lambda: cpu.bin.bin(splats, camera, options, threads=1))
+    blended = median_ms(lambda: cpu.blend.blend(splats, bins, camera, options, threads=1))
     image = np.zeros((HEIGHT, WIDTH, 3), np.float32)
     lists = (pointer(splats.records), pointer(bins.tile_start), pointer(bins.splat_from_pair))
     size = (bins.num_tiles_x, bins.num_tiles_y, WIDTH, HEIGHT)
@@ -109,9 +109,9 @@ def city_rows() -> list[dict[str, Any]]:
     splats, bins = frame.splats, frame.bins
     project = cpu.project.project
     stages = {
-        "project and order": lambda: project(scene.gaussians, None, frame.selection.rows, camera, options),
-        "bin": lambda: cpu.bin.bin(splats, camera, options),
-        "blend": lambda: cpu.blend.blend(splats, bins, camera, options),
+        "project and order": lambda: project(scene.gaussians, None, frame.selection.rows, camera, options, threads=1),
+        "bin": lambda: cpu.bin.bin(splats, camera, options, threads=1),
+        "blend": lambda: cpu.blend.blend(splats, bins, camera, options, threads=1),
     }
     items = {"project and order": len(splats), "bin": bins.num_pairs, "blend": bins.num_pairs}
     return [row(f"city: {name}", items[name], median_ms(work)) for name, work in stages.items()]
@@ -126,7 +126,7 @@ def row(stage: str, items: int, cpu_ms: float, scalar_ms: float | None = None) -
 
 
 def median_ms(work: Callable[[], Any], repeat: int = REPEAT) -> float:
-    """CPU-milliseconds of all threads, median."""
+    """CPU-milliseconds, median."""
     work()
     return statistics.median(1e3 * measure(work).cpu_s for _ in range(repeat))
 

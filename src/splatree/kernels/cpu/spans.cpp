@@ -16,6 +16,8 @@ constexpr int BATCH = 128;  // splats gathered at a time
 
 struct alignas(64) Planes {
   float column[NUM_COLUMNS][BATCH];
+  // Of the Ellipse.
+  float k_squared[BATCH], c_squared[BATCH], skew[BATCH], inverse_a[BATCH], height[BATCH], dy_of_right[BATCH], margin[BATCH];
   int32_t first_row[BATCH], end_row[BATCH], first[BATCH], end[BATCH];
 };
 
@@ -30,11 +32,6 @@ int load_records(const float* records, int used, Planes& p) {
       for (int l = 0; l < 4; ++l) store_quad(&p.column[j + l][i], q[l]);
     }
   return num_blocks;
-}
-
-SPLATREE_FN Ellipse ellipse_at(const Planes& p, int i, float log2_threshold) {
-  return ellipse_of(p.column[X][i], p.column[Y][i], p.column[FACTOR_A][i], p.column[FACTOR_B][i], p.column[FACTOR_C][i],
-                    p.column[LOG2_OPACITY][i], p.column[EXTENT_X][i], p.column[EXTENT_Y][i], log2_threshold);
 }
 
 Span* grow(Spans& spans, int num_rows) {
@@ -79,7 +76,11 @@ void list_spans(const BinJob& job, int64_t begin, int64_t end, SplatTiles* tiles
     for (int block = 0; block < num_blocks; ++block) {
 #pragma omp simd
       for (int i = block * LANES; i < (block + 1) * LANES; ++i) {
-        const Ellipse e = ellipse_at(p, i, job.log2_threshold);
+        const Ellipse e = ellipse_of(p.column[X][i], p.column[Y][i], p.column[FACTOR_A][i], p.column[FACTOR_B][i],
+                                     p.column[FACTOR_C][i], p.column[LOG2_OPACITY][i], p.column[EXTENT_X][i],
+                                     p.column[EXTENT_Y][i], job.log2_threshold);
+        p.k_squared[i] = e.k_squared, p.c_squared[i] = e.c_squared, p.skew[i] = e.skew;
+        p.inverse_a[i] = e.inverse_a, p.height[i] = e.height, p.dy_of_right[i] = e.dy_of_right, p.margin[i] = e.margin;
         const Tiles rows = tiles_in({e.y - e.height - e.margin, e.y + e.height + e.margin}, height);
         const Interval strip = strip_of(rows.first, height);
         const Tiles columns = tiles_in(reach_of(e, strip.low, strip.high), width);
@@ -94,8 +95,10 @@ void list_spans(const BinJob& job, int64_t begin, int64_t end, SplatTiles* tiles
       t.num_rows = uint16_t(num_rows);
       t.span = {uint16_t(p.first[i]), uint16_t(p.end[i])};
       if (num_rows > 1 || (num_rows && job.whole_box)) {
+        const Ellipse ellipse = {p.column[X][i], p.column[Y][i], p.k_squared[i], p.c_squared[i], p.skew[i],
+                                 p.inverse_a[i], p.height[i], p.dy_of_right[i], p.margin[i]};
         t.first_span = spans.size;
-        const Span* span = list_rows(job, ellipse_at(p, i, job.log2_threshold), p.first_row[i], num_rows, p.column[EXTENT_X][i], spans);
+        const Span* span = list_rows(job, ellipse, p.first_row[i], num_rows, p.column[EXTENT_X][i], spans);
         if (num_rows == 1) t.span = *span;
       }
     }
