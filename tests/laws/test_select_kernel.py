@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from splatree import Camera, Gaussians, GaussianTree, RenderOptions, Scene, SelectOptions, select
+from splatree import Camera, Gaussians, GaussianTree, RenderOptions, Scene, SelectOptions, ShapeError, select
 from splatree.kernels.cpu import _core
 from splatree.kernels.cpu.blocks import index_blocks
 from splatree.kernels.cpu.project import project
@@ -247,6 +247,16 @@ def city(side: int) -> Scene:
     return with_blocks(Scene(gaussians, GaussianTree(end, (~is_root).astype(np.uint8), np.full(n, 2, np.float32))))
 
 
+def test_an_index_of_other_gaussians_is_refused():
+    scene = city(12)
+    moved = replace(scene.gaussians, means=scene.gaussians.means + np.float32(1))
+    with pytest.raises(ShapeError, match="index of other Gaussians"):
+        replace(scene, gaussians=moved)
+    with pytest.raises(ShapeError, match="index of other Gaussians"):
+        replace(scene, tree=Scene.flat(scene.gaussians).tree)
+    assert replace(scene, gaussians=moved, blocks=None).blocks is None
+
+
 def pairs_of_leaves(roots: np.ndarray, scales: np.ndarray) -> Scene:
     """Round roots at given places with given σ, each above two specks in its middle."""
     n = 3 * len(roots)
@@ -325,6 +335,12 @@ def test_rows_that_are_not_finite_are_never_drawn():
     rows = select(broken, camera, SelectOptions(pixel_error=0)).rows
     wanted = np.setdiff1d(select(scene, camera, SelectOptions(pixel_error=0)).rows, [1, 7, 33])
     assert rows.tolist() == wanted.tolist()
+
+
+def test_a_scene_without_one_finite_mean_has_nothing_to_draw():
+    gaussians = city(3).gaussians
+    lost = replace(gaussians, means=np.full_like(gaussians.means, np.nan))
+    assert len(select(with_blocks(Scene.flat(lost)), random_camera(0))) == 0
 
 
 def test_a_world_far_from_its_origin_loses_nothing():

@@ -52,9 +52,10 @@ class Scene:
         if len(self.tree) != len(self.gaussians):
             raise ShapeError(f"Scene.tree: found {len(self.tree)} rows, wanted {len(self.gaussians)}")
         check_fields(self, n=len(self.gaussians))
-        if self.blocks is not None and len(self.blocks.size_classes) != len(self):
+        if self.blocks is not None and not self.blocks.fits(self.gaussians.means, self.tree):
             raise ShapeError(
-                f"Scene.blocks: found an index of {len(self.blocks.size_classes)} rows, wanted {len(self)}"
+                "Scene.blocks: found the index of other Gaussians or another tree; replace it too, by None or with "
+                "lod.blocks.with_blocks"
             )
         if self.mode not in ("classic", "antialiased"):
             raise InputError(f"Scene.mode: found {self.mode!r}, wanted 'classic' or 'antialiased'")

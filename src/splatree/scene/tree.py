@@ -114,6 +114,24 @@ class BlockIndex:
     def __len__(self) -> int:
         return len(self.lower)
 
+    def fits(self, means: Array, tree: GaussianTree) -> bool:
+        """Whether it is the index of this tree with these means, by its number of rows and its first and last block."""
+        if len(self.size_classes) != len(tree):
+            return False
+        for block in {0, len(self) - 1} if len(self) else ():
+            begin = block * self.rows_per_block
+            rows = slice(begin, begin + self.rows_per_block)
+            is_leaf = tree.subtree_end[rows] == np.arange(begin, begin + len(means[rows])) + 1
+            lower = np.fmin.reduce(means[rows], initial=np.inf)  # NaN is passed over
+            upper = np.fmax.reduce(means[rows], initial=-np.inf)
+            if (
+                np.any(lower != self.lower[block])
+                or np.any(upper != self.upper[block])
+                or np.any(is_leaf != (self.size_classes[rows] == 255))
+            ):
+                return False
+        return True
+
     @property
     def nbytes(self) -> int:
         """Bytes of all columns."""
