@@ -46,7 +46,7 @@ def one_line(run):
 
 @pytest.mark.parametrize("verb", ["info", "convert", "thin", "build", "render", "eval"])
 def test_missing_input_is_one_line_that_names_it(splatree, tmp_path, verb):
-    outputs = {"render": ["-o", tmp_path / "frames"], "info": [], "eval": []}.get(verb, [tmp_path / "out.ply"])
+    outputs = {"render": ["-o", tmp_path / "frames"], "info": [], "eval": []}.get(verb, [tmp_path / "out.splatree"])
     assert "nothing.ply" in one_line(splatree(verb, tmp_path / "nothing.ply", *outputs))
     assert list(tmp_path.iterdir()) == []
 
@@ -55,7 +55,7 @@ def test_existing_output_is_replaced_only_by_force(splatree, small_ply, tmp_path
     target = tmp_path / "out.ply"
     target.write_bytes(b"old")
     for verb in ("convert", "thin"):
-        assert "exists" in one_line(splatree(verb, small_ply, target))
+        assert "exists already" in one_line(splatree(verb, small_ply, target))
         assert target.read_bytes() == b"old"
     assert splatree("convert", small_ply, target, "--force")[0] == 0
     assert target.read_bytes() == small_ply.read_bytes()
@@ -75,9 +75,12 @@ def test_output_must_be_named(splatree, small_ply, tmp_path):
     assert "nothing to write" in one_line(splatree("render", small_ply))
 
 
-def test_unknown_suffix_is_refused_before_anything_is_written(splatree, small_ply, tmp_path):
-    assert ".xyz" in one_line(splatree("convert", small_ply, tmp_path / "out.xyz"))
-    assert list(tmp_path.iterdir()) == []
+def test_unusable_output_is_refused_before_any_work(splatree, tmp_path):
+    missing = tmp_path / "nothing.ply"  # an error about the output shows that nothing was read
+    assert ".xyz" in one_line(splatree("convert", missing, tmp_path / "out.xyz"))
+    assert "levels of detail" in one_line(splatree("build", missing, tmp_path / "out.ply"))
+    (tmp_path / "old.splatree").write_bytes(b"old")
+    assert "--force" in one_line(splatree("build", missing, tmp_path / "old.splatree"))
 
 
 def test_verbose_shows_steps_and_the_origin_of_an_error(splatree, small_ply, tmp_path):

@@ -96,7 +96,9 @@ def test_empty_scene_has_no_path():
         orbit(scene_of(np.zeros((0, 3))))
 
 
-@pytest.mark.parametrize("wrong", [{"views": 0}, {"up": (0, 0, 0)}, {"elevation_deg": 91}, {"fov_y_deg": 180}])
+@pytest.mark.parametrize(
+    "wrong", [{"views": 0}, {"width": 0}, {"up": (0, 0, 0)}, {"elevation_deg": 91}, {"fov_y_deg": 180}]
+)
 def test_impossible_paths_are_refused(wrong):
     with pytest.raises(InputError, match=next(iter(wrong))):
         PathOptions(**wrong)

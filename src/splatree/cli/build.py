@@ -61,7 +61,7 @@ class Built:
 
 def run(command: Command) -> Built:
     """Read, build, write."""
-    inputs, output = inputs_and_output(command.paths, command.output)
+    inputs, output = inputs_and_output(command.paths, command.output, force=command.force, keeps_tree=True)
     scene = read(inputs, repair=command.repair)
     if command.mode is not None:
         scene = replace(scene, mode=command.mode)

@@ -46,7 +46,7 @@ class Converted:
 
 def run(command: Command) -> Converted:
     """Read, then write."""
-    inputs, output = inputs_and_output(command.paths, command.output)
+    inputs, output = inputs_and_output(command.paths, command.output, force=command.force)
     scene = read(inputs, level=command.level, repair=command.repair)
     write(scene, output, depth=command.depth, force=command.force)
     return Converted(output, scene.tree.num_leaves, output.stat().st_size, scene.source.metadata.get("repairs"))

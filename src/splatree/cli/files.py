@@ -3,14 +3,19 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from splatree.errors import InputError
+from splatree.errors import InputError, OutputError
+from splatree.io.registry import formats
 
 
-def inputs_and_output(paths: Sequence[Path], output: Path | None) -> tuple[tuple[Path, ...], Path]:
-    """The inputs, and the output: named with ``-o``, or else the last path.
+def inputs_and_output(
+    paths: Sequence[Path], output: Path | None, *, force: bool, keeps_tree: bool = False
+) -> tuple[tuple[Path, ...], Path]:
+    """The inputs, and the output: named with ``-o``, or else the last path; checked before any work is done.
 
     Raises:
-        InputError: there is no input, or no output, or an output that is also read.
+        InputError: there is no input, or no output, or an output that is also read; or its suffix is of no format that is
+            written, or, where the tree has to be kept, of one without levels.
+        OutputError: the output exists and ``force`` is not set.
     """
     inputs = tuple(paths)
     if output is None:
@@ -26,4 +31,12 @@ def inputs_and_output(paths: Sequence[Path], output: Path | None) -> tuple[tuple
         raise InputError("found no input, wanted at least one: in.ply out.ply, or chunk_*/ -o out.ply")
     if any(path.exists() and output.exists() and path.samefile(output) for path in inputs):
         raise InputError(f"{output}: is an input too; choose another name for the output")
+    suffixes = [
+        suffix for f in formats() if f.write and (f.levels == "tree" or not keeps_tree) for suffix in f.suffixes
+    ]
+    if not output.name.lower().endswith(tuple(suffixes)):
+        purpose = "to keep the levels of detail" if keeps_tree else "of a format that is written"
+        raise InputError(f"{output}: found suffix {output.suffix!r}, wanted {' or '.join(suffixes)} {purpose}")
+    if output.exists() and not force:
+        raise OutputError(f"{output}: exists already; choose another name or replace it with --force")
     return inputs, output

@@ -93,6 +93,11 @@ def run(command: Command) -> Rendered:
     names = file_names(cameras)
     if command.output is not None:
         _make_folder(command.output)
+        existing = [name for name in names if (command.output / f"{name}.png").exists()]
+        if existing and not command.force:
+            raise OutputError(
+                f"{command.output / existing[0]}.png: exists already; choose another folder or use --force"
+            )
     views = []
     with ExitStack() as stack:
         add = (

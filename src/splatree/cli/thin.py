@@ -52,7 +52,7 @@ class Result:
 
 def run(command: Command) -> Result:
     """Read the leaves, thin them, write."""
-    inputs, output = inputs_and_output(command.paths, command.output)
+    inputs, output = inputs_and_output(command.paths, command.output, force=command.force)
     scene = read(inputs, repair=command.repair)
     leaves = scene.gaussians if scene.tree.is_leaf.all() else scene.gaussians.take(scene.tree.is_leaf)
     thinned = thin(leaves, command.options, mode=scene.mode)

@@ -47,6 +47,8 @@ class PathOptions:
     def __post_init__(self) -> None:
         if self.views < 1:
             raise InputError(f"views: found {self.views}, wanted at least 1")
+        if self.width < 1 or self.height < 1:
+            raise InputError(f"width, height: found {self.width} × {self.height}, wanted at least 1 × 1 px")
         if not np.linalg.norm(self.up) > 0:
             raise InputError(f"up: found {self.up}, wanted a direction")
         if not -90 <= self.elevation_deg <= 90:
