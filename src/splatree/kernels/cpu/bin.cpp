@@ -22,7 +22,8 @@ constexpr int AHEAD = 16;  // splats between the fetch of an entry and its use
 class Cover {
  public:
   explicit Cover(const BinJob& job)
-      : tiles_(allocate<SplatTiles>(job.num_splats)), spans_((job.num_splats + SPAN_CHUNK - 1) / SPAN_CHUNK, Spans{nullptr, 0, 0}) {
+      : tiles_(allocate<SplatTiles>(job.num_splats)),
+        spans_((job.num_splats + SPAN_CHUNK - 1) / SPAN_CHUNK, Spans{nullptr, 0, 0}) {
     parallel_ranges(job.num_splats, SPAN_CHUNK, job.threads, [&](int64_t begin, int64_t end) {
       kernels().list_spans(job, begin, end, tiles_.get() + begin, spans_[begin / SPAN_CHUNK]);
     });
@@ -83,7 +84,8 @@ Scratch<int32_t> bin(const BinJob& job, int64_t* tile_start) {
     }
   }
   tile_start[num_tiles] = total;
-  if (total > UINT32_MAX) throw std::length_error("more than 2^32 pairs of splat and tile: draw fewer splats or fewer pixels");
+  if (total > UINT32_MAX)
+    throw std::length_error("more than 2^32 pairs of splat and tile: draw fewer splats or fewer pixels");
   Scratch<int32_t> splat_from_pair = allocate<int32_t>(total);
   int32_t* pairs = splat_from_pair.get();
   each_pair([pairs](int32_t splat, uint32_t& place) { pairs[place++] = splat; });

@@ -1,6 +1,6 @@
-// Blending of a tile: splats outside, 16 lanes inside. A tile of 16 × 16 px is 16 blocks of 4 × 4 px; a lane is a pixel of a
-// block. A splat first finds the blocks that it touches (16 lanes, one a block), then is evaluated in these. A block is
-// finished when all its pixels are; that is looked up every 32 splats.
+// Blending of a tile: splats outside, 16 lanes inside. A tile of 16 × 16 px is 16 blocks of 4 × 4 px; a lane is a pixel
+// of a block. A splat first finds the blocks that it touches (16 lanes, one a block), then is evaluated in these. A block
+// is finished when all its pixels are; that is looked up every 32 splats.
 //
 // The transmittance of a finished pixel is kept with a minus sign, so one comparison tells that it takes no more light.
 #include "cpu/blend.h"

@@ -1,8 +1,8 @@
 // Projection and colour of selected rows in one pass: blocks of 16 rows are gathered into planes, computed lane by lane, and
 // the visible lanes become records.
 //
-// A thread fills a chunk's records in a buffer of its own (32 KB, in its cache), waits for the place of the chunk before, and
-// copies: so the records are in the order of the rows, whatever the threads, and are written to memory once.
+// A thread fills a chunk's records in a buffer of its own (32 KB, in its cache), waits for the place of the chunk before,
+// and copies: so the records are in the order of the rows, whatever the threads, and are written to memory once.
 #include "cpu/project.h"
 
 #include <sched.h>
@@ -53,7 +53,8 @@ int load_rows(const int32_t* rows, int used, Planes& p) {
 // A column of rows of three or four floats into planes, four rows at a time. Three are read as four: the row `last` of the
 // column from its padded copy, so that nothing is read behind its end.
 template <int WIDTH>
-void gather(const float* column, int32_t last, const float* padded, const Planes& p, int num_blocks, float (*planes)[BATCH]) {
+void gather(const float* column, int32_t last, const float* padded, const Planes& p, int num_blocks,
+            float (*planes)[BATCH]) {
   for (int i = 0; i < num_blocks * LANES; i += 4) {
     Quad rows[4];
     for (int j = 0; j < 4; ++j) {

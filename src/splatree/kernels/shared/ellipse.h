@@ -1,9 +1,9 @@
 // Which tiles an ellipse touches; kernels/reference/bin.py is the definition.
 //
-// Relative to its centre the ellipse |L d| <= k is, at height dy, the interval skew dy ± √(k² - c² dy²) / a, skew = -b/a. Over a
-// strip of heights its right end is greatest at the height where the whole ellipse is (or at the strip's nearest border),
-// likewise the left end; the part of a convex set in a strip touches all tiles between its ends. Bounds are widened by what
-// float32 may lose, so a tile is left out only if no pixel in it can pass the blend's own test.
+// Relative to its centre the ellipse |L d| <= k is, at height dy, the interval skew dy ± √(k² - c² dy²) / a, skew = -b/a.
+// Over a strip of heights its right end is greatest at the height where the whole ellipse is (or at the strip's nearest
+// border), likewise the left end; the part of a convex set in a strip touches all tiles between its ends. Bounds are
+// widened by what float32 may lose, so a tile is left out only if no pixel in it can pass the blend's own test.
 #pragma once
 #include "shared/elementary.h"
 
@@ -45,9 +45,9 @@ SPLATREE_FN Interval reach_of(const Ellipse& e, float top, float bottom) {
   top -= e.y, bottom -= e.y;
   const float right = least(greatest(e.dy_of_right, top), bottom);
   const float left = least(greatest(-e.dy_of_right, top), bottom);
-  const float to_right = e.skew * right + __builtin_sqrtf(greatest(e.k_squared - e.c_squared * right * right, 0.f)) * e.inverse_a;
-  const float to_left = e.skew * left - __builtin_sqrtf(greatest(e.k_squared - e.c_squared * left * left, 0.f)) * e.inverse_a;
-  return {e.x + to_left - e.margin, e.x + to_right + e.margin};
+  const float half_at_right = __builtin_sqrtf(greatest(e.k_squared - e.c_squared * right * right, 0.f)) * e.inverse_a;
+  const float half_at_left = __builtin_sqrtf(greatest(e.k_squared - e.c_squared * left * left, 0.f)) * e.inverse_a;
+  return {e.x + e.skew * left - half_at_left - e.margin, e.x + e.skew * right + half_at_right + e.margin};
 }
 
 struct Tiles {
