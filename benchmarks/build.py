@@ -1,0 +1,48 @@
+"""What building the levels of a real scene costs, and what the tree looks like.
+
+``python benchmarks/build.py [--counts 1000000] [--degree 3]`` needs the shared city; 10 M at degree 0 are
+``--counts 1000000 10000000 --degree 0``. Cost is after loading; the peak includes the loaded scene.
+"""
+
+import argparse
+
+import splatree
+from harness import measure, save, table
+from splatree.lod.report import report_levels
+from thin import city, slope
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--counts", type=int, nargs="+", default=[1_000_000])
+    parser.add_argument("--degree", type=int, default=3)
+    arguments = parser.parse_args()
+    rows: list[dict[str, object]] = []
+    for count in arguments.counts:
+        scene = splatree.Scene.flat(city(count, arguments.degree))
+        cost = measure(lambda s=scene: splatree.build_lod(s))
+        report = report_levels(cost.value)
+        inner = report.num_nodes - report.num_leaves
+        row: dict[str, object] = {
+            "Gaussians": count,
+            "degree": arguments.degree,
+            "CPU s": cost.cpu_s,
+            "wall s": cost.wall_s,
+            "peak MB": cost.peak_bytes / 1e6,
+            "input MB": scene.gaussians.nbytes / 1e6,
+            "output MB": report.num_bytes / 1e6,
+            "nodes / leaves": report.num_nodes / report.num_leaves,
+            "roots": report.num_roots,
+            "levels": len(report.nodes_per_depth),
+            "mean fan-out": (report.num_nodes - report.num_roots) / max(1, inner),
+            "pairs among inner": report.fan_out.get(2, 0) / max(1, inner),
+        }
+        rows.append(row | {"slope": slope(rows[0], row) if rows else ""})
+        print("nodes per depth:", *report.nodes_per_depth, flush=True)
+        del scene, cost
+    print(table(rows))
+    save(f"build_degree{arguments.degree}", rows, about="Building all levels of the real city, after loading")
+
+
+if __name__ == "__main__":
+    main()
