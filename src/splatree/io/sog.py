@@ -12,12 +12,10 @@ Each step is a table of 256 or 65,536 entries computed in float64, so decoding i
 costs most, and its pictures are decoded by all processors at once. Layout and deviations: docs/formats/sog.md.
 """
 
-import zipfile
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -30,6 +28,9 @@ from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Mode, Scene, Source
 from splatree.shapes import Array
+
+if TYPE_CHECKING:
+    import zipfile
 
 _GAUSSIANS_PER_BYTE = 16
 """More Gaussians than this for a byte of the pictures (real ones hold one in 16 to 40 bytes) is a decompression bomb …"""
@@ -55,6 +56,8 @@ def sniff(path: Path, head: bytes) -> bool:
     if path.is_dir():
         return (path / "meta.json").is_file()
     if head[:4] == b"PK\x03\x04":
+        import zipfile
+
         try:
             with zipfile.ZipFile(path) as bundle:
                 return "meta.json" in bundle.namelist()
@@ -71,6 +74,8 @@ def read(path: Path, options: ReadOptions) -> Scene:
 def read_unchecked(path: Path, options: ReadOptions) -> Scene:
     """Read all rows, whatever their values: a range of a streamed scene counts on their places."""
     if path.is_file() and path.name != "meta.json":
+        import zipfile
+
         try:
             with zipfile.ZipFile(path) as bundle:
                 return _read(str(path), lambda name: _zip_entry(path, bundle, name), options)
@@ -182,6 +187,8 @@ class _Meta:
 
 def _decode(sog: _Meta, data: dict[str, bytes], *, repair: bool) -> Gaussians:
     """Decode the pictures, then fill the columns; both on all processors."""
+    from concurrent.futures import ThreadPoolExecutor
+
     n = sog.count
     with task(f"decode {sog.where}", len(data) + 4) as advance, ThreadPoolExecutor(_core.hardware_threads()) as pool:
 
@@ -331,7 +338,9 @@ def _folder_file(folder: Path, name: str) -> bytes:
         raise FormatError(f"{path}: cannot be read ({error.strerror}); meta.json names it") from error
 
 
-def _zip_entry(path: Path, bundle: zipfile.ZipFile, name: str) -> bytes:
+def _zip_entry(path: Path, bundle: "zipfile.ZipFile", name: str) -> bytes:
+    import zlib
+
     try:
         entry = bundle.getinfo(name)
     except KeyError as error:
@@ -342,5 +351,5 @@ def _zip_entry(path: Path, bundle: zipfile.ZipFile, name: str) -> bytes:
         )
     try:
         return bundle.read(entry)
-    except (RuntimeError, OSError, zipfile.zlib.error) as error:  # type: ignore[attr-defined]
+    except (RuntimeError, OSError, zlib.error) as error:
         raise FormatError(f"{path}: entry {name!r} cannot be read ({error})") from error
