@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from tyro.conf import Positional, arg
+from tyro.conf import arg
 
 from splatree.cli.console import Console, table
-from splatree.cli.files import inputs_and_output
+from splatree.cli.files import Files, inputs_and_output
 from splatree.io.registry import read, write
 from splatree.lod.build import BuildOptions, build_lod
 from splatree.scene.scene import Mode
@@ -21,16 +21,9 @@ from splatree.shapes import Array, Int64
 class Command:
     """Build the levels of detail of a scene and write them as one file: in.ply out.splatree, or chunk_*/ -o city.splatree."""
 
-    paths: Positional[tuple[Path, ...]]
-    """Inputs, and last the output unless it is named with -o; several inputs are read as one scene."""
-    output: Annotated[Path | None, arg(aliases=["-o"])] = None
-    """File to write (.splatree)."""
+    files: Annotated[Files, arg(name="")]
     mode: Mode | None = None
     """How the scene was trained and will be drawn; merged nodes depend on it. None: as the file says, else `classic`."""
-    repair: bool = False
-    """Fix or drop values that cannot be used, and count them, instead of stopping."""
-    force: bool = False
-    """Replace the output if it exists."""
     options: Annotated[BuildOptions, arg(name="")] = BuildOptions()
     console: Annotated[Console, arg(name="")] = Console()
 
@@ -61,12 +54,12 @@ class Built:
 
 def run(command: Command) -> Built:
     """Read, build, write."""
-    inputs, output = inputs_and_output(command.paths, command.output, force=command.force, keeps_tree=True)
-    scene = read(inputs, repair=command.repair)
+    inputs, output = inputs_and_output(command.files, keeps_tree=True)
+    scene = read(inputs, repair=command.files.repair)
     if command.mode is not None:
         scene = replace(scene, mode=command.mode)
     scene = build_lod(scene, command.options)
-    write(scene, output, force=command.force)
+    write(scene, output, force=command.files.force)
     tree = scene.tree
     counts, numbers = np.unique(children_per_node(tree)[~tree.is_leaf], return_counts=True)
     return Built(

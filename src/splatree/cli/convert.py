@@ -4,10 +4,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from tyro.conf import Positional, arg
+from tyro.conf import arg
 
 from splatree.cli.console import Console
-from splatree.cli.files import inputs_and_output
+from splatree.cli.files import Files, inputs_and_output
 from splatree.io.registry import read, write
 
 
@@ -15,18 +15,11 @@ from splatree.io.registry import read, write
 class Command:
     """Write a scene in another format, which the suffix of the output names."""
 
-    paths: Positional[tuple[Path, ...]]
-    """Inputs, and last the output unless it is named with -o; several inputs are read as one scene."""
-    output: Annotated[Path | None, arg(aliases=["-o"])] = None
-    """File to write."""
+    files: Annotated[Files, arg(name="")]
     level: int | None = None
     """Level of detail to read from a format that has several; 0 is the finest."""
     depth: int | None = None
     """Write one cut of the tree to a format without levels: the nodes at this depth, 0 the roots; None: the leaves."""
-    repair: bool = False
-    """Fix or drop values that cannot be used, and count them, instead of stopping."""
-    force: bool = False
-    """Replace the output if it exists."""
     console: Annotated[Console, arg(name="")] = Console()
 
 
@@ -46,9 +39,9 @@ class Converted:
 
 def run(command: Command) -> Converted:
     """Read, then write."""
-    inputs, output = inputs_and_output(command.paths, command.output, force=command.force)
-    scene = read(inputs, level=command.level, repair=command.repair)
-    write(scene, output, depth=command.depth, force=command.force)
+    inputs, output = inputs_and_output(command.files)
+    scene = read(inputs, level=command.level, repair=command.files.repair)
+    write(scene, output, depth=command.depth, force=command.files.force)
     return Converted(output, scene.tree.num_leaves, output.stat().st_size, scene.source.metadata.get("repairs"))
 
 

@@ -1,23 +1,38 @@
 """Inputs and outputs of a verb: ``verb in.ply out.ply``, or ``verb chunk_*/ -o out.ply`` for several inputs."""
 
-from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
 
 from splatree.errors import InputError, OutputError
 from splatree.io.registry import formats
 
 
-def inputs_and_output(
-    paths: Sequence[Path], output: Path | None, *, force: bool, keeps_tree: bool = False
-) -> tuple[tuple[Path, ...], Path]:
+@dataclass(frozen=True)
+class Files:
+    """What a verb reads and writes."""
+
+    paths: Positional[tuple[Path, ...]]
+    """Inputs, and last the output unless it is named with -o; several inputs are read as one scene."""
+    output: Annotated[Path | None, arg(aliases=["-o"])] = None
+    """File to write."""
+    repair: bool = False
+    """Fix or drop values that cannot be used, and count them, instead of stopping."""
+    force: bool = False
+    """Replace the output if it exists."""
+
+
+def inputs_and_output(named: Files, *, keeps_tree: bool = False) -> tuple[tuple[Path, ...], Path]:
     """The inputs, and the output: named with ``-o``, or else the last path; checked before any work is done.
 
     Raises:
         InputError: there is no input, or no output, or an output that is also read; or its suffix is of no format that is
             written, or, where the tree has to be kept, of one without levels.
-        OutputError: the output exists and ``force`` is not set.
+        OutputError: the output exists and ``--force`` is not given.
     """
-    inputs = tuple(paths)
+    inputs, output = named.paths, named.output
     if output is None:
         if len(inputs) < 2:
             found = "one path" if inputs else "no path"
@@ -37,6 +52,6 @@ def inputs_and_output(
     if not output.name.lower().endswith(tuple(suffixes)):
         purpose = "to keep the levels of detail" if keeps_tree else "of a format that is written"
         raise InputError(f"{output}: found suffix {output.suffix!r}, wanted {' or '.join(suffixes)} {purpose}")
-    if output.exists() and not force:
+    if output.exists() and not named.force:
         raise OutputError(f"{output}: exists already; choose another name or replace it with --force")
     return inputs, output

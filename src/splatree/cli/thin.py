@@ -4,10 +4,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
-from tyro.conf import Positional, arg
+from tyro.conf import arg
 
 from splatree.cli.console import Console
-from splatree.cli.files import inputs_and_output
+from splatree.cli.files import Files, inputs_and_output
 from splatree.io.registry import read, write
 from splatree.scene.scene import Scene
 from splatree.scene.thinning import ThinOptions
@@ -18,14 +18,7 @@ from splatree.simplify.thin import thin
 class Command:
     """Merge Gaussians that are close to each other: to a radius, a share or a count; to the radius `auto` if none is given."""
 
-    paths: Positional[tuple[Path, ...]]
-    """Inputs, and last the output unless it is named with -o; several inputs are read as one scene."""
-    output: Annotated[Path | None, arg(aliases=["-o"])] = None
-    """File to write."""
-    repair: bool = False
-    """Fix or drop values that cannot be used, and count them, instead of stopping."""
-    force: bool = False
-    """Replace the output if it exists."""
+    files: Annotated[Files, arg(name="")]
     options: Annotated[ThinOptions, arg(name="")] = ThinOptions()
     console: Annotated[Console, arg(name="")] = Console()
 
@@ -52,12 +45,12 @@ class Result:
 
 def run(command: Command) -> Result:
     """Read the leaves, thin them, write."""
-    inputs, output = inputs_and_output(command.paths, command.output, force=command.force)
-    scene = read(inputs, repair=command.repair)
+    inputs, output = inputs_and_output(command.files)
+    scene = read(inputs, repair=command.files.repair)
     leaves = scene.gaussians if scene.tree.is_leaf.all() else scene.gaussians.take(scene.tree.is_leaf)
     thinned = thin(leaves, command.options, mode=scene.mode)
     flat = Scene.flat(thinned.gaussians, mode=scene.mode, source=scene.source)
-    write(replace(flat, threshold=scene.threshold), output, force=command.force)
+    write(replace(flat, threshold=scene.threshold), output, force=command.files.force)
     return Result(
         output=output,
         num_read=len(leaves),
