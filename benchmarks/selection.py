@@ -28,6 +28,7 @@ COPIES = 2
 OFFSET = 1100.0
 """Metres between the copies: about the width of the city."""
 REPEAT = 7
+"""Runs of each, of which the cheapest counts: other work on the machine disturbs caches and memory, which are the limit."""
 
 
 def main() -> None:
@@ -81,9 +82,10 @@ def row(scene: Scene, levels: object, camera: Camera) -> dict[str, object]:
     blocks = measure(lambda: select(scene, camera, options, threads=1), repeat=REPEAT)
     keywords = {"dilation_px2": 0.3, "threshold": scene.threshold, "threads": 1}
     serial = measure(
-        lambda: select_serial(scene.gaussians, scene.tree, None, camera, options, levels=levels, **keywords), repeat=2
+        lambda: select_serial(scene.gaussians, scene.tree, None, camera, options, levels=levels, **keywords),
+        repeat=REPEAT,
     )
-    flat = measure(lambda: select_flat(scene, camera, options), repeat=2)
+    flat = measure(lambda: select_flat(scene, camera, options), repeat=REPEAT)
     rows, visited = serial.value
     assert np.array_equal(rows, blocks.value.rows)
     assert np.array_equal(rows, flat.value)
