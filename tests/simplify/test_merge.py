@@ -207,6 +207,6 @@ def test_rules_follow_the_mode_unless_given():
     classic, antialiased = (MergeOptions().resolved(mode) for mode in ("classic", "antialiased"))
     assert (classic.weight, classic.opacity, classic.dilation) == ("opacity", "standard", 0.0)
     assert (antialiased.weight, antialiased.opacity, antialiased.dilation) == ("opacity-area", "optical", 0.0)
-    assert MergeOptions().resolved("classic", growth=2.0).opacity == "optical"
+    assert MergeOptions().resolved("classic", growth=2.0).dilation == pytest.approx(0.6 / 0.7)
     given = MergeOptions(weight="opacity-scale", opacity="mass", dilation=0.1)
     assert given.resolved("antialiased", growth=2.0) == given

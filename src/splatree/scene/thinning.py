@@ -43,8 +43,8 @@ class MergeOptions:
     mode `antialiased`, whose splats keep their mass however small they get, else `opacity`."""
     opacity: OpacityRule | None = None
     """`union` 1 − Π(1 − α), `mass` Σ α A / A, `standard`: the larger of both, excess mass widens the Gaussian, or `optical`:
-    the group's optical depth is kept, and what a stack covers beyond one Gaussian widens it; None: `optical` for levels and
-    in a scene of mode `antialiased`, else `standard`."""
+    the group's optical depth is kept, and what a stack covers beyond one Gaussian widens it; None: `optical` in a scene of
+    mode `antialiased`, else `standard`."""
     position: Position = "centroid"
     """`centroid`, or the `representative`'s own place (then merged Gaussians keep the minimum distance)."""
     scale_bound: float | None = None
@@ -81,7 +81,7 @@ class MergeOptions:
         return dataclasses.replace(
             self,
             weight=self.weight or ("opacity" if classic else "opacity-area"),
-            opacity=self.opacity or ("standard" if classic and growth is None else "optical"),
+            opacity=self.opacity or ("standard" if classic else "optical"),
             dilation=dilation if self.dilation is None else self.dilation,
         )
 
