@@ -1,16 +1,46 @@
+import ast
 import inspect
 import subprocess
 import sys
+from pathlib import Path
+
+import pytest
 
 import splatree
 
 
-def test_public_names_are_sorted_and_complete():
+def test_public_names_are_sorted_and_can_be_loaded():
     assert splatree.__all__ == sorted(splatree.__all__)
-    imported = {
-        name for name, value in vars(splatree).items() if not name.startswith("_") and not inspect.ismodule(value)
+    assert dir(splatree) == splatree.__all__
+    for name in splatree.__all__:
+        assert not inspect.ismodule(getattr(splatree, name))
+        assert getattr(splatree, name).__name__ == name
+
+
+def test_type_checkers_see_the_names_that_are_loaded():
+    tree = ast.parse(Path(splatree.__file__).read_text())
+    seen = {
+        alias.name: statement.module
+        for block in tree.body
+        if isinstance(block, ast.If)
+        for statement in block.body
+        if isinstance(statement, ast.ImportFrom)
+        for alias in statement.names
     }
-    assert imported == set(splatree.__all__)
+    assert seen == splatree._HOME
+    assert sorted(seen) == splatree.__all__
+
+
+def test_an_unknown_name_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="no attribute 'renderer'"):
+        splatree.renderer  # noqa: B018
+
+
+@pytest.mark.parametrize("first", ["splatree.render.paths", "splatree.render", "splatree.cli.demo"])
+def test_render_is_the_function_whatever_is_imported_first(first):
+    code = f"import {first}, splatree; print(splatree.render.__name__, callable(splatree.render))"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.split() == ["render", "True"]
 
 
 def test_public_names_say_what_they_are():
@@ -19,7 +49,7 @@ def test_public_names_say_what_they_are():
 
 
 def test_import_loads_nothing_heavy():
-    heavy = ("PIL", "rich", "safetensors", "torch", "tyro", "imageio_ffmpeg", "splatree.cli")
+    heavy = ("numpy", "PIL", "rich", "safetensors", "torch", "tyro", "imageio_ffmpeg", "splatree.cli")
     code = f"import sys, splatree; print(*(name for name in {heavy} if name in sys.modules))"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout.split() == []

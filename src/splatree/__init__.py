@@ -1,27 +1,36 @@
-"""splatree makes large 3D Gaussian Splatting scenes small, fast and streamable."""
+"""splatree makes large 3D Gaussian Splatting scenes small, fast and streamable.
 
-from splatree.errors import FormatError, InputError, MissingExtraError, OutputError, ShapeError, SplatreeError
-from splatree.io.cameras import read_cameras, write_cameras
-from splatree.io.images import read_image, write_image
-from splatree.io.registry import read, write
-from splatree.lod.build import BuildOptions, build_lod
-from splatree.lod.select import select
-from splatree.metrics.psnr import psnr
-from splatree.metrics.ssim import ssim
-from splatree.render.batch import render_batch, trace_batch
-from splatree.render.evaluate import Evaluation, evaluate
-from splatree.render.paths import PathOptions, flyout, orbit
-from splatree.render.pipeline import render, trace
-from splatree.render.video import open_video
-from splatree.scene.cameras import Camera, Cameras
-from splatree.scene.frame import Frame, RenderResult, Selection
-from splatree.scene.gaussians import Gaussians
-from splatree.scene.options import RenderOptions, SelectOptions
-from splatree.scene.scene import Scene
-from splatree.scene.thinning import Groups, MergeOptions, ThinOptions
-from splatree.scene.tree import GaussianTree
-from splatree.simplify.merge import merge
-from splatree.simplify.thin import Thinned, thin
+Public names are loaded when they are first used, so importing splatree costs next to nothing.
+"""
+
+import importlib
+import sys
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from splatree.errors import FormatError, InputError, MissingExtraError, OutputError, ShapeError, SplatreeError
+    from splatree.io.cameras import read_cameras, write_cameras
+    from splatree.io.images import read_image, write_image
+    from splatree.io.registry import read, write
+    from splatree.lod.build import BuildOptions, build_lod
+    from splatree.lod.select import select
+    from splatree.metrics.psnr import psnr
+    from splatree.metrics.ssim import ssim
+    from splatree.render.batch import render_batch, trace_batch
+    from splatree.render.evaluate import Evaluation, evaluate
+    from splatree.render.paths import PathOptions, flyout, orbit
+    from splatree.render.pipeline import render, trace
+    from splatree.render.video import open_video
+    from splatree.scene.cameras import Camera, Cameras
+    from splatree.scene.frame import Frame, RenderResult, Selection
+    from splatree.scene.gaussians import Gaussians
+    from splatree.scene.options import RenderOptions, SelectOptions
+    from splatree.scene.scene import Scene
+    from splatree.scene.thinning import Groups, MergeOptions, ThinOptions
+    from splatree.scene.tree import GaussianTree
+    from splatree.simplify.merge import merge
+    from splatree.simplify.thin import Thinned, thin
 
 __all__ = [
     "BuildOptions",
@@ -68,3 +77,73 @@ __all__ = [
     "write_cameras",
     "write_image",
 ]
+
+_HOME = {
+    "BuildOptions": "splatree.lod.build",
+    "Camera": "splatree.scene.cameras",
+    "Cameras": "splatree.scene.cameras",
+    "Evaluation": "splatree.render.evaluate",
+    "FormatError": "splatree.errors",
+    "Frame": "splatree.scene.frame",
+    "GaussianTree": "splatree.scene.tree",
+    "Gaussians": "splatree.scene.gaussians",
+    "Groups": "splatree.scene.thinning",
+    "InputError": "splatree.errors",
+    "MergeOptions": "splatree.scene.thinning",
+    "MissingExtraError": "splatree.errors",
+    "OutputError": "splatree.errors",
+    "PathOptions": "splatree.render.paths",
+    "RenderOptions": "splatree.scene.options",
+    "RenderResult": "splatree.scene.frame",
+    "Scene": "splatree.scene.scene",
+    "SelectOptions": "splatree.scene.options",
+    "Selection": "splatree.scene.frame",
+    "ShapeError": "splatree.errors",
+    "SplatreeError": "splatree.errors",
+    "ThinOptions": "splatree.scene.thinning",
+    "Thinned": "splatree.simplify.thin",
+    "build_lod": "splatree.lod.build",
+    "evaluate": "splatree.render.evaluate",
+    "flyout": "splatree.render.paths",
+    "merge": "splatree.simplify.merge",
+    "open_video": "splatree.render.video",
+    "orbit": "splatree.render.paths",
+    "psnr": "splatree.metrics.psnr",
+    "read": "splatree.io.registry",
+    "read_cameras": "splatree.io.cameras",
+    "read_image": "splatree.io.images",
+    "render": "splatree.render.pipeline",
+    "render_batch": "splatree.render.batch",
+    "select": "splatree.lod.select",
+    "ssim": "splatree.metrics.ssim",
+    "thin": "splatree.simplify.thin",
+    "trace": "splatree.render.pipeline",
+    "trace_batch": "splatree.render.batch",
+    "write": "splatree.io.registry",
+    "write_cameras": "splatree.io.cameras",
+    "write_image": "splatree.io.images",
+}
+
+
+if not TYPE_CHECKING:  # to a type checker an unknown name is an error
+
+    def __getattr__(name: str) -> Any:
+        if name not in _HOME:
+            raise AttributeError(f"module 'splatree' has no attribute {name!r}")
+        value = getattr(importlib.import_module(_HOME[name]), name)
+        globals()[name] = value
+        return value
+
+
+def __dir__() -> list[str]:
+    return list(__all__)
+
+
+class _Package(ModuleType):
+    def __setattr__(self, name: str, value: Any) -> None:
+        # Loading the subpackage `splatree.render` would put it in the place of the function of that name.
+        if not (name in _HOME and isinstance(value, ModuleType)):
+            super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Package
