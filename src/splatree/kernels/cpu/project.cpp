@@ -29,10 +29,23 @@ struct alignas(64) Planes {
   int32_t row[BATCH];
   float mean[3][BATCH], quat[4][BATCH], log_scale[3][BATCH], logit_opacity[BATCH];
   float dx[BATCH], dy[BATCH], dz[BATCH];
+  float tx[3][BATCH], ty[3][BATCH], scale[3][BATCH], sigmoid[BATCH], mx[3][BATCH], my[3][BATCH];
   int32_t kept[BATCH];
   float out[NUM_COLUMNS][BATCH];
   float basis[MAX_COEFFICIENTS][BATCH];
 };
+
+Vector load(const float (&planes)[3][BATCH], int i) { return {planes[0][i], planes[1][i], planes[2][i]}; }
+void store(Vector v, float (&planes)[3][BATCH], int i) { planes[0][i] = v.x, planes[1][i] = v.y, planes[2][i] = v.z; }
+
+// Calls body(i) for each lane of the blocks; whole blocks, so that the code of a lane does not depend on its place.
+template <class Body>
+SPLATREE_FN void for_lanes(int num_blocks, const Body& body) {
+  for (int block = 0; block < num_blocks; ++block) {
+#pragma omp simd
+    for (int i = block * LANES; i < (block + 1) * LANES; ++i) body(i);
+  }
+}
 
 // What a thread computes of a chunk.
 struct alignas(64) Chunk {
@@ -79,33 +92,39 @@ void project_batch(const ProjectJob& job, int num_blocks, Planes& p) {
   gather<4>(job.quats, -1, nullptr, p, num_blocks, p.quat);
   gather<3>(job.log_scales, job.last, job.last_log_scale, p, num_blocks, p.log_scale);
   gather(job.logit_opacities, p, num_blocks, p.logit_opacity);
-  for (int block = 0; block < num_blocks; ++block) {
-#pragma omp simd
-    for (int i = block * LANES; i < (block + 1) * LANES; ++i) {
-      const Point point = point_of(job.view, p.mean[0][i], p.mean[1][i], p.mean[2][i]);
-      const Splat splat =
-          splat_of<ANTIALIASED>(job.view, point, p.quat[0][i], p.quat[1][i], p.quat[2][i], p.quat[3][i],
-                                {p.log_scale[0][i], p.log_scale[1][i], p.log_scale[2][i]}, p.logit_opacity[i]);
-      p.dx[i] = point.dx, p.dy[i] = point.dy, p.dz[i] = point.dz;
-      p.out[X][i] = splat.x, p.out[Y][i] = splat.y;
-      p.out[FACTOR_A][i] = splat.a, p.out[FACTOR_B][i] = splat.b, p.out[FACTOR_C][i] = splat.c;
-      p.out[OPACITY][i] = splat.opacity, p.out[LOG2_OPACITY][i] = splat.log2_opacity;
-      p.out[DEPTH][i] = point.z;
-      p.out[EXTENT_X][i] = splat.extent_x, p.out[EXTENT_Y][i] = splat.extent_y;
-      p.kept[i] = splat.visible;
-    }
-  }
+  // Four short loops: in one long loop the processor would wait for each step of a block, as the next block is too far ahead.
+  for_lanes(num_blocks, [&](int i) {
+    const Point point = point_of(job.view, p.mean[0][i], p.mean[1][i], p.mean[2][i]);
+    const Image image = image_of(job.view, point.x, point.y, point.z);
+    p.dx[i] = point.dx, p.dy[i] = point.dy, p.dz[i] = point.dz;
+    p.out[X][i] = image.x, p.out[Y][i] = image.y, p.out[DEPTH][i] = point.z;
+    store(image.tx, p.tx, i), store(image.ty, p.ty, i);
+  });
+  for_lanes(num_blocks, [&](int i) {
+    store(scale_of(job.view, p.out[DEPTH][i], load(p.log_scale, i)), p.scale, i);
+    p.sigmoid[i] = sigmoid_of(p.logit_opacity[i]);
+  });
+  for_lanes(num_blocks, [&](int i) {
+    const Factor m = factor_of(load(p.tx, i), load(p.ty, i), p.quat[0][i], p.quat[1][i], p.quat[2][i], p.quat[3][i],
+                               load(p.scale, i));
+    store(m.x, p.mx, i), store(m.y, p.my, i);
+  });
+  for_lanes(num_blocks, [&](int i) {
+    const Splat splat = splat_of<ANTIALIASED>(job.view, p.out[X][i], p.out[Y][i], p.out[DEPTH][i], load(p.mx, i),
+                                              load(p.my, i), p.sigmoid[i]);
+    p.out[FACTOR_A][i] = splat.a, p.out[FACTOR_B][i] = splat.b, p.out[FACTOR_C][i] = splat.c;
+    p.out[OPACITY][i] = splat.opacity, p.out[LOG2_OPACITY][i] = splat.log2_opacity;
+    p.out[EXTENT_X][i] = splat.extent_x, p.out[EXTENT_Y][i] = splat.extent_y;
+    p.kept[i] = splat.visible;
+  });
 }
 
 template <int DEGREE>
 void load_basis(int num_blocks, Planes& p) {
-  for (int block = 0; block < num_blocks; ++block) {
-#pragma omp simd
-    for (int i = block * LANES; i < (block + 1) * LANES; ++i) {
-      const float inverse = 1.f / __builtin_sqrtf(p.dx[i] * p.dx[i] + p.dy[i] * p.dy[i] + p.dz[i] * p.dz[i]);
-      harmonics_of(p.dx[i] * inverse, p.dy[i] * inverse, p.dz[i] * inverse, DEGREE, &p.basis[0][i], BATCH);
-    }
-  }
+  for_lanes(num_blocks, [&](int i) {
+    const float inverse = 1.f / __builtin_sqrtf(p.dx[i] * p.dx[i] + p.dy[i] * p.dy[i] + p.dz[i] * p.dz[i]);
+    harmonics_of(p.dx[i] * inverse, p.dy[i] * inverse, p.dz[i] * inverse, DEGREE, &p.basis[0][i], BATCH);
+  });
 }
 
 // Appends the visible rows of a batch. Every row's record is written, and overwritten by the next if it is not visible;

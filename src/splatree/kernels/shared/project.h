@@ -35,29 +35,49 @@ SPLATREE_FN Point point_of(const View& view, float mean_x, float mean_y, float m
   return p;
 }
 
-struct Splat {
-  float x, y, a, b, c, opacity, log2_opacity, extent_x, extent_y;
-  int visible;
-};
-
 struct Vector {
   float x, y, z;
 };
 
 SPLATREE_FN float dot(Vector p, Vector q) { return p.x * q.x + p.y * q.y + p.z * q.z; }
 
-// The row of J W R S that belongs to one image axis: t = f/z (w_axis - u w_depth), then R and S from the right.
+// The standard deviations, world units.
+SPLATREE_FN Vector scale_of(const View& view, float z, Vector log_scale) {
+  const float largest = view.sigma_max * z;
+  return {least(exp_of(log_scale.x), largest), least(exp_of(log_scale.y), largest), least(exp_of(log_scale.z), largest)};
+}
+
+SPLATREE_FN float sigmoid_of(float logit) { return 1.f / (1.f + exp_of(-logit)); }
+
+// The centre in the picture, px, and the rows of J W: f/z (w_axis - u w_depth), px per world unit.
+struct Image {
+  float x, y;
+  Vector tx, ty;
+};
+
+SPLATREE_FN Image image_of(const View& view, float x, float y, float z) {
+  const float inverse_z = 1.f / z;
+  const float slope_x = x * inverse_z, slope_y = y * inverse_z;
+  const float ux = least(greatest(slope_x, view.slope_min_x), view.slope_max_x);
+  const float uy = least(greatest(slope_y, view.slope_min_y), view.slope_max_y);
+  const float gx = view.fx * inverse_z, gy = view.fy * inverse_z;
+  const float* r = view.rotation;
+  return {view.fx * slope_x + view.cx, view.fy * slope_y + view.cy,
+          {gx * (r[0] - ux * r[6]), gx * (r[1] - ux * r[7]), gx * (r[2] - ux * r[8])},
+          {gy * (r[3] - uy * r[6]), gy * (r[4] - uy * r[7]), gy * (r[5] - uy * r[8])}};
+}
+
+// A row t of J W times R S.
 SPLATREE_FN Vector row_of(Vector t, const Vector (&axes)[3], Vector scale) {
   return {dot(t, axes[0]) * scale.x, dot(t, axes[1]) * scale.y, dot(t, axes[2]) * scale.z};
 }
 
-// The two rows of M = J W R S, px, and the direction of view.
+// The two rows of M = J W R S, px.
 struct Factor {
   Vector x, y;
-  float slope_x, slope_y;
 };
 
-SPLATREE_FN Factor factor_of(const View& view, const Point& p, float qw, float qx, float qy, float qz, Vector log_scale) {
+SPLATREE_FN Factor factor_of(Vector tx, Vector ty, float qw, float qx, float qy, float qz, Vector scale) {
   // Columns of the rotation of a quaternion of any length, which is first scaled by a power of two against overflow.
   const float aw = qw < 0 ? -qw : qw, ax = qx < 0 ? -qx : qx, ay = qy < 0 ? -qy : qy, az = qz < 0 ? -qz : qz;
   const float unit = power_of_two_over(greatest(greatest(aw, ax), greatest(ay, az)));
@@ -68,27 +88,22 @@ SPLATREE_FN Factor factor_of(const View& view, const Point& p, float qw, float q
       {s * (x * y - w * z), 1.f - s * (x * x + z * z), s * (y * z + w * x)},
       {s * (x * z + w * y), s * (y * z - w * x), 1.f - s * (x * x + y * y)},
   };
-  const float largest = view.sigma_max * p.z;
-  const Vector scale = {least(exp_of(log_scale.x), largest), least(exp_of(log_scale.y), largest),
-                        least(exp_of(log_scale.z), largest)};
-
-  const float inverse_z = 1.f / p.z;
-  const float slope_x = p.x * inverse_z, slope_y = p.y * inverse_z;
-  const float ux = least(greatest(slope_x, view.slope_min_x), view.slope_max_x);
-  const float uy = least(greatest(slope_y, view.slope_min_y), view.slope_max_y);
-  const float gx = view.fx * inverse_z, gy = view.fy * inverse_z;
-  const float* r = view.rotation;
-  const Vector tx = {gx * (r[0] - ux * r[6]), gx * (r[1] - ux * r[7]), gx * (r[2] - ux * r[8])};
-  const Vector ty = {gy * (r[3] - uy * r[6]), gy * (r[4] - uy * r[7]), gy * (r[5] - uy * r[8])};
-  return {row_of(tx, axes, scale), row_of(ty, axes, scale), slope_x, slope_y};
+  return {row_of(tx, axes, scale), row_of(ty, axes, scale)};
 }
 
-template <bool ANTIALIASED>
-SPLATREE_FN Splat splat_of(const View& view, const Point& p, float qw, float qx, float qy, float qz, Vector log_scale,
-                           float logit_opacity) {
-  const Factor factor = factor_of(view, p, qw, qx, qy, qz, log_scale);
-  const Vector mx = factor.x, my = factor.y;
+SPLATREE_FN Factor factor_of(const View& view, const Point& p, float qw, float qx, float qy, float qz, Vector log_scale) {
+  const Image image = image_of(view, p.x, p.y, p.z);
+  return factor_of(image.tx, image.ty, qw, qx, qy, qz, scale_of(view, p.z, log_scale));
+}
 
+struct Splat {
+  float a, b, c, opacity, log2_opacity, extent_x, extent_y;
+  int visible;
+};
+
+// Of the centre (x, y) in the picture, the depth z, the rows of M, and the opacity as stored.
+template <bool ANTIALIASED>
+SPLATREE_FN Splat splat_of(const View& view, float x, float y, float z, Vector mx, Vector my, float sigmoid) {
   // The determinant as a sum of positive terms.
   const float mxx = dot(mx, mx), myy = dot(my, my), xy = dot(mx, my);
   const Vector cross = {mx.y * my.z - mx.z * my.y, mx.z * my.x - mx.x * my.z, mx.x * my.y - mx.y * my.x};
@@ -97,9 +112,6 @@ SPLATREE_FN Splat splat_of(const View& view, const Point& p, float qw, float qx,
   const float xx = mxx + view.dilation, yy = myy + view.dilation;
 
   Splat splat;
-  splat.x = view.fx * factor.slope_x + view.cx;
-  splat.y = view.fy * factor.slope_y + view.cy;
-  const float sigmoid = 1.f / (1.f + exp_of(-logit_opacity));
   splat.opacity = ANTIALIASED ? sigmoid * __builtin_sqrtf(undilated_det / det) : sigmoid;
   splat.log2_opacity = log2_of(greatest(splat.opacity, 1e-37f));
   const float k = __builtin_sqrtf(1.38629436f * greatest(splat.log2_opacity - view.log2_threshold, 0.f));  // √(2 ln(o/τ))
@@ -112,9 +124,9 @@ SPLATREE_FN Splat splat_of(const View& view, const Point& p, float qw, float qx,
   splat.a = yy * inverse;
   splat.b = -xy * inverse;
   // NaN anywhere makes a comparison false: such a row is not drawn.
-  splat.visible = (p.z > view.near) & (splat.opacity >= view.threshold) & (splat.x + splat.extent_x >= 0.5f) &
-                  (splat.x - splat.extent_x <= view.width - 0.5f) & (splat.y + splat.extent_y >= 0.5f) &
-                  (splat.y - splat.extent_y <= view.height - 0.5f);
+  splat.visible = (z > view.near) & (splat.opacity >= view.threshold) & (x + splat.extent_x >= 0.5f) &
+                  (x - splat.extent_x <= view.width - 0.5f) & (y + splat.extent_y >= 0.5f) &
+                  (y - splat.extent_y <= view.height - 0.5f);
   return splat;
 }
 
