@@ -5,9 +5,11 @@
 // are skipped. Memory: a second array of items, and 16 KB a chunk.
 #pragma once
 #include <cstdint>
+#include <utility>
 #include <vector>
 
 #include "cpu/pool.h"
+#include "cpu/scratch.h"
 
 namespace splatree {
 
@@ -16,17 +18,16 @@ struct KeyRow {
   uint32_t row;
 };
 
-inline void radix_sort(std::vector<KeyRow>& items, int threads) {
+inline void radix_sort(Scratch<KeyRow>& items, int64_t n, int threads) {
   constexpr int kDigitBits = 11, kDigits = 1 << kDigitBits;
   constexpr int64_t kGrain = 1 << 17;
-  const int64_t n = static_cast<int64_t>(items.size());
   const int64_t num_chunks = (n + kGrain - 1) / kGrain;
   if (n < 2) return;
-  std::vector<KeyRow> other(items.size());
+  Scratch<KeyRow> other = allocate<KeyRow>(n);
   std::vector<uint32_t> counts(static_cast<size_t>(num_chunks) * kDigits);
 
   uint64_t differing = 0;
-  for (const KeyRow& item : items) differing |= item.key ^ items[0].key;
+  for (int64_t i = 1; i < n; ++i) differing |= items[i].key ^ items[0].key;
   for (int shift = 0; shift < 64 && (differing >> shift) != 0; shift += kDigitBits) {
     if (((differing >> shift) & (kDigits - 1)) == 0) continue;
     parallel_chunks(num_chunks, threads, [&](int64_t chunk) {
@@ -48,7 +49,7 @@ inline void radix_sort(std::vector<KeyRow>& items, int threads) {
       const int64_t end = n < (chunk + 1) * kGrain ? n : (chunk + 1) * kGrain;
       for (int64_t i = chunk * kGrain; i < end; ++i) other[next[(items[i].key >> shift) & (kDigits - 1)]++] = items[i];
     });
-    items.swap(other);
+    std::swap(items, other);
   }
 }
 

@@ -20,6 +20,7 @@
 
 #include "cpu/pool.h"
 #include "cpu/radix.h"
+#include "cpu/scratch.h"
 
 namespace splatree {
 namespace {
@@ -109,33 +110,33 @@ struct Lattice {
 
 // Points in runs of one cell each, cells by rising key.
 struct Cells {
-  std::vector<uint64_t> keys;
-  std::vector<uint32_t> start;  // one more than keys
-  std::vector<Point> points;
-
-  int64_t size() const { return static_cast<int64_t>(keys.size()); }
+  int64_t num_cells = 0, num_points = 0;
+  Scratch<uint64_t> keys;
+  Scratch<uint32_t> start;  // one more than keys
+  Scratch<Point> points;
 };
 
 Cells sort_into_cells(const Lattice& lattice, int64_t n, const float* means, const float* colors,
                       const float* importance, int threads) {
-  std::vector<KeyRow> items(n);
+  Scratch<KeyRow> items = allocate<KeyRow>(n);
   parallel_ranges(n, 1 << 15, threads, [&](int64_t begin, int64_t end) {
     for (int64_t i = begin; i < end; ++i) items[i] = {lattice.key(means + 3 * i), static_cast<uint32_t>(i)};
   });
-  radix_sort(items, threads);
+  radix_sort(items, n, threads);
   Cells cells;
-  cells.points.resize(n);
-  int64_t num_cells = 0;
-  for (int64_t i = 0; i < n; ++i) num_cells += i == 0 || items[i].key != items[i - 1].key;
-  cells.keys.reserve(num_cells);
-  cells.start.reserve(num_cells + 1);
+  cells.num_points = n;
+  cells.points = allocate<Point>(n);
+  for (int64_t i = 0; i < n; ++i) cells.num_cells += i == 0 || items[i].key != items[i - 1].key;
+  cells.keys = allocate<uint64_t>(cells.num_cells);
+  cells.start = allocate<uint32_t>(cells.num_cells + 1);
+  int64_t cell = 0;
   for (int64_t i = 0; i < n; ++i)
     if (i == 0 || items[i].key != items[i - 1].key) {
-      cells.keys.push_back(items[i].key);
-      cells.start.push_back(static_cast<uint32_t>(i));
+      cells.keys[cell] = items[i].key;
+      cells.start[cell++] = static_cast<uint32_t>(i);
     }
-  cells.start.push_back(static_cast<uint32_t>(n));
-  parallel_ranges(num_cells, 1 << 13, threads, [&](int64_t first, int64_t last) {
+  cells.start[cell] = static_cast<uint32_t>(n);
+  parallel_ranges(cells.num_cells, 1 << 13, threads, [&](int64_t first, int64_t last) {
     for (int64_t c = first; c < last; ++c) {
       Point* begin = &cells.points[cells.start[c]];
       Point* end = begin;
@@ -180,8 +181,8 @@ class Columns {
 
   // The first cell with at least `key`: by galloping from where the last search ended.
   void seek(int k, uint64_t key) {
-    const uint64_t* keys = cells_.keys.data();
-    const int64_t size = cells_.size();
+    const uint64_t* keys = cells_.keys.get();
+    const int64_t size = cells_.num_cells;
     int64_t low = first_[k];
     if (low < 0) {
       first_[k] = std::lower_bound(keys, keys + size, key) - keys;
@@ -236,7 +237,7 @@ Status scan(const Cells& cells, const Columns& columns, const Metric& metric, co
   const Point& p = cells.points[waiting.point];
   uint32_t from = waiting.position;
   for (int k = waiting.column; k < kColumns; ++k, from = 0)
-    for (int64_t c = columns.first(k); c < cells.size() && cells.keys[c] <= columns.last_key(k); ++c)
+    for (int64_t c = columns.first(k); c < cells.num_cells && cells.keys[c] <= columns.last_key(k); ++c)
       for (uint32_t j = std::max(from, cells.start[c]); j < cells.start[c + 1]; ++j) {
         const Point& q = cells.points[j];
         if (q.priority >= p.priority) break;
@@ -250,20 +251,21 @@ Status scan(const Cells& cells, const Columns& columns, const Metric& metric, co
   return kRepresentative;
 }
 
-std::vector<uint8_t> decide(const Lattice& lattice, const Cells& cells, const Metric& metric, ThinJob& job) {
+Scratch<uint8_t> decide(const Lattice& lattice, const Cells& cells, const Metric& metric, ThinJob& job) {
   constexpr int64_t kGrain = 1 << 14;
-  const int64_t n = static_cast<int64_t>(cells.points.size());
-  std::vector<uint8_t> status(n, kUndecided), next(n, kUndecided);
+  const int64_t n = cells.num_points;
+  Scratch<uint8_t> status = allocate<uint8_t>(n), next = allocate<uint8_t>(n);
+  std::memset(status.get(), kUndecided, n);
+  std::memset(next.get(), kUndecided, n);
   std::atomic<int64_t> visited{0};
-  std::vector<Waiting> waiting(n);
-  parallel_ranges(cells.size(), kGrain, job.threads, [&](int64_t first, int64_t last) {
+  Scratch<Waiting> waiting = allocate<Waiting>(n);
+  parallel_ranges(cells.num_cells, kGrain, job.threads, [&](int64_t first, int64_t last) {
     for (int64_t c = first; c < last; ++c)
       for (uint32_t i = cells.start[c]; i < cells.start[c + 1]; ++i) waiting[i] = {i, static_cast<uint32_t>(c), 0, 0};
   });
   job.rounds = 0;
-  while (!waiting.empty()) {
+  for (int64_t size = n; size > 0;) {
     ++job.rounds;
-    const int64_t size = static_cast<int64_t>(waiting.size());
     parallel_ranges(size, kGrain, job.threads, [&](int64_t begin, int64_t end) {
       Columns columns(lattice, cells);
       int64_t cell = -1, count = 0;
@@ -279,7 +281,7 @@ std::vector<uint8_t> decide(const Lattice& lattice, const Cells& cells, const Me
           }
         }
         if (waits.cell != cell) columns.move_to(cells.keys[cell = waits.cell]);
-        next[waits.point] = scan(cells, columns, metric, status.data(), waits, count);
+        next[waits.point] = scan(cells, columns, metric, status.get(), waits, count);
       }
       visited.fetch_add(count, std::memory_order_relaxed);
     });
@@ -297,27 +299,30 @@ std::vector<uint8_t> decide(const Lattice& lattice, const Cells& cells, const Me
     });
     int64_t total = 0;
     for (int64_t chunk = 0; chunk < num_chunks; ++chunk) {
-      std::copy_n(waiting.begin() + chunk * kGrain, kept[chunk + 1], waiting.begin() + total);
+      std::copy_n(&waiting[chunk * kGrain], kept[chunk + 1], &waiting[total]);
       total += kept[chunk + 1];
     }
-    waiting.resize(total);
+    size = total;
   }
   job.num_visited = visited.load();
   return status;
 }
 
-Cells representatives_of(const Cells& cells, const std::vector<uint8_t>& status) {
+Cells representatives_of(const Cells& cells, const uint8_t* status) {
   Cells kept;
-  for (int64_t c = 0; c < cells.size(); ++c) {
-    const size_t begin = kept.points.size();
+  kept.keys = allocate<uint64_t>(cells.num_cells);
+  kept.start = allocate<uint32_t>(cells.num_cells + 1);
+  kept.points = allocate<Point>(cells.num_points);
+  for (int64_t c = 0; c < cells.num_cells; ++c) {
+    const int64_t begin = kept.num_points;
     for (uint32_t i = cells.start[c]; i < cells.start[c + 1]; ++i)
-      if (status[i] == kRepresentative) kept.points.push_back(cells.points[i]);
-    if (kept.points.size() > begin) {
-      kept.keys.push_back(cells.keys[c]);
-      kept.start.push_back(static_cast<uint32_t>(begin));
+      if (status[i] == kRepresentative) kept.points[kept.num_points++] = cells.points[i];
+    if (kept.num_points > begin) {
+      kept.keys[kept.num_cells] = cells.keys[c];
+      kept.start[kept.num_cells++] = static_cast<uint32_t>(begin);
     }
   }
-  kept.start.push_back(static_cast<uint32_t>(kept.points.size()));
+  kept.start[kept.num_cells] = static_cast<uint32_t>(kept.num_points);
   return kept;
 }
 
@@ -330,7 +335,7 @@ void thin(ThinJob& job) {
   const Metric metric(job.radius, job.color_radius);
   const Lattice lattice(job.n, job.means, job.radius, job.threads);
   const Cells cells = sort_into_cells(lattice, job.n, job.means, job.colors, job.importance, job.threads);
-  const std::vector<uint8_t> status = decide(lattice, cells, metric, job);
+  const Scratch<uint8_t> status = decide(lattice, cells, metric, job);
   if (!job.assign) {
     for (int64_t i = 0; i < job.n; ++i) {
       const int32_t row = static_cast<int32_t>(row_of(cells.points[i]));
@@ -338,9 +343,9 @@ void thin(ThinJob& job) {
     }
     return;
   }
-  const Cells kept = representatives_of(cells, status);
+  const Cells kept = representatives_of(cells, status.get());
   std::atomic<int64_t> visited{0};
-  parallel_ranges(cells.size(), 1 << 12, job.threads, [&](int64_t first, int64_t last) {
+  parallel_ranges(cells.num_cells, 1 << 12, job.threads, [&](int64_t first, int64_t last) {
     Columns columns(lattice, kept);
     int64_t count = 0;
     for (int64_t c = first; c < last; ++c) {
@@ -353,7 +358,7 @@ void thin(ThinJob& job) {
           double best = std::numeric_limits<double>::infinity();
           uint64_t best_priority = 0;
           for (int k = 0; k < kColumns; ++k)
-            for (int64_t d = columns.first(k); d < kept.size() && kept.keys[d] <= columns.last_key(k); ++d)
+            for (int64_t d = columns.first(k); d < kept.num_cells && kept.keys[d] <= columns.last_key(k); ++d)
               for (uint32_t j = kept.start[d]; j < kept.start[d + 1]; ++j) {
                 const Point& q = kept.points[j];
                 if (q.priority >= p.priority) break;
@@ -388,7 +393,7 @@ void nearest_distances(int64_t n, const float* means, int64_t num_queries, const
       columns.move_to(lattice.key(point.mean));
       double best = std::numeric_limits<double>::infinity();
       for (int k = 0; k < kColumns; ++k)
-        for (int64_t d = columns.first(k); d < cells.size() && cells.keys[d] <= columns.last_key(k); ++d)
+        for (int64_t d = columns.first(k); d < cells.num_cells && cells.keys[d] <= columns.last_key(k); ++d)
           for (uint32_t j = cells.start[d]; j < cells.start[d + 1]; ++j)
             if (row_of(cells.points[j]) != static_cast<uint32_t>(queries[q]))
               best = std::min(best, metric.distance2(point, cells.points[j]));
