@@ -131,7 +131,8 @@ def _grow(leaves: Gaussians, options: BuildOptions, radius: float, threads: int)
     nodes = np.arange(len(leaves), dtype=np.int32)
     forest = _Forest(order, [present], [weights], [], nodes, [len(leaves)], [])
     color_radius = np.inf if options.color_radius is None else options.color_radius
-    diagonal = float(np.linalg.norm(np.ptp(leaves.means.astype(np.float64), axis=0))) if len(leaves) else 0.0
+    sides = [float(x.max()) - float(x.min()) for x in leaves.means.T] if len(leaves) else [0.0]
+    diagonal = float(np.linalg.norm(sides))
     num_nodes = len(leaves)
     with task("build levels", float(len(leaves))) as advance:
         while len(nodes) > options.max_roots:
@@ -166,24 +167,24 @@ def _grow(leaves: Gaussians, options: BuildOptions, radius: float, threads: int)
 
 def _assemble(scene: Scene, leaves: Gaussians, leaf_ids: Array, forest: _Forest, report: str, threads: int) -> Scene:
     means = np.concatenate([part.means for part in forest.columns])
-    largest = np.concatenate([np.maximum.reduce(part.log_scales.T) for part in forest.columns])
+    x, y, z = np.concatenate([part.log_scales for part in forest.columns]).T
+    largest = np.maximum(np.maximum(x, y), z)  # ten times faster than the maximum along an axis of three
     with np.errstate(over="ignore"):
         reach = SIGMAS * np.exp(largest.astype(np.float64))
     order = preorder(forest.levels, forest.roots, means, reach)
-    row, n, k = order.row_from_node, len(means), leaves.sh.shape[1]
+    row, n = order.row_from_node, len(means)
+
+    node_from_row = np.empty(n, np.intp)
+    node_from_row[row] = np.arange(n)
 
     def placed(parts: list[Array]) -> Array:
-        out = np.empty((n, *parts[0].shape[1:]), np.float32)
-        begin = 0
-        for part in parts:
-            out[row[begin : begin + len(part)]] = part
-            begin += len(part)
-        return out
+        return np.take(np.concatenate(parts), node_from_row, axis=0)
 
-    sh = np.empty((n, k, 3), np.float32)
     row_from_leaf = np.empty(len(leaves), np.int32)
     row_from_leaf[forest.leaf_from_node] = row[: len(leaves)]
-    sh[row_from_leaf] = leaves.sh
+    leaf_from_row = np.zeros(n, np.intp)  # inner nodes take any leaf's harmonics, and then their children's mean
+    leaf_from_row[row_from_leaf] = np.arange(len(leaves))
+    sh = np.take(leaves.sh, leaf_from_row, axis=0)
     merge_kernel.average_children(sh, order.tree.subtree_end, placed(forest.weights), threads=threads)
     gaussians = Gaussians(
         placed([part.means for part in forest.columns]),

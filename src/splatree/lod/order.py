@@ -61,7 +61,8 @@ def preorder(levels: Sequence[Level], roots: Int32[Array, "r"], means: Array, re
     for level in levels:
         parents, children = level.parents, level.children
         size[parents] += np.add.reduceat(size[children], level.start)
-        apart = means[children].astype(np.float64) - np.repeat(means[parents], level.fan_out, axis=0)
+        parent_from_child = np.repeat(parents, level.fan_out)
+        apart = np.take(means, children, axis=0).astype(np.float64) - np.take(means, parent_from_child, axis=0)
         distances = np.sqrt(np.einsum("ij,ij->i", apart, apart))
         extents[parents] = np.maximum(extents[parents], np.maximum.reduceat(distances + extents[children], level.start))
         # Float64 rounding of the sums above, once a level, stays far below the rounding upwards at the end.

