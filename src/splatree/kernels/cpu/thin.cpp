@@ -156,7 +156,7 @@ Cells sort_into_cells(const Lattice& lattice, int64_t n, const float* means, con
 }
 
 // The nine runs of cells around a cell, for cells visited in rising order. The column of the cell itself comes first: it
-// decides most points.
+// decides most points. Others are looked up only when asked for.
 class Columns {
  public:
   Columns(const Lattice& lattice, const Cells& cells) : cells_(cells) {
@@ -170,10 +170,16 @@ class Columns {
 
   void move_to(uint64_t key) {
     key_ = key;
-    for (int k = 0; k < kColumns; ++k) seek(k, base(k) - 1);
+    sought_ = 0;
   }
 
-  int64_t first(int k) const { return first_[k]; }
+  int64_t first(int k) {
+    if (!(sought_ >> k & 1)) {
+      seek(k, base(k) - 1);
+      sought_ |= 1u << k;
+    }
+    return first_[k];
+  }
   uint64_t last_key(int k) const { return base(k) + 1; }
 
  private:
@@ -188,6 +194,7 @@ class Columns {
       first_[k] = std::lower_bound(keys, keys + size, key) - keys;
       return;
     }
+    if (low == size || keys[low] >= key) return;
     int64_t step = 1;
     while (low + step < size && keys[low + step] < key) {
       low += step;
@@ -199,6 +206,7 @@ class Columns {
 
   const Cells& cells_;
   uint64_t key_ = 0;
+  uint32_t sought_ = 0;  // bit k: first_[k] belongs to key_
   uint64_t step_[kColumns];
   int64_t first_[kColumns];
 };
@@ -232,7 +240,7 @@ struct Waiting {
 };
 
 // The earlier points of p's neighbourhood from `waiting` on; returns its status as far as known.
-Status scan(const Cells& cells, const Columns& columns, const Metric& metric, const uint8_t* status, Waiting& waiting,
+Status scan(const Cells& cells, Columns& columns, const Metric& metric, const uint8_t* status, Waiting& waiting,
             int64_t& visited) {
   const Point& p = cells.points[waiting.point];
   uint32_t from = waiting.position;
