@@ -3,9 +3,10 @@
 The file is an eight-byte length, a JSON header and the columns, each where the header says; so it is memory-mapped and no
 byte is copied: a scene opens in the time of checking its values. Which columns there are follows from the fields of `Scene`
 and of the structs in it: ``gaussians.means``, ``tree.depth``, ``ids`` and so on; a field that holds None is left out. The block
-index is not kept: one from a stale or hostile file could hide rows without a trace, and making it anew costs 25 ns a row. Any
-safetensors library reads the file, and no code is ever loaded from it. That library is not used here, because it copies every tensor and
-builds the whole file in memory before it writes; in the tests it is the judge. docs/formats/splatree.md.
+index is not kept: one from a stale or hostile file could hide rows without a trace, and making it anew costs 25 ns a row.
+
+Any safetensors library reads the file, and no code is ever loaded from it. That library is not used here, because it copies
+every tensor and builds the whole file in memory before it writes; in the tests it is the judge. docs/formats/splatree.md.
 """
 
 import json

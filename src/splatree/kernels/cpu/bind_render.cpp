@@ -1,6 +1,4 @@
 // Glue of the frame's stages: project, order, bin, blend. Sizes are checked by the callers in kernels/cpu/*.py.
-#include <nanobind/nanobind.h>
-#include <nanobind/ndarray.h>
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/tuple.h>
 
@@ -11,21 +9,15 @@
 #include <tuple>
 #include <vector>
 
+#include "cpu/arrays.h"
 #include "cpu/blend.h"
 #include "cpu/isa.h"
 #include "cpu/project.h"
 #include "cpu/scatter.h"
 #include "cpu/view.h"
 
-namespace nb = nanobind;
-
 namespace splatree {
 namespace {
-
-template <class T>
-using In = nb::ndarray<const T, nb::c_contig, nb::device::cpu>;
-template <class T>
-using Out = nb::ndarray<T, nb::c_contig, nb::device::cpu>;
 
 int64_t project_rows(In<float> means, In<float> quats, In<float> log_scales, In<float> logit_opacities, In<float> sh,
                      In<int32_t> rows, In<double> view, double threshold, bool antialiased, int degree,

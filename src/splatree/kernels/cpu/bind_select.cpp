@@ -1,7 +1,5 @@
 // Glue of the selection and of its block index. Sizes are checked by the structs that arrive here; numbers are packed by
 // kernels/cpu/select.py.
-#include <nanobind/nanobind.h>
-#include <nanobind/ndarray.h>
 #include <nanobind/stl/pair.h>
 
 #include <cstring>
@@ -9,20 +7,15 @@
 #include <utility>
 #include <vector>
 
+#include "cpu/arrays.h"
 #include "cpu/isa.h"
 #include "cpu/pool.h"
 #include "cpu/select.h"
 #include "cpu/view.h"
 
-namespace nb = nanobind;
-
 namespace splatree {
 namespace {
 
-template <class T>
-using In = nb::ndarray<const T, nb::c_contig, nb::device::cpu>;
-template <class T>
-using Out = nb::ndarray<T, nb::c_contig, nb::device::cpu>;
 using Vector32 = nb::ndarray<nb::numpy, int32_t, nb::ndim<1>>;
 
 // A column of a struct, which keeps it alive.

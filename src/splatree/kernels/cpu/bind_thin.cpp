@@ -1,24 +1,16 @@
 // Glue of thinning and merging: array checks are in thin.py and merge.py.
-#include <nanobind/nanobind.h>
-#include <nanobind/ndarray.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/tuple.h>
 
 #include <string>
 #include <tuple>
 
+#include "cpu/arrays.h"
 #include "cpu/merge.h"
 #include "cpu/thin.h"
 
-namespace nb = nanobind;
-
 namespace splatree {
 namespace {
-
-template <class T>
-using In = nb::ndarray<const T, nb::c_contig, nb::device::cpu>;
-template <class T>
-using Out = nb::ndarray<T, nb::c_contig, nb::device::cpu>;
 
 std::tuple<int, int64_t> thin_rows(In<float> means, In<float> colors, In<float> importance, double radius,
                                    double color_radius, bool assign, Out<int32_t> representative_from_row,
