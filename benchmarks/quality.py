@@ -1,7 +1,7 @@
 """How near thinned scenes and cuts of the tree come to the full scene, from near to far, in the scene's own mode.
 
-``python benchmarks/quality.py [scene] [--mode classic antialiased] [--peer]``; without a scene, one chunk of the shared city.
-Six views at growing distance (each twice as far as the one before) around the median of the scene. Table 1: one thinning to
+``python benchmarks/quality.py [scene] [--mode classic antialiased] [--peer] [--dilation 0]``;
+without a scene, one chunk of the shared city. Six views at growing distance (each twice as far as the one before) around the median of the scene. Table 1: one thinning to
 50, 25, 10 % by each named rule, and splat-transform's output of the same share with ``--peer`` (npm). Table 2: the cut at
 τ_R = 3 px and more with its share of the leaves over the whole scene, and the cut at a budget of 10 % of the leaves drawn in
 view. All PSNRs are against all leaves, drawn by the same renderer.
@@ -99,9 +99,10 @@ def decimated(source: Path, keep: float) -> splatree.Gaussians:
         return splatree.read(target).gaussians
 
 
-def cuts(judge: Judge) -> list[dict[str, object]]:
+def cuts(judge: Judge, dilation: float | None) -> list[dict[str, object]]:
     """Table 2: a row with PSNRs and a row with shares for each τ_R, and for the budget."""
-    scene = splatree.build_lod(splatree.Scene.flat(judge.leaves, mode=judge.mode))
+    options = splatree.BuildOptions(merge=splatree.MergeOptions(dilation=dilation))
+    scene = splatree.build_lod(splatree.Scene.flat(judge.leaves, mode=judge.mode), options)
     num_leaves = len(judge.leaves)
     rows: list[dict[str, object]] = []
     for tau in (2.5, 3.0, 4.0, 6.0):
@@ -128,6 +129,7 @@ def main() -> None:
     parser.add_argument("scene", type=Path, nargs="?", default=CHUNK)
     parser.add_argument("--mode", nargs="+", choices=("classic", "antialiased"), default=["classic", "antialiased"])
     parser.add_argument("--peer", action="store_true", help="also run splat-transform through npx")
+    parser.add_argument("--dilation", type=float, help="table 2 alone, for a tree made with this --merge.dilation")
     arguments = parser.parse_args()
     if arguments.peer and shutil.which("npx") is None:
         parser.error("--peer: found no npx, wanted Node with npm")
@@ -138,12 +140,20 @@ def main() -> None:
     peers = {keep: decimated(arguments.scene, keep) for keep in SHARES} if arguments.peer else {}
     for mode in arguments.mode:
         judge = Judge(leaves, mode)
-        thin_rows += thinned(judge, peers)
-        print(table([row for row in thin_rows if row["mode"] == mode]), end="\n\n", flush=True)
-        cut_rows += cuts(judge)
+        if arguments.dilation is None:
+            thin_rows += thinned(judge, peers)
+            print(table([row for row in thin_rows if row["mode"] == mode]), end="\n\n", flush=True)
+        cut_rows += cuts(judge, arguments.dilation)
         print(table([row for row in cut_rows if row["mode"] == mode]), end="\n\n", flush=True)
     name = arguments.scene.name.split(".")[0]
-    save(f"quality_thin_{name}", thin_rows, about="PSNR of one thinning against the full scene, six views near to far")
+    if arguments.dilation is None:
+        save(
+            f"quality_thin_{name}",
+            thin_rows,
+            about="PSNR of one thinning against the full scene, six views near to far",
+        )
+    else:
+        name += f"_dilation_{arguments.dilation:g}"
     save(f"quality_cut_{name}", cut_rows, about="PSNR of the cut against all leaves, six views near to far")
 
 
