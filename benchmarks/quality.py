@@ -1,10 +1,11 @@
 """How near thinned scenes and cuts of the tree come to the full scene, from near to far, in the scene's own mode.
 
 ``python benchmarks/quality.py [scene] [--mode classic antialiased] [--peer] [--dilation 0]``;
-without a scene, one chunk of the shared city. Six views at growing distance (each twice as far as the one before) around the median of the scene. Table 1: one thinning to
-50, 25, 10 % by each named rule, and splat-transform's output of the same share with ``--peer`` (npm). Table 2: the cut at
-τ_R = 3 px and more with its share of the leaves over the whole scene, and the cut at a budget of 10 % of the leaves drawn in
-view. All PSNRs are against all leaves, drawn by the same renderer.
+without a scene, one chunk of the shared city. Six views at growing distance (each twice as far as the one before)
+around the median of the scene. Table 1: one thinning to 50, 25, 10 % by each named rule, and splat-transform's output
+of the same share with ``--peer`` (npm). Table 2: the cut at τ_R = 3 px and more with its share of the leaves over the
+whole scene, and the cut at a budget of 10 % of the leaves drawn in view. All PSNRs are against all leaves, drawn by the
+same renderer.
 """
 
 import argparse
