@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from splatree.errors import FormatError, InputError, MissingExtraError, OutputError, ShapeError, SplatreeError
     from splatree.io.cameras import read_cameras, write_cameras
     from splatree.io.images import read_image, write_image
+    from splatree.io.options import WriteOptions
     from splatree.io.registry import read, write
     from splatree.lod.build import BuildOptions, build_lod
     from splatree.lod.select import select
@@ -56,6 +57,7 @@ __all__ = [
     "SplatreeError",
     "ThinOptions",
     "Thinned",
+    "WriteOptions",
     "build_lod",
     "evaluate",
     "flyout",
@@ -102,6 +104,7 @@ _HOME = {
     "SplatreeError": "splatree.errors",
     "ThinOptions": "splatree.scene.thinning",
     "Thinned": "splatree.simplify.thin",
+    "WriteOptions": "splatree.io.options",
     "build_lod": "splatree.lod.build",
     "evaluate": "splatree.render.evaluate",
     "flyout": "splatree.render.paths",

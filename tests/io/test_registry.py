@@ -7,9 +7,12 @@ import numpy as np
 import pytest
 
 import splatree
-from splatree import FormatError, InputError, OutputError, Scene
+from splatree import FormatError, Gaussians, GaussianTree, InputError, OutputError, Scene, WriteOptions
+from splatree.io.chunks import Chunks, chunks_of
+from splatree.io.joined import joined
 from splatree.io.registry import detect, formats
 from splatree.io.replacing import replacing
+from splatree.scene.scene import Source
 
 from .conftest import COLUMNS, random_gaussians, same_bits
 from .sog_files import write_sog
@@ -24,7 +27,7 @@ def write_scene(path, n=3, seed=0, **fields):
 def test_each_written_format_reads_back_from_any_name(tmp_path):
     """By content; `.splat` alone has no mark and needs its suffix."""
     for f in formats():
-        if f.write is None:
+        if not f.is_written:
             continue
         path = write_scene(tmp_path / f"a{f.suffixes[0]}")
         assert splatree.read(path).source.format == f.name
@@ -33,8 +36,8 @@ def test_each_written_format_reads_back_from_any_name(tmp_path):
             assert splatree.read(tmp_path / "renamed.dat").source.format == f.name
 
 
-@pytest.mark.parametrize("f", [f for f in formats() if f.write], ids=lambda f: f.name)
-def test_every_format_checks_the_values_it_reads(tmp_path, f):
+@pytest.mark.parametrize("f", [f for f in formats() if f.name in ("splatree", "ply", "splat")], ids=lambda f: f.name)
+def test_formats_that_hold_floats_check_the_values_they_read(tmp_path, f):
     g = random_gaussians(5, 1)
     path = tmp_path / f"a{f.suffixes[0]}"
     splatree.write(Scene.flat(g), path)
@@ -47,7 +50,7 @@ def test_every_format_checks_the_values_it_reads(tmp_path, f):
             splatree.read(path)
 
 
-@pytest.mark.parametrize("f", [f for f in formats() if f.write and f.lossless], ids=lambda f: f.name)
+@pytest.mark.parametrize("f", [f for f in formats() if f.is_written and f.holds.lossless], ids=lambda f: f.name)
 def test_lossless_formats_are(tmp_path, f):
     g = random_gaussians(40, 3)
     splatree.write(Scene.flat(g), tmp_path / f"a{f.suffixes[0]}")
@@ -231,3 +234,53 @@ def test_metadata_of_joined_scenes(tmp_path):
         path.write_bytes(data)
     found = splatree.read(tmp_path).source.metadata["extra_properties"]
     assert [json.loads(x) for x in json.loads(found)] == [["label"], ["mask"]]
+
+
+def tree_of_two() -> GaussianTree:
+    return GaussianTree(np.array([3, 2, 3], np.int32), np.array([0, 1, 1], np.uint8), np.full(3, 1e6, np.float32))
+
+
+def test_writing_says_what_is_lost(tmp_path):
+    scene = Scene(random_gaussians(3, 2), tree_of_two(), mode="antialiased", threshold=0.5)
+    assert splatree.write(scene, tmp_path / "a.splatree") == ()
+    levels, threshold = splatree.write(scene, tmp_path / "a.ply")
+    assert levels.startswith("the levels of detail, 1 merged nodes") and threshold.startswith("the threshold τ = 0.5")
+    lost = splatree.write(scene, tmp_path / "a.splat", depth=0)  # one level was asked for: the others are not lost
+    assert [sentence.split(":")[0] for sentence in lost] == [
+        "the harmonics of degrees 1 to 2",
+        "the mode antialiased",
+        "the threshold τ = 0.5",
+        "precision",
+    ]
+    assert splatree.write(Scene.flat(random_gaussians(3, 2)), tmp_path / "b.ply") == ()
+
+
+def test_options_that_the_format_does_not_take_are_refused(tmp_path):
+    scene = Scene.flat(random_gaussians(1))
+    with pytest.raises(InputError, match=r"option sh_bits = 4, but this format takes none"):
+        splatree.write(scene, tmp_path / "a.ply", options=WriteOptions(sh_bits=4))
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_readers_lost_is_kept_once_in_joined_scenes():
+    def scene(lost):
+        return Scene.flat(random_gaussians(1), source=Source(metadata={"lost": json.dumps(lost)}))
+
+    both = joined([scene(["a", "b"]), scene(["b", "c"])])
+    assert json.loads(both.source.metadata["lost"]) == ["a", "b", "c"]
+
+
+def test_chunks_hold_all_rows_as_often_as_asked():
+    g = random_gaussians(10, 1)
+    chunks = chunks_of(Scene.flat(g), rows=4)
+    for _ in range(2):
+        assert [len(part) for part in chunks] == [4, 4, 2]
+        assert same_bits(Gaussians.concatenate(list(chunks)).sh, g.sh)
+
+
+def test_chunks_that_do_not_keep_their_promise_are_refused():
+    parts = [random_gaussians(3, 1)]
+    with pytest.raises(InputError, match="found 3 Gaussians, wanted 4"):
+        list(Chunks(4, 1, "classic", lambda: iter(parts)))
+    with pytest.raises(InputError, match="degree 1, wanted 0"):
+        list(Chunks(3, 0, "classic", lambda: iter(parts)))

@@ -1,5 +1,6 @@
 """``splatree convert``: a scene in another format."""
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -8,6 +9,7 @@ from tyro.conf import arg
 
 from splatree.cli.console import Console
 from splatree.cli.files import Files, inputs_and_output
+from splatree.io.options import WriteOptions
 from splatree.io.registry import read, write
 
 
@@ -20,6 +22,7 @@ class Command:
     """Level of detail to read from a format that has several; 0 is the finest."""
     depth: int | None = None
     """Write one cut of the tree to a format without levels: the nodes at this depth, 0 the roots; None: the leaves."""
+    options: Annotated[WriteOptions, arg(name="")] = WriteOptions()
     console: Annotated[Console, arg(name="")] = Console()
 
 
@@ -35,18 +38,23 @@ class Converted:
     """Size of the file."""
     repairs: str | None
     """What was fixed or dropped while reading, as JSON; None if nothing was."""
+    lost: tuple[str, ...]
+    """What of the inputs the file does not hold, a sentence each."""
 
 
 def run(command: Command) -> Converted:
     """Read, then write."""
     inputs, output = inputs_and_output(command.files)
     scene = read(inputs, level=command.level, repair=command.files.repair)
-    write(scene, output, depth=command.depth, force=command.files.force)
-    return Converted(output, scene.tree.num_leaves, output.stat().st_size, scene.source.metadata.get("repairs"))
+    lost = write(scene, output, depth=command.depth, force=command.files.force, options=command.options)
+    metadata = scene.source.metadata
+    lost = (*json.loads(metadata.get("lost", "[]")), *lost)
+    return Converted(output, scene.tree.num_leaves, output.stat().st_size, metadata.get("repairs"), lost)
 
 
 def show(converted: Converted) -> str:
     """The result in words."""
     repairs = f"; repaired: {converted.repairs}" if converted.repairs else ""
     size = f"{converted.bytes / 2**20:.1f} MiB"
-    return f"wrote {converted.output}: {converted.num_gaussians:,} Gaussians, {size}{repairs}"
+    lost = "".join(f"\nlost: {sentence}" for sentence in converted.lost)
+    return f"wrote {converted.output}: {converted.num_gaussians:,} Gaussians, {size}{repairs}{lost}"

@@ -47,7 +47,10 @@ def inputs_and_output(named: Files, *, keeps_tree: bool = False) -> tuple[tuple[
     if any(path.exists() and output.exists() and path.samefile(output) for path in inputs):
         raise InputError(f"{output}: is an input too; choose another name for the output")
     suffixes = [
-        suffix for f in formats() if f.write and (f.levels == "tree" or not keeps_tree) for suffix in f.suffixes
+        suffix
+        for f in formats()
+        if f.is_written and (f.holds.levels == "tree" or not keeps_tree)
+        for suffix in f.suffixes
     ]
     if not output.name.lower().endswith(tuple(suffixes)):
         purpose = "to keep the levels of detail" if keeps_tree else "of a format that is written"

@@ -30,16 +30,37 @@ class FormatLine:
     """Versions that are read."""
     written: bool
     """Whether it is written too."""
+    streamed: bool
+    """Whether files larger than memory are converted from it and to it."""
+    options: tuple[str, ...]
+    """Options of `splatree convert` that its writer takes."""
     lossless: bool
-    """Whether what is written reads back bit for bit."""
+    """Whether columns that are written read back bit for bit."""
     levels: str
     """Levels of detail: `none`; `one of` several is read; the `tree` is kept."""
+    sh_degree: int
+    """Largest degree of harmonics."""
+    modes: tuple[str, ...]
+    """Modes that a file can name."""
+    threshold: bool
+    """Whether a file names τ."""
+    axes: str
+    """Axes that the format prescribes."""
 
 
 def run(command: Command) -> tuple[FormatLine, ...]:
     """The formats in the order in which they are tried."""
     return tuple(
-        FormatLine(f.name, f.description, f.suffixes, f.versions, f.write is not None, f.lossless, f.levels)
+        FormatLine(
+            name=f.name,
+            description=f.description,
+            suffixes=f.suffixes,
+            versions=f.versions,
+            written=f.is_written,
+            streamed=f.write_chunks is not None and f.read_chunks is not None,
+            options=f.options,
+            **vars(f.holds),
+        )
         for f in formats()
     )
 
@@ -52,6 +73,9 @@ def show(lines: tuple[FormatLine, ...]) -> str:
                 "format": line.name,
                 "suffix": " ".join(line.suffixes) or "(folder)",
                 "": "read, write" if line.written else "read",
+                "values": "exact" if line.lossless else "rounded",
+                "SH": line.sh_degree,
+                "modes": ", ".join(line.modes),
                 "levels": line.levels,
                 "versions": line.versions,
                 "what": line.description,

@@ -74,7 +74,8 @@ def _append(columns: dict[str, Array], parts: dict[str, Array]) -> None:
 
 
 def _source(sources: Sequence[Source]) -> Source:
-    """Paths of all; metadata that all agree on as it is, counts of repairs added up, the rest as a list in JSON."""
+    """Paths of all; metadata that all agree on as it is, counts of repairs added up, losses named once, the rest as a list
+    in JSON."""
     metadata: dict[str, str] = {}
     for key in dict.fromkeys(key for source in sources for key in source.metadata):
         values = [source.metadata[key] for source in sources if key in source.metadata]
@@ -84,6 +85,10 @@ def _source(sources: Sequence[Source]) -> Source:
                 for rule, count in json.loads(value).items():
                     counts[rule] = counts.get(rule, 0) + count
             metadata[key] = json.dumps(counts)
+        elif key == "lost":
+            metadata[key] = json.dumps(
+                list(dict.fromkeys(sentence for value in values for sentence in json.loads(value)))
+            )
         else:
             same = len(set(values)) == 1 and len(values) == len(sources)
             metadata[key] = values[0] if same else json.dumps(values)

@@ -1,6 +1,8 @@
-"""What a caller may ask of every reader."""
+"""What a caller may ask of readers and writers; the command line's help is these docstrings."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+
+from splatree.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -11,3 +13,32 @@ class ReadOptions:
     """Level of detail to read from a format that has several, 0 the finest; None: 0. An error for other formats."""
     repair: bool = False
     """Fix or drop what is wrong by the rules of `splatree.io.check`, and count it, instead of raising."""
+
+
+@dataclass(frozen=True)
+class WriteOptions:
+    """What some formats are told when they are written. None leaves the choice to the format; an option that the chosen format
+    does not take is an error."""
+
+    format_version: int | None = None
+    """Version of the format to write, where there are several."""
+    sh_bits: int | None = None
+    """Bits of a harmonic beyond the DC, where the format leaves them open."""
+    sh_palette: int | None = None
+    """Entries of the palette of harmonics, where the format has one: more are nearer to the scene, and slower to find."""
+    iterations: int | None = None
+    """Rounds of K-means for palettes and codebooks."""
+    compression: int | None = None
+    """Level of compression, where the format defines levels."""
+
+    def given(self) -> dict[str, int]:
+        """The options that are not None."""
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        return {name: value for name, value in values.items() if value is not None}
+
+    def check_taken(self, taken: tuple[str, ...], where: str) -> None:
+        """Refuse options that the format at hand does not take."""
+        for name, value in self.given().items():
+            if name not in taken:
+                known = f"only {', '.join(taken)}" if taken else "none"
+                raise InputError(f"{where}: found the option {name} = {value}, but this format takes {known}")

@@ -18,7 +18,8 @@ import numpy as np
 from splatree.constants import SH_C0
 from splatree.errors import FormatError
 from splatree.io.check import checked
-from splatree.io.options import ReadOptions
+from splatree.io.chunks import Chunks
+from splatree.io.options import ReadOptions, WriteOptions
 from splatree.kernels.cpu.columns import deinterleave, largest_magnitude
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
@@ -26,9 +27,6 @@ from splatree.scene.scene import Mode, Scene, Source
 
 _HEADER_MAX = 1 << 20
 """A longer header is refused: 62 properties take 1.5 kB."""
-
-_ROWS_PER_WRITE = 1 << 16
-"""Rows written at a time: 16 MB of scratch memory at degree 3."""
 
 _TYPES = {
     **dict.fromkeys(("char", "int8"), "<i1"),
@@ -99,30 +97,29 @@ def read(path: Path, options: ReadOptions) -> Scene:
     return checked(scene, str(path), repair=options.repair, magnitudes=known)
 
 
-def write(scene: Scene, path: Path) -> None:
+def write_chunks(chunks: Chunks, path: Path, options: WriteOptions) -> tuple[str, ...]:
     """Write the layout of the 3DGS code, zero normals included; every value keeps its bits."""
-    gaussians = scene.gaussians
-    num_rest = 3 * (gaussians.sh.shape[1] - 1)
+    num_rest = 3 * ((chunks.sh_degree + 1) ** 2 - 1)
     names = ["x", "y", "z", *_NORMALS, *_DC, *(f"f_rest_{i}" for i in range(num_rest)), "opacity"]
     names += ["scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
     lines = ["ply", "format binary_little_endian 1.0"]
-    if scene.mode == "antialiased":
+    if chunks.mode == "antialiased":
         lines.append("comment SplatRenderMode: mip")
-    lines += [f"element vertex {len(gaussians)}", *(f"property float {name}" for name in names), "end_header", ""]
-    with path.open("wb") as file, task(f"write {path.name}", len(gaussians)) as advance:
+    lines += [f"element vertex {len(chunks)}", *(f"property float {name}" for name in names), "end_header", ""]
+    with path.open("wb") as file, task(f"write {path.name}", len(chunks)) as advance:
         file.write("\n".join(lines).encode())
-        for begin in range(0, len(gaussians), _ROWS_PER_WRITE):
-            rows = slice(begin, begin + _ROWS_PER_WRITE)
-            records = np.zeros((len(gaussians.means[rows]), len(names)), "<f4")
-            records[:, 0:3] = gaussians.means[rows]
-            records[:, 6:9] = gaussians.sh[rows, 0]
-            rest = gaussians.sh[rows, 1:].transpose(0, 2, 1)  # [n 3 K]: channel-major
-            records[:, 9 : 9 + num_rest] = rest.reshape(len(records), num_rest)
-            records[:, -8] = gaussians.logit_opacities[rows]
-            records[:, -7:-4] = gaussians.log_scales[rows]
-            records[:, -4:] = gaussians.quats[rows]
+        for g in chunks:
+            records = np.zeros((len(g), len(names)), "<f4")
+            records[:, 0:3] = g.means
+            records[:, 6:9] = g.sh[:, 0]
+            rest = g.sh[:, 1:].transpose(0, 2, 1)  # [n 3 K]: channel-major
+            records[:, 9 : 9 + num_rest] = rest.reshape(len(g), num_rest)
+            records[:, -8] = g.logit_opacities
+            records[:, -7:-4] = g.log_scales
+            records[:, -4:] = g.quats
             file.write(records.data)
-            advance(len(records))
+            advance(len(g))
+    return ()
 
 
 @dataclass(frozen=True)

@@ -1,22 +1,24 @@
 """The formats, one line each, and the functions that read and write by them.
 
 A format is recognised by its content first (`sniff`) and by its suffix second. A new one is a module with ``sniff``, ``read``
-and ``write`` (or no ``write``) and a line in `FORMATS`; order matters only where two would claim the same file.
+and, if it is written, ``write`` or ``write_chunks``, and an entry in `FORMATS`; order matters only where two would claim the
+same file. What a format cannot hold follows from its `Holds`; a writer returns what else it had to change, in plain words.
 """
 
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
 from splatree.errors import InputError, SplatreeError
 from splatree.io import ply, sog, splat, store, streamed_sog
+from splatree.io.chunks import Chunks, chunks_of
+from splatree.io.holds import Holds, losses
 from splatree.io.inputs import find_inputs
 from splatree.io.joined import joined
-from splatree.io.options import ReadOptions
+from splatree.io.options import ReadOptions, WriteOptions
 from splatree.io.replacing import replacing
 from splatree.scene.scene import Scene
 
@@ -35,25 +37,77 @@ class Format:
     suffixes: tuple[str, ...]
     """Endings of file names, lower case; empty if it is a folder."""
     versions: str
-    """Versions that are read."""
-    lossless: bool
-    """Whether what is written reads back bit for bit."""
-    levels: Literal["none", "one of", "tree"]
-    """Levels of detail: the file has none; `read` takes one of several; the file keeps the tree."""
+    """Versions that are read, and in brackets what of them is written, if that is less."""
+    holds: Holds
+    """What a file of it can say."""
     sniff: Callable[[Path, bytes], bool]
     """Whether a path holds this format, given the first bytes of a file (none for a folder)."""
     read: Callable[[Path, ReadOptions], Scene]
     """Read a path into a scene whose values were checked (`splatree.io.check.checked`)."""
-    write: Callable[[Scene, Path], None] | None = None
-    """Write a file; None if the format is only read."""
+    write: Callable[[Scene, Path, WriteOptions], tuple[str, ...]] | None = None
+    """Write a file; return what was lost for other reasons than `holds`, a sentence each. None: see ``write_chunks``."""
+    write_chunks: Callable[[Chunks, Path, WriteOptions], tuple[str, ...]] | None = None
+    """As ``write``, of chunks; takes its place. None too: the format is only read."""
+    read_chunks: Callable[[Path, ReadOptions], Chunks] | None = None
+    """Open a file to be read in chunks, with the values that ``read`` gives."""
+    options: tuple[str, ...] = ()
+    """Fields of `WriteOptions` that the writer takes."""
+
+    @property
+    def is_written(self) -> bool:
+        """Whether scenes can be written in it."""
+        return self.write is not None or self.write_chunks is not None
 
 
 FORMATS: tuple[Format, ...] = (
-    Format("splatree", "native, with levels", (".splatree",), "1", True, "tree", store.sniff, store.read, store.write),
-    Format("ply", "3DGS training output", (".ply",), "SH 0-3", True, "none", ply.sniff, ply.read, ply.write),
-    Format("splat", "antimatter15, 32 bytes", (".splat",), "-", False, "none", splat.sniff, splat.read, splat.write),
-    Format("sog", "PlayCanvas SOG", (".sog",), "1, 2", False, "none", sog.sniff, sog.read),
-    Format("streamed-sog", "PlayCanvas streamed SOG", (), "1", False, "one of", streamed_sog.sniff, streamed_sog.read),
+    Format(
+        name="splatree",
+        description="native, with levels",
+        suffixes=(".splatree",),
+        versions="1",
+        holds=Holds(lossless=True, levels="tree", threshold=True),
+        sniff=store.sniff,
+        read=store.read,
+        write=store.write,
+    ),
+    Format(
+        name="ply",
+        description="3DGS training output",
+        suffixes=(".ply",),
+        versions="SH 0-3",
+        holds=Holds(lossless=True),
+        sniff=ply.sniff,
+        read=ply.read,
+        write_chunks=ply.write_chunks,
+    ),
+    Format(
+        name="splat",
+        description="antimatter15, 32 bytes",
+        suffixes=(".splat",),
+        versions="-",
+        holds=Holds(sh_degree=0, modes=("classic",)),
+        sniff=splat.sniff,
+        read=splat.read,
+        write=splat.write,
+    ),
+    Format(
+        name="sog",
+        description="PlayCanvas SOG",
+        suffixes=(".sog",),
+        versions="1, 2",
+        holds=Holds(),
+        sniff=sog.sniff,
+        read=sog.read,
+    ),
+    Format(
+        name="streamed-sog",
+        description="PlayCanvas streamed SOG",
+        suffixes=(),
+        versions="1",
+        holds=Holds(levels="one of"),
+        sniff=streamed_sog.sniff,
+        read=streamed_sog.read,
+    ),
 )
 
 
@@ -86,8 +140,15 @@ def read(
     return joined(_read_one(p, options) for p in inputs)
 
 
-def write(scene: Scene, path: str | os.PathLike[str], *, force: bool = False, depth: int | None = None) -> None:
-    """Write a scene in the format of the path's suffix, whole or not at all.
+def write(
+    scene: Scene,
+    path: str | os.PathLike[str],
+    *,
+    force: bool = False,
+    depth: int | None = None,
+    options: WriteOptions | None = None,
+) -> tuple[str, ...]:
+    """Write a scene in the format of the path's suffix, whole or not at all; return what the file does not hold of it.
 
     A format without levels gets one cut of the tree: the leaves, or with ``depth`` the nodes at that depth and the leaves
     above it (0: the roots, the coarsest picture).
@@ -97,21 +158,52 @@ def write(scene: Scene, path: str | os.PathLike[str], *, force: bool = False, de
         path: the new file.
         force: replace the file if it exists.
         depth: which cut to write; None: the leaves, or the whole tree if the format keeps it.
+        options: what the format is told; None: nothing.
+
+    Returns:
+        What was lost, a sentence each; none if reading gives the same scene.
 
     Raises:
-        InputError: no format that is written has this suffix, or ``depth`` is negative.
+        InputError: no format that is written has this suffix, it does not take an option, or ``depth`` is negative.
         OutputError: the file exists, or could not be written; an old file is then whole.
     """
-    target = Path(path)
-    written = [f for f in FORMATS if f.write is not None]
-    chosen = next((f for f in written if target.name.lower().endswith(f.suffixes)), None)
-    if chosen is None or chosen.write is None:
+    target, options = Path(path), options or WriteOptions()
+    chosen = format_to_write(target)
+    options.check_taken(chosen.options, f"{target} ({chosen.name})")
+    num_merged = 0
+    if depth is not None or chosen.holds.levels != "tree":
+        num_merged = len(scene) - scene.tree.num_leaves if depth is None else 0
+        scene = _cut(scene, depth)
+    lost = losses(
+        chosen.holds,
+        chosen.name,
+        sh_degree=scene.gaussians.sh_degree,
+        mode=scene.mode,
+        threshold=scene.threshold,
+        num_merged=num_merged,
+    )
+    with replacing(target, force=force) as temporary:
+        if chosen.write is not None:
+            more = chosen.write(scene, temporary, options)
+        else:
+            assert chosen.write_chunks is not None
+            more = chosen.write_chunks(chunks_of(scene), temporary, options)
+    return (*lost, *more)
+
+
+def format_to_write(target: Path) -> Format:
+    """The format that the suffix of a new file names.
+
+    Raises:
+        InputError: no format that is written has it.
+    """
+    written = [f for f in FORMATS if f.is_written]
+    # The longest suffix wins: .compressed.ply is not .ply.
+    named = [(len(suffix), f) for f in written for suffix in f.suffixes if target.name.lower().endswith(suffix)]
+    if not named:
         known = " ".join(suffix for f in written for suffix in f.suffixes)
         raise InputError(f"{target}: cannot be written, its suffix is {target.suffix!r}; wanted one of {known}")
-    if depth is not None or chosen.levels != "tree":
-        scene = _cut(scene, depth)
-    with replacing(target, force=force) as temporary:
-        chosen.write(scene, temporary)
+    return max(named, key=lambda item: item[0])[1]
 
 
 def detect(path: Path) -> Format | None:
@@ -132,7 +224,7 @@ def _read_one(path: Path, options: ReadOptions) -> Scene:
     found = detect(path)
     if found is None:
         raise InputError(f"{path}: of no known format; known are {', '.join(f.name for f in FORMATS)}")
-    if options.level is not None and found.levels != "one of":
+    if options.level is not None and found.holds.levels != "one of":
         raise InputError(
             f"{path}: found level {options.level} for a file of format {found.name}, which has no levels to choose"
         )

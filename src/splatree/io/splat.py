@@ -21,7 +21,7 @@ import numpy as np
 from splatree.constants import SH_C0
 from splatree.errors import FormatError
 from splatree.io.check import checked
-from splatree.io.options import ReadOptions
+from splatree.io.options import ReadOptions, WriteOptions
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Scene, Source
@@ -64,7 +64,7 @@ def read(path: Path, options: ReadOptions) -> Scene:
     return checked(Scene.flat(gaussians, source=Source(metadata=metadata)), str(path), repair=options.repair)
 
 
-def write(scene: Scene, path: Path) -> None:
+def write(scene: Scene, path: Path, options: WriteOptions) -> tuple[str, ...]:
     """Write all rows by descending opacity × volume; the harmonics beyond the DC and the mode are dropped."""
     g = checked(scene, "scene to write", repair=False).gaussians  # what cannot be used has no code either
     log_opacity = -np.logaddexp(0, -g.logit_opacities.astype(np.float64))
@@ -86,3 +86,4 @@ def write(scene: Scene, path: Path) -> None:
             records["quat"] = np.clip(np.rint(128 * quats + 128), 0, 255)
             file.write(records.tobytes())
             advance(len(rows))
+    return ()

@@ -23,7 +23,7 @@ import numpy as np
 from splatree.errors import FormatError, InputError
 from splatree.io import untrusted
 from splatree.io.check import checked
-from splatree.io.options import ReadOptions
+from splatree.io.options import ReadOptions, WriteOptions
 from splatree.kernels.cpu.blocks import index_blocks
 from splatree.progress import task
 from splatree.scene.scene import Scene, Source
@@ -59,7 +59,7 @@ def sniff(path: Path, head: bytes) -> bool:
     return head[8:].startswith(b'{"__metadata__":{"format":"splatree"')
 
 
-def write(scene: Scene, path: Path) -> None:
+def write(scene: Scene, path: Path, options: WriteOptions) -> tuple[str, ...]:
     """Write every column and field; reading gives the same bits."""
     kept = replace(scene, blocks=None)
     columns, values = dict(_columns(kept, "")), dict(_values(kept, ""))
@@ -79,6 +79,7 @@ def write(scene: Scene, path: Path) -> None:
             if column.nbytes:
                 file.write(np.ascontiguousarray(column).reshape(-1).view(np.uint8).data)
             advance(column.nbytes)
+    return ()
 
 
 def read(path: Path, options: ReadOptions) -> Scene:

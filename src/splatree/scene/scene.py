@@ -26,7 +26,8 @@ class Source:
     format: str = ""
     """Name of the format in the registry; empty if made in memory."""
     metadata: Mapping[str, str] = field(default_factory=dict)
-    """Rules and provenance: what made the levels, credits, the writer's name; JSON strings where structured."""
+    """Rules and provenance: what made the levels, credits, the writer's name; JSON strings where structured. ``repairs`` counts
+    what was fixed or dropped while reading, ``lost`` lists in sentences what of the file the scene does not hold."""
 
 
 @dataclass(frozen=True, eq=False)

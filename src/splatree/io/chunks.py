@@ -1,0 +1,62 @@
+"""Gaussians in chunks, to be gone through as often as a writer likes: a scene in memory or a file that is larger than it.
+
+A format that can be written chunk by chunk has ``write_chunks`` in place of ``write``: then the same lines write a scene and a
+stream, so both give the same bytes. One that can be read so has ``read_chunks`` beside ``read``. `splatree.io.convert` joins
+the two; its memory is a few chunks.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+from splatree.errors import InputError
+from splatree.scene.gaussians import Gaussians
+from splatree.scene.scene import Mode, Scene
+
+ROWS_PER_CHUNK = 1 << 16
+"""15 MB at degree 3: small beside any scene, large beside what a call costs."""
+
+
+@dataclass(frozen=True, eq=False)
+class Chunks:
+    """Gaussians of one flat scene, a chunk at a time."""
+
+    num_gaussians: int
+    """Gaussians in all."""
+    sh_degree: int
+    """Degree of the harmonics of every chunk."""
+    mode: Mode
+    """How the scene is drawn."""
+    make: Callable[[], Iterator[Gaussians]]
+    """Start again from the first row; values have been checked, and a chunk is valid until the next is asked for."""
+
+    def __len__(self) -> int:
+        return self.num_gaussians
+
+    def __iter__(self) -> Iterator[Gaussians]:
+        """All chunks, in order.
+
+        Raises:
+            InputError: there are more or fewer rows than announced, or a chunk of another degree.
+        """
+        count = 0
+        for chunk in self.make():
+            count += len(chunk)
+            if chunk.sh_degree != self.sh_degree:
+                raise InputError(f"chunks: found harmonics of degree {chunk.sh_degree}, wanted {self.sh_degree}")
+            yield chunk
+        if count != self.num_gaussians:
+            raise InputError(
+                f"chunks: found {count} Gaussians, wanted {self.num_gaussians}; did the file change meanwhile?"
+            )
+
+
+def chunks_of(scene: Scene, *, rows: int = ROWS_PER_CHUNK) -> Chunks:
+    """All rows of a scene, in views of ``rows`` rows."""
+    g = scene.gaussians
+
+    def make() -> Iterator[Gaussians]:
+        for begin in range(0, len(g), rows):
+            part = slice(begin, begin + rows)
+            yield Gaussians(g.means[part], g.quats[part], g.log_scales[part], g.logit_opacities[part], g.sh[part])
+
+    return Chunks(len(g), g.sh_degree, scene.mode, make)

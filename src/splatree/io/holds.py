@@ -1,0 +1,53 @@
+"""What a format can hold of a scene, and so what is lost when a scene is written in it."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+from splatree.constants import ALPHA_THRESHOLD, SH_MAX_DEGREE
+from splatree.scene.scene import Mode
+
+Levels = Literal["none", "one of", "tree"]
+"""Levels of detail: the file has none; `read` takes one of several; the file keeps the tree."""
+
+
+@dataclass(frozen=True)
+class Holds:
+    """What a file of a format can say."""
+
+    lossless: bool = False
+    """Whether columns that are written read back bit for bit."""
+    levels: Levels = "none"
+    """Levels of detail."""
+    sh_degree: int = SH_MAX_DEGREE
+    """Largest degree of harmonics."""
+    modes: tuple[Mode, ...] = ("classic", "antialiased")
+    """Modes that it can name; other scenes are read back as the first of them."""
+    threshold: bool = False
+    """Whether it names τ, the opacity below which a splat ends."""
+    axes: str = "as in the scene"
+    """Axes that the format prescribes; the scene is turned to them and back."""
+
+
+def losses(
+    holds: Holds, name: str, *, sh_degree: int, mode: Mode, threshold: float = ALPHA_THRESHOLD, num_merged: int = 0
+) -> Iterator[str]:
+    """What of a scene the format ``name`` cannot hold, a sentence each; what follows from the values says its writer.
+
+    ``num_merged`` counts the nodes of a tree that are left out because its leaves are written.
+    """
+    if num_merged:
+        yield f"the levels of detail, {num_merged:,} merged nodes: {name} gets the leaves"
+    if sh_degree > holds.sh_degree:
+        above = (
+            f"degree {sh_degree}"
+            if sh_degree == holds.sh_degree + 1
+            else f"degrees {holds.sh_degree + 1} to {sh_degree}"
+        )
+        yield f"the harmonics of {above}: {name} holds no more than degree {holds.sh_degree}"
+    if mode not in holds.modes:
+        yield f"the mode {mode}: {name} cannot name it and is taken for {holds.modes[0]}"
+    if not holds.threshold and threshold != ALPHA_THRESHOLD:
+        yield f"the threshold τ = {threshold:.4g}: {name} cannot name it"
+    if not holds.lossless:
+        yield f"precision: {name} rounds values to steps of its own"
