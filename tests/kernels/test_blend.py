@@ -123,3 +123,22 @@ def test_nothing_is_background() -> None:
     picture = cpu.blend.blend(splats, cpu.bin.bin(splats, seen_by, options()), seen_by, options(**BACKGROUND))
     np.testing.assert_array_equal(picture.image, np.broadcast_to(np.float32([0.2, 0.5, 0.9]), picture.image.shape))
     assert not picture.alpha.any() and not picture.depth.any()
+
+
+def test_a_tile_reads_its_list_until_its_pixels_are_finished() -> None:
+    # 200 splats of α = 0.95 over the first tile: T = 0.05, 0.0025, 0.000125, then < 1e-4.
+    records = np.zeros((200, 16), np.float32)
+    records[:, 2], records[:, 4] = 1e-3, 1e-3  # flat over the tile
+    records[:, 5], records[:, 10], records[:, 11:13] = 0.95, np.arange(1, 201), 3e3
+    records[:, 6] = np.log2(0.95)
+    splats = Splats(np.arange(200, dtype=np.int32), records, np.arange(200, dtype=np.int32))
+    bins = TileBins(np.int64([0, 200, 200, 210]), np.r_[np.arange(200), np.arange(10)].astype(np.int32), 3, 1)
+    seen_by = camera(33, 16)
+    slow = reference.blend.blend(splats, bins, seen_by, options()).tiles
+    assert slow.consumed.tolist() == [4, 0, 4]  # the fourth is read and not drawn
+    fast = cpu.blend.blend(splats, bins, seen_by, options()).tiles
+    assert fast.consumed[1] == 0
+    # The compiled blend looks for finished pixels every 32 entries.
+    assert 4 <= fast.consumed[0] <= 4 + 32
+    assert fast.consumed[2] == 10
+    assert fast.blended.tolist() == slow.blended.tolist()

@@ -88,4 +88,4 @@ def trace(
         num_blended=picture.num_blended,
     )
     result = RenderResult(picture.image, picture.alpha, picture.depth, counters, milliseconds)
-    return Frame(camera, selection, splats, bins, result)
+    return Frame(camera, selection, splats, bins, picture.tiles, result)

@@ -118,6 +118,21 @@ class TileBins:
 
 
 @dataclass(frozen=True, eq=False)
+class TileWork:
+    """What the blend did in each tile of 16 × 16 px, tiles row by row."""
+
+    consumed: Int64[Array, "t"]
+    """Entries of the tile's list that were read before all its pixels were finished."""
+    evaluated: Int64[Array, "t"]
+    """Evaluations of a splat's opacity at a pixel."""
+    blended: Int64[Array, "t"]
+    """Evaluations that were added to a pixel."""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+
+@dataclass(frozen=True, eq=False)
 class Picture:
     """What the blend leaves."""
 
@@ -127,13 +142,21 @@ class Picture:
     """Share of light that the splats stop."""
     depth: Float32[Array, "h w"]
     """Blended view depth of the splats divided by alpha, world units; 0 where nothing is drawn."""
-    num_evaluated: int
-    """Evaluations of a splat's opacity at a pixel."""
-    num_blended: int
-    """Evaluations that were added to a pixel."""
+    tiles: TileWork
+    """What each tile took."""
 
     def __post_init__(self) -> None:
         check_fields(self)
+
+    @property
+    def num_evaluated(self) -> int:
+        """Evaluations of a splat's opacity at a pixel."""
+        return int(self.tiles.evaluated.sum())
+
+    @property
+    def num_blended(self) -> int:
+        """Evaluations that were added to a pixel."""
+        return int(self.tiles.blended.sum())
 
 
 @dataclass(frozen=True)
@@ -183,6 +206,8 @@ class Frame:
     """Rows projected, in depth order."""
     bins: TileBins
     """Splats of each tile."""
+    tiles: TileWork
+    """What the blend did in each tile."""
     result: RenderResult
     """The picture."""
 

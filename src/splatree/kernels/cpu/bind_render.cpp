@@ -1,12 +1,9 @@
 // Glue of the frame's stages: project, order, bin, blend. Sizes are checked by the callers in kernels/cpu/*.py.
 #include <nanobind/stl/optional.h>
-#include <nanobind/stl/tuple.h>
 
 #include <algorithm>
 #include <cmath>
-#include <numeric>
 #include <optional>
-#include <tuple>
 #include <vector>
 
 #include "cpu/arrays.h"
@@ -59,22 +56,18 @@ nb::ndarray<nb::numpy, int32_t, nb::ndim<1>> bin_splats(In<float> records, In<in
   return nb::ndarray<nb::numpy, int32_t, nb::ndim<1>>(pairs.release(), {num_pairs}, owner);
 }
 
-std::tuple<int64_t, int64_t> blend_tiles(In<float> records, In<int64_t> tile_start, In<int32_t> splat_from_pair,
-                                         int num_tiles_x, int num_tiles_y, double threshold, In<double> background,
-                                         bool whole_tile, Out<float> image, Out<float> alpha, Out<float> depth,
-                                         int threads) {
+void blend_tiles(In<float> records, In<int64_t> tile_start, In<int32_t> splat_from_pair, int num_tiles_x, int num_tiles_y,
+                 double threshold, In<double> background, bool whole_tile, Out<float> image, Out<float> alpha,
+                 Out<float> depth, Out<int64_t> num_consumed, Out<int64_t> num_evaluated, Out<int64_t> num_blended,
+                 int threads) {
   const int height = int(alpha.shape(0)), width = int(alpha.shape(1));
-  std::vector<int64_t> evaluated(size_t(num_tiles_x) * num_tiles_y), blended(evaluated.size());
   const double* b = background.data();
   const BlendJob job{records.data(), tile_start.data(), splat_from_pair.data(), num_tiles_x, num_tiles_y, width, height,
                      float(std::log2(threshold)), {float(b[0]), float(b[1]), float(b[2])}, whole_tile, threads,
-                     image.data(), alpha.data(), depth.data(), evaluated.data(), blended.data()};
-  {
-    nb::gil_scoped_release release;
-    kernels().blend(job);
-  }
-  return {std::accumulate(evaluated.begin(), evaluated.end(), int64_t(0)),
-          std::accumulate(blended.begin(), blended.end(), int64_t(0))};
+                     image.data(), alpha.data(), depth.data(), num_consumed.data(), num_evaluated.data(),
+                     num_blended.data()};
+  nb::gil_scoped_release release;
+  kernels().blend(job);
 }
 
 }  // namespace
@@ -91,8 +84,8 @@ void bind_render(nb::module_& m) {
         nb::arg("threads"), "Fill tile_start and return the splats of all tiles.");
   m.def("blend_tiles", &blend_tiles, nb::arg("records"), nb::arg("tile_start"), nb::arg("splat_from_pair"),
         nb::arg("num_tiles_x"), nb::arg("num_tiles_y"), nb::arg("threshold"), nb::arg("background"),
-        nb::arg("whole_tile"), nb::arg("image"), nb::arg("alpha"), nb::arg("depth"), nb::arg("threads"),
-        "Blend all tiles; returns the numbers of evaluations and of those that were blended.");
+        nb::arg("whole_tile"), nb::arg("image"), nb::arg("alpha"), nb::arg("depth"), nb::arg("num_consumed"),
+        nb::arg("num_evaluated"), nb::arg("num_blended"), nb::arg("threads"), "Blend all tiles and count the work of each.");
 }
 
 }  // namespace splatree

@@ -117,7 +117,8 @@ void blend_tile(const BlendJob& job, int64_t index) {
   int64_t num_evaluated = 0;
   int open = open_blocks(tile);
   Brush brush;
-  for (int64_t i = begin; i < end; ++i) {
+  int64_t i = begin;
+  for (; i < end; ++i) {
     if ((i - begin) % PERIOD == PERIOD - 1) {
       open = open_blocks(tile);
       if (!open) break;
@@ -132,6 +133,7 @@ void blend_tile(const BlendJob& job, int64_t index) {
     }
   }
 
+  job.num_consumed[index] = i - begin;
   job.num_evaluated[index] = num_evaluated;
   int64_t num_blended = 0;
   for (int l = 0; l < LANES; ++l) num_blended += tile.blended[l];

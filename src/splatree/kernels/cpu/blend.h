@@ -16,7 +16,7 @@ struct BlendJob {
   int threads;
   float* image;                        // h w 3
   float *alpha, *depth;                // h w
-  int64_t *num_evaluated, *num_blended;  // a tile
+  int64_t *num_consumed, *num_evaluated, *num_blended;  // a tile
 };
 
 }  // namespace splatree

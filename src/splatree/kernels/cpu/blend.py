@@ -4,7 +4,7 @@ import numpy as np
 
 from splatree.kernels.cpu import _core
 from splatree.scene.cameras import Camera
-from splatree.scene.frame import Picture, Splats, TileBins
+from splatree.scene.frame import Picture, Splats, TileBins, TileWork
 from splatree.scene.options import ResolvedOptions
 
 __all__ = ["blend"]
@@ -26,7 +26,8 @@ def blend(
     """
     image = np.empty((camera.height, camera.width, 3), np.float32)
     alpha, depth = (np.empty((camera.height, camera.width), np.float32) for _ in range(2))
-    num_evaluated, num_blended = _core.blend_tiles(
+    work = TileWork(*(np.empty(bins.num_tiles_x * bins.num_tiles_y, np.int64) for _ in range(3)))
+    _core.blend_tiles(
         splats.records,
         bins.tile_start,
         bins.splat_from_pair,
@@ -38,6 +39,9 @@ def blend(
         image,
         alpha,
         depth,
+        work.consumed,
+        work.evaluated,
+        work.blended,
         threads,
     )
-    return Picture(image, alpha, depth, num_evaluated, num_blended)
+    return Picture(image, alpha, depth, work)

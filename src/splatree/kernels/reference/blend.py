@@ -13,7 +13,7 @@ import numpy as np
 
 from splatree.constants import ALPHA_MAX, TILE_PX, TRANSMITTANCE_MIN
 from splatree.scene.cameras import Camera
-from splatree.scene.frame import Picture, Splats, TileBins
+from splatree.scene.frame import Picture, Splats, TileBins, TileWork
 from splatree.scene.options import ResolvedOptions
 
 __all__ = ["blend"]
@@ -26,9 +26,10 @@ def blend(splats: Splats, bins: TileBins, camera: Camera, options: ResolvedOptio
     depths = splats.depths.astype(np.float64)
     color = np.zeros((camera.height, camera.width, 3))
     depth, transmittance = np.zeros(color.shape[:2]), np.ones(color.shape[:2])
-    num_evaluated = num_blended = 0
+    num_tiles = bins.num_tiles_x * bins.num_tiles_y
+    work = TileWork(*(np.zeros(num_tiles, np.int64) for _ in range(3)))
 
-    for tile in range(bins.num_tiles_x * bins.num_tiles_y):
+    for tile in range(num_tiles):
         y0, x0 = (TILE_PX * i for i in divmod(tile, bins.num_tiles_x))
         area = np.s_[y0 : y0 + TILE_PX, x0 : x0 + TILE_PX]
         T, C, D = transmittance[area], color[area], depth[area]  # views
@@ -39,18 +40,17 @@ def blend(splats: Splats, bins: TileBins, camera: Camera, options: ResolvedOptio
             a, b, c = factors[i]
             alpha = np.minimum(ALPHA_MAX, opacities[i] * np.exp(-0.5 * ((a * dx + b * dy) ** 2 + (c * dy) ** 2)))
             drawn = (alpha >= options.threshold) & ~finished
-            num_evaluated += int((~finished).sum())
+            work.consumed[tile] += not finished.all()
+            work.evaluated[tile] += (~finished).sum()
             finished |= drawn & (T * (1 - alpha) < TRANSMITTANCE_MIN)
             drawn &= ~finished
             weight = np.where(drawn, T * alpha, 0.0)
             C += weight[..., None] * colors[i]
             D += weight * depths[i]
             T[drawn] *= 1 - alpha[drawn]
-            num_blended += int(drawn.sum())
+            work.blended[tile] += drawn.sum()
 
     alpha = 1 - transmittance
     color += transmittance[..., None] * np.asarray(options.background)
     depth = np.divide(depth, alpha, out=np.zeros_like(depth), where=alpha > 0)
-    return Picture(
-        color.astype(np.float32), alpha.astype(np.float32), depth.astype(np.float32), num_evaluated, num_blended
-    )
+    return Picture(color.astype(np.float32), alpha.astype(np.float32), depth.astype(np.float32), work)
