@@ -162,7 +162,7 @@ class Columns {
   Columns(const Lattice& lattice, const Cells& cells) : cells_(cells) {
     static constexpr int kDx[kColumns] = {0, 0, 0, -1, 1, -1, -1, 1, 1}, kDy[kColumns] = {0, -1, 1, 0, 0, -1, 1, -1, 1};
     for (int k = 0; k < kColumns; ++k) {
-      first_[k] = -1;
+      first_[k] = 0;
       step_[k] = (static_cast<uint64_t>(int64_t{kDx[k]}) << lattice.shift[0]) +
                  (static_cast<uint64_t>(int64_t{kDy[k]}) << lattice.shift[1]);
     }
@@ -185,22 +185,22 @@ class Columns {
  private:
   uint64_t base(int k) const { return key_ + step_[k]; }
 
-  // The first cell with at least `key`: by galloping from where the last search ended.
+  // The first cell with at least `key`, from where the last search ended: mostly a few cells on, else by galloping.
   void seek(int k, uint64_t key) {
+    constexpr int kNear = 8;
     const uint64_t* keys = cells_.keys.get();
-    const int64_t size = cells_.num_cells;
     int64_t low = first_[k];
-    if (low < 0) {
-      first_[k] = std::lower_bound(keys, keys + size, key) - keys;
-      return;
-    }
-    if (low == size || keys[low] >= key) return;
+    for (const int64_t near = std::min(low + kNear, cells_.num_cells); low < near; ++low)
+      if (keys[low] >= key) {
+        first_[k] = low;
+        return;
+      }
     int64_t step = 1;
-    while (low + step < size && keys[low + step] < key) {
+    while (low + step < cells_.num_cells && keys[low + step] < key) {
       low += step;
       step *= 2;
     }
-    const int64_t high = std::min(size, low + step + 1);
+    const int64_t high = std::min(cells_.num_cells, low + step + 1);
     first_[k] = std::lower_bound(keys + low, keys + high, key) - keys;
   }
 
