@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from splatree.cli.main import VERBS, main
+from splatree.cli.main import GROUPS, VERBS, commands_of, main
 
 ROOT = Path(__file__).parent.parent
 PAGES = sorted(p.relative_to(ROOT) for p in [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("src/**/*.md")])
@@ -20,11 +20,15 @@ def test_links_lead_somewhere(page):
     assert missing == []
 
 
-@pytest.mark.parametrize("verb", VERBS)
-def test_command_line_page_lists_every_option(verb, capsys):
+COMMANDS = [*VERBS, *(f"{group} {command}" for group in GROUPS for command in commands_of(group))]
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_command_line_page_lists_every_option(command, capsys):
     page = (ROOT / "docs" / "cli.md").read_text()
-    section = page.split(f"## splatree {verb}\n")[1].split("\n## ")[0]
-    assert main([verb, "--help"]) == 0
+    assert f"## splatree {command}\n" in page, "run scripts/docs"
+    section = page.split(f"## splatree {command}\n")[1].split("\n## ")[0]
+    assert main([*command.split(), "--help"]) == 0
     options = set(re.findall(r"--[a-z][a-z0-9.-]+", capsys.readouterr().out))
     missing = [option for option in sorted(options) if option not in section]
     assert missing == [], "run scripts/docs"

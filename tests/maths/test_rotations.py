@@ -1,6 +1,6 @@
 import numpy as np
 
-from splatree.maths.rotations import matrices_from_quats
+from splatree.maths.rotations import matrices_from_quats, quat_from_matrix
 
 
 def test_matrices_are_rotations_whatever_the_length() -> None:
@@ -20,3 +20,13 @@ def test_half_angle_about_an_axis() -> None:
 
 def test_zero_quaternion_is_no_rotation() -> None:
     np.testing.assert_array_equal(matrices_from_quats(np.zeros((1, 4)))[0], np.eye(3))
+
+
+def test_quaternion_of_a_matrix_gives_the_matrix_back() -> None:
+    rng = np.random.default_rng(2)
+    half_turns = np.array([[0.0, 1, 0, 0], [0, 0, 1, 0], [0, 0.6, 0, 0.8], [1, 0, 0, 0]])  # where traces say nothing
+    for R in matrices_from_quats(np.concatenate([rng.normal(size=(50, 4)), half_turns])):
+        q = quat_from_matrix(R)
+        assert q[0] >= 0
+        np.testing.assert_allclose(np.linalg.norm(q), 1, atol=1e-14)
+        np.testing.assert_allclose(matrices_from_quats(q[None])[0], R, atol=1e-13)  # a few roundings of float64

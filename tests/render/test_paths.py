@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from splatree.errors import InputError
-from splatree.render.paths import PathOptions, bounds_of, flyout, orbit
+from splatree.render.paths import PathOptions, bounds_of, flyout, orbit, through
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Scene
 
@@ -104,3 +104,30 @@ def test_impossible_paths_are_refused(wrong):
         PathOptions(**wrong)
     with pytest.raises(InputError, match="nearest"):
         flyout(scene_of(np.ones((2, 3))), nearest=2, farthest=1)
+
+
+def test_a_path_through_cameras_passes_each_and_stays_rigid(ball):
+    cameras = list(orbit(scene_of(ball), PathOptions(views=3)))
+    path = list(through(cameras, 9))
+    assert len(path) == 9
+    for place, camera in ((0, cameras[0]), (4, cameras[1]), (8, cameras[2])):
+        assert path[place].camera_from_world == pytest.approx(camera.camera_from_world, abs=1e-9)
+    half = path[2]
+    assert half.position == pytest.approx((cameras[0].position + cameras[1].position) / 2)
+    turned = [
+        np.arccos((np.trace(a.T @ b) - 1) / 2) for a, b in ((rotation(cameras[i]), rotation(half)) for i in (0, 1))
+    ]
+    assert turned[0] == pytest.approx(turned[1])  # as far from the one as from the other
+    assert rotation(half) @ rotation(half).T == pytest.approx(np.eye(3), abs=1e-9)
+
+
+def test_a_path_through_one_camera_stands_still(ball):
+    camera = orbit(scene_of(ball), PathOptions(views=1))[0]
+    for view in through([camera], 3):
+        assert view.camera_from_world == pytest.approx(camera.camera_from_world, abs=1e-9)
+    with pytest.raises(InputError, match="found 0 cameras"):
+        through([], 3)
+
+
+def rotation(camera):
+    return camera.camera_from_world[:3, :3]

@@ -1,6 +1,6 @@
 """``splatree eval``: what the levels of detail cost in quality and save in work."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated
@@ -11,16 +11,12 @@ from tyro.conf import Positional, arg
 from splatree.cli.console import Console, table
 from splatree.errors import InputError
 from splatree.io.cameras import read_cameras
-from splatree.io.images import read_image
+from splatree.io.photos import Photos
 from splatree.io.registry import read
 from splatree.metrics.lpips import Lpips, Net
 from splatree.render.evaluate import Evaluation, evaluate
 from splatree.render.paths import PathOptions, flyout
-from splatree.scene.cameras import Camera
 from splatree.scene.options import RenderOptions, SelectOptions
-from splatree.shapes import Array
-
-PHOTO_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp")
 
 
 @dataclass(frozen=True)
@@ -117,7 +113,7 @@ def run(command: Command) -> Evaluated:
     source = command.cameras or command.data
     cameras = read_cameras(source) if source else flyout(scene, command.made)
     chosen = [camera.scaled(command.scale) for camera in list(cameras)[:: command.every]]
-    photos = _Photos(command.data, chosen) if command.data else None
+    photos = Photos(command.data, chosen) if command.data else None
     network = Lpips(command.lpips, trunk=command.lpips_trunk, heads=command.lpips_heads) if command.lpips else None
     compared = evaluate(scene, chosen, command.options, command.select, photos=photos, lpips=network)
     views = tuple(view_of(evaluation) for evaluation in compared)
@@ -190,35 +186,3 @@ def _means(views: Sequence[View]) -> dict[str, float | None]:
         if len(numbers) == len(values) and numbers:
             means[field.name] = float(np.mean(numbers))
     return means
-
-
-class _Photos(Mapping[str, Array]):
-    """Photographs by the camera's name, read when they are asked for, at the camera's size."""
-
-    def __init__(self, folder: Path, cameras: Sequence[Camera]) -> None:
-        if not folder.is_dir():
-            raise InputError(f"data: {folder} is not a folder; wanted the folder of the photographs")
-        self._cameras = {camera.name: camera for camera in cameras}
-        files = [path for path in sorted(folder.rglob("*")) if path.suffix.lower() in PHOTO_SUFFIXES]
-        by_name = {path.relative_to(folder).as_posix(): path for path in files}
-        by_stem = {path.stem: path for path in files}
-        self._paths = {
-            name: path
-            for name in self._cameras
-            if (path := by_name.get(name) or by_stem.get(Path(name).stem)) is not None
-        }
-        if not self._paths:
-            first = cameras[0].name if cameras else ""
-            raise InputError(
-                f"data: none of the {len(files)} pictures in {folder} is named like a camera ({first!r}, ...)"
-            )
-
-    def __getitem__(self, name: str) -> Array:
-        camera = self._cameras[name]
-        return read_image(self._paths[name], size=(camera.width, camera.height))
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._paths)
-
-    def __len__(self) -> int:
-        return len(self._paths)

@@ -4,11 +4,15 @@ A verb is a module of this package with three names: ``Command``, a dataclass wh
 docstrings are the help), ``run(command)``, which returns a result struct, and ``show(result)``, which says it in words. With
 ``--json`` the struct itself is printed. Results go to stdout, everything else to stderr.
 
+A verb with several commands, such as ``splatree bench table1``, is listed in GROUPS and has ``COMMANDS``, dataclasses by name, in
+the place of ``Command``.
+
 Exit codes: 0 done, 1 an error while working, 2 a wrong command line, 130 interrupted.
 """
 
 import dataclasses
 import importlib
+import inspect
 import json
 import math
 import os
@@ -16,7 +20,7 @@ import sys
 import traceback
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from splatree.errors import InputError, SplatreeError
 
@@ -28,14 +32,24 @@ VERBS = {
     "build": "build the levels of detail of a scene",
     "render": "draw pictures or a video",
     "eval": "compare the levels of detail with all leaves, or with photographs",
+    "bench": "run a table or a figure of a paper again",
     "formats": "list the formats that are read and written",
 }
+
+GROUPS = ("bench",)
+"""Verbs whose next word names one of several commands."""
 
 USAGE = """usage: splatree <verb> [options]
 
 {verbs}
 
 splatree <verb> --help says more; every verb takes --json, --verbose and --quiet."""
+
+GROUP_USAGE = """usage: splatree {verb} <command> [options]
+
+{commands}
+
+splatree {verb} <command> --help says more; every command takes --json, --verbose and --quiet."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -54,17 +68,51 @@ def main(argv: Sequence[str] | None = None) -> int:
         found = f"found {words[0]!r}, wanted one of {', '.join(VERBS)}" if words else "wanted a verb"
         print(f"splatree: error: {found}\n\n{usage}", file=sys.stderr)
         return 2
-    return _run(words[0], words[1:])
+    module = importlib.import_module(f"splatree.cli.{words[0]}")
+    if words[0] in GROUPS:
+        return _run_one_of(words[0], words[1:], module)
+    return _run(words[0], words[1:], module, module.Command, None)
 
 
-def _run(verb: str, words: list[str]) -> int:
+def _run_one_of(verb: str, words: list[str], module: Any) -> int:
+    """The command of a group that the next word names."""
+    purposes = {name: _purpose_of(command) for name, command in module.COMMANDS.items()}
+    lines = "\n".join(f"  {name:9}{purpose.splitlines()[0]}" for name, purpose in purposes.items())
+    usage = GROUP_USAGE.format(verb=verb, commands=lines)
+    if words[:1] in (["-h"], ["--help"]):
+        print(usage)
+        return 0
+    if not words or words[0] not in purposes:
+        found = f"found {words[0]!r}, wanted one of {', '.join(purposes)}" if words else "wanted a command"
+        print(f"splatree {verb}: error: {found}\n\n{usage}", file=sys.stderr)
+        return 2
+    return _run(f"{verb} {words[0]}", words[1:], module, module.COMMANDS[words[0]], purposes[words[0]])
+
+
+def commands_of(group: str) -> list[str]:
+    """Names of the commands of a group."""
+    return list(importlib.import_module(f"splatree.cli.{group}").COMMANDS)
+
+
+def _purpose_of(command: Any) -> str:
+    """The docstring of the options that a command of a group is made of."""
+    (options,) = get_args(command)
+    return inspect.cleandoc(options.__doc__)
+
+
+def _run(verb: str, words: list[str], module: Any, command_type: Any, description: str | None) -> int:
     import tyro
 
     from splatree.cli.console import progress_shown
 
-    module = importlib.import_module(f"splatree.cli.{verb}")
     try:
-        command = tyro.cli(module.Command, prog=f"splatree {verb}", args=words, config=(tyro.conf.FlagCreatePairsOff,))
+        command = tyro.cli(
+            command_type,
+            prog=f"splatree {verb}",
+            description=description,
+            args=words,
+            config=(tyro.conf.FlagCreatePairsOff,),
+        )
     except SystemExit as stop:  # tyro has printed the help, or what is wrong
         return int(stop.code or 0)
     except InputError as error:  # a value that its option refuses

@@ -10,6 +10,7 @@ the few at the border of the image), and interpolation between two values finds 
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
 
@@ -26,7 +27,7 @@ from splatree.scene.scene import Scene
 from splatree.scene.tree import GaussianTree
 from splatree.shapes import Array
 
-__all__ = ["count_nested", "select", "smallest_radius"]
+__all__ = ["Selector", "count_nested", "count_uncovered", "select", "smallest_radius"]
 
 BUDGET_SHARE = 0.98
 """A selection that holds this share of its budget is not refined further."""
@@ -34,6 +35,14 @@ BUDGET_PRECISION = 1.005
 """Nor is one whose τ_R is known to this factor; near the border of the image counts may jump by more than 2 %."""
 COARSEST_PX = 2.0**24
 """Largest finite τ_R that a budget tries: beyond any image. Only nodes that reach behind the near plane are larger: infinite."""
+
+
+class Selector(Protocol):
+    """Anything that chooses the rows of a view of one scene, in the place of `select`: see lod/baselines.py."""
+
+    def __call__(self, camera: Camera, *, dilation_px2: float, threshold: float, threads: int = 0) -> Selection:
+        """Choose the rows to draw."""
+        ...
 
 
 def select(
@@ -110,6 +119,14 @@ def count_nested(tree: GaussianTree, rows: Array) -> int:
     chosen = np.zeros(len(tree), bool)
     chosen[rows] = True
     return int((chosen & reference.shadowed(chosen, tree.subtree_end)).sum())
+
+
+def count_uncovered(tree: GaussianTree, rows: Array) -> int:
+    """Leaves that no selected row stands for, neither themselves nor an ancestor: 0 for a cut, seen and unseen rows together."""
+    change = np.zeros(len(tree) + 1, np.int64)
+    change[rows] += 1
+    np.subtract.at(change, tree.subtree_end[rows], 1)
+    return int((tree.is_leaf & (np.cumsum(change[:-1]) == 0)).sum())
 
 
 def _meet_budget(

@@ -8,7 +8,7 @@ import numpy as np
 
 from splatree.shapes import Array, Float64
 
-__all__ = ["matrices_from_quats"]
+__all__ = ["matrices_from_quats", "quat_from_matrix"]
 
 
 def matrices_from_quats(quats: Array) -> Float64[Array, "n 3 3"]:
@@ -27,3 +27,17 @@ def matrices_from_quats(quats: Array) -> Float64[Array, "n 3 3"]:
         [s * (x * z - w * y), s * (y * z + w * x), 1 - s * (x * x + y * y)],
     ]
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def quat_from_matrix(rotation: Array) -> Float64[Array, "4"]:
+    """The unit quaternion wxyz, w ≥ 0, of a rotation matrix; of one that is slightly off, the nearest (Bar-Itzhack 2000).
+
+    It maximises a quadratic form in (w, x, y, z): the eigenvector of the largest eigenvalue, defined for every angle.
+    """
+    m = np.asarray(rotation, np.float64)
+    form = np.zeros((4, 4))
+    form[0, 0] = np.trace(m)
+    form[0, 1:] = form[1:, 0] = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
+    form[1:, 1:] = m + m.T - np.trace(m) * np.eye(3)
+    q = np.linalg.eigh(form)[1][:, -1]
+    return np.asarray(q if q[0] >= 0 else -q)

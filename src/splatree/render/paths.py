@@ -1,11 +1,11 @@
-"""Camera paths for scenes that come without cameras.
+"""Camera paths for scenes that come without cameras, and through those that a scene has.
 
 The centre and the size of a trained scene have to be robust: far outliers and nearly transparent floaters reach hundreds of
 times beyond what the pictures show. Here the centre is the median of the leaves' centres along each axis, weighted by
 opacity, and the radius holds 90 % of the opacity around it. Cost: a sort of at most 200,000 leaves.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -13,6 +13,7 @@ import numpy as np
 
 from splatree.constants import NEAR
 from splatree.errors import InputError
+from splatree.maths.rotations import matrices_from_quats, quat_from_matrix
 from splatree.scene.cameras import Camera, Cameras
 from splatree.scene.scene import Scene
 from splatree.shapes import Array, Float64
@@ -81,6 +82,36 @@ def flyout(scene: Scene, options: PathOptions | None = None, *, nearest: float =
     centre, radius = bounds_of(scene)
     distances = radius * np.geomspace(nearest, farthest, options.views)
     return _cameras(centre, options, np.zeros(options.views), distances, np.full(options.views, options.elevation_deg))
+
+
+def through(cameras: Sequence[Camera], views: int) -> Cameras:
+    """A path of ``views`` cameras through the given ones in their order: centres along straight lines, directions turned evenly.
+
+    Size, focal lengths and the near plane of a view are those of the last given camera that it has passed.
+    """
+    if not cameras or views < 1:
+        raise InputError(f"through: found {len(cameras)} cameras and {views} views, wanted at least 1 of each")
+    quats = np.array([quat_from_matrix(camera.camera_from_world[:3, :3]) for camera in cameras])
+    places = np.linspace(0, len(cameras) - 1, views)
+    path = []
+    for i, place in enumerate(places):
+        before = min(int(place), max(len(cameras) - 2, 0))
+        after, share = min(before + 1, len(cameras) - 1), place - before
+        pose = np.eye(4)
+        pose[:3, :3] = matrices_from_quats(_between(quats[before], quats[after], share)[None])[0]
+        pose[:3, 3] = -pose[:3, :3] @ ((1 - share) * cameras[before].position + share * cameras[after].position)
+        passed = cameras[after if share == 1 else before]
+        path.append(replace(passed, camera_from_world=pose, name=f"path_{i:04d}"))
+    return Cameras(tuple(path))
+
+
+def _between(a: Array, b: Array, share: float) -> Array:
+    """The unit quaternion that turns ``share`` of the shorter way from a to b (Shoemake 1985)."""
+    b = b if a @ b >= 0 else -b
+    angle = float(np.arccos(np.clip(a @ b, -1, 1)))
+    if angle < 1e-6:  # the sines vanish together: their ratio is the share itself
+        return np.asarray(a + share * (b - a))
+    return np.asarray((np.sin((1 - share) * angle) * a + np.sin(share * angle) * b) / np.sin(angle))
 
 
 def bounds_of(scene: Scene) -> tuple[Float64[Array, "3"], float]:

@@ -11,9 +11,11 @@ standard 3D Gaussian Splatting (Kerbl 2023), and has the same bits for any numbe
 
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import TypeVar
 
 from splatree.kernels import Backend, backend_for
+from splatree.lod.select import Selector
 from splatree.lod.select import select as select_rows
 from splatree.scene.cameras import Camera
 from splatree.scene.frame import Counters, Frame, RenderResult
@@ -29,14 +31,15 @@ def render(
     scene: Scene,
     camera: Camera,
     options: RenderOptions | None = None,
-    select: SelectOptions | None = None,
+    select: SelectOptions | Selector | None = None,
     *,
     threads: int = 0,
     backend: Backend = "cpu",
 ) -> RenderResult:
     """Draw a view of a scene.
 
-    The level of detail follows ``select``; all leaves are drawn with ``SelectOptions(pixel_error=0)``. ``threads`` 0 means
+    The level of detail follows ``select``, options or a baseline (lod/baselines.py); all leaves are drawn with
+    ``SelectOptions(pixel_error=0)``. ``threads`` 0 means
     all there are. The backend `reference` is NumPy float64: slow, to compare with.
     """
     return trace(scene, camera, options, select, threads=threads, backend=backend).result
@@ -46,7 +49,7 @@ def trace(
     scene: Scene,
     camera: Camera,
     options: RenderOptions | None = None,
-    select: SelectOptions | None = None,
+    select: SelectOptions | Selector | None = None,
     *,
     threads: int = 0,
     backend: Backend = "cpu",
@@ -63,16 +66,10 @@ def trace(
         milliseconds[stage] = 1e3 * (time.perf_counter() - start)
         return value
 
+    choose: Selector = partial(select_rows, scene, options=select) if isinstance(select, SelectOptions) else select
     selection = timed(
         "select",
-        lambda: select_rows(
-            scene,
-            camera,
-            select,
-            dilation_px2=resolved.dilation_px2,
-            threshold=resolved.threshold,
-            threads=threads,
-        ),
+        lambda: choose(camera, dilation_px2=resolved.dilation_px2, threshold=resolved.threshold, threads=threads),
     )
     splats = timed(
         "project",

@@ -1,0 +1,1 @@
+"""Experiments: the tables and figures of the papers, each a command, on any scene."""

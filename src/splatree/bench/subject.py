@@ -1,0 +1,123 @@
+"""What experiments are run on: a scene with levels of detail, views of it, and photographs of these if there are any."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib.resources import as_file, files
+from pathlib import Path
+
+import numpy as np
+
+from splatree.bench.provenance import machine, program
+from splatree.errors import InputError
+from splatree.io.cameras import read_cameras
+from splatree.io.photos import Photos
+from splatree.io.registry import read
+from splatree.io.split import split_views
+from splatree.lod.blocks import with_blocks
+from splatree.lod.build import build_lod
+from splatree.render.paths import PathOptions, flyout
+from splatree.scene.cameras import Camera
+from splatree.scene.scene import Scene
+from splatree.shapes import Array
+
+__all__ = ["Subject", "SubjectOptions", "subject_of"]
+
+BUNDLED = "semarang_5_9.sog"
+
+
+@dataclass(frozen=True)
+class SubjectOptions:
+    """Scene and views of an experiment."""
+
+    scene: tuple[Path, ...] = ()
+    """Scene; several files or folders are read as one, levels are built if it has none. Default: the bundled piece of a city."""
+    cameras: Path | None = None
+    """cameras.json, transforms.json or a COLMAP model; None: those in --data, or else a flight away from the scene."""
+    data: Path | None = None
+    """Folder of photographs of the held-out views; without it pictures are compared with those of all leaves."""
+    held_out: int | Path = 8
+    """With --data: every n-th view is held out, or those named in a text file; only these are drawn and scored."""
+    views: int = 6
+    """Views drawn, spread evenly over the cameras; 0: all."""
+    size: int = 480
+    """Width of the pictures, px."""
+
+    def __post_init__(self) -> None:
+        if self.views < 0:
+            raise InputError(f"views: found {self.views}, wanted 0 (all) or more")
+        if self.size < 16:
+            raise InputError(f"size: found {self.size}, wanted at least 16 px")
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """A scene and its views, ready."""
+
+    scene: Scene
+    """With levels of detail and their block index."""
+    cameras: tuple[Camera, ...]
+    """Views to draw."""
+    training: tuple[Camera, ...]
+    """Views that τ may be calibrated on: none of those to draw where photographs make the difference, else the same."""
+    photos: Mapping[str, Array] | None
+    """Photographs by the camera's name."""
+    about: Mapping[str, str]
+    """Scene, cameras, size, comparison, machine and version, in words."""
+
+
+def subject_of(options: SubjectOptions) -> Subject:
+    """Read the scene, build its levels if it has none, and choose the views."""
+    scene = _read_scene(options.scene)
+    views, training, named = _views(scene, options)
+    photos = Photos(options.data, views) if options.data is not None else None
+    tree = scene.tree
+    nodes = f"{tree.num_leaves:,} Gaussians, {len(tree):,} nodes, {tree.num_levels} levels"
+    about = {
+        "scene": f"{_name(options.scene)}: {nodes}, {scene.mode}",
+        "cameras": f"{named}, {len(views)} drawn at {views[0].width} × {views[0].height} px",
+        "compared with": f"{len(photos)} photographs"
+        if photos
+        else "pictures of all leaves (no photographs were given)",
+        "machine": machine(),
+        "version": program(),
+    }
+    return Subject(scene, views, training, photos, about)
+
+
+def _views(scene: Scene, options: SubjectOptions) -> tuple[tuple[Camera, ...], tuple[Camera, ...], str]:
+    """Views to draw, views to calibrate on, and where they are from."""
+
+    def chosen(cameras: Sequence[Camera]) -> tuple[Camera, ...]:
+        return tuple(camera.scaled(options.size / camera.width) for camera in _spread(cameras, options.views))
+
+    source = options.cameras or options.data
+    if source is None:
+        made = PathOptions(views=options.views or 6, width=options.size, height=options.size * 9 // 16)
+        cameras = chosen(flyout(scene, made).views)
+        return cameras, cameras, "a flight away from the scene"
+    cameras = read_cameras(source).views
+    if options.data is None:
+        return chosen(cameras), chosen(cameras), source.name
+    split = split_views(cameras, options.held_out)
+    return chosen(split.held_out), chosen(split.training), f"{source.name}, {split.rule}"
+
+
+def _read_scene(paths: tuple[Path, ...]) -> Scene:
+    if paths:
+        scene = read(paths)
+    else:
+        with as_file(files("splatree") / "data" / BUNDLED) as bundled:
+            scene = read(bundled)
+    return with_blocks(scene if scene.tree.num_levels > 1 else build_lod(scene))
+
+
+def _name(paths: tuple[Path, ...]) -> str:
+    if not paths:
+        return BUNDLED.removesuffix(".sog")
+    return paths[0].name if len(paths) == 1 else f"{paths[0].name} and {len(paths) - 1} more"
+
+
+def _spread(cameras: Sequence[Camera], views: int) -> list[Camera]:
+    if not views or views >= len(cameras):
+        return list(cameras)
+    return [cameras[i] for i in np.linspace(0, len(cameras) - 1, views).round().astype(int)]
