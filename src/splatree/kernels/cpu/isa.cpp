@@ -13,9 +13,11 @@
   RunResult select_group(const SelectJob&, int64_t, int32_t*);            \
   void small_rows(const SelectJob&, const int32_t*, int64_t, uint8_t*);   \
   void visible_rows(const SelectJob&, const int32_t*, int64_t, uint8_t*); \
+  void label_nearest(const NearestJob&, int64_t, int64_t);                \
   }
 #define SPLATREE_TABLE(name, isa)                                                                                  \
-  {name, isa::project, isa::list_spans, isa::blend, isa::largest_bits, isa::select_group, isa::small_rows, isa::visible_rows}
+  {name, isa::project, isa::list_spans, isa::blend, isa::largest_bits, isa::select_group, isa::small_rows, isa::visible_rows, \
+   isa::label_nearest}
 
 #if defined(__x86_64__)
 SPLATREE_DECLARE(isa_v4)

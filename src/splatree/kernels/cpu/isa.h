@@ -18,6 +18,7 @@ struct BinJob;
 struct BlendJob;
 struct SelectJob;
 struct RunResult;
+struct NearestJob;
 
 struct Kernels {
   const char* isa;
@@ -28,6 +29,7 @@ struct Kernels {
   RunResult (*select_group)(const SelectJob& job, int64_t group, int32_t* out);
   void (*small_rows)(const SelectJob& job, const int32_t* rows, int64_t count, uint8_t* small);
   void (*visible_rows)(const SelectJob& job, const int32_t* rows, int64_t count, uint8_t* visible);
+  void (*label_nearest)(const NearestJob& job, int64_t begin, int64_t end);
 };
 
 // The table of the best level that the processor runs, or of the level set by use_isa().

@@ -17,6 +17,7 @@ void bind_render(nb::module_& m);
 void bind_columns(nb::module_& m);
 void bind_thin(nb::module_& m);
 void bind_select(nb::module_& m);
+void bind_clusters(nb::module_& m);
 }
 
 NB_MODULE(_core, m) {
@@ -43,4 +44,5 @@ NB_MODULE(_core, m) {
   bind_columns(m);
   bind_thin(m);
   bind_select(m);
+  bind_clusters(m);
 }
