@@ -9,10 +9,13 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from splatree.edit.edit import edit
+    from splatree.edit.options import EditOptions
     from splatree.errors import FormatError, InputError, MissingExtraError, OutputError, ShapeError, SplatreeError
     from splatree.io.cameras import read_cameras, write_cameras
+    from splatree.io.convert import Converted, ConvertOptions, convert
     from splatree.io.images import read_image, write_image
-    from splatree.io.options import WriteOptions
+    from splatree.io.options import ReadOptions, WriteOptions
     from splatree.io.registry import read, write
     from splatree.lod.build import BuildOptions, build_lod
     from splatree.lod.select import select
@@ -37,6 +40,9 @@ __all__ = [
     "BuildOptions",
     "Camera",
     "Cameras",
+    "ConvertOptions",
+    "Converted",
+    "EditOptions",
     "Evaluation",
     "FormatError",
     "Frame",
@@ -48,6 +54,7 @@ __all__ = [
     "MissingExtraError",
     "OutputError",
     "PathOptions",
+    "ReadOptions",
     "RenderOptions",
     "RenderResult",
     "Scene",
@@ -59,6 +66,8 @@ __all__ = [
     "Thinned",
     "WriteOptions",
     "build_lod",
+    "convert",
+    "edit",
     "evaluate",
     "flyout",
     "merge",
@@ -84,6 +93,9 @@ _HOME = {
     "BuildOptions": "splatree.lod.build",
     "Camera": "splatree.scene.cameras",
     "Cameras": "splatree.scene.cameras",
+    "ConvertOptions": "splatree.io.convert",
+    "Converted": "splatree.io.convert",
+    "EditOptions": "splatree.edit.options",
     "Evaluation": "splatree.render.evaluate",
     "FormatError": "splatree.errors",
     "Frame": "splatree.scene.frame",
@@ -95,6 +107,7 @@ _HOME = {
     "MissingExtraError": "splatree.errors",
     "OutputError": "splatree.errors",
     "PathOptions": "splatree.render.paths",
+    "ReadOptions": "splatree.io.options",
     "RenderOptions": "splatree.scene.options",
     "RenderResult": "splatree.scene.frame",
     "Scene": "splatree.scene.scene",
@@ -106,6 +119,8 @@ _HOME = {
     "Thinned": "splatree.simplify.thin",
     "WriteOptions": "splatree.io.options",
     "build_lod": "splatree.lod.build",
+    "convert": "splatree.io.convert",
+    "edit": "splatree.edit.edit",
     "evaluate": "splatree.render.evaluate",
     "flyout": "splatree.render.paths",
     "merge": "splatree.simplify.merge",

@@ -1,11 +1,14 @@
 import json
+import re
 
 import numpy as np
 import pytest
 
 import splatree
-from splatree import FormatError, Scene
+from splatree import FormatError, Gaussians, Scene
 from splatree.constants import SH_C0
+from splatree.io import ply
+from splatree.io.options import ReadOptions
 
 from .conftest import COLUMNS, random_gaussians, same_bits
 
@@ -104,9 +107,13 @@ def test_byte_colours_stand_in_for_the_dc(tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda b: b.replace(b"binary_little_endian", b"ascii"), "found format 'ascii'"),
-        (lambda b: b.replace(b"binary_little_endian", b"binary_big_endian"), "binary_big_endian"),
-        (lambda b: b.replace(b" scale_2", b" scale_7"), "no property scale_2.*surfels"),
+        (lambda b: b.replace(b"binary_little_endian", b"binary"), "found format 'binary', wanted one of"),
+        (lambda b: b.replace(b" scale_", b" skale_"), "no properties scale_0 scale_1 scale_2"),
+        (
+            lambda b: b.replace(b"element vertex", b"element codebook_centers 256\nelement vertex"),
+            "indices into a codebook",
+        ),
+        (lambda b: b.replace(b"property float nx\n", b"property float f_anchor_feat_0\n"), "anchors of Scaffold-GS"),
         (lambda b: b.replace(b" rot_", b" tor_"), "found no properties rot_0 rot_1"),
         (lambda b: b.replace(b"f_rest_3\n", b"g_rest_3\n"), "found 8 properties f_rest"),
         (lambda b: b.replace(b"f_rest_3\n", b"f_rest_9\n"), "numbered from 0"),
@@ -132,6 +139,105 @@ def test_lying_and_foreign_files_are_refused_with_a_reason(tmp_path, change, mes
     (tmp_path / "a.ply").write_bytes(bad)
     with pytest.raises(FormatError, match=message):
         splatree.read(tmp_path / "a.ply")
+
+
+def text_of(path) -> str:
+    """The same vertices as text, behind an element of two cameras, as MeshLab writes them."""
+    data = path.read_bytes()
+    head, _, body = data.partition(b"end_header\n")
+    names = re.findall(rb"property float (\S+)", head)
+    rows = np.frombuffer(body, "<f4").reshape(-1, len(names))
+    lines = [" ".join(repr(float(v)) for v in row) for row in rows]
+    text = head.decode().replace("binary_little_endian", "ascii")
+    text = text.replace("element vertex", "element camera 2\nproperty float view\nelement vertex")
+    return "\n".join([text + "end_header", "7", "8", *lines, ""])
+
+
+def test_text_and_big_endian_files_give_the_same_bits(tmp_path):
+    g = random_gaussians(9, 2)
+    splatree.write(Scene.flat(g), tmp_path / "a.ply")
+    (tmp_path / "text.ply").write_text(text_of(tmp_path / "a.ply"))
+    head, mark, body = (tmp_path / "a.ply").read_bytes().partition(b"end_header\n")
+    big = head.replace(b"little", b"big") + mark + np.frombuffer(body, "<f4").astype(">f4").tobytes()
+    (tmp_path / "big.ply").write_bytes(big)
+    for name in ("text.ply", "big.ply"):
+        back = splatree.read(tmp_path / name).gaussians
+        assert all(same_bits(getattr(g, c), getattr(back, c)) for c in COLUMNS)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda t: t[: len(t) // 2], "wanted at least .* cut off|wanted 23"),
+        (lambda t: t.replace("vertex 9", "vertex 999999999999"), "wanted at least .* cut off"),
+        (lambda t: t.replace("vertex 9", "vertex 10"), "cannot be read to its end|wanted at least"),
+        (lambda t: t[: t.rindex(" ")] + " x\n", "could not convert .* wanted numbers"),
+        (lambda t: t[: t.rindex(" ")] + "\n", "vertex 8: found 22 values, wanted 23"),
+        (lambda t: t[: t.rindex(" ")] + " nan\n", r"row 8, quats: found .*nan"),
+        (lambda t: t[: t.rindex(" ")] + " 1e300\n", r"row 8, quats: found .*inf"),
+    ],
+)
+def test_text_that_is_no_table_of_numbers_is_refused(tmp_path, change, message):
+    splatree.write(Scene.flat(random_gaussians(9, 1)), tmp_path / "a.ply")
+    text = text_of(tmp_path / "a.ply").replace("property float nx\nproperty float ny\nproperty float nz\n", "")
+    head, mark, body = text.partition("end_header\n")
+    rows = [line.split() for line in body.splitlines()]
+    body = "\n".join(" ".join(row[:3] + row[6:]) for row in rows) + "\n"
+    (tmp_path / "a.ply").write_text(head + mark + body)
+    assert len(splatree.read(tmp_path / "a.ply")) == 9
+    (tmp_path / "a.ply").write_text(change(head + mark + body))
+    with pytest.raises(FormatError, match=message):
+        splatree.read(tmp_path / "a.ply")
+
+
+def test_harmonics_of_degree_4_are_cut_and_named(tmp_path):
+    names = [*NAMES, *(f"f_rest_{i}" for i in range(72))]
+    row = np.ones((2, len(names)), "<f4")
+    row[0, -72:] = np.arange(72)
+    (tmp_path / "a.ply").write_bytes(header(names, 2) + row.tobytes())
+    scene = splatree.read(tmp_path / "a.ply")
+    np.testing.assert_array_equal(scene.gaussians.sh[0, 1:], np.arange(72).reshape(3, 24)[:, :15].T)
+    assert json.loads(scene.source.metadata["lost"]) == ["the harmonics of degree 4"]
+    assert "extra_properties" not in scene.source.metadata
+
+
+@pytest.mark.parametrize("extra", [[], ["comment SplatRenderMode: 2dgs"]])
+def test_surfels_are_read_as_flat_gaussians_and_named(tmp_path, extra):
+    names = [name for name in NAMES if name != "scale_2"]
+    (tmp_path / "a.ply").write_bytes(header(names, 2, extra=extra) + np.ones((2, len(names)), "<f4").tobytes())
+    scene = splatree.read(tmp_path / "a.ply")
+    np.testing.assert_allclose(np.exp(scene.gaussians.log_scales), [[np.e, np.e, 1e-6]] * 2, rtol=1e-5)  # float32
+    assert "surfels" in scene.source.metadata["lost"]
+
+
+def chunked(path, repair=False):
+    chunks = ply.read_chunks(path, ReadOptions(repair=repair))
+    parts = [Gaussians(*(getattr(part, c).copy() for c in COLUMNS)) for part in chunks]
+    return chunks, Gaussians.concatenate(parts)
+
+
+@pytest.mark.parametrize("repair", [False, True, "drop"])
+def test_chunks_hold_what_read_gives(tmp_path, monkeypatch, repair):
+    monkeypatch.setattr(ply, "ROWS_PER_CHUNK", 100)
+    g = random_gaussians(1030, 1)
+    if repair:
+        g.means[::7, 1] = np.nan
+        g.quats[5] = 0
+    splatree.write(Scene.flat(g, mode="antialiased"), tmp_path / "a.ply")
+    chunks, back = chunked(tmp_path / "a.ply", repair)
+    whole = ply.read(tmp_path / "a.ply", ReadOptions(repair=repair))
+    assert all(same_bits(getattr(whole.gaussians, c), getattr(back, c)) for c in COLUMNS)
+    assert chunks.metadata == whole.source.metadata and chunks.mode == "antialiased"
+    assert len(chunks) == 1030 - {False: 0, True: 148, "drop": 149}[repair]
+
+
+def test_an_error_in_a_chunk_names_the_row_of_the_file(tmp_path, monkeypatch):
+    monkeypatch.setattr(ply, "ROWS_PER_CHUNK", 100)
+    g = random_gaussians(1030, 0)
+    g.sh[777, 0, 2] = np.inf
+    splatree.write(Scene.flat(g), tmp_path / "a.ply")
+    with pytest.raises(FormatError, match=r"row 777, sh\[0\]\[2\]: found inf"):
+        chunked(tmp_path / "a.ply")
 
 
 def test_a_truncated_file_is_repaired_to_its_whole_rows(tmp_path):

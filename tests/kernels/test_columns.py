@@ -33,7 +33,21 @@ def test_the_layouts_of_a_ply_are_the_reference(per_channel, order):
     rest = [names[3 + channel * per_channel + j] for j in range(per_channel) for channel in range(3)]
     sh = [*names[:3], *rest] if order == "channels" else [*names[2::-1], *rest[::-1]]
     tail = names[3 + 3 * per_channel :]
-    check_against_reference(records, [sh, tail[:3], tail[3:7], tail[7:8], tail[8:]])
+    fields = [sh, tail[:3], tail[3:7], tail[7:8], tail[8:]]
+    check_against_reference(records, fields)
+    columns = [np.stack([records[name] for name in names], axis=1) for names in fields[:4]]  # the last keep their bytes
+    found, wanted = np.full_like(records, 7), np.full_like(records, 7)
+    cpu.interleave([column[:2999] for column in columns], fields[:4], found, threads=2)
+    reference.interleave([column[:2999] for column in columns], fields[:4], wanted)
+    assert found.tobytes() == wanted.tobytes()
+
+
+def test_interleave_writes_floats_within_its_records_only():
+    column = np.zeros((3, 1), np.float32)
+    with pytest.raises(ValueError, match="too few records"):
+        cpu.interleave([column], [["a"]], np.zeros(2, [("a", "<f4")]))
+    with pytest.raises(ValueError, match="wanted floats"):
+        cpu.interleave([column], [["a"]], np.zeros(3, [("a", "<f8")]))
 
 
 def check_against_reference(records, fields):
@@ -69,7 +83,7 @@ def test_a_column_outside_of_the_record_is_refused(tmp_path):
     out = np.zeros((2, 1), np.float32)
     with tempfile.TemporaryFile() as file:
         for start, stride, offset in ((0, 8, -1), (0, 8, 5), (0, 8, 2**40), (-1, 8, 0), (0, 0, 0), (0, 2**40, 0)):
-            with pytest.raises(ValueError, match="deinterleave"):
+            with pytest.raises(ValueError, match=r"columns: |deinterleave: "):
                 cpu._core.deinterleave(
                     file.fileno(), start, stride, np.array([offset]), np.array([6], np.uint8), [out], 1
                 )

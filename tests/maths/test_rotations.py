@@ -1,6 +1,6 @@
 import numpy as np
 
-from splatree.maths.rotations import matrices_from_quats, quat_from_matrix
+from splatree.maths.rotations import matrices_from_quats, matrix_from_angles, quat_from_matrix
 
 
 def test_matrices_are_rotations_whatever_the_length() -> None:
@@ -30,3 +30,11 @@ def test_quaternion_of_a_matrix_gives_the_matrix_back() -> None:
         assert q[0] >= 0
         np.testing.assert_allclose(np.linalg.norm(q), 1, atol=1e-14)
         np.testing.assert_allclose(matrices_from_quats(q[None])[0], R, atol=1e-13)  # a few roundings of float64
+
+
+def test_angles_turn_about_x_then_y_then_z() -> None:
+    x, y, z = np.eye(3)
+    np.testing.assert_allclose(matrix_from_angles((90, 0, 0)) @ y, z, atol=1e-15)
+    np.testing.assert_allclose(matrix_from_angles((0, 90, 0)) @ z, x, atol=1e-15)
+    np.testing.assert_allclose(matrix_from_angles((0, 0, 90)) @ x, y, atol=1e-15)
+    np.testing.assert_allclose(matrix_from_angles((90, 90, 0)) @ y, x, atol=1e-15)  # y → z about x, then z → x about y

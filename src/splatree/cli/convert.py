@@ -1,6 +1,5 @@
-"""``splatree convert``: a scene in another format."""
+"""``splatree convert``: a scene in another format, moved, cropped or filtered on the way."""
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -9,52 +8,73 @@ from tyro.conf import arg
 
 from splatree.cli.console import Console
 from splatree.cli.files import Files, inputs_and_output
-from splatree.io.options import WriteOptions
-from splatree.io.registry import read, write
+from splatree.edit.options import EditOptions
+from splatree.io.convert import ConvertOptions, convert
+from splatree.io.options import ReadOptions, WriteOptions
 
 
 @dataclass(frozen=True)
 class Command:
-    """Write a scene in another format, which the suffix of the output names."""
+    """Write a scene in another format, which the suffix of the output names; edit it on the way.
+
+    Edits are done in this order: --drop-invalid, --min-opacity, --scale, --rotate, --translate, --crop-box, --crop-sphere,
+    --sh-degree, --order. Files larger than memory are converted in chunks where both formats allow it (see `formats`).
+    """
 
     files: Annotated[Files, arg(name="")]
     level: int | None = None
     """Level of detail to read from a format that has several; 0 is the finest."""
     depth: int | None = None
     """Write one cut of the tree to a format without levels: the nodes at this depth, 0 the roots; None: the leaves."""
+    drop_invalid: bool = False
+    """Drop Gaussians with values that cannot be used, and count them, instead of stopping; --repair mends what it can."""
+    edit: Annotated[EditOptions, arg(name="")] = EditOptions()
     options: Annotated[WriteOptions, arg(name="")] = WriteOptions()
     console: Annotated[Console, arg(name="")] = Console()
 
 
 @dataclass(frozen=True)
-class Converted:
+class Result:
     """What was written."""
 
     output: Path
     """The file."""
-    num_gaussians: int
+    num_read: int
     """Gaussians read, without merged ones."""
+    num_gaussians: int
+    """Gaussians written, without merged ones."""
     bytes: int
     """Size of the file."""
-    repairs: str | None
-    """What was fixed or dropped while reading, as JSON; None if nothing was."""
+    repairs: dict[str, int]
+    """How many values or rows each rule of repair touched."""
     lost: tuple[str, ...]
     """What of the inputs the file does not hold, a sentence each."""
+    in_chunks: bool
+    """Whether it went in chunks, with bounded memory."""
 
 
-def run(command: Command) -> Converted:
-    """Read, then write."""
+def run(command: Command) -> Result:
+    """Read, edit, write."""
     inputs, output = inputs_and_output(command.files)
-    scene = read(inputs, level=command.level, repair=command.files.repair)
-    lost = write(scene, output, depth=command.depth, force=command.files.force, options=command.options)
-    metadata = scene.source.metadata
-    lost = (*json.loads(metadata.get("lost", "[]")), *lost)
-    return Converted(output, scene.tree.num_leaves, output.stat().st_size, metadata.get("repairs"), lost)
+    read = ReadOptions(command.level, "drop" if command.drop_invalid else command.files.repair)
+    options = ConvertOptions(read, command.edit, command.options, command.depth)
+    done = convert(inputs, output, options, force=command.files.force)
+    return Result(
+        output=output,
+        num_read=done.num_read,
+        num_gaussians=done.num_written,
+        bytes=output.stat().st_size,
+        repairs=done.repairs,
+        lost=done.lost,
+        in_chunks=done.in_chunks,
+    )
 
 
-def show(converted: Converted) -> str:
+def show(result: Result) -> str:
     """The result in words."""
-    repairs = f"; repaired: {converted.repairs}" if converted.repairs else ""
-    size = f"{converted.bytes / 2**20:.1f} MiB"
-    lost = "".join(f"\nlost: {sentence}" for sentence in converted.lost)
-    return f"wrote {converted.output}: {converted.num_gaussians:,} Gaussians, {size}{repairs}{lost}"
+    of = f" of {result.num_read:,}" if result.num_read != result.num_gaussians else ""
+    lines = [f"wrote {result.output}: {result.num_gaussians:,}{of} Gaussians, {result.bytes / 2**20:.1f} MiB"]
+    if result.repairs:
+        lines.append("repaired: " + ", ".join(f"{rule} {count:,}" for rule, count in result.repairs.items()))
+    lines += [f"lost: {sentence}" for sentence in result.lost]
+    return "\n".join(lines)

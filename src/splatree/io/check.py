@@ -26,6 +26,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from splatree.errors import FormatError
+from splatree.io.options import Repair
 from splatree.kernels.cpu.columns import largest_magnitude, shortest
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Scene
@@ -51,7 +52,7 @@ Magnitudes = Mapping[str, float]
 """Largest magnitude of each column of `Gaussians`, NaN if it holds one."""
 
 
-def checked(scene: Scene, where: str, *, repair: bool, magnitudes: Magnitudes | None = None) -> Scene:
+def checked(scene: Scene, where: str, *, repair: Repair, magnitudes: Magnitudes | None = None) -> Scene:
     """The scene itself if all of its values can be used; else an error or, with ``repair``, a repaired copy.
 
     Raises:
@@ -59,17 +60,38 @@ def checked(scene: Scene, where: str, *, repair: bool, magnitudes: Magnitudes | 
     """
     if _is_clean(scene.gaussians, magnitudes or magnitudes_of(scene.gaussians)):
         return scene
-    if not repair:
-        raise FormatError(_describe(scene.gaussians, where))
-    if scene.tree.num_leaves != len(scene):
+    if repair and scene.tree.num_leaves != len(scene):
         raise FormatError(
             f"{_describe(scene.gaussians, where)}; a scene with levels cannot be repaired, build it again from its source"
         )
-    gaussians, repairs = repaired(scene.gaussians)
+    gaussians, repairs = _mended(scene.gaussians, where, repair, first_row=0)
     source = scene.source
     metadata = {**source.metadata, "repairs": json.dumps(add_counts(source.metadata.get("repairs"), repairs))}
     flat = Scene.flat(gaussians, mode=scene.mode, source=replace(source, metadata=metadata))
     return replace(flat, threshold=scene.threshold)
+
+
+def checked_rows(
+    gaussians: Gaussians, where: str, *, repair: Repair, magnitudes: Magnitudes | None = None, first_row: int = 0
+) -> tuple[Gaussians, dict[str, int]]:
+    """As `checked`, of a part of a file that starts at ``first_row``; also how many values or rows each rule touched."""
+    if _is_clean(gaussians, magnitudes or magnitudes_of(gaussians)):
+        return gaussians, {}
+    return _mended(gaussians, where, repair, first_row)
+
+
+def _mended(gaussians: Gaussians, where: str, repair: Repair, first_row: int) -> tuple[Gaussians, dict[str, int]]:
+    if not repair:
+        raise FormatError(_describe(gaussians, where, first_row))
+    return without_unusable(gaussians) if repair == "drop" else repaired(gaussians)
+
+
+def without_unusable(gaussians: Gaussians) -> tuple[Gaussians, dict[str, int]]:
+    """Without the rows that break any rule of the table above, and how many these were."""
+    bad = np.zeros(len(gaussians), bool)
+    for problem in _problems(gaussians):
+        bad |= problem.mask.reshape(len(gaussians), -1).any(axis=1)
+    return (gaussians.take(~bad), {"dropped_rows": int(bad.sum())}) if bad.any() else (gaussians, {})
 
 
 def magnitudes_of(gaussians: Gaussians) -> Magnitudes:
@@ -141,7 +163,7 @@ def _problems(g: Gaussians) -> Iterator[_Problem]:
         yield _Problem("sh", f"finite and at most {SH_MAX:g} in magnitude", ~(np.abs(g.sh) <= SH_MAX))
 
 
-def _describe(g: Gaussians, where: str) -> str:
+def _describe(g: Gaussians, where: str, first_row: int = 0) -> str:
     """The first bad row of the first column that has one, and how many rows are bad in all."""
     problems = [problem for problem in _problems(g) if problem.mask.any()]
     first = problems[0]
@@ -152,6 +174,7 @@ def _describe(g: Gaussians, where: str) -> str:
         bad_rows |= problem.mask.reshape(len(g), -1).any(axis=1)
     inner = "".join(f"[{i}]" for i in index[1:])
     return (
-        f"{where}: row {index[0]}, {first.column}{inner}: found {found}, wanted {first.wanted}; "
-        f"{bad_rows.sum()} of {len(g)} rows have such values, read it with repair to fix or drop them"
+        f"{where}: row {first_row + index[0]}, {first.column}{inner}: found {found}, wanted {first.wanted}; "
+        f"{bad_rows.sum()} of {len(g)} rows{f' from {first_row} on' if first_row else ''} have such values, read it with "
+        "repair to fix or drop them"
     )

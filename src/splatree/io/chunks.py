@@ -5,15 +5,20 @@ stream, so both give the same bytes. One that can be read so has ``read_chunks``
 the two; its memory is a few chunks.
 """
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+import json
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 
 from splatree.errors import InputError
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Mode, Scene
 
-ROWS_PER_CHUNK = 1 << 16
-"""15 MB at degree 3: small beside any scene, large beside what a call costs."""
+ROWS_PER_CHUNK = 1 << 14
+"""4 MB at degree 3: small beside any scene and, with as much of a file's records, in the processor's last cache; large beside
+what a call costs."""
+
+Counts = dict[str, int]
+"""How many values or rows each rule of repair touched."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +33,8 @@ class Chunks:
     """How the scene is drawn."""
     make: Callable[[], Iterator[Gaussians]]
     """Start again from the first row; values have been checked, and a chunk is valid until the next is asked for."""
+    metadata: Mapping[str, str] = field(default_factory=dict)
+    """As that of `Source`."""
 
     def __len__(self) -> int:
         return self.num_gaussians
@@ -59,4 +66,16 @@ def chunks_of(scene: Scene, *, rows: int = ROWS_PER_CHUNK) -> Chunks:
             part = slice(begin, begin + rows)
             yield Gaussians(g.means[part], g.quats[part], g.log_scales[part], g.logit_opacities[part], g.sh[part])
 
-    return Chunks(len(g), g.sh_degree, scene.mode, make)
+    return Chunks(len(g), g.sh_degree, scene.mode, make, scene.source.metadata)
+
+
+def repaired_chunks(chunks: Chunks, parts: Callable[[], Iterable[tuple[Gaussians, Counts]]]) -> Chunks:
+    """Chunks of which repair may drop rows: ``parts``, with what was repaired in each, is gone through once to count them."""
+    num_rows = 0
+    repairs: Counts = json.loads(chunks.metadata.get("repairs", "{}"))
+    for part, counts in parts():
+        num_rows += len(part)
+        for rule, count in counts.items():
+            repairs[rule] = repairs.get(rule, 0) + count
+    metadata = {**chunks.metadata, **({"repairs": json.dumps(repairs)} if repairs else {})}
+    return replace(chunks, num_gaussians=num_rows, metadata=metadata)

@@ -58,7 +58,7 @@ def joined(scenes: Iterable[Scene]) -> Scene:
         ids=np.arange(start, dtype=np.uint32) if has_ids else None,
         mode=mode,
         threshold=threshold,
-        source=_source(sources),
+        source=joined_source(sources),
     )
 
 
@@ -73,7 +73,7 @@ def _append(columns: dict[str, Array], parts: dict[str, Array]) -> None:
         column[start:] = parts[name]
 
 
-def _source(sources: Sequence[Source]) -> Source:
+def joined_source(sources: Sequence[Source]) -> Source:
     """Paths of all; metadata that all agree on as it is, counts of repairs added up, losses named once, the rest as a list
     in JSON."""
     metadata: dict[str, str] = {}

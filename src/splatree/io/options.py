@@ -1,8 +1,12 @@
 """What a caller may ask of readers and writers; the command line's help is these docstrings."""
 
 from dataclasses import dataclass, fields
+from typing import Literal
 
 from splatree.errors import InputError
+
+Repair = bool | Literal["drop"]
+"""What is done with values that cannot be used: False raises; True fixes or drops; "drop" drops all rows that have any."""
 
 
 @dataclass(frozen=True)
@@ -11,7 +15,7 @@ class ReadOptions:
 
     level: int | None = None
     """Level of detail to read from a format that has several, 0 the finest; None: 0. An error for other formats."""
-    repair: bool = False
+    repair: Repair = False
     """Fix or drop what is wrong by the rules of `splatree.io.check`, and count it, instead of raising."""
 
 

@@ -6,38 +6,30 @@ opacity is a logit, the quaternion is wxyz and need not have length one. Layout 
 
 Reading goes by name, so properties may come in any order and as any scalar type. One native pass reads the file chunk by
 chunk and takes it apart in the cache: no copy of the file is ever in memory, and the cost is about that of reading it once.
+Big-endian files and text, which are rare, go through NumPy.
 """
 
 import json
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
 from splatree.constants import SH_C0
 from splatree.errors import FormatError
-from splatree.io.check import checked
-from splatree.io.chunks import Chunks
+from splatree.io.check import Magnitudes, checked, checked_rows, magnitudes_of
+from splatree.io.chunks import ROWS_PER_CHUNK, Chunks, repaired_chunks
 from splatree.io.options import ReadOptions, WriteOptions
-from splatree.kernels.cpu.columns import deinterleave, largest_magnitude
+from splatree.io.ply_header import HEADER_MAX, Header, parse_header
+from splatree.kernels.cpu.columns import deinterleave, interleave
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
-from splatree.scene.scene import Mode, Scene, Source
-
-_HEADER_MAX = 1 << 20
-"""A longer header is refused: 62 properties take 1.5 kB."""
-
-_TYPES = {
-    **dict.fromkeys(("char", "int8"), "<i1"),
-    **dict.fromkeys(("uchar", "uint8"), "<u1"),
-    **dict.fromkeys(("short", "int16"), "<i2"),
-    **dict.fromkeys(("ushort", "uint16"), "<u2"),
-    **dict.fromkeys(("int", "int32"), "<i4"),
-    **dict.fromkeys(("uint", "uint32"), "<u4"),
-    **dict.fromkeys(("float", "float32"), "<f4"),
-    **dict.fromkeys(("double", "float64"), "<f8"),
-}
+from splatree.scene.scene import Scene, Source
+from splatree.shapes import Array
 
 _GEOMETRY = (
     ("x", "y", "z"),
@@ -47,9 +39,18 @@ _GEOMETRY = (
 )
 """Properties of the columns means, quats, log_scales, logit_opacities."""
 
+_COLUMNS = ("means", "quats", "log_scales", "logit_opacities", "sh")
 _DC = ("f_dc_0", "f_dc_1", "f_dc_2")
 _RGB = ("red", "green", "blue")
 _NORMALS = ("nx", "ny", "nz")
+
+_NUM_REST = {0: 0, 9: 1, 24: 2, 45: 3, 72: 4}
+"""Degree by the number of properties f_rest."""
+
+_SURFEL_LOG_SCALE = float(np.log(1e-6))
+"""Thickness that surfels (2DGS) are given: thinner than any pixel, thick enough for float32."""
+
+_ROWS_OF_TEXT = 1 << 12
 
 
 def sniff(path: Path, head: bytes) -> bool:
@@ -58,160 +59,177 @@ def sniff(path: Path, head: bytes) -> bool:
 
 
 def read(path: Path, options: ReadOptions) -> Scene:
-    """Read a 3DGS .ply of degree 0 to 3.
+    """Read a 3DGS .ply.
 
-    Normals are dropped; other properties that are not of 3DGS are dropped and named in the metadata (`extra_properties`).
+    Normals are dropped; other properties that are not of 3DGS are dropped and named in the metadata (`extra_properties`);
+    harmonics of degree 4 are cut off, surfels read as flat Gaussians, and the metadata (`lost`) says so.
     """
-    with path.open("rb") as file:
-        header = _parse_header(path, file.read(_HEADER_MAX))
-        num_bytes = path.stat().st_size
-        num_rows, repairs = _check_size(path, header, num_bytes, repair=options.repair)
-        fields, degree = _fields(path, header)
-        columns = [np.empty((num_rows, len(names)), np.float32) for names in fields]
-        with task(f"read {path.name}", num_rows) as advance:
-            try:
-                magnitudes = deinterleave(file, header.start, header.dtype, fields, columns)
-            except EOFError as error:
-                raise FormatError(f"{path}: cannot be read to its end ({error}); did it change meanwhile?") from error
-            advance(num_rows)
-    means, quats, log_scales, logits, harmonics = columns
-    sh = harmonics.reshape(num_rows, (degree + 1) ** 2, 3)
-    if "f_dc_0" not in header.names:  # RGB of 8 bits, or 0 to 1: the inverse of colour = ½ + C0 dc
-        is_bytes = header.dtype[header.names["red"]].kind in "iu"
-        sh[:, 0] = (sh[:, 0] / np.float32(255 if is_bytes else 1) - np.float32(0.5)) / np.float32(SH_C0)
+    ply = _open(path, options)
+    columns = [np.empty((ply.num_rows, len(names)), np.float32) for names in ply.fields]
+    with path.open("rb") as file, task(f"read {path.name}", ply.num_rows) as advance:
+        magnitudes = ply.fill(file, 0, columns)
+        advance(ply.num_rows)
+    scene = Scene.flat(_gaussians(columns), mode=ply.header.mode, source=Source(metadata=ply.metadata))
+    return checked(scene, str(path), repair=options.repair, magnitudes=magnitudes)
 
-    used = {name for names in fields for name in names} | {header.names.get(n) for n in _NORMALS}
-    extra = [name for name in header.dtype.names or () if name not in used]
-    metadata = {}
-    if extra:
-        metadata["extra_properties"] = json.dumps(extra)
-    if header.comments:
-        metadata["comments"] = json.dumps(header.comments)
-    if repairs:
-        metadata["repairs"] = json.dumps(repairs)
-    gaussians = Gaussians(means, quats, log_scales, logits.reshape(-1), sh)
-    scene = Scene.flat(gaussians, mode=header.mode, source=Source(metadata=metadata))
-    known = dict(zip(("means", "quats", "log_scales", "logit_opacities", "sh"), magnitudes, strict=True))
-    if "f_dc_0" not in header.names:
-        known["sh"] = largest_magnitude(gaussians.sh)  # the colours were converted after they were measured
-    return checked(scene, str(path), repair=options.repair, magnitudes=known)
+
+def read_chunks(path: Path, options: ReadOptions) -> Chunks:
+    """Open a 3DGS .ply to be read in chunks: the same values, in buffers that are used again."""
+    ply = _open(path, options)
+
+    def parts() -> Iterator[tuple[Gaussians, dict[str, int]]]:
+        rows = min(ROWS_PER_CHUNK, ply.num_rows)
+        buffers = [np.empty((rows, len(names)), np.float32) for names in ply.fields]
+        with path.open("rb") as file:
+            for begin in range(0, ply.num_rows, ROWS_PER_CHUNK):
+                columns = [buffer[: ply.num_rows - begin] for buffer in buffers]
+                magnitudes = ply.fill(file, begin, columns)
+                yield checked_rows(
+                    _gaussians(columns), str(path), repair=options.repair, magnitudes=magnitudes, first_row=begin
+                )
+
+    whole = Chunks(
+        ply.num_rows, ply.degree, ply.header.mode, lambda: (part for part, _ in parts()), metadata=ply.metadata
+    )
+    return repaired_chunks(whole, parts) if options.repair else whole
 
 
 def write_chunks(chunks: Chunks, path: Path, options: WriteOptions) -> tuple[str, ...]:
     """Write the layout of the 3DGS code, zero normals included; every value keeps its bits."""
-    num_rest = 3 * ((chunks.sh_degree + 1) ** 2 - 1)
-    names = ["x", "y", "z", *_NORMALS, *_DC, *(f"f_rest_{i}" for i in range(num_rest)), "opacity"]
-    names += ["scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
+    rest = [f"f_rest_{i}" for i in range(3 * ((chunks.sh_degree + 1) ** 2 - 1))]
+    means, quats, log_scales, logits = _GEOMETRY
+    names = [*means, *_NORMALS, *_DC, *rest, *logits, *log_scales, *quats]
+    fields = [*_GEOMETRY, _sh_fields(_DC, chunks.sh_degree, chunks.sh_degree)]
     lines = ["ply", "format binary_little_endian 1.0"]
     if chunks.mode == "antialiased":
         lines.append("comment SplatRenderMode: mip")
     lines += [f"element vertex {len(chunks)}", *(f"property float {name}" for name in names), "end_header", ""]
-    with path.open("wb") as file, task(f"write {path.name}", len(chunks)) as advance:
+    records = np.zeros(0, [(name, "<f4") for name in names])
+    with path.open("wb", buffering=0) as file, task(f"write {path.name}", len(chunks)) as advance:
         file.write("\n".join(lines).encode())
         for g in chunks:
-            records = np.zeros((len(g), len(names)), "<f4")
-            records[:, 0:3] = g.means
-            records[:, 6:9] = g.sh[:, 0]
-            rest = g.sh[:, 1:].transpose(0, 2, 1)  # [n 3 K]: channel-major
-            records[:, 9 : 9 + num_rest] = rest.reshape(len(g), num_rest)
-            records[:, -8] = g.logit_opacities
-            records[:, -7:-4] = g.log_scales
-            records[:, -4:] = g.quats
-            file.write(records.data)
+            if len(records) < len(g):
+                records = np.zeros(len(g), records.dtype)
+            columns = [getattr(g, name).reshape(len(g), len(f)) for name, f in zip(_COLUMNS, fields, strict=True)]
+            interleave(columns, fields, records)
+            _write_all(file, records[: len(g)].view(np.uint8).data)
             advance(len(g))
     return ()
 
 
+def _write_all(file: BinaryIO, data: memoryview) -> None:
+    """All bytes: an unbuffered write may take a part of them."""
+    while len(data):
+        data = data[file.write(data) :]
+
+
+def _gaussians(columns: list[Array]) -> Gaussians:
+    means, quats, log_scales, logits, harmonics = columns
+    return Gaussians(
+        means, quats, log_scales, logits.reshape(-1), harmonics.reshape(len(means), harmonics.shape[1] // 3, 3)
+    )
+
+
 @dataclass(frozen=True)
-class _Header:
-    start: int  # byte of the first vertex
-    count: int
-    dtype: np.dtype[np.void]  # of a vertex
-    names: dict[str, str]  # property by its bare name: CloudCompare writes scalar_opacity for opacity
-    bytes_after: int | None  # of the elements behind the vertices; None if they hold lists
-    mode: Mode
-    comments: list[str]
+class _Ply:
+    """A file whose header was read and held against its size."""
 
+    path: Path
+    header: Header
+    num_rows: int
+    fields: list[list[str]]
+    """Properties of each column, the harmonics coefficient by coefficient with RGB inside."""
+    degree: int
+    metadata: dict[str, str]
 
-def _parse_header(path: Path, head: bytes) -> _Header:
-    match = re.search(rb"(?:^|\n)end_header[ \t]*\r?\n", head)
-    if not match:
-        raise FormatError(f"{path}: found no end_header in its first {len(head)} bytes; the file is damaged or cut off")
-    try:
-        lines = [line.strip() for line in head[: match.start()].decode("utf-8").splitlines()]
-    except UnicodeDecodeError as error:
-        raise FormatError(f"{path}: the header is not text ({error}); the file is damaged") from error
+    def fill(self, file: BinaryIO, begin: int, columns: list[Array]) -> Magnitudes:
+        """Read the rows from ``begin`` on into the columns; text must be read in order."""
+        try:
+            if self.header.encoding == "binary_little_endian":
+                start = self.header.start + begin * self.header.dtype.itemsize
+                largest = deinterleave(file, start, self.header.dtype, self.fields, columns)
+                magnitudes = dict(zip(_COLUMNS, largest, strict=True))
+            else:
+                self._fill_slowly(file, begin, columns)
+                magnitudes = {}
+        except EOFError as error:
+            raise FormatError(f"{self.path}: cannot be read to its end ({error}); did it change meanwhile?") from error
+        names = self.header.names
+        if "scale_2" not in names:
+            columns[2][:, 2] = _SURFEL_LOG_SCALE
+            magnitudes = {}
+        if _DC[0] not in names:  # RGB of 8 bits, or 0 to 1: the inverse of colour = ½ + C0 dc
+            is_bytes = self.header.dtype[names["red"]].kind in "iu"
+            dc = columns[4][:, :3]
+            np.divide(dc / np.float32(255 if is_bytes else 1) - np.float32(0.5), np.float32(SH_C0), out=dc)
+            magnitudes = {}
+        return magnitudes or magnitudes_of(_gaussians(columns))
 
-    encoding = ""
-    comments: list[str] = []
-    elements: list[tuple[str, int, list[tuple[str, str]], bool]] = []  # name, count, properties, whether it has lists
-    for line_number, line in enumerate(lines[1:], start=2):
-        where = f"{path}: line {line_number} of the header, {line!r}"
-        match line.split():
-            case []:
+    def _fill_slowly(self, file: BinaryIO, begin: int, columns: list[Array]) -> None:
+        num_rows, dtype = len(columns[0]), self.header.dtype
+        if begin == 0:
+            file.seek(self.header.start)
+            for _ in islice(file, self.header.lines_before if self.header.encoding == "ascii" else 0):
                 pass
-            case ["comment" | "obj_info", *_]:
-                comments.append(line.partition(" ")[2])
-            case ["format", encoding, *_]:
-                pass
-            case ["element", name, digits] if digits.isascii() and digits.isdigit() and len(digits) < 16:
-                elements.append((name, int(digits), [], False))
-            case ["property", "list", _, _, _] if elements:
-                name, size, properties, _ = elements[-1]
-                elements[-1] = (name, size, properties, True)
-            case ["property", kind, name] if elements and kind in _TYPES:
-                elements[-1][2].append((name, _TYPES[kind]))
-            case _:
-                raise FormatError(f"{where}: wanted 'element NAME COUNT' or 'property TYPE NAME' with a scalar type")
-    if encoding != "binary_little_endian":
+        for first in range(0, num_rows, _ROWS_OF_TEXT):
+            count = min(_ROWS_OF_TEXT, num_rows - first)
+            if self.header.encoding == "ascii":
+                records = _records_of_text(self.path, list(islice(file, count)), dtype, begin + first)
+            else:
+                records = np.frombuffer(file.read(count * dtype.itemsize), dtype)
+            if len(records) < count:
+                raise EOFError("the file ends before its last record")
+            with np.errstate(over="ignore"):  # doubles beyond float32 are infinite, as the check of values says
+                for column, names in zip(columns, self.fields, strict=True):
+                    for j, name in enumerate(names):
+                        column[first : first + count, j] = records[name]
+
+
+def _records_of_text(path: Path, lines: list[bytes], dtype: np.dtype[np.void], first: int) -> Array:
+    """Rows of numbers as records of doubles."""
+    width = len(dtype.names or ())
+    rows = [line.split() for line in lines]
+    wrong = next((i for i, row in enumerate(rows) if len(row) != width), None)
+    if wrong is not None:
         raise FormatError(
-            f"{path}: found format {encoding or 'missing'!r}, wanted 'binary_little_endian'; save it as binary, "
-            "for example with splat-transform or CloudCompare"
+            f"{path}: vertex {first + wrong}: found {len(rows[wrong])} values, wanted {width}; the file is cut off or damaged"
         )
-
-    start = match.end()
-    for index, (name, count, properties, has_lists) in enumerate(elements):
-        names = [n for n, _ in properties]
-        if len(set(names)) != len(names):
-            raise FormatError(f"{path}: element {name!r} has two properties of the same name")
-        dtype = np.dtype(properties)
-        if name == "vertex":
-            if has_lists:
-                raise FormatError(f"{path}: the vertices hold lists, wanted scalars: this is no 3DGS file")
-            after = elements[index + 1 :]
-            bytes_after = None if any(e[3] for e in after) else sum(e[1] * np.dtype(e[2]).itemsize for e in after)
-            bare = {n.removeprefix("scalar_"): n for n in names} | {n: n for n in names}
-            mode, rest = _mode_from_comments(path, comments)
-            return _Header(start, count, dtype, bare, bytes_after, mode, rest)
-        if has_lists:
-            raise FormatError(f"{path}: element {name!r} before the vertices holds lists: this is no 3DGS file")
-        start += count * dtype.itemsize
-    raise FormatError(f"{path}: found elements {[e[0] for e in elements]}, wanted one named 'vertex'")
+    try:
+        values = np.array(rows, "S").astype(np.float64)
+    except ValueError as error:
+        raise FormatError(f"{path}: vertices {first} to {first + len(rows)}: {error}; wanted numbers") from error
+    return values.view([(name, "<f8") for name in dtype.names or ()]).reshape(len(rows))
 
 
-def _mode_from_comments(path: Path, comments: list[str]) -> tuple[Mode, list[str]]:
-    """The mode that Brush and splat-transform (SplatRenderMode) or Postshot (antialiased 0/1) note; the other comments."""
-    mode: Mode = "classic"
-    rest = []
-    for comment in comments:
-        match comment.lower().split():
-            case ["splatrendermode:", "default"] | ["antialiased", "0"]:
-                mode = "classic"
-            case ["splatrendermode:", "mip"] | ["antialiased", "1"]:
-                mode = "antialiased"
-            case ["splatrendermode:", other, *_]:
-                raise FormatError(
-                    f"{path}: found SplatRenderMode {other!r}, wanted 'default' or 'mip'; "
-                    "surfels (2dgs) are drawn by another rule than Gaussians"
-                )
-            case _:
-                rest.append(comment)
-    return mode, rest
+def _open(path: Path, options: ReadOptions) -> _Ply:
+    with path.open("rb") as file:
+        header = parse_header(path, file.read(HEADER_MAX))
+    num_rows, repairs = _check_size(path, header, path.stat().st_size, repair=bool(options.repair))
+    fields, degree, lost = _fields(path, header)
+    used = {name for names in fields for name in names} | {header.names.get(n) for n in _NORMALS}
+    dropped = re.compile(r"(scalar_)?f_rest_\d+")
+    extra = [name for name in header.dtype.names or () if name not in used and not dropped.fullmatch(name)]
+    metadata = {
+        "extra_properties": extra,
+        "comments": header.comments,
+        "lost": lost,
+        "repairs": repairs,
+    }
+    return _Ply(path, header, num_rows, fields, degree, {k: json.dumps(v) for k, v in metadata.items() if v})
 
 
-def _check_size(path: Path, header: _Header, num_bytes: int, *, repair: bool) -> tuple[int, dict[str, int]]:
+def _check_size(path: Path, header: Header, num_bytes: int, *, repair: bool) -> tuple[int, dict[str, int]]:
     """Rows to read, and repairs done: the vertices must fill the file to its end, but for other elements behind them."""
     record_bytes = header.dtype.itemsize
+    if header.encoding == "ascii":
+        shortest = 2 * len(header.dtype.names or ())  # a digit and a space for each value
+        wanted = header.start + header.count * shortest
+        if num_bytes + 1 < wanted:  # the last line may lack its end
+            raise FormatError(
+                f"{path}: found {num_bytes} bytes, wanted at least {wanted} for the {header.count} vertices that its header "
+                "announces; the file is cut off"
+            )
+        return header.count, {}
     wanted = header.start + header.count * record_bytes
     if num_bytes < wanted:
         whole = max(0, num_bytes - header.start) // record_bytes if record_bytes else 0
@@ -233,31 +251,43 @@ def _check_size(path: Path, header: _Header, num_bytes: int, *, repair: bool) ->
     return header.count, {}
 
 
-def _fields(path: Path, header: _Header) -> tuple[list[list[str]], int]:
-    """Properties of each column, the harmonics coefficient by coefficient with RGB inside; and their degree."""
-    names = header.names
+def _fields(path: Path, header: Header) -> tuple[list[list[str]], int, list[str]]:
+    """Properties of each column, the harmonics coefficient by coefficient with RGB inside; their degree; what is left out."""
+    names, lost = header.names, []
     if "packed_position" in names:
+        raise FormatError(f"{path}: found packed_position beside other elements than those of a compressed .ply")
+    if "f_anchor_feat_0" in names:
         raise FormatError(
-            f"{path}: found packed_position, the compressed .ply of PlayCanvas, wanted float properties; "
-            "unpack it with splat-transform"
+            f"{path}: found f_anchor_feat: these are anchors of Scaffold-GS or Octree-GS, whose Gaussians a network makes for "
+            "each view; wanted Gaussians: bake them with the program that trained them"
         )
     color = _RGB if _DC[0] not in names and _RGB[0] in names else _DC
     missing = [name for name in (*(n for group in _GEOMETRY for n in group), *color) if name not in names]
+    geometry: tuple[tuple[str, ...], ...] = _GEOMETRY
     if missing == ["scale_2"]:
-        raise FormatError(
-            f"{path}: found no property scale_2: these are surfels (2DGS), wanted Gaussians with three scales"
-        )
-    if missing:
+        geometry = tuple(tuple("scale_0" if n == "scale_2" else n for n in group) for group in _GEOMETRY)  # a stand-in
+    elif missing:
         raise FormatError(
             f"{path}: found no properties {' '.join(missing)} (only {' '.join(list(names)[:12])} …): this is a point cloud "
             "or a mesh, wanted trained Gaussians"
         )
+    if missing or header.are_surfels:
+        lost.append(
+            "the surfels' own rule of drawing (2DGS): they are read as Gaussians, flat ones if they have two scales"
+        )
     num_rest = sum(re.fullmatch(r"f_rest_\d+", name) is not None for name in names)
-    degree = {0: 0, 9: 1, 24: 2, 45: 3}.get(num_rest)
+    degree = _NUM_REST.get(num_rest)
     if degree is None or any(f"f_rest_{i}" not in names for i in range(num_rest)):
         raise FormatError(
-            f"{path}: found {num_rest} properties f_rest_*, wanted 0, 9, 24 or 45, numbered from 0 (degree 0 to 3)"
+            f"{path}: found {num_rest} properties f_rest_*, wanted 0, 9, 24, 45 or 72, numbered from 0 (degree 0 to 4)"
         )
-    per_channel = num_rest // 3
-    rest = [f"f_rest_{channel * per_channel + j}" for j in range(per_channel) for channel in range(3)]
-    return [[names[n] for n in group] for group in (*_GEOMETRY, (*color, *rest))], degree
+    if degree == 4:
+        lost.append("the harmonics of degree 4")
+    sh = _sh_fields(color, degree, min(degree, 3))
+    return [[names[n] for n in group] for group in (*geometry, sh)], min(degree, 3), lost
+
+
+def _sh_fields(color: tuple[str, ...], degree: int, kept: int) -> list[str]:
+    """Properties of the harmonics up to degree ``kept`` in a file of ``degree``, coefficient by coefficient."""
+    num_file, num_kept = (degree + 1) ** 2 - 1, (kept + 1) ** 2 - 1
+    return [*color, *(f"f_rest_{channel * num_file + j}" for j in range(num_kept) for channel in range(3))]

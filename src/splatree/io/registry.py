@@ -79,6 +79,7 @@ FORMATS: tuple[Format, ...] = (
         sniff=ply.sniff,
         read=ply.read,
         write_chunks=ply.write_chunks,
+        read_chunks=ply.read_chunks,
     ),
     Format(
         name="splat",
@@ -137,7 +138,7 @@ def read(
     options = ReadOptions(level, repair)
     paths = [path] if isinstance(path, str | os.PathLike) else list(path)
     inputs = find_inputs([Path(p) for p in paths], lambda p: detect(p) is not None)
-    return joined(_read_one(p, options) for p in inputs)
+    return joined(read_one(p, options) for p in inputs)
 
 
 def write(
@@ -182,13 +183,28 @@ def write(
         threshold=scene.threshold,
         num_merged=num_merged,
     )
+    if chosen.write is None:
+        return (*lost, *_written(chosen, chunks_of(scene), target, force, options))
     with replacing(target, force=force) as temporary:
-        if chosen.write is not None:
-            more = chosen.write(scene, temporary, options)
-        else:
-            assert chosen.write_chunks is not None
-            more = chosen.write_chunks(chunks_of(scene), temporary, options)
-    return (*lost, *more)
+        return (*lost, *chosen.write(scene, temporary, options))
+
+
+def write_chunks(
+    chunks: Chunks, path: str | os.PathLike[str], *, force: bool = False, options: WriteOptions | None = None
+) -> tuple[str, ...]:
+    """As `write`, of Gaussians in chunks, in a format that is written so."""
+    target, options = Path(path), options or WriteOptions()
+    chosen = format_to_write(target)
+    options.check_taken(chosen.options, f"{target} ({chosen.name})")
+    lost = losses(chosen.holds, chosen.name, sh_degree=chunks.sh_degree, mode=chunks.mode)
+    return (*lost, *_written(chosen, chunks, target, force, options))
+
+
+def _written(chosen: Format, chunks: Chunks, target: Path, force: bool, options: WriteOptions) -> tuple[str, ...]:
+    if chosen.write_chunks is None:
+        raise InputError(f"{target}: format {chosen.name} is not written in chunks; wanted a whole scene")
+    with replacing(target, force=force) as temporary:
+        return chosen.write_chunks(chunks, temporary, options)
 
 
 def format_to_write(target: Path) -> Format:
@@ -220,7 +236,8 @@ def detect(path: Path) -> Format | None:
     return None
 
 
-def _read_one(path: Path, options: ReadOptions) -> Scene:
+def read_one(path: Path, options: ReadOptions) -> Scene:
+    """Read a file or folder that is a scene by itself, in whichever format."""
     found = detect(path)
     if found is None:
         raise InputError(f"{path}: of no known format; known are {', '.join(f.name for f in FORMATS)}")

@@ -99,7 +99,7 @@ def _read(where: str, read_bytes: ReadBytes, options: ReadOptions) -> Scene:
             f"{where}/meta.json: found {sog.count} Gaussians in pictures of {num_bytes} bytes, wanted at most "
             f"{_GAUSSIANS_PER_BYTE} a byte; the count is wrong or the file is a decompression bomb"
         )
-    gaussians = _decode(sog, data, repair=options.repair)
+    gaussians = _decode(sog, data, repair=bool(options.repair))
     metadata = {"version": str(sog.version)}
     if isinstance(generator := meta.get("asset"), dict) and isinstance(generator.get("generator"), str):
         metadata["generator"] = generator["generator"]

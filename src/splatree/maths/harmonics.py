@@ -8,7 +8,7 @@ import numpy as np
 from splatree.constants import SH_C0, SH_C1, SH_C2, SH_C3
 from splatree.shapes import Array, Float64
 
-__all__ = ["basis_from_directions", "colors_from_harmonics"]
+__all__ = ["basis_from_directions", "colors_from_harmonics", "rotations_of_harmonics"]
 
 
 def basis_from_directions(directions: Array, degree: int) -> Float64[Array, "n k"]:
@@ -41,3 +41,18 @@ def colors_from_harmonics(sh: Array, directions: Array, degree: int) -> Float64[
     basis = basis_from_directions(directions, degree)
     sums = np.einsum("nk,nkc->nc", basis, np.asarray(sh, np.float64)[:, : basis.shape[-1]])
     return np.asarray(np.maximum(sums + 0.5, 0.0))
+
+
+def rotations_of_harmonics(R: Float64[Array, "3 3"], degree: int) -> list[Float64[Array, "m m"]]:
+    """For each degree 1 … ``degree`` the matrix D that turns its 2l + 1 coefficients with the scene (Wigner).
+
+    The turned scene shows in direction d what the scene showed in Rᵀd: Y(d)ᵀ D sh = Y(Rᵀd)ᵀ sh for all d. A degree is closed
+    under rotations, so the equations of a few directions determine D exactly, up to rounding.
+    """
+    # Directions spread evenly (Fibonacci's spiral): the equations are as well conditioned as the functions are orthogonal.
+    i = np.arange(32)
+    z, angle = (2 * i + 1) / 32 - 1, i * np.pi * (3 - np.sqrt(5))
+    directions = np.stack([np.sqrt(1 - z * z) * np.cos(angle), np.sqrt(1 - z * z) * np.sin(angle), z], axis=1)
+    at, turned = (basis_from_directions(d, degree) for d in (directions, directions @ R))  # rows of d R are Rᵀd
+    blocks = [slice(band**2, (band + 1) ** 2) for band in range(1, degree + 1)]
+    return [np.linalg.lstsq(at[:, block], turned[:, block], rcond=None)[0] for block in blocks]

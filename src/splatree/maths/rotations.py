@@ -8,7 +8,16 @@ import numpy as np
 
 from splatree.shapes import Array, Float64
 
-__all__ = ["matrices_from_quats", "quat_from_matrix"]
+__all__ = ["matrices_from_quats", "matrix_from_angles", "quat_from_matrix"]
+
+
+def matrix_from_angles(degrees: tuple[float, float, float]) -> Float64[Array, "3 3"]:
+    """Turn about the x axis, then about y, then about z, by these angles in degrees: R = R_z R_y R_x."""
+    (cx, cy, cz), (sx, sy, sz) = (f(np.radians(np.asarray(degrees, np.float64))) for f in (np.cos, np.sin))
+    about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
+    about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
+    about_z = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
+    return np.asarray(about_z @ about_y @ about_x)
 
 
 def matrices_from_quats(quats: Array) -> Float64[Array, "n 3 3"]:

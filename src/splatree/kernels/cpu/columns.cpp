@@ -112,6 +112,43 @@ void copy_column(const uint8_t* records, int64_t stride, const Column& column, L
   copy_scattered(records, stride, column, out, num_rows);
 }
 
+template <int kWidth>
+void place_runs(const float* from, uint8_t* out, int64_t stride, int64_t num_rows) {
+  for (int64_t row = 0; row < num_rows; ++row) std::memcpy(out + row * stride, from + row * kWidth, kWidth * 4);
+}
+
+template <int kPerChannel>
+void place_channels(const float* from, uint8_t* first, uint8_t* rest, int64_t stride, int64_t num_rows) {
+  for (int64_t row = 0; row < num_rows; ++row, first += stride, rest += stride, from += 3 * (kPerChannel + 1)) {
+    std::memcpy(first, from, 12);
+    for (int c = 0; c < 3; ++c)
+      for (int j = 0; j < kPerChannel; ++j) std::memcpy(rest + 4 * (c * kPerChannel + j), from + 3 + 3 * j + c, 4);
+  }
+}
+
+void place_scattered(const float* from, uint8_t* record, int64_t stride, const Column& column, int64_t num_rows) {
+  for (int64_t row = 0; row < num_rows; ++row, record += stride)
+    for (int64_t j = 0; j < column.width; ++j) std::memcpy(record + column.offsets[j], from++, 4);
+}
+
+void place_column(const float* from, const Column& column, Layout layout, uint8_t* records, int64_t stride, int64_t num_rows) {
+  uint8_t* first = records + column.offsets[0];
+  if (layout == Layout::run) switch (column.width) {
+      case 1: return place_runs<1>(from, first, stride, num_rows);
+      case 3: return place_runs<3>(from, first, stride, num_rows);
+      case 4: return place_runs<4>(from, first, stride, num_rows);
+    }
+  if (layout == Layout::channels) {
+    uint8_t* rest = records + column.offsets[3];
+    switch (column.width) {
+      case 12: return place_channels<3>(from, first, rest, stride, num_rows);
+      case 27: return place_channels<8>(from, first, rest, stride, num_rows);
+      case 48: return place_channels<15>(from, first, rest, stride, num_rows);
+    }
+  }
+  place_scattered(from, records, stride, column, num_rows);
+}
+
 // Bytes of a file in a buffer of this thread, valid until its next call.
 const uint8_t* read_bytes(int file, int64_t at, int64_t num_bytes) {
   thread_local std::vector<uint8_t> buffer;
@@ -150,6 +187,16 @@ void deinterleave(int file, int64_t start, int64_t num_rows, int64_t stride, Col
     }
   });
   for (int c = 0; c < num_columns; ++c) columns[c].largest_magnitude = magnitude(largest[c].load());
+}
+
+void interleave(const Column* columns, int num_columns, int64_t num_rows, int64_t stride, uint8_t* records, int threads) {
+  Layout layouts[kMaxColumns];
+  for (int c = 0; c < num_columns; ++c) layouts[c] = layout_of(columns[c]);
+  const int64_t rows_per_chunk = std::max<int64_t>(1, kBytesPerChunk / stride);
+  parallel_ranges(num_rows, rows_per_chunk, threads, [&](int64_t begin, int64_t end) {
+    for (int c = 0; c < num_columns; ++c)
+      place_column(columns[c].data + begin * columns[c].width, columns[c], layouts[c], records + begin * stride, stride, end - begin);
+  });
 }
 
 float largest_magnitude(const float* values, int64_t num_values, int threads) {

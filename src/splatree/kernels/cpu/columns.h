@@ -1,4 +1,4 @@
-// Interleaved records into float32 columns, and the extremes of a column.
+// Interleaved records into float32 columns and back, and the extremes of a column.
 //
 // Copying runs at the speed of memory on baseline instructions: a record of 248 bytes costs 62 loads and 62 stores, about as
 // long as its cache lines take to arrive. Only the magnitudes gain from wider vectors (magnitude.cpp).
@@ -28,6 +28,10 @@ constexpr int kMaxColumns = 64;
 // a mapped one ends the process.
 void deinterleave(int file, int64_t start, int64_t num_rows, int64_t stride, Column* columns, int num_columns,
                   int threads);
+
+// The reverse, in memory: the value at byte row × stride + offsets[j] of `records` = columns[c].data[row × width + j], all of type
+// f32. What lies between keeps its bytes. The caller writes a few chunks' worth at a time, so that all of it is in the cache.
+void interleave(const Column* columns, int num_columns, int64_t num_rows, int64_t stride, uint8_t* records, int threads);
 
 // Largest |value|; NaN if one is NaN, 0 if there are none. The magnitude's bits order as integers do, NaN last.
 float largest_magnitude(const float* values, int64_t num_values, int threads);

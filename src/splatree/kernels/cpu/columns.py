@@ -1,4 +1,4 @@
-"""Interleaved records into float32 columns, and the extremes of a column, at the speed of memory."""
+"""Interleaved records into float32 columns and back, and the extremes of a column, at the speed of memory."""
 
 from collections.abc import Sequence
 from typing import BinaryIO
@@ -29,15 +29,26 @@ def deinterleave(
         EOFError: the file ends before the last record.
         OSError: it cannot be read.
     """
-    assert record.fields is not None
-    flat = [record.fields[name] for names in fields for name in names]
-    offsets = np.array([offset for _, offset, *_ in flat], np.int64)
-    types = np.array([_SCALARS.index(scalar.name) for scalar, *_ in flat], np.uint8)
+    offsets, types = _places(record, fields)
     try:
         found = _core.deinterleave(file.fileno(), start, record.itemsize, offsets, types, list(columns), threads)
     except RuntimeError as error:
         raise EOFError(str(error)) from error
     return [float(magnitude) for magnitude in found]
+
+
+def interleave(columns: Sequence[Array], fields: Sequence[Sequence[str]], records: Array, *, threads: int = 0) -> None:
+    """Write float32 ``columns`` "n w" into the named float32 fields of the first n of ``records``; others keep their bytes."""
+    offsets, types = _places(records.dtype, fields)
+    _core.interleave(records.itemsize, offsets, types, list(columns), records.view(np.uint8), threads)
+
+
+def _places(record: np.dtype[np.void], fields: Sequence[Sequence[str]]) -> tuple[Array, Array]:
+    """Byte in the record and type of each value, column by column."""
+    assert record.fields is not None
+    flat = [record.fields[name] for names in fields for name in names]
+    offsets = np.array([offset for _, offset, *_ in flat], np.int64)
+    return offsets, np.array([_SCALARS.index(scalar.name) for scalar, *_ in flat], np.uint8)
 
 
 def largest_magnitude(values: Array, *, threads: int = 0) -> float:

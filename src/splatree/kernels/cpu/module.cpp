@@ -18,6 +18,7 @@ void bind_columns(nb::module_& m);
 void bind_thin(nb::module_& m);
 void bind_select(nb::module_& m);
 void bind_clusters(nb::module_& m);
+void bind_rotate(nb::module_& m);
 }
 
 NB_MODULE(_core, m) {
@@ -45,4 +46,5 @@ NB_MODULE(_core, m) {
   bind_thin(m);
   bind_select(m);
   bind_clusters(m);
+  bind_rotate(m);
 }

@@ -1,4 +1,4 @@
-"""Interleaved records into float32 columns, and the extremes of a column: what the fast kernels must give."""
+"""Interleaved records into float32 columns and back, and the extremes of a column: what the fast kernels must give."""
 
 from collections.abc import Sequence
 from typing import BinaryIO
@@ -27,6 +27,13 @@ def deinterleave(
         for j, name in enumerate(names):
             column[:, j] = records[name].astype(np.float32)
     return [largest_magnitude(column) for column in columns]
+
+
+def interleave(columns: Sequence[Array], fields: Sequence[Sequence[str]], records: Array, *, threads: int = 0) -> None:
+    """Write float32 ``columns`` "n w" into the named fields of the first n of ``records``."""
+    for names, column in zip(fields, columns, strict=True):
+        for j, name in enumerate(names):
+            records[name][: len(column)] = column[:, j]
 
 
 def largest_magnitude(values: Array, *, threads: int = 0) -> float:

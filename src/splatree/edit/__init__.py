@@ -1,0 +1,1 @@
+"""Scenes moved, cropped, filtered and ordered: pure functions from a scene to a scene."""

@@ -1,0 +1,86 @@
+"""Edits of a scene: of its rows alone, chunk by chunk, or of a scene with its tree.
+
+Cost: one pass over the columns that an edit touches; the order needs a sort of all rows.
+"""
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from splatree.edit.options import EditOptions
+from splatree.edit.rows import in_morton_order, keep_leaves
+from splatree.edit.similarity import similarity_from_options
+from splatree.kernels.cpu.blocks import index_blocks
+from splatree.scene.gaussians import Gaussians
+from splatree.scene.scene import Scene
+from splatree.scene.tree import GaussianTree
+from splatree.shapes import Array, Bool, Float32
+
+__all__ = ["edit", "edit_rows"]
+
+
+def edit(scene: Scene, options: EditOptions) -> Scene:
+    """The scene edited, in the order that `EditOptions` states.
+
+    Moving keeps the tree. Filters look at leaves: a merged node stays if all leaves below it do; how many went says
+    ``source.metadata["lost"]``.
+    """
+    similarity = similarity_from_options(options)
+    moved = similarity.points(scene.gaussians.means)
+    if options.may_drop_rows:
+        is_kept = kept_rows(scene.gaussians, moved, options)
+        num_merged = len(scene) - scene.tree.num_leaves
+        kept = keep_leaves(scene, is_kept)
+        moved = similarity.points(kept.gaussians.means) if len(kept) < len(scene) else moved
+        lost_merged = num_merged - (len(kept) - kept.tree.num_leaves)
+        scene = kept
+        if lost_merged:
+            scene = _with_loss(
+                scene, f"{lost_merged:,} of {num_merged:,} merged nodes: Gaussians below them were dropped"
+            )
+    gaussians = scene.gaussians.with_sh_degree(min(options.sh_degree, scene.gaussians.sh_degree))
+    if not similarity.is_identity:
+        gaussians = similarity.gaussians(gaussians, moved)
+    if gaussians is not scene.gaussians:
+        scene = _with_gaussians(scene, gaussians, similarity.extents(scene.tree.extents, moved))
+    return in_morton_order(scene) if options.order == "morton" else scene
+
+
+def edit_rows(gaussians: Gaussians, options: EditOptions) -> Gaussians:
+    """As `edit`, of a chunk of a flat scene; the order is not looked at."""
+    similarity = similarity_from_options(options)
+    g = gaussians.with_sh_degree(min(options.sh_degree, gaussians.sh_degree))
+    moved = g.means if similarity.is_identity else similarity.points(g.means)
+    if options.may_drop_rows:
+        is_kept = kept_rows(g, moved, options)
+        if not is_kept.all():
+            g, moved = g.take(is_kept), moved[is_kept]
+    return g if similarity.is_identity else similarity.gaussians(g, moved)
+
+
+def kept_rows(g: Gaussians, moved: Float32[Array, "n 3"], options: EditOptions) -> Bool[Array, "n"]:
+    """Rows that pass all filters; ``moved`` are their means after the move."""
+    kept = np.ones(len(g), bool)
+    if options.min_opacity > 0:
+        kept &= g.logit_opacities >= np.float32(math.log(options.min_opacity / (1 - options.min_opacity)))
+    if options.crop_box is not None:
+        low, high = np.asarray(options.crop_box).reshape(2, 3)
+        kept &= ((moved >= low) & (moved <= high)).all(axis=1)
+    if options.crop_sphere is not None:
+        *centre, radius = options.crop_sphere
+        kept &= np.square(moved - np.asarray(centre)).sum(axis=1) <= radius * radius
+    return kept
+
+
+def _with_gaussians(scene: Scene, gaussians: Gaussians, extents: Float32[Array, "n"]) -> Scene:
+    tree = GaussianTree(scene.tree.subtree_end, scene.tree.depth, extents)
+    blocks = None if scene.blocks is None else index_blocks(gaussians, tree)
+    return replace(scene, gaussians=gaussians, tree=tree, blocks=blocks)
+
+
+def _with_loss(scene: Scene, sentence: str) -> Scene:
+    metadata = scene.source.metadata
+    lost = [*json.loads(metadata.get("lost", "[]")), sentence]
+    return replace(scene, source=replace(scene.source, metadata={**metadata, "lost": json.dumps(lost)}))

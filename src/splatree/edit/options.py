@@ -1,0 +1,60 @@
+"""What may be done to a scene on its way from one file to another; the command line's help is these docstrings."""
+
+import math
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from splatree.errors import InputError
+
+__all__ = ["EditOptions", "Order"]
+
+Order = Literal["kept", "morton"]
+"""Order of rows: as they come, or along a Z-curve, so that neighbours in the file are neighbours in space."""
+
+
+@dataclass(frozen=True)
+class EditOptions:
+    """Edits, in the order in which they are done: what is too faint is dropped, the rest is scaled, turned and moved, then
+    cropped where it now lies, then its harmonics are cut, then it is ordered."""
+
+    min_opacity: float = 0.0
+    """Drop Gaussians whose opacity, 0 to 1, is less than this."""
+    scale: float = 1.0
+    """Multiply all lengths by this, about the origin."""
+    rotate: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Turn about the x axis, then y, then z, by these degrees, about the origin; harmonics turn with the scene."""
+    translate: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Move by this much along x, y and z, world units."""
+    crop_box: tuple[float, float, float, float, float, float] | None = None
+    """Keep Gaussians whose centre lies in the box from x y z to x y z."""
+    crop_sphere: tuple[float, float, float, float] | None = None
+    """Keep Gaussians whose centre lies within the sphere with this centre x y z and radius."""
+    sh_degree: int = 3
+    """Cut off the harmonics above this degree."""
+    order: Order = "kept"
+    """Order of the rows: `kept`, or `morton`, by which neighbours in the file are neighbours in space."""
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.min_opacity < 1:
+            raise InputError(f"min_opacity: found {self.min_opacity}, wanted at least 0 and less than 1")
+        if not (self.scale > 0 and math.isfinite(self.scale)):
+            raise InputError(f"scale: found {self.scale}, wanted more than 0")
+        for name in ("rotate", "translate", "crop_box", "crop_sphere"):
+            numbers = getattr(self, name) or ()
+            if not all(math.isfinite(number) for number in numbers):
+                raise InputError(f"{name}: found {numbers}, wanted finite numbers")
+        if self.crop_box is not None and any(
+            low > high for low, high in zip(self.crop_box[:3], self.crop_box[3:], strict=True)
+        ):
+            raise InputError(f"crop_box: found {self.crop_box}, wanted the least x y z, then the largest")
+        if self.crop_sphere is not None and self.crop_sphere[3] < 0:
+            raise InputError(f"crop_sphere: found radius {self.crop_sphere[3]}, wanted 0 or more")
+        if not 0 <= self.sh_degree <= 3:
+            raise InputError(f"sh_degree: found {self.sh_degree}, wanted 0 to 3")
+        if self.order not in get_args(Order):
+            raise InputError(f"order: found {self.order!r}, wanted one of {', '.join(get_args(Order))}")
+
+    @property
+    def may_drop_rows(self) -> bool:
+        """Whether a filter is set."""
+        return self.min_opacity > 0 or self.crop_box is not None or self.crop_sphere is not None

@@ -1,0 +1,84 @@
+"""A scene scaled, turned and moved: x' = s R x + t.
+
+Means move with the points of space, log scales grow by log s, quaternions are multiplied by that of R, and the harmonics of
+each degree by its Wigner matrix (`maths.harmonics.rotations_of_harmonics`); opacities stay. Exact up to the rounding of float32.
+"""
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from splatree.edit.options import EditOptions
+from splatree.kernels.cpu.rotate import rotate_harmonics
+from splatree.maths.harmonics import rotations_of_harmonics
+from splatree.maths.rotations import matrix_from_angles, quat_from_matrix
+from splatree.scene.gaussians import Gaussians
+from splatree.shapes import Array, Float32, Float64, check_fields
+
+__all__ = ["Similarity", "similarity_from_options"]
+
+
+@dataclass(frozen=True, eq=False)
+class Similarity:
+    """A map of space that keeps angles."""
+
+    scale: float = 1.0
+    """s."""
+    rotation: Float64[Array, "3 3"] = field(default_factory=lambda: np.eye(3))
+    """R."""
+    translation: Float64[Array, "3"] = field(default_factory=lambda: np.zeros(3))
+    """t, world units."""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+    @property
+    def is_identity(self) -> bool:
+        """Whether it leaves every point where it is."""
+        return self.scale == 1 and not bool(self.translation.any()) and np.array_equal(self.rotation, np.eye(3))
+
+    def points(self, points: Float32[Array, "n 3"]) -> Float32[Array, "n 3"]:
+        """Where points go."""
+        moved = np.empty_like(points)
+        linear = self.scale * self.rotation
+        x, y, z = (points[:, axis].astype(np.float64) for axis in range(3))
+        for axis in range(3):
+            a, b, c = linear[axis]
+            moved[:, axis] = a * x + b * y + c * z + self.translation[axis]
+        return moved
+
+    def gaussians(self, g: Gaussians, means: Float32[Array, "n 3"] | None = None) -> Gaussians:
+        """Gaussians moved with space; ``means`` if they were moved already."""
+        means = self.points(g.means) if means is None else means
+        log_scales = g.log_scales
+        if self.scale != 1:
+            log_scales = log_scales + np.float32(math.log(self.scale))
+        if np.array_equal(self.rotation, np.eye(3)):
+            return Gaussians(means, g.quats, log_scales, g.logit_opacities, g.sh)
+        matrices = rotations_of_harmonics(self.rotation, g.sh_degree)
+        sh = rotate_harmonics(g.sh, matrices) if matrices else g.sh
+        return Gaussians(means, _products(quat_from_matrix(self.rotation), g.quats), log_scales, g.logit_opacities, sh)
+
+    def extents(self, extents: Float32[Array, "n"], means: Float32[Array, "n 3"]) -> Float32[Array, "n"]:
+        """Radii of the balls around the moved ``means``, raised by what their rounding may have moved a descendant away."""
+        # Two means, each rounded by at most half an ulp a coordinate, and the product: 2⁻²⁴ of the coordinates and 2⁻²³ of the
+        # radius, taken four times as large.
+        reach = np.abs(means).max(initial=0)
+        return np.asarray(extents * np.float32(self.scale * (1 + 2**-21)) + np.float32(reach * 2**-21), np.float32)
+
+
+def similarity_from_options(options: EditOptions) -> Similarity:
+    """The map that the options name."""
+    return Similarity(options.scale, matrix_from_angles(options.rotate), np.asarray(options.translate, np.float64))
+
+
+def _products(p: Float64[Array, "4"], quats: Float32[Array, "n 4"]) -> Float32[Array, "n 4"]:
+    """Hamilton products p q: first the rotation of q, then that of p."""
+    w, x, y, z = (quats[:, i].astype(np.float64) for i in range(4))
+    out = np.empty_like(quats)
+    out[:, 0] = p[0] * w - p[1] * x - p[2] * y - p[3] * z
+    out[:, 1] = p[0] * x + p[1] * w + p[2] * z - p[3] * y
+    out[:, 2] = p[0] * y - p[1] * z + p[2] * w + p[3] * x
+    out[:, 3] = p[0] * z + p[1] * y - p[2] * x + p[3] * w
+    return out

@@ -1,0 +1,151 @@
+"""From files to a file of another format, edited on the way, in chunks wherever that can be: then memory is a few chunks.
+
+A conversion goes in chunks if every input is of a format that is read so, the output of one that is written so, and nothing is
+asked that needs the whole scene (a level, a cut of a tree, another order of the rows). The file has the same bytes either way: a
+format that is written in chunks has no other writer, and edits work row by row. Where rows may be dropped, the inputs are read
+twice, first to count what is left.
+"""
+
+import json
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from splatree.edit.edit import edit, edit_rows
+from splatree.edit.options import EditOptions
+from splatree.errors import InputError
+from splatree.io.chunks import Chunks
+from splatree.io.inputs import find_inputs
+from splatree.io.joined import joined, joined_source
+from splatree.io.options import ReadOptions, WriteOptions
+from splatree.io.registry import Format, detect, format_to_write, read_one, write, write_chunks
+from splatree.progress import track
+from splatree.scene.gaussians import Gaussians
+from splatree.scene.scene import Source
+
+__all__ = ["ConvertOptions", "Converted", "convert"]
+
+
+@dataclass(frozen=True)
+class ConvertOptions:
+    """How a conversion reads, edits and writes."""
+
+    read: ReadOptions = field(default_factory=ReadOptions)
+    """What readers are told."""
+    edit: EditOptions = field(default_factory=EditOptions)
+    """What is done on the way."""
+    write: WriteOptions = field(default_factory=WriteOptions)
+    """What the writer is told."""
+    depth: int | None = None
+    """Write one cut of the tree to a format without levels: the nodes at this depth, 0 the roots; None: the leaves."""
+
+
+@dataclass(frozen=True)
+class Converted:
+    """What a conversion did."""
+
+    num_read: int
+    """Gaussians read, without merged ones."""
+    num_written: int
+    """Gaussians left after the edits, without merged ones."""
+    lost: tuple[str, ...]
+    """What of the inputs the file does not hold, a sentence each."""
+    repairs: dict[str, int]
+    """How many values or rows each rule of repair touched."""
+    in_chunks: bool
+    """Whether it went in chunks, with bounded memory."""
+
+
+def convert(
+    inputs: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
+    output: str | os.PathLike[str],
+    options: ConvertOptions | None = None,
+    *,
+    force: bool = False,
+) -> Converted:
+    """Write what is read from a file, a folder or several of them (as by `read`) in the format of the output's suffix.
+
+    Args:
+        inputs: one path or several, which are one scene.
+        output: the new file.
+        options: how to read, edit and write.
+        force: replace the file if it exists.
+
+    Raises:
+        InputError: as `read` and `write` do.
+        OutputError: the output exists, or could not be written; an old file is then whole.
+    """
+    options, target = options or ConvertOptions(), Path(output)
+    chosen = format_to_write(target)
+    paths = [inputs] if isinstance(inputs, str | os.PathLike) else list(inputs)
+    found = find_inputs([Path(p) for p in paths], lambda p: detect(p) is not None)
+    formats = [detect(path) for path in found]
+    if (
+        chosen.write_chunks is not None
+        and all(f is not None and f.read_chunks is not None for f in formats)
+        and options.read.level is None
+        and options.depth is None
+        and options.edit.order == "kept"
+    ):
+        return _in_chunks(found, formats, target, options, force)  # type: ignore[arg-type]  # none of them is None
+
+    scene = joined(read_one(path, options.read) for path in found)
+    num_read = scene.tree.num_leaves
+    scene = edit(scene, options.edit)
+    lost = write(scene, target, depth=options.depth, force=force, options=options.write)
+    return _converted(num_read, scene.tree.num_leaves, scene.source.metadata, lost, in_chunks=False)
+
+
+def _in_chunks(
+    paths: Sequence[Path], formats: Sequence[Format], target: Path, options: ConvertOptions, force: bool
+) -> Converted:
+    opened = []
+    for path, found in zip(paths, formats, strict=True):
+        assert found.read_chunks is not None
+        opened.append(found.read_chunks(path, options.read))
+    chunks = _joined_chunks(opened, paths)
+    edited = _edited_chunks(chunks, options.edit)
+    lost = write_chunks(edited, target, force=force, options=options.write)
+    return _converted(len(chunks), len(edited), chunks.metadata, lost, in_chunks=True)
+
+
+def _converted(
+    num_read: int, num_written: int, metadata: Mapping[str, str], lost: tuple[str, ...], *, in_chunks: bool
+) -> Converted:
+    lost = (*json.loads(metadata.get("lost", "[]")), *lost)
+    return Converted(num_read, num_written, lost, json.loads(metadata.get("repairs", "{}")), in_chunks)
+
+
+def _joined_chunks(parts: Sequence[Chunks], paths: Sequence[Path]) -> Chunks:
+    """All rows in order, as `joined` does with scenes."""
+    first = parts[0]
+    if len(parts) == 1:
+        return first
+    degree = max(part.sh_degree for part in parts)
+    for part, path in zip(parts, paths, strict=True):
+        if part.mode != first.mode:
+            raise InputError(
+                f"inputs differ in their mode: {path} has {part.mode}, those before it {first.mode}; wanted scenes of one "
+                "training, convert them one by one"
+            )
+
+    def make() -> Iterator[Gaussians]:
+        for part in parts:
+            for chunk in part:
+                yield chunk.with_sh_degree(degree)
+
+    metadata = joined_source([Source(metadata=part.metadata) for part in parts]).metadata
+    return Chunks(sum(map(len, parts)), degree, first.mode, make, metadata)
+
+
+def _edited_chunks(chunks: Chunks, options: EditOptions) -> Chunks:
+    if options == EditOptions():
+        return chunks
+    count = len(chunks)
+    if options.may_drop_rows:
+        count = sum(len(edit_rows(chunk, options)) for chunk in track(chunks, "count what is left"))
+    degree = min(chunks.sh_degree, options.sh_degree)
+    return replace(
+        chunks, num_gaussians=count, sh_degree=degree, make=lambda: (edit_rows(chunk, options) for chunk in chunks)
+    )

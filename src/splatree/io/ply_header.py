@@ -1,0 +1,166 @@
+"""The text at the head of a .ply: how its vertices are encoded, what they hold, and what other tools noted in comments."""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, get_args
+
+import numpy as np
+
+from splatree.errors import FormatError
+from splatree.scene.scene import Mode
+
+__all__ = ["HEADER_MAX", "Encoding", "Header", "parse_header"]
+
+HEADER_MAX = 1 << 20
+"""A longer header is refused: 62 properties take 1.5 kB."""
+
+Encoding = Literal["binary_little_endian", "binary_big_endian", "ascii"]
+"""How values are written."""
+
+_TYPES = {
+    **dict.fromkeys(("char", "int8"), "i1"),
+    **dict.fromkeys(("uchar", "uint8"), "u1"),
+    **dict.fromkeys(("short", "int16"), "i2"),
+    **dict.fromkeys(("ushort", "uint16"), "u2"),
+    **dict.fromkeys(("int", "int32"), "i4"),
+    **dict.fromkeys(("uint", "uint32"), "u4"),
+    **dict.fromkeys(("float", "float32"), "f4"),
+    **dict.fromkeys(("double", "float64"), "f8"),
+}
+
+
+@dataclass(frozen=True)
+class Header:
+    """What the header says of the vertices."""
+
+    encoding: Encoding
+    """How values are written."""
+    start: int
+    """Byte of the first vertex; in a text file, of the first element."""
+    lines_before: int
+    """Lines of a text file between there and the first vertex: the elements before it."""
+    count: int
+    """Vertices announced."""
+    dtype: np.dtype[np.void]
+    """A vertex."""
+    names: dict[str, str]
+    """Property by its bare name: CloudCompare writes scalar_opacity for opacity."""
+    bytes_after: int | None
+    """Bytes of the elements behind the vertices; None if they hold lists."""
+    mode: Mode
+    """As noted in a comment, else classic."""
+    are_surfels: bool
+    """Whether a comment says that these are surfels (2DGS)."""
+    comments: list[str]
+    """The other comments."""
+
+
+@dataclass
+class _Element:
+    name: str
+    count: int
+    properties: list[tuple[str, str]]
+    has_lists: bool = False
+
+    @property
+    def num_bytes(self) -> int:
+        return self.count * np.dtype(self.properties).itemsize
+
+
+def parse_header(path: Path, head: bytes) -> Header:
+    """The header in the first bytes of a file.
+
+    Raises:
+        FormatError: it is not whole, not of a .ply, or its vertices cannot be Gaussians.
+    """
+    match = re.search(rb"(?:^|\n)end_header[ \t]*\r?\n", head)
+    if not match:
+        raise FormatError(f"{path}: found no end_header in its first {len(head)} bytes; the file is damaged or cut off")
+    try:
+        lines = [line.strip() for line in head[: match.start()].decode("utf-8").splitlines()]
+    except UnicodeDecodeError as error:
+        raise FormatError(f"{path}: the header is not text ({error}); the file is damaged") from error
+
+    encoding = next((line.split()[1] for line in lines if re.match(r"format\s+\S", line)), "missing")
+    if encoding not in get_args(Encoding):
+        raise FormatError(f"{path}: found format {encoding!r}, wanted one of {', '.join(get_args(Encoding))}")
+    order = ">" if encoding == "binary_big_endian" else "<"
+    comments: list[str] = []
+    elements: list[_Element] = []
+    for line_number, line in enumerate(lines[1:], start=2):
+        match line.split():
+            case [] | ["format", *_]:
+                pass
+            case ["comment" | "obj_info", *_]:
+                comments.append(line.partition(" ")[2])
+            case ["element", name, digits] if digits.isascii() and digits.isdigit() and len(digits) < 16:
+                elements.append(_Element(name, int(digits), []))
+            case ["property", "list", _, _, _] if elements:
+                elements[-1].has_lists = True
+            case ["property", kind, name] if elements and kind in _TYPES:
+                elements[-1].properties.append((name, order + _TYPES[kind]))
+            case _:
+                raise FormatError(
+                    f"{path}: line {line_number} of the header, {line!r}: wanted 'element NAME COUNT' or 'property TYPE "
+                    "NAME' with a scalar type"
+                )
+    for element in elements:
+        names = [name for name, _ in element.properties]
+        if len(set(names)) != len(names):
+            raise FormatError(f"{path}: element {element.name!r} has two properties of the same name")
+    index = _vertices(path, elements)
+    before, vertices, after = elements[:index], elements[index], elements[index + 1 :]
+    names = [name for name, _ in vertices.properties]
+    mode, are_surfels, rest = _notes(path, comments)
+    return Header(
+        encoding=encoding,  # type: ignore[arg-type]  # one of them, as was checked
+        start=match.end() + (0 if encoding == "ascii" else sum(element.num_bytes for element in before)),
+        lines_before=sum(element.count for element in before),
+        count=vertices.count,
+        dtype=np.dtype(vertices.properties),
+        names={name.removeprefix("scalar_"): name for name in names} | {name: name for name in names},
+        bytes_after=None if any(e.has_lists for e in after) else sum(element.num_bytes for element in after),
+        mode=mode,
+        are_surfels=are_surfels,
+        comments=rest,
+    )
+
+
+def _vertices(path: Path, elements: list[_Element]) -> int:
+    """Index of the element that holds the Gaussians."""
+    names = [element.name for element in elements]
+    if "codebook_centers" in names:
+        raise FormatError(
+            f"{path}: found the element codebook_centers: values are indices into a codebook (reduced-3dgs), wanted floats; "
+            "load it with the program that wrote it and save it without quantisation"
+        )
+    if "vertex" not in names:
+        raise FormatError(f"{path}: found elements {names}, wanted one named 'vertex'")
+    index = names.index("vertex")
+    if elements[index].has_lists:
+        raise FormatError(f"{path}: the vertices hold lists, wanted scalars: this is no 3DGS file")
+    for element in elements[:index]:
+        if element.has_lists:
+            raise FormatError(f"{path}: element {element.name!r} before the vertices holds lists: this is no 3DGS file")
+    return index
+
+
+def _notes(path: Path, comments: list[str]) -> tuple[Mode, bool, list[str]]:
+    """Mode and surfels, as Brush and splat-transform (SplatRenderMode) or Postshot (antialiased 0/1) note them; the rest."""
+    mode: Mode = "classic"
+    are_surfels = False
+    rest = []
+    for comment in comments:
+        match comment.lower().split():
+            case ["splatrendermode:", "default"] | ["antialiased", "0"]:
+                mode = "classic"
+            case ["splatrendermode:", "mip"] | ["antialiased", "1"]:
+                mode = "antialiased"
+            case ["splatrendermode:", "2dgs"]:
+                are_surfels = True
+            case ["splatrendermode:", other, *_]:
+                raise FormatError(f"{path}: found SplatRenderMode {other!r}, wanted 'default', 'mip' or '2dgs'")
+            case _:
+                rest.append(comment)
+    return mode, are_surfels, rest

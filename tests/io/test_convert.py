@@ -1,0 +1,148 @@
+"""Conversions from file to file: in chunks and whole give the same bytes, and memory is bounded."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import splatree
+from splatree import (
+    ConvertOptions,
+    EditOptions,
+    InputError,
+    OutputError,
+    ReadOptions,
+    Scene,
+    WriteOptions,
+    convert,
+    edit,
+)
+from splatree.io import chunks, ply
+from splatree.io.registry import formats
+
+from .conftest import random_gaussians
+
+IN_CHUNKS = [f.suffixes[0] for f in formats() if f.write_chunks]
+
+EDITS = [
+    EditOptions(),
+    EditOptions(scale=2.0, rotate=(10.0, 20.0, 30.0), translate=(1.0, 2.0, 3.0), sh_degree=1),
+    EditOptions(min_opacity=0.5, crop_box=(-9.0, -9.0, -9.0, 9.0, 9.0, 9.0)),
+]
+
+
+@pytest.fixture
+def small_chunks(monkeypatch):
+    """Chunks of 100 rows, so that small scenes have several."""
+    for module in (ply, chunks):
+        monkeypatch.setattr(module, "ROWS_PER_CHUNK", 100)
+
+
+@pytest.mark.parametrize("suffix", IN_CHUNKS)
+@pytest.mark.parametrize("edits", EDITS)
+def test_chunks_and_whole_scene_give_the_same_bytes(tmp_path, small_chunks, suffix, edits):
+    splatree.write(Scene.flat(random_gaussians(777, 2)), tmp_path / "a.ply")
+    done = convert(tmp_path / "a.ply", tmp_path / f"b{suffix}", ConvertOptions(edit=edits))
+    assert done.in_chunks and done.num_read == 777
+    whole = edit(splatree.read(tmp_path / "a.ply"), edits)
+    lost = splatree.write(whole, tmp_path / f"c{suffix}")
+    assert (tmp_path / f"b{suffix}").read_bytes() == (tmp_path / f"c{suffix}").read_bytes()
+    assert done.num_written == len(whole) and done.lost == lost
+
+
+@pytest.mark.parametrize("suffix", IN_CHUNKS)
+def test_several_files_are_one_scene_in_chunks_too(tmp_path, small_chunks, suffix):
+    for i, degree in enumerate((0, 3, 1)):
+        splatree.write(Scene.flat(random_gaussians(150, degree, seed=i)), tmp_path / f"{i}.ply")
+    parts = [tmp_path / f"{i}.ply" for i in range(3)]
+    assert convert(parts, tmp_path / f"b{suffix}").in_chunks
+    splatree.write(splatree.read(parts), tmp_path / f"c{suffix}")
+    assert (tmp_path / f"b{suffix}").read_bytes() == (tmp_path / f"c{suffix}").read_bytes()
+
+
+def test_files_of_different_modes_are_not_joined(tmp_path):
+    splatree.write(Scene.flat(random_gaussians(1)), tmp_path / "a.ply")
+    splatree.write(Scene.flat(random_gaussians(1), mode="antialiased"), tmp_path / "b.ply")
+    with pytest.raises(InputError, match="differ in their mode"):
+        convert([tmp_path / "a.ply", tmp_path / "b.ply"], tmp_path / "c.ply")
+
+
+@pytest.mark.parametrize("repair", [True, "drop"])
+def test_repairs_are_counted_and_rows_that_are_dropped_are_not_written(tmp_path, small_chunks, repair):
+    g = random_gaussians(555, 1)
+    g.means[[3, 500], 0] = np.nan
+    g.log_scales[7] = 99
+    splatree.write(Scene.flat(g), tmp_path / "a.ply")
+    done = convert(tmp_path / "a.ply", tmp_path / "b.ply", ConvertOptions(ReadOptions(repair=repair)))
+    wanted = {"dropped_rows": 2, "clamped_scales": 1} if repair is True else {"dropped_rows": 3}
+    assert done.in_chunks and done.repairs == wanted
+    assert len(splatree.read(tmp_path / "b.ply")) == done.num_written == 555 - wanted["dropped_rows"]
+
+
+def test_what_the_reader_lost_is_said(tmp_path):
+    path = tmp_path / "a.ply"
+    splatree.write(Scene.flat(random_gaussians(5, 0)), path)
+    path.write_bytes(path.read_bytes().replace(b"end_header", b"comment SplatRenderMode: 2dgs\nend_header"))
+    assert convert(path, tmp_path / "b.ply").lost[0].startswith("the surfels' own rule")
+    # Whole: the order needs all rows.
+    lost = convert(path, tmp_path / "c.ply", ConvertOptions(edit=EditOptions(order="morton"))).lost
+    assert lost[0].startswith("the surfels' own rule")
+
+
+def test_a_failure_half_way_leaves_the_old_file_whole(tmp_path, small_chunks):
+    g = random_gaussians(555, 1)
+    g.means[500, 0] = np.nan
+    splatree.write(Scene.flat(g), tmp_path / "a.ply")
+    (tmp_path / "b.ply").write_text("old")
+    with pytest.raises(InputError, match="row 500"):
+        convert(tmp_path / "a.ply", tmp_path / "b.ply", force=True)
+    with pytest.raises(OutputError, match="exists already"):
+        convert(tmp_path / "a.ply", tmp_path / "b.ply")
+    assert (tmp_path / "b.ply").read_text() == "old" and len(list(tmp_path.iterdir())) == 2
+
+
+def test_options_of_other_formats_are_refused(tmp_path):
+    splatree.write(Scene.flat(random_gaussians(5, 0)), tmp_path / "a.ply")
+    with pytest.raises(InputError, match="this format takes none"):
+        convert(tmp_path / "a.ply", tmp_path / "b.ply", ConvertOptions(write=WriteOptions(iterations=3)))
+
+
+LIMITED = """
+import json, resource, sys
+import splatree
+from splatree.io.convert import convert
+import splatree.io.registry
+source, target, small, limit = sys.argv[1:]
+convert(small, target, force=True)  # what is loaded and kept from a first run is not counted
+with open("/proc/self/statm") as file:
+    data = int(file.read().split()[5]) * resource.getpagesize()  # data and stack, as RLIMIT_DATA counts them
+resource.setrlimit(resource.RLIMIT_DATA, (data + int(limit),) * 2)
+try:
+    splatree.read(source)
+except MemoryError:
+    read = False
+else:
+    read = True
+print(json.dumps([read, convert(source, target, force=True).num_written]))
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="needs RLIMIT_DATA as Linux has it")
+@pytest.mark.parametrize("suffix", IN_CHUNKS)
+def test_a_file_larger_than_the_memory_allowed_is_converted(tmp_path, suffix):
+    """A file of 60 MB in 40 MB of memory, a limit that the system holds: reading it whole fails."""
+    rows = 250_000
+    splatree.write(Scene.flat(random_gaussians(1000, 3)), tmp_path / "small.ply")
+    data = (tmp_path / "small.ply").read_bytes()
+    head, mark, body = data.replace(b"vertex 1000\n", b"vertex %d\n" % rows).partition(b"end_header\n")
+    (tmp_path / "a.ply").write_bytes(head + mark + body * (rows // 1000))
+    words = [tmp_path / "a.ply", tmp_path / f"b{suffix}", tmp_path / "small.ply", 40_000_000]
+    environment = {**os.environ, "PYTHONPATH": str(Path(splatree.__file__).parents[1])}
+    out = subprocess.run(
+        [sys.executable, "-c", LIMITED, *map(str, words)], check=True, capture_output=True, text=True, env=environment
+    )
+    assert json.loads(out.stdout) == [False, rows]
