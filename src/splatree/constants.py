@@ -36,6 +36,18 @@ picture, where the splat is flat to the last bit."""
 SIGMAS: Final = 3.0
 """Standard deviations that bound a Gaussian where opacity is not considered (Kerbl 2023)."""
 
+TAPER_SLOPE: Final = 2.0
+"""Slope of a tapered opacity above the splat's floor: twice the floor is where the splat is drawn as it is."""
+
+SHRINK_ENERGY_MIN: Final = 0.01
+"""Floor of ln(α/τ) in the extent `tau`; never in force beside SHRINK_RATIO_MIN (code of FilterGS)."""
+
+SHRINK_RATIO_MIN: Final = 0.1
+"""The extent `tau` is at least this share of 3 σ (code of FilterGS, for rendering)."""
+
+SHRINK_PAD_PX: Final = 1.0
+"""Added to the radius of the extent `tau`, px (code of FilterGS)."""
+
 PIXEL_ERROR: Final = 3.0
 """Default τ_R: a node whose projected radius is at most this, px, stands for its subtree (FilterGS §3.2)."""
 

@@ -8,7 +8,7 @@ blocks      gaussians, tree                             → BlockIndex          
 select      gaussians, tree, blocks, camera, options    → rows of the visible cut        (per frame)
 project     gaussians, ids, rows, camera, options       → Splats and their depth order   (per frame)
 bin         splats, camera, options                     → TileBins                       (per frame)
-blend       splats, bins, camera, options               → Picture                        (per frame)
+blend       splats, bins, camera, options               → Picture, contributions         (per frame)
 thin        means, colors, importance, radius           → representative of each row     (per level)
 merge       gaussians, groups, options                  → Gaussians, one a group         (per level)
 ==========  =====================================================================================

@@ -11,6 +11,7 @@ standard 3D Gaussian Splatting (Kerbl 2023), and has the same bits for any numbe
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import TypeVar
 
@@ -53,11 +54,18 @@ def trace(
     *,
     threads: int = 0,
     backend: Backend = "cpu",
+    contributions: bool = False,
 ) -> Frame:
-    """Draw a view like `render` and keep what each stage computed."""
+    """Draw a view like `render` and keep what each stage computed.
+
+    ``contributions`` also sums what each pair of splat and tile contributes to the picture (render/contribution.py).
+    """
     options, select = options or RenderOptions(), select or SelectOptions()
     resolved = options.resolved(scene)
     kernels = backend_for(backend)
+    if isinstance(select, SelectOptions) and select.visibility == "footprint" and resolved.extent != "ellipse":
+        # Footprints are ellipses; the projection drops what squares do not show.
+        select = replace(select, visibility="none")
     milliseconds: dict[str, float] = {}
 
     def timed(stage: str, work: Callable[[], T]) -> T:
@@ -76,7 +84,10 @@ def trace(
         lambda: kernels.project(scene.gaussians, scene.ids, selection.rows, camera, resolved, threads=threads),
     )
     bins = timed("bin", lambda: kernels.bin(splats, camera, resolved, threads=threads))
-    picture = timed("blend", lambda: kernels.blend(splats, bins, camera, resolved, threads=threads))
+    picture = timed(
+        "blend",
+        lambda: kernels.blend(splats, bins, camera, resolved, threads=threads, contributions=contributions),
+    )
     counters = Counters(
         num_selected=len(selection),
         num_visible=len(splats),
@@ -85,4 +96,4 @@ def trace(
         num_blended=picture.num_blended,
     )
     result = RenderResult(picture.image, picture.alpha, picture.depth, counters, milliseconds)
-    return Frame(camera, selection, splats, bins, picture.tiles, result)
+    return Frame(camera, selection, splats, bins, picture.tiles, result, picture.contributions)

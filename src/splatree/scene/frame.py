@@ -91,7 +91,7 @@ class Splats:
 
     @property
     def extents_px(self) -> Float32[Array, "v 2"]:
-        """Half width and half height, px, of the box outside of which the opacity is below τ."""
+        """Half width and half height, px, of the box outside of which no pixel is drawn."""
         return self.records[:, 11:13]
 
 
@@ -107,6 +107,8 @@ class TileBins:
     """Tiles in a row of the image."""
     num_tiles_y: int
     """Rows of tiles."""
+    floors: Float32[Array, "v"] | None = None
+    """Opacity at which each splat is tapered off, 1/255 to τ: its largest in a tile that it is not listed in; None: none is."""
 
     def __post_init__(self) -> None:
         check_fields(self, t=self.num_tiles_x * self.num_tiles_y)
@@ -144,6 +146,8 @@ class Picture:
     """Blended view depth of the splats divided by alpha, world units; 0 where nothing is drawn."""
     tiles: TileWork
     """What each tile took."""
+    contributions: Float32[Array, "m"] | None = None
+    """KPC: Σ α T over the pixels of each pair's tile, in px; None unless it was asked for."""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -210,6 +214,8 @@ class Frame:
     """What the blend did in each tile."""
     result: RenderResult
     """The picture."""
+    contributions: Float32[Array, "m"] | None = None
+    """KPC of each pair: Σ α T over the pixels of its tile, px; None unless `trace` was asked for it."""
 
 
 def tiles_of(camera: Camera) -> tuple[int, int]:

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from splatree.constants import DILATION_PX2, PIXEL_ERROR
+from splatree.constants import ALPHA_THRESHOLD, DILATION_PX2, PIXEL_ERROR
 from splatree.errors import InputError
 from splatree.scene.scene import Mode, Scene
 
@@ -15,6 +15,12 @@ Profile = Literal["exact", "3dgs", "ref", "sphere"]
 
 Visibility = Literal["footprint", "centre", "none"]
 """Named tests that drop nodes of the cut which cannot be seen."""
+
+Extent = Literal["ellipse", "tau", "3sigma"]
+"""Named rules for the tiles that a splat is listed in (docs/algorithms/shrinking.md)."""
+
+Pixels = Literal["taper", "hard"]
+"""Named treatments of the pixels in these tiles where τ is above 1/255."""
 
 
 @dataclass(frozen=True)
@@ -41,10 +47,7 @@ class SelectOptions:
             raise InputError(f"budget: found {self.budget}, wanted at least 1 node")
         if self.max_radius is not None and not self.max_radius > 0:
             raise InputError(f"max_radius: found {self.max_radius}, wanted more than 0 px")
-        for name, kind in (("rule", Rule), ("profile", Profile), ("visibility", Visibility)):
-            if getattr(self, name) not in get_args(kind):
-                wanted = ", ".join(get_args(kind))
-                raise InputError(f"{name}: found {getattr(self, name)!r}, wanted one of {wanted}")
+        _check_names(self, rule=Rule, profile=Profile, visibility=Visibility)
 
 
 @dataclass(frozen=True)
@@ -59,6 +62,12 @@ class RenderOptions:
     """Variance added to both axes of each splat, px²."""
     threshold: float | None = None
     """τ: opacity below which a splat ends; None: as the scene says (1/255 is lossless)."""
+    extent: Extent = "ellipse"
+    """Tiles of a splat: `ellipse` those that it reaches with opacity τ; `tau` and `3sigma` squares as the code of FilterGS and
+    of 3DGS, the latter whatever τ is."""
+    pixels: Pixels = "hard"
+    """Pixels of these tiles: `hard` draws opacities down to 1/255, so that a large τ shows edges of tiles; `taper` lets each
+    splat end smoothly before the first tile that it is not listed in."""
     sh_degree: int | None = None
     """Highest degree of harmonics evaluated; None: all that the scene has."""
 
@@ -67,6 +76,9 @@ class RenderOptions:
             raise InputError(f"dilation_px2: found {self.dilation_px2}, wanted 0 px² or more")
         if self.threshold is not None and not 0 < self.threshold < 1:
             raise InputError(f"threshold: found {self.threshold}, wanted between 0 and 1")
+        _check_names(self, extent=Extent, pixels=Pixels)
+        if self.pixels == "taper" and self.extent != "ellipse":
+            raise InputError(f"pixels: found 'taper' with extent {self.extent!r}, wanted 'hard', or extent 'ellipse'")
         if self.sh_degree is not None and not 0 <= self.sh_degree <= 3:
             raise InputError(f"sh_degree: found {self.sh_degree}, wanted 0 to 3")
 
@@ -78,6 +90,8 @@ class RenderOptions:
             dilation_px2=self.dilation_px2,
             threshold=self.threshold if self.threshold is not None else scene.threshold,
             sh_degree=self.sh_degree if self.sh_degree is not None else scene.gaussians.sh_degree,
+            extent=self.extent,
+            pixels=self.pixels,
         )
 
 
@@ -95,3 +109,29 @@ class ResolvedOptions:
     """τ: opacity below which a splat ends."""
     sh_degree: int
     """Highest degree of harmonics evaluated."""
+    extent: Extent = "ellipse"
+    """Rule for the tiles of a splat."""
+    pixels: Pixels = "hard"
+    """What happens to the pixels of these tiles."""
+
+    @property
+    def least_opacity(self) -> float:
+        """Splats of a smaller opacity are not drawn at all; squares list splats of any opacity, as their codes do."""
+        return self.threshold if self.extent == "ellipse" else 0.0
+
+    @property
+    def pixel_threshold(self) -> float:
+        """Smallest opacity that is drawn at a pixel."""
+        return min(self.threshold, ALPHA_THRESHOLD)
+
+    @property
+    def tapers(self) -> bool:
+        """Whether splats are tapered: where τ is 1/255 or less, there is nothing to taper."""
+        return self.pixels == "taper" and self.threshold > ALPHA_THRESHOLD
+
+
+def _check_names(options: SelectOptions | RenderOptions, **kinds: object) -> None:
+    for name, kind in kinds.items():
+        if getattr(options, name) not in get_args(kind):
+            wanted = ", ".join(get_args(kind))
+            raise InputError(f"{name}: found {getattr(options, name)!r}, wanted one of {wanted}")

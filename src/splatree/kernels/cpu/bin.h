@@ -2,6 +2,8 @@
 #pragma once
 #include <cstdint>
 
+#include "shared/square.h"
+
 namespace splatree {
 
 // The tiles of one splat: a span of columns in each of its rows.
@@ -25,6 +27,9 @@ struct Spans {
 
 constexpr int64_t SPAN_CHUNK = 4096;  // splats
 
+// Which tiles a splat is listed in: all that its ellipse, its box or its square touches.
+enum class Extent { ELLIPSE, BOX, SQUARE };
+
 struct BinJob {
   const float* records;  // v splats
   const int32_t* order;  // v
@@ -32,9 +37,10 @@ struct BinJob {
   float log2_threshold;
   int width, height;  // px
   int num_tiles_x, num_tiles_y;
-  bool whole_box;  // all tiles of the box instead of those of the ellipse
+  Extent extent;
+  Square square;
   int threads;
+  float* floors;  // v, opacity at which each splat ends; null: not asked for
 };
-
 
 }  // namespace splatree

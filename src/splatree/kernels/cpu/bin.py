@@ -5,6 +5,7 @@ import numpy as np
 from splatree.constants import TILE_PX
 from splatree.errors import InputError
 from splatree.kernels.cpu import _core
+from splatree.kernels.cpu.view import pack_square
 from splatree.scene.cameras import Camera
 from splatree.scene.frame import Splats, TileBins, tiles_of
 from splatree.scene.options import ResolvedOptions
@@ -28,6 +29,7 @@ def bin(
         raise InputError(
             f"camera {camera.name!r}: found {camera.width} × {camera.height} px, wanted at most {MOST_TILES * TILE_PX} px a side"
         )
+    floors = np.empty(len(splats), np.float32) if options.tapers else None
     tile_start = np.empty(num_x * num_y + 1, np.int64)
     splat_from_pair = _core.bin_splats(
         splats.records,
@@ -38,7 +40,9 @@ def bin(
         tile_start,
         num_x,
         num_y,
+        pack_square(options),
         whole_box,
+        floors,
         threads,
     )
-    return TileBins(tile_start, splat_from_pair, num_x, num_y)
+    return TileBins(tile_start, splat_from_pair, num_x, num_y, floors)

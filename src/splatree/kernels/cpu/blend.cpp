@@ -18,7 +18,8 @@ namespace {
 constexpr int TILE = 16, BLOCKS = 16, LANES = 16;
 constexpr int AHEAD = 8;    // pairs between the fetch of a record and its use
 constexpr int PERIOD = 32;  // pairs between looks for finished blocks
-constexpr float ALPHA_MAX = 0.99f, TRANSMITTANCE_MIN = 1e-4f;
+constexpr float ALPHA_MAX = 0.99f, ALPHA_THRESHOLD = 1.f / 255, TRANSMITTANCE_MIN = 1e-4f;
+constexpr float TAPER_SLOPE = 2;
 constexpr float SQRT_HALF_LOG2E = 0.849321800f;  // √(½ log2 e): exp(-½ q²) = 2^-(this q)²
 
 struct alignas(64) Tile {
@@ -33,10 +34,12 @@ struct alignas(64) Brush {
   float u_of_block[BLOCKS], v_of_block[BLOCKS];  // of the centre of each block
   float log2_opacity, log2_threshold;
   float red, green, blue, depth;
+  float floor;                 // opacity that is tapered to 1/255
+  float contribution[LANES];  // Σ α T over the blocks
 };
 
 // Sets up the brush for a tile at (x, y) and returns a bit for each block that the splat may touch.
-int load_brush(const float* record, float x, float y, float log2_threshold, Brush& brush) {
+SPLATREE_FN int load_brush(const float* record, float x, float y, float log2_threshold, Brush& brush) {
   const float a = SQRT_HALF_LOG2E * record[FACTOR_A], b = SQRT_HALF_LOG2E * record[FACTOR_B];
   const float c = SQRT_HALF_LOG2E * record[FACTOR_C];
   brush.log2_opacity = record[LOG2_OPACITY];
@@ -68,7 +71,8 @@ int load_brush(const float* record, float x, float y, float log2_threshold, Brus
   return touched;
 }
 
-void blend_block(const Brush& brush, int block, Tile& tile) {
+template <bool TAPER, bool CONTRIBUTIONS>
+SPLATREE_FN void blend_block(Brush& brush, int block, Tile& tile) {
   const float u_of_block = brush.u_of_block[block], v_of_block = brush.v_of_block[block];
   float* transmittance = tile.transmittance[block];
   float *red = tile.red[block], *green = tile.green[block], *blue = tile.blue[block], *depth = tile.depth[block];
@@ -76,10 +80,13 @@ void blend_block(const Brush& brush, int block, Tile& tile) {
   for (int l = 0; l < LANES; ++l) {
     const float u = u_of_block + brush.u_of_lane[l], v = v_of_block + brush.v_of_lane[l];
     const float log2_alpha = brush.log2_opacity - (u * u + v * v);
-    const float alpha = least(exp2_of(log2_alpha), ALPHA_MAX);
+    const float whole = exp2_of(log2_alpha);
+    const float left = TAPER ? least(TAPER_SLOPE * (whole - brush.floor) + ALPHA_THRESHOLD, whole) : whole;
+    const float alpha = least(left, ALPHA_MAX);
     const float before = transmittance[l];
     const float after = before * (1.f - alpha);
-    const bool seen = (log2_alpha >= brush.log2_threshold) & (before > 0.f);
+    const bool passes = TAPER ? whole >= brush.floor : log2_alpha >= brush.log2_threshold;
+    const bool seen = passes & (before > 0.f);
     const bool drawn = seen & (after >= TRANSMITTANCE_MIN);
     const float weight = drawn ? before * alpha : 0.f;
     transmittance[l] = drawn ? after : seen ? -before : before;
@@ -88,7 +95,16 @@ void blend_block(const Brush& brush, int block, Tile& tile) {
     blue[l] += weight * brush.blue;
     depth[l] += weight * brush.depth;
     tile.blended[l] += drawn ? 1 : 0;
+    if (CONTRIBUTIONS) brush.contribution[l] += weight;
   }
+}
+
+// The sum of the lanes, always in the same order.
+float sum_of(const float (&lanes)[LANES]) {
+  float halves[LANES / 2], sum = 0.f;
+  for (int l = 0; l < LANES / 2; ++l) halves[l] = lanes[l] + lanes[l + LANES / 2];
+  for (int l = 0; l < LANES / 2; ++l) sum += halves[l];
+  return sum;
 }
 
 // The blocks in which a pixel can still take light.
@@ -103,6 +119,7 @@ int open_blocks(const Tile& tile) {
   return open;
 }
 
+template <bool TAPER, bool CONTRIBUTIONS>
 void blend_tile(const BlendJob& job, int64_t index) {
   const int x0 = int(index % job.num_tiles_x) * TILE, y0 = int(index / job.num_tiles_x) * TILE;
   Tile tile;
@@ -117,6 +134,7 @@ void blend_tile(const BlendJob& job, int64_t index) {
   int64_t num_evaluated = 0;
   int open = open_blocks(tile);
   Brush brush;
+  if (CONTRIBUTIONS && begin < end) memset(job.contributions + begin, 0, (end - begin) * sizeof(float));
   int64_t i = begin;
   for (; i < end; ++i) {
     if ((i - begin) % PERIOD == PERIOD - 1) {
@@ -125,12 +143,15 @@ void blend_tile(const BlendJob& job, int64_t index) {
     }
     if (i + AHEAD < end) __builtin_prefetch(job.records + int64_t(job.splat_from_pair[i + AHEAD]) * NUM_COLUMNS);
     const float* record = job.records + int64_t(job.splat_from_pair[i]) * NUM_COLUMNS;
-    int blocks = load_brush(record, x0, y0, job.log2_threshold, brush);
+    if (TAPER) brush.floor = job.floors[job.splat_from_pair[i]];
+    int blocks = load_brush(record, x0, y0, TAPER ? log2_of(brush.floor) : job.log2_threshold, brush);
     if (job.whole_tile) blocks = (1 << BLOCKS) - 1;
+    if (CONTRIBUTIONS) memset(brush.contribution, 0, sizeof brush.contribution);
     for (blocks &= open; blocks; blocks &= blocks - 1) {
-      blend_block(brush, __builtin_ctz(blocks), tile);
+      blend_block<TAPER, CONTRIBUTIONS>(brush, __builtin_ctz(blocks), tile);
       num_evaluated += LANES;
     }
+    if (CONTRIBUTIONS) job.contributions[i] = sum_of(brush.contribution);
   }
 
   job.num_consumed[index] = i - begin;
@@ -154,11 +175,19 @@ void blend_tile(const BlendJob& job, int64_t index) {
     }
 }
 
+template <bool TAPER, bool CONTRIBUTIONS>
+void blend_all(const BlendJob& job) {
+  parallel_chunks(int64_t(job.num_tiles_x) * job.num_tiles_y, job.threads,
+                  [&](int64_t index) { blend_tile<TAPER, CONTRIBUTIONS>(job, index); });
+}
+
 }  // namespace
 
 void blend(const BlendJob& job) {
-  parallel_chunks(int64_t(job.num_tiles_x) * job.num_tiles_y, job.threads,
-                  [&](int64_t index) { blend_tile(job, index); });
+  if (job.floors)
+    job.contributions ? blend_all<true, true>(job) : blend_all<true, false>(job);
+  else
+    job.contributions ? blend_all<false, true>(job) : blend_all<false, false>(job);
 }
 
 }  // namespace splatree::SPLATREE_ISA

@@ -17,9 +17,10 @@ def blend(
     options: ResolvedOptions,
     *,
     threads: int = 0,
+    contributions: bool = False,
     whole_tile: bool = False,
 ) -> Picture:
-    """The picture of the tiles' lists.
+    """The picture of the tiles' lists, on request with the contribution of each pair.
 
     ``whole_tile`` evaluates a splat in all blocks of a tile instead of those that its ellipse touches: more work, the same
     picture.
@@ -27,21 +28,24 @@ def blend(
     image = np.empty((camera.height, camera.width, 3), np.float32)
     alpha, depth = (np.empty((camera.height, camera.width), np.float32) for _ in range(2))
     work = TileWork(*(np.empty(bins.num_tiles_x * bins.num_tiles_y, np.int64) for _ in range(3)))
+    of_pairs = np.empty(bins.num_pairs, np.float32) if contributions else None
     _core.blend_tiles(
         splats.records,
         bins.tile_start,
         bins.splat_from_pair,
         bins.num_tiles_x,
         bins.num_tiles_y,
-        options.threshold,
+        options.pixel_threshold,
+        bins.floors,
         np.asarray(options.background, np.float64),
         whole_tile,
         image,
         alpha,
         depth,
+        of_pairs,
         work.consumed,
         work.evaluated,
         work.blended,
         threads,
     )
-    return Picture(image, alpha, depth, work)
+    return Picture(image, alpha, depth, work, of_pairs)

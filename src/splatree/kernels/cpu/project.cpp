@@ -83,7 +83,18 @@ void gather(const float* column, const Planes& p, int num_blocks, float* plane) 
   for (int i = 0; i < num_blocks * LANES; ++i) plane[i] = column[p.row[i]];
 }
 
-template <bool ANTIALIASED>
+template <bool ANTIALIASED, bool SQUARE>
+void shape_batch(const ProjectJob& job, int num_blocks, Planes& p) {
+  for_lanes(num_blocks, [&](int i) {
+    const Splat splat = splat_of<ANTIALIASED, SQUARE>(job.view, job.square, p.out[X][i], p.out[Y][i], p.out[DEPTH][i],
+                                                      load(p.mx, i), load(p.my, i), p.sigmoid[i]);
+    p.out[FACTOR_A][i] = splat.a, p.out[FACTOR_B][i] = splat.b, p.out[FACTOR_C][i] = splat.c;
+    p.out[OPACITY][i] = splat.opacity, p.out[LOG2_OPACITY][i] = splat.log2_opacity;
+    p.out[EXTENT_X][i] = splat.extent_x, p.out[EXTENT_Y][i] = splat.extent_y;
+    p.kept[i] = splat.visible;
+  });
+}
+
 void project_batch(const ProjectJob& job, int num_blocks, Planes& p) {
   // The coefficients are read last; each row has cache lines of its own.
   for (int i = 0; i < num_blocks * LANES; ++i)
@@ -109,14 +120,10 @@ void project_batch(const ProjectJob& job, int num_blocks, Planes& p) {
                                load(p.scale, i));
     store(m.x, p.mx, i), store(m.y, p.my, i);
   });
-  for_lanes(num_blocks, [&](int i) {
-    const Splat splat = splat_of<ANTIALIASED>(job.view, p.out[X][i], p.out[Y][i], p.out[DEPTH][i], load(p.mx, i),
-                                              load(p.my, i), p.sigmoid[i]);
-    p.out[FACTOR_A][i] = splat.a, p.out[FACTOR_B][i] = splat.b, p.out[FACTOR_C][i] = splat.c;
-    p.out[OPACITY][i] = splat.opacity, p.out[LOG2_OPACITY][i] = splat.log2_opacity;
-    p.out[EXTENT_X][i] = splat.extent_x, p.out[EXTENT_Y][i] = splat.extent_y;
-    p.kept[i] = splat.visible;
-  });
+  const auto shape = job.view.antialiased ? job.is_square ? shape_batch<true, true> : shape_batch<true, false>
+                     : job.is_square      ? shape_batch<false, true>
+                                          : shape_batch<false, false>;
+  shape(job, num_blocks, p);
 }
 
 template <int DEGREE>
@@ -176,7 +183,7 @@ int64_t wait_for(const int64_t* place) {
   }
 }
 
-template <int DEGREE, bool ANTIALIASED>
+template <int DEGREE>
 int64_t project_all(const ProjectJob& job, int64_t* place) {
   const int64_t num_chunks = (job.num_rows + CHUNK - 1) / CHUNK;
   parallel_chunks(num_chunks, job.threads, [&](int64_t index) {
@@ -189,7 +196,7 @@ int64_t project_all(const ProjectJob& job, int64_t* place) {
     for (int i = 0; i < num_rows; i += BATCH) {
       const int used = smaller(BATCH, num_rows - i);
       const int num_blocks = load_rows(job.rows + begin + i, used, planes);
-      project_batch<ANTIALIASED>(job, num_blocks, planes);
+      project_batch(job, num_blocks, planes);
       load_basis<DEGREE>(num_blocks, planes);
       append_batch<DEGREE>(job, used, planes, chunk);
     }
@@ -200,11 +207,6 @@ int64_t project_all(const ProjectJob& job, int64_t* place) {
     memcpy(job.out_records + first * NUM_COLUMNS, chunk.records, chunk.count * sizeof(float) * NUM_COLUMNS);
   });
   return place[num_chunks];
-}
-
-template <int DEGREE>
-int64_t project_all(const ProjectJob& job, int64_t* place) {
-  return job.view.antialiased ? project_all<DEGREE, true>(job, place) : project_all<DEGREE, false>(job, place);
 }
 
 }  // namespace

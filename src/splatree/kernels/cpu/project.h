@@ -14,6 +14,8 @@ struct ProjectJob {
   int num_coefficients;  // of sh, a channel
   int degree;            // evaluated
   View view;
+  bool is_square;  // whether visibility is that of the square instead of the box
+  Square square;
   const int32_t* rows;  // v rows to project
   int64_t num_rows;
   int threads;

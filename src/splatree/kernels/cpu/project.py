@@ -4,7 +4,7 @@ import numpy as np
 
 from splatree.errors import InputError
 from splatree.kernels.cpu import _core
-from splatree.kernels.cpu.view import pack_view
+from splatree.kernels.cpu.view import pack_square, pack_view
 from splatree.scene.cameras import Camera
 from splatree.scene.frame import Splats
 from splatree.scene.gaussians import Gaussians
@@ -39,7 +39,9 @@ def project(
         gaussians.sh,
         rows,
         pack_view(camera, options.dilation_px2),
-        options.threshold,
+        options.pixel_threshold,
+        options.least_opacity,
+        pack_square(options),
         options.mode == "antialiased",
         min(options.sh_degree, gaussians.sh_degree),
         out_rows,

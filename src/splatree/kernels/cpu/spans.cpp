@@ -19,6 +19,7 @@ struct alignas(64) Planes {
   // Of the Ellipse.
   float k_squared[BATCH], c_squared[BATCH], skew[BATCH], inverse_a[BATCH], height[BATCH], dy_of_right[BATCH], margin[BATCH];
   int32_t first_row[BATCH], end_row[BATCH], first[BATCH], end[BATCH];
+  float nearest[BATCH];  // smallest |L d|² in a tile that the splat is not listed in
 };
 
 // Records into planes, four by four; the last is repeated to fill whole blocks, whose number is returned.
@@ -45,47 +46,94 @@ Span* grow(Spans& spans, int num_rows) {
   return first;
 }
 
-// Appends the spans of a splat of several rows, eight at a time; returns the first.
-const Span* list_rows(const BinJob& job, const Ellipse& e, int first_row, int num_rows, float extent_x, Spans& spans) {
+// Appends the spans of a splat of several rows, eight at a time; returns the smallest |L d|² in a tile beside them.
+template <bool FLOORS>
+float list_rows(const BinJob& job, const Ellipse& e, int first_row, int num_rows, Spans& spans) {
   constexpr int ROWS = 8;
-  const float width = job.width, height = job.height, box = extent_x + e.margin;
+  float nearest = FAR;
+  const float width = job.width, height = job.height;
   Span* out = grow(spans, num_rows);
   for (int begin = 0; begin < num_rows; begin += ROWS) {
     int32_t first[ROWS], end[ROWS];
+    float beside[ROWS];
 #pragma omp simd
     for (int r = 0; r < ROWS; ++r) {
       const Interval strip = strip_of(first_row + begin + r, height);
-      Interval reach = reach_of(e, strip.low, strip.high);
-      if (job.whole_box) reach = {e.x - box, e.x + box};
-      const Tiles columns = tiles_in(reach, width);
+      const Tiles columns = tiles_in(reach_of(e, strip.low, strip.high), width);
       first[r] = columns.first, end[r] = columns.end;
+      if constexpr (FLOORS) beside[r] = nearest_beside(e, columns, strip, job.num_tiles_x);
     }
-    for (int r = 0; r < ROWS && begin + r < num_rows; ++r) out[begin + r] = {uint16_t(first[r]), uint16_t(end[r])};
+    for (int r = 0; r < ROWS && begin + r < num_rows; ++r) {
+      out[begin + r] = {uint16_t(first[r]), uint16_t(end[r])};
+      if (FLOORS) nearest = least(beside[r], nearest);
+    }
   }
-  return out;
+  return nearest;
 }
 
-}  // namespace
+// Appends the same span for each row.
+void repeat_span(Span span, int num_rows, Spans& spans) {
+  Span* out = grow(spans, num_rows);
+  for (int row = 0; row < num_rows; ++row) out[row] = span;
+}
 
-void list_spans(const BinJob& job, int64_t begin, int64_t end, SplatTiles* tiles, Spans& spans) {
-  Planes p;
+// The tiles of lane i's ellipse in the first of its rows, or of its box.
+template <Extent EXTENT, bool FLOORS>
+SPLATREE_FN void cover_ellipse(const BinJob& job, int i, Planes& p) {
   const float width = job.width, height = job.height;
+  const Ellipse e = ellipse_of(p.column[X][i], p.column[Y][i], p.column[FACTOR_A][i], p.column[FACTOR_B][i],
+                               p.column[FACTOR_C][i], p.column[LOG2_OPACITY][i], p.column[EXTENT_X][i],
+                               p.column[EXTENT_Y][i], job.log2_threshold);
+  p.k_squared[i] = e.k_squared, p.c_squared[i] = e.c_squared, p.skew[i] = e.skew;
+  p.inverse_a[i] = e.inverse_a, p.height[i] = e.height, p.dy_of_right[i] = e.dy_of_right, p.margin[i] = e.margin;
+  const Tiles rows = tiles_in({e.y - e.height - e.margin, e.y + e.height + e.margin}, height);
+  const Interval strip = strip_of(rows.first, height);
+  Interval reach = reach_of(e, strip.low, strip.high);
+  if constexpr (EXTENT == Extent::BOX) {
+    const float box = p.column[EXTENT_X][i] + e.margin;
+    reach = {e.x - box, e.x + box};
+  }
+  const Tiles columns = tiles_in(reach, width);
+  p.first_row[i] = rows.first, p.end_row[i] = rows.end;
+  p.first[i] = columns.first, p.end[i] = columns.end;
+  if constexpr (FLOORS) {
+    const float beside = nearest_beside(e, columns, strip, job.num_tiles_x);
+    p.nearest[i] = least(nearest_above_or_below(e, rows, job.num_tiles_y), beside);
+  }
+}
+
+// The tiles of lane i's square.
+SPLATREE_FN void cover_square(const BinJob& job, int i, Planes& p) {
+  // Σ' from the factor of its inverse.
+  const float inverse_a = 1.f / p.column[FACTOR_A][i], sigma_y = 1.f / p.column[FACTOR_C][i];
+  const float skew = -p.column[FACTOR_B][i] * inverse_a * sigma_y;
+  const float half_side = half_side_of(job.square, inverse_a * inverse_a + skew * skew, skew * sigma_y, sigma_y * sigma_y,
+                                       p.column[LOG2_OPACITY][i]);
+  const Side across = side_of(p.column[X][i], half_side, job.num_tiles_x);
+  const Side down = side_of(p.column[Y][i], half_side, job.num_tiles_y);
+  p.first_row[i] = int(down.first), p.end_row[i] = int(down.end);
+  p.first[i] = int(across.first), p.end[i] = int(across.end);
+}
+
+// The largest opacity in a tile that the splat is not listed in, but 1/255 at least and τ at most.
+SPLATREE_FN float floor_of(const BinJob& job, float log2_opacity, float nearest) {
+  constexpr float LOG2_ALPHA_THRESHOLD = -7.99435344f;
+  return exp2_of(least(greatest(log2_opacity - 0.72134752f * nearest, LOG2_ALPHA_THRESHOLD), job.log2_threshold));
+}
+
+template <Extent EXTENT, bool FLOORS>
+void list_all(const BinJob& job, int64_t begin, int64_t end, SplatTiles* tiles, Spans& spans) {
+  Planes p;
   for (int64_t batch = begin; batch < end; batch += BATCH) {
     const int used = end - batch < BATCH ? int(end - batch) : BATCH;
     const int num_blocks = load_records(job.records + batch * NUM_COLUMNS, used, p);
     for (int block = 0; block < num_blocks; ++block) {
 #pragma omp simd
       for (int i = block * LANES; i < (block + 1) * LANES; ++i) {
-        const Ellipse e = ellipse_of(p.column[X][i], p.column[Y][i], p.column[FACTOR_A][i], p.column[FACTOR_B][i],
-                                     p.column[FACTOR_C][i], p.column[LOG2_OPACITY][i], p.column[EXTENT_X][i],
-                                     p.column[EXTENT_Y][i], job.log2_threshold);
-        p.k_squared[i] = e.k_squared, p.c_squared[i] = e.c_squared, p.skew[i] = e.skew;
-        p.inverse_a[i] = e.inverse_a, p.height[i] = e.height, p.dy_of_right[i] = e.dy_of_right, p.margin[i] = e.margin;
-        const Tiles rows = tiles_in({e.y - e.height - e.margin, e.y + e.height + e.margin}, height);
-        const Interval strip = strip_of(rows.first, height);
-        const Tiles columns = tiles_in(reach_of(e, strip.low, strip.high), width);
-        p.first_row[i] = rows.first, p.end_row[i] = rows.end;
-        p.first[i] = columns.first, p.end[i] = columns.end;
+        if constexpr (EXTENT == Extent::SQUARE)
+          cover_square(job, i, p);
+        else
+          cover_ellipse<EXTENT, FLOORS>(job, i, p);
       }
     }
     for (int i = 0; i < used; ++i) {
@@ -94,14 +142,32 @@ void list_spans(const BinJob& job, int64_t begin, int64_t end, SplatTiles* tiles
       t.first_row = uint16_t(p.first_row[i]);
       t.num_rows = uint16_t(num_rows);
       t.span = {uint16_t(p.first[i]), uint16_t(p.end[i])};
-      if (num_rows > 1 || (num_rows && job.whole_box)) {
+      if (FLOORS && num_rows <= 1) job.floors[batch + i] = floor_of(job, p.column[LOG2_OPACITY][i], p.nearest[i]);
+      if (num_rows <= 1) continue;
+      t.first_span = spans.size;
+      if (EXTENT == Extent::ELLIPSE) {
         const Ellipse ellipse = {p.column[X][i], p.column[Y][i], p.k_squared[i], p.c_squared[i], p.skew[i],
                                  p.inverse_a[i], p.height[i], p.dy_of_right[i], p.margin[i]};
-        t.first_span = spans.size;
-        const Span* span = list_rows(job, ellipse, p.first_row[i], num_rows, p.column[EXTENT_X][i], spans);
-        if (num_rows == 1) t.span = *span;
+        const float beside = list_rows<FLOORS>(job, ellipse, p.first_row[i], num_rows, spans);
+        if (FLOORS) job.floors[batch + i] = floor_of(job, p.column[LOG2_OPACITY][i], least(p.nearest[i], beside));
+      } else {
+        repeat_span({uint16_t(p.first[i]), uint16_t(p.end[i])}, num_rows, spans);
       }
     }
+  }
+}
+
+}  // namespace
+
+void list_spans(const BinJob& job, int64_t begin, int64_t end, SplatTiles* tiles, Spans& spans) {
+  switch (job.extent) {
+    case Extent::ELLIPSE:
+      return job.floors ? list_all<Extent::ELLIPSE, true>(job, begin, end, tiles, spans)
+                        : list_all<Extent::ELLIPSE, false>(job, begin, end, tiles, spans);
+    case Extent::BOX:
+      return list_all<Extent::BOX, false>(job, begin, end, tiles, spans);
+    case Extent::SQUARE:
+      return list_all<Extent::SQUARE, false>(job, begin, end, tiles, spans);
   }
 }
 

@@ -6,6 +6,11 @@
 
 namespace splatree {
 
+// The rule of the squares from the doubles that kernels/cpu/view.py packs.
+inline Square square_of(const double* v) {
+  return {float(std::log2(v[0])), float(v[1]), float(v[2]), float(v[3]), float(v[4])};
+}
+
 // The view from the doubles that kernels/cpu/view.py packs, in their order.
 inline View view_of(const double* v, double threshold, bool antialiased) {
   View view{};
@@ -19,7 +24,7 @@ inline View view_of(const double* v, double threshold, bool antialiased) {
                          &view.slope_min_x, &view.slope_max_x, &view.slope_min_y, &view.slope_max_y,
                          &view.dilation, &view.sigma_max};
   for (float* field : rest) *field = float(*v++);
-  view.threshold = float(threshold);
+  view.least_opacity = float(threshold);
   view.log2_threshold = float(std::log2(threshold));
   view.antialiased = antialiased;
   return view;

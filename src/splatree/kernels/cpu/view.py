@@ -3,10 +3,12 @@
 import numpy as np
 
 from splatree.constants import DILATION_MIN_PX2, FRUSTUM_CLAMP, SIGMA_MAX_PX
+from splatree.kernels.reference.square import rule_of
 from splatree.scene.cameras import Camera
+from splatree.scene.options import ResolvedOptions
 from splatree.shapes import Array, Float64
 
-__all__ = ["pack_view"]
+__all__ = ["pack_square", "pack_view"]
 
 
 def pack_view(camera: Camera, dilation_px2: float) -> Float64[Array, "25"]:
@@ -22,3 +24,10 @@ def pack_view(camera: Camera, dilation_px2: float) -> Float64[Array, "25"]:
     slopes = [min_x, max_x, min_y, max_y]
     limits = [max(dilation_px2, DILATION_MIN_PX2), SIGMA_MAX_PX / max(fx, fy)]
     return np.array([*rotation.ravel(), *center, fx, fy, cx, cy, *size, *slopes, *limits], np.float64)
+
+
+def pack_square(options: ResolvedOptions) -> Float64[Array, "5"] | None:
+    """The numbers of the struct Square, in its order; None if the extent is no square."""
+    if options.extent == "ellipse":
+        return None
+    return np.array(rule_of(options), np.float64)

@@ -2,12 +2,17 @@
 
 A splat belongs to a tile of 16 × 16 px iff its ellipse |L d| ≤ k, k = √(2 ln(o/τ)), reaches into the rectangle of the tile's
 pixel centres. The smallest |L d| over a rectangle is 0 if the centre lies inside; else it is on the border, where |L d|² is a
-parabola along each side. Nothing is lost: a pair left out has opacity below τ at every pixel of the tile.
+parabola along each side. Nothing is lost: a pair left out has opacity below τ at every pixel of the tile. The extents
+`tau` and `3sigma` list a square instead (square.py).
+
+With `taper` a splat gets a floor: its largest opacity in a tile of the picture that it is not listed in, held within 1/255
+and τ. A splat that is listed in all its tiles down to 1/255 has the floor 1/255, and is drawn as it is.
 """
 
 import numpy as np
 
-from splatree.constants import TILE_PX
+from splatree.constants import ALPHA_THRESHOLD, TILE_PX
+from splatree.kernels.reference.square import half_sides, rule_of, tile_range
 from splatree.scene.cameras import Camera
 from splatree.scene.frame import Splats, TileBins, tiles_of
 from splatree.scene.options import ResolvedOptions
@@ -19,12 +24,34 @@ __all__ = ["bin", "smallest_distances"]
 def bin(splats: Splats, camera: Camera, options: ResolvedOptions, *, threads: int = 0) -> TileBins:
     """Pairs of splat and tile, tile by tile and nearest first; ``threads`` is not used."""
     num_x, num_y = tiles_of(camera)
-    k_squared = 2 * np.log(splats.opacities.astype(np.float64) / options.threshold)
-    distances = smallest_distances(splats, camera)  # [v t]
-    touches = distances**2 <= k_squared[:, None]
+    k_squared = 2 * np.log(np.maximum(splats.opacities.astype(np.float64), 1e-37) / options.threshold)
+    if options.extent == "ellipse":
+        distances = smallest_distances(splats, camera)  # [v t]
+        touches = distances**2 <= k_squared[:, None]
+    else:
+        touches = _squares_touch(splats, camera, options)
     lists = [splats.order[touches[splats.order, t]] for t in range(num_x * num_y)]
     tile_start = np.concatenate([[0], np.cumsum([len(tile) for tile in lists])]).astype(np.int64)
-    return TileBins(tile_start, np.concatenate(lists).astype(np.int32), num_x, num_y)
+    floors = None
+    if options.tapers:
+        nearest = np.where(touches, np.inf, distances).min(axis=1, initial=np.inf)
+        largest = splats.opacities * np.exp(-0.5 * nearest**2)
+        floors = np.clip(largest, ALPHA_THRESHOLD, options.threshold).astype(np.float32)
+    return TileBins(tile_start, np.concatenate(lists).astype(np.int32), num_x, num_y, floors)
+
+
+def _squares_touch(splats: Splats, camera: Camera, options: ResolvedOptions) -> Array:
+    """Whether each splat is listed in each tile by the square around it, [v t]."""
+    num_x, num_y = tiles_of(camera)
+    a, b, c = splats.factors.astype(np.float64).T
+    xx, xy, yy = 1 / a**2 + (b / (a * c)) ** 2, -b / (a * c**2), 1 / c**2  # Σ' from the factor of its inverse
+    sides = half_sides(xx, xy, yy, splats.opacities.astype(np.float64), rule_of(options))
+    x, y = splats.means_px.astype(np.float64).T
+    (left, right), (top, bottom) = tile_range(x, sides, camera.width), tile_range(y, sides, camera.height)
+    tile_y, tile_x = (index.ravel() for index in np.indices((num_y, num_x)))
+    across = (tile_x >= left[:, None]) & (tile_x < right[:, None])
+    down = (tile_y >= top[:, None]) & (tile_y < bottom[:, None])
+    return np.asarray(across & down)
 
 
 def smallest_distances(splats: Splats, camera: Camera) -> Array:

@@ -2,16 +2,24 @@
 
 At a pixel with offset d from the centre of a splat (Kerbl 2023, Eq. 3 and rasterizer):
 
-    α = min(0.99, o exp(−½ |L d|²)), skipped if α < τ
+    α = min(0.99, o exp(−½ |L d|²)), skipped if α < θ
     C ← C + T α c,  D ← D + T α z,  T ← T (1 − α), T = 1 at first
+    K ← K + T α of the pair, its contribution KPC (FilterGS 2026, Eq. 5)
 
 A pixel is finished before a splat that would leave T < 1e-4; that splat is not drawn. The picture is C + T · background, its
 alpha 1 − T, its depth D / alpha.
+
+Splats shrunk to τ > 1/255 are drawn whole in the tiles that they keep (θ = 1/255, as the code of FilterGS), which ends them at
+edges of tiles; or tapered off towards their floor β, the largest opacity in a tile that they lost (θ = β, bin.py):
+
+    α' = min(α, 2 (α − β) + 1/255)
+
+which is 1/255 where the first lost tile may begin, as at the rim of any splat, and α from 2 β on.
 """
 
 import numpy as np
 
-from splatree.constants import ALPHA_MAX, TILE_PX, TRANSMITTANCE_MIN
+from splatree.constants import ALPHA_MAX, TAPER_SLOPE, TILE_PX, TRANSMITTANCE_MIN
 from splatree.scene.cameras import Camera
 from splatree.scene.frame import Picture, Splats, TileBins, TileWork
 from splatree.scene.options import ResolvedOptions
@@ -19,8 +27,16 @@ from splatree.scene.options import ResolvedOptions
 __all__ = ["blend"]
 
 
-def blend(splats: Splats, bins: TileBins, camera: Camera, options: ResolvedOptions, *, threads: int = 0) -> Picture:
-    """The picture of the tiles' lists; ``threads`` is not used."""
+def blend(
+    splats: Splats,
+    bins: TileBins,
+    camera: Camera,
+    options: ResolvedOptions,
+    *,
+    threads: int = 0,
+    contributions: bool = False,
+) -> Picture:
+    """The picture of the tiles' lists, on request with the contribution of each pair; ``threads`` is not used."""
     means, factors = splats.means_px.astype(np.float64), splats.factors.astype(np.float64)
     opacities, colors = splats.opacities.astype(np.float64), splats.colors.astype(np.float64)
     depths = splats.depths.astype(np.float64)
@@ -28,6 +44,8 @@ def blend(splats: Splats, bins: TileBins, camera: Camera, options: ResolvedOptio
     depth, transmittance = np.zeros(color.shape[:2]), np.ones(color.shape[:2])
     num_tiles = bins.num_tiles_x * bins.num_tiles_y
     work = TileWork(*(np.zeros(num_tiles, np.int64) for _ in range(3)))
+    of_pairs = np.zeros(bins.num_pairs)
+    floors = bins.floors if bins.floors is not None else np.full(len(splats), options.pixel_threshold)
 
     for tile in range(num_tiles):
         y0, x0 = (TILE_PX * i for i in divmod(tile, bins.num_tiles_x))
@@ -35,11 +53,15 @@ def blend(splats: Splats, bins: TileBins, camera: Camera, options: ResolvedOptio
         T, C, D = transmittance[area], color[area], depth[area]  # views
         y, x = np.indices(T.shape) + 0.5
         finished = np.zeros(T.shape, bool)
-        for i in bins.splat_from_pair[bins.tile_start[tile] : bins.tile_start[tile + 1]]:
+        for pair in range(bins.tile_start[tile], bins.tile_start[tile + 1]):
+            i = bins.splat_from_pair[pair]
             dx, dy = x0 + x - means[i, 0], y0 + y - means[i, 1]
             a, b, c = factors[i]
-            alpha = np.minimum(ALPHA_MAX, opacities[i] * np.exp(-0.5 * ((a * dx + b * dy) ** 2 + (c * dy) ** 2)))
-            drawn = (alpha >= options.threshold) & ~finished
+            whole = opacities[i] * np.exp(-0.5 * ((a * dx + b * dy) ** 2 + (c * dy) ** 2))
+            alpha = np.minimum(
+                ALPHA_MAX, np.minimum(whole, TAPER_SLOPE * (whole - floors[i]) + options.pixel_threshold)
+            )
+            drawn = (whole >= floors[i]) & ~finished
             work.consumed[tile] += not finished.all()
             work.evaluated[tile] += (~finished).sum()
             finished |= drawn & (T * (1 - alpha) < TRANSMITTANCE_MIN)
@@ -49,8 +71,15 @@ def blend(splats: Splats, bins: TileBins, camera: Camera, options: ResolvedOptio
             D += weight * depths[i]
             T[drawn] *= 1 - alpha[drawn]
             work.blended[tile] += drawn.sum()
+            of_pairs[pair] = weight.sum()
 
     alpha = 1 - transmittance
     color += transmittance[..., None] * np.asarray(options.background)
     depth = np.divide(depth, alpha, out=np.zeros_like(depth), where=alpha > 0)
-    return Picture(color.astype(np.float32), alpha.astype(np.float32), depth.astype(np.float32), work)
+    return Picture(
+        color.astype(np.float32),
+        alpha.astype(np.float32),
+        depth.astype(np.float32),
+        work,
+        of_pairs.astype(np.float32) if contributions else None,
+    )

@@ -10,13 +10,15 @@ image and 0.3 half fields of view around it (the 1.3 tan(fov/2) of Kerbl 2023, m
 holds for an off-centre principal point). In mode `antialiased` the opacity is multiplied by √(det(Σ' − dilation I) / det Σ'),
 so that the dilation does not add light (Yu 2024, Eq. 9).
 
-The splat ends where its opacity falls below τ: |L d| ≤ k with k = √(2 ln(o/τ)), a box of half size k √Σ'_xx by k √Σ'_yy. A
-Gaussian is dropped if its centre is not farther than `near`, if o < τ, or if the box holds no pixel centre's row or column.
+The splat is drawn down to an opacity θ, the smaller of τ and 1/255: |L d| ≤ k with k = √(2 ln(o/θ)), a box of half size
+k √Σ'_xx by k √Σ'_yy. A Gaussian is dropped if its centre is not farther than `near`, if o < τ, or if the box holds no pixel
+centre's row or column; one with a square extent (square.py) if the square is listed in no tile.
 """
 
 import numpy as np
 
 from splatree.constants import DILATION_MIN_PX2, FRUSTUM_CLAMP, SIGMA_MAX_PX
+from splatree.kernels.reference.square import half_sides, rule_of, tile_range
 from splatree.maths.harmonics import colors_from_harmonics
 from splatree.maths.rotations import matrices_from_quats
 from splatree.scene.cameras import Camera
@@ -68,14 +70,20 @@ def project(
     opacities = 0.5 * (1.0 + np.tanh(0.5 * g.logit_opacities.astype(np.float64)))  # the sigmoid, without overflow
     if options.mode == "antialiased":
         opacities = opacities * np.sqrt(undilated_det / det)
-    k_squared = 2 * np.log(np.maximum(opacities, options.threshold) / options.threshold)
+    threshold = options.pixel_threshold
+    k_squared = 2 * np.log(np.maximum(opacities, threshold) / threshold)
     extents_px = np.sqrt(k_squared[:, None] * np.stack([xx, yy], axis=1))
 
     a = np.sqrt(yy / det)
     factors = np.stack([a, -a * xy / yy, np.sqrt(1 / yy)], axis=1)
     size = np.array([camera.width, camera.height])
-    touches = (means_px + extents_px >= 0.5) & (means_px - extents_px <= size - 0.5)
-    visible = touches.all(axis=1) & (opacities >= options.threshold)
+    if options.extent == "ellipse":
+        touches = ((means_px + extents_px >= 0.5) & (means_px - extents_px <= size - 0.5)).all(axis=1)
+    else:
+        sides = half_sides(xx, xy, yy, opacities, rule_of(options))
+        ranges = [tile_range(means_px[:, axis], sides, int(size[axis])) for axis in range(2)]
+        touches = np.logical_and(*(first < end for first, end in ranges))
+    visible = touches & (opacities >= options.least_opacity)
 
     directions = (points @ W)[visible]  # from the eye, in the world
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -84,7 +92,7 @@ def project(
 
     records = np.zeros((int(visible.sum()), 16), np.float32)
     records[:, 0:2], records[:, 2:5] = means_px[visible], factors[visible]
-    records[:, 5], records[:, 6] = opacities[visible], np.log2(opacities[visible])
+    records[:, 5], records[:, 6] = opacities[visible], np.log2(np.maximum(opacities[visible], 1e-37))
     records[:, 7:10], records[:, 10], records[:, 11:13] = colors, z[visible], extents_px[visible]
     rows = np.ascontiguousarray(rows[visible])
     order = np.lexsort((rows if ids is None else ids[rows], records[:, 10])).astype(np.int32)

@@ -10,11 +10,11 @@
 namespace splatree {
 namespace {
 
-constexpr float TILE_PX = 16.f;
+constexpr float TILE_PX = 16.f, FAR = 1e9f;
 
 struct Ellipse {
   float x, y;                  // centre, px
-  float k_squared, c_squared;
+  float k_squared, c_squared;  // of |L d|; px⁻²
   float skew, inverse_a;
   float height;                // half height, px
   float dy_of_right;           // height at which it is widest to the right; to the left it is minus that
@@ -66,6 +66,35 @@ SPLATREE_FN Tiles tiles_in(Interval interval, float size) {
 // The heights of the pixel centres of a row of tiles.
 SPLATREE_FN Interval strip_of(int row, float height) {
   return {TILE_PX * row + 0.5f, least(TILE_PX * (row + 1), height) - 0.5f};
+}
+
+// The smallest |L d|² in a strip of heights on the far side of an edge, px: right of it, or left of it with side −1.
+//
+// |L d|² = a² (dx − skew dy)² + c² dy². If the strip's point of least c² dy² and dx = skew dy lies beyond the edge, it is the
+// nearest; else the nearest is on the edge, where the sum is a parabola in dy.
+SPLATREE_FN float nearest_beyond(const Ellipse& e, float side, float edge, Interval strip) {
+  const float dx = side * (edge - e.x), skew = side * e.skew;
+  const float top = strip.low - e.y, bottom = strip.high - e.y;
+  const float dy = least(greatest(0.f, top), bottom);
+  const float a_squared = 1.f / (e.inverse_a * e.inverse_a);
+  const float dy_on_edge = a_squared * skew * dx / (a_squared * skew * skew + e.c_squared);
+  const float held = least(greatest(dy_on_edge, top), bottom), gap = dx - skew * held;
+  const float inside = e.c_squared * dy * dy, on_edge = a_squared * gap * gap + e.c_squared * held * held;
+  return dx <= skew * dy ? inside : on_edge;
+}
+
+// The same over the tiles left and right of those of a row, of num_tiles.
+SPLATREE_FN float nearest_beside(const Ellipse& e, Tiles columns, Interval strip, int num_tiles) {
+  const float left = nearest_beyond(e, -1.f, TILE_PX * columns.first - 0.5f, strip);
+  const float right = nearest_beyond(e, 1.f, TILE_PX * columns.end + 0.5f, strip);
+  return least(columns.first > 0 ? left : FAR, columns.end < num_tiles ? right : FAR);
+}
+
+// The same over the rows of tiles above and below, of num_tiles; wherever in these rows.
+SPLATREE_FN float nearest_above_or_below(const Ellipse& e, Tiles rows, int num_tiles) {
+  const float up = TILE_PX * rows.first - 0.5f - e.y, down = TILE_PX * rows.end + 0.5f - e.y;
+  const float above = e.c_squared * up * up, below = e.c_squared * down * down;
+  return least(rows.first > 0 ? above : FAR, rows.end < num_tiles ? below : FAR);
 }
 
 }  // namespace

@@ -1,6 +1,7 @@
 // The projection of one Gaussian; kernels/reference/project.py is the definition.
 #pragma once
 #include "shared/elementary.h"
+#include "shared/square.h"
 
 namespace splatree {
 
@@ -12,7 +13,7 @@ struct View {
   float slope_min_x, slope_max_x, slope_min_y, slope_max_y;  // limits of x/z, y/z in the Jacobian
   float dilation;                     // px^2
   float sigma_max;                    // largest standard deviation over z, world units
-  float threshold, log2_threshold;    // τ
+  float least_opacity, log2_threshold;  // of a splat; at the edge of its box
   int antialiased;
 };
 
@@ -102,8 +103,8 @@ struct Splat {
 };
 
 // Of the centre (x, y) in the picture, the depth z, the rows of M, and the opacity as stored.
-template <bool ANTIALIASED>
-SPLATREE_FN Splat splat_of(const View& view, float x, float y, float z, Vector mx, Vector my, float sigmoid) {
+template <bool ANTIALIASED, bool SQUARE>
+SPLATREE_FN Splat splat_of(const View& view, const Square& square, float x, float y, float z, Vector mx, Vector my, float sigmoid) {
   // The determinant as a sum of positive terms.
   const float mxx = dot(mx, mx), myy = dot(my, my), xy = dot(mx, my);
   const Vector cross = {mx.y * my.z - mx.z * my.y, mx.z * my.x - mx.x * my.z, mx.x * my.y - mx.y * my.x};
@@ -124,9 +125,16 @@ SPLATREE_FN Splat splat_of(const View& view, float x, float y, float z, Vector m
   splat.a = yy * inverse;
   splat.b = -xy * inverse;
   // NaN anywhere makes a comparison false: such a row is not drawn.
-  splat.visible = (z > view.near) & (splat.opacity >= view.threshold) & (x + splat.extent_x >= 0.5f) &
-                  (x - splat.extent_x <= view.width - 0.5f) & (y + splat.extent_y >= 0.5f) &
-                  (y - splat.extent_y <= view.height - 0.5f);
+  splat.visible = (z > view.near) & (splat.opacity >= view.least_opacity);
+  if (SQUARE) {
+    const float half_side = half_side_of(square, xx, xy, yy, splat.log2_opacity);
+    const Side across = side_of(x, half_side, tiles_along(view.width));
+    const Side down = side_of(y, half_side, tiles_along(view.height));
+    splat.visible &= (across.first < across.end) & (down.first < down.end);
+  } else {
+    splat.visible &= (x + splat.extent_x >= 0.5f) & (x - splat.extent_x <= view.width - 0.5f) &
+                     (y + splat.extent_y >= 0.5f) & (y - splat.extent_y <= view.height - 0.5f);
+  }
   return splat;
 }
 
