@@ -22,6 +22,12 @@ if TYPE_CHECKING:
     from splatree.metrics.psnr import psnr
     from splatree.metrics.ssim import ssim
     from splatree.render.batch import render_batch, trace_batch
+    from splatree.render.contribution import (
+        ContributionHistogram,
+        TileContributions,
+        contribution_histogram,
+        tile_contributions,
+    )
     from splatree.render.evaluate import Evaluation, evaluate
     from splatree.render.paths import PathOptions, flyout, orbit
     from splatree.render.pipeline import render, trace
@@ -40,6 +46,7 @@ __all__ = [
     "BuildOptions",
     "Camera",
     "Cameras",
+    "ContributionHistogram",
     "ConvertOptions",
     "Converted",
     "EditOptions",
@@ -64,8 +71,10 @@ __all__ = [
     "SplatreeError",
     "ThinOptions",
     "Thinned",
+    "TileContributions",
     "WriteOptions",
     "build_lod",
+    "contribution_histogram",
     "convert",
     "edit",
     "evaluate",
@@ -82,6 +91,7 @@ __all__ = [
     "select",
     "ssim",
     "thin",
+    "tile_contributions",
     "trace",
     "trace_batch",
     "write",
@@ -93,6 +103,7 @@ _HOME = {
     "BuildOptions": "splatree.lod.build",
     "Camera": "splatree.scene.cameras",
     "Cameras": "splatree.scene.cameras",
+    "ContributionHistogram": "splatree.render.contribution",
     "ConvertOptions": "splatree.io.convert",
     "Converted": "splatree.io.convert",
     "EditOptions": "splatree.edit.options",
@@ -117,8 +128,10 @@ _HOME = {
     "SplatreeError": "splatree.errors",
     "ThinOptions": "splatree.scene.thinning",
     "Thinned": "splatree.simplify.thin",
+    "TileContributions": "splatree.render.contribution",
     "WriteOptions": "splatree.io.options",
     "build_lod": "splatree.lod.build",
+    "contribution_histogram": "splatree.render.contribution",
     "convert": "splatree.io.convert",
     "edit": "splatree.edit.edit",
     "evaluate": "splatree.render.evaluate",
@@ -135,6 +148,7 @@ _HOME = {
     "select": "splatree.lod.select",
     "ssim": "splatree.metrics.ssim",
     "thin": "splatree.simplify.thin",
+    "tile_contributions": "splatree.render.contribution",
     "trace": "splatree.render.pipeline",
     "trace_batch": "splatree.render.batch",
     "write": "splatree.io.registry",
