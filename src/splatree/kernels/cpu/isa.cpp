@@ -14,10 +14,18 @@
   void small_rows(const SelectJob&, const int32_t*, int64_t, uint8_t*);   \
   void visible_rows(const SelectJob&, const int32_t*, int64_t, uint8_t*); \
   void label_nearest(const NearestJob&, int64_t, int64_t);                \
+  void quantize(const ByteColumn&, int64_t, int64_t);                     \
+  void dequantize(const ByteColumn&, int64_t, int64_t);                   \
+  void bytes_from_logits(const float*, int64_t, int64_t, uint8_t*);       \
+  void pack_fixed(const Triples&, int64_t, int64_t);                      \
+  void unpack_fixed(const Triples&, int64_t, int64_t);                    \
+  void pack_quats(const Triples&, QuatCode, int64_t, int64_t);            \
+  void unpack_quats(const Triples&, QuatCode, int64_t, int64_t);          \
   }
 #define SPLATREE_TABLE(name, isa)                                                                                  \
   {name, isa::project, isa::list_spans, isa::blend, isa::largest_bits, isa::select_group, isa::small_rows, isa::visible_rows, \
-   isa::label_nearest}
+   isa::label_nearest, isa::quantize, isa::dequantize, isa::bytes_from_logits, isa::pack_fixed, isa::unpack_fixed, \
+   isa::pack_quats, isa::unpack_quats}
 
 #if defined(__x86_64__)
 SPLATREE_DECLARE(isa_v4)

@@ -19,6 +19,9 @@ struct BlendJob;
 struct SelectJob;
 struct RunResult;
 struct NearestJob;
+struct ByteColumn;
+struct Triples;
+enum class QuatCode : int;
 
 struct Kernels {
   const char* isa;
@@ -30,6 +33,13 @@ struct Kernels {
   void (*small_rows)(const SelectJob& job, const int32_t* rows, int64_t count, uint8_t* small);
   void (*visible_rows)(const SelectJob& job, const int32_t* rows, int64_t count, uint8_t* visible);
   void (*label_nearest)(const NearestJob& job, int64_t begin, int64_t end);
+  void (*quantize)(const ByteColumn& column, int64_t begin, int64_t end);
+  void (*dequantize)(const ByteColumn& column, int64_t begin, int64_t end);
+  void (*bytes_from_logits)(const float* logits, int64_t begin, int64_t end, uint8_t* codes);
+  void (*pack_fixed)(const Triples& job, int64_t begin, int64_t end);
+  void (*unpack_fixed)(const Triples& job, int64_t begin, int64_t end);
+  void (*pack_quats)(const Triples& job, QuatCode kind, int64_t begin, int64_t end);
+  void (*unpack_quats)(const Triples& job, QuatCode kind, int64_t begin, int64_t end);
 };
 
 // The table of the best level that the processor runs, or of the level set by use_isa().

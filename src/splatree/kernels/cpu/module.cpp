@@ -19,6 +19,7 @@ void bind_thin(nb::module_& m);
 void bind_select(nb::module_& m);
 void bind_clusters(nb::module_& m);
 void bind_rotate(nb::module_& m);
+void bind_quantize(nb::module_& m);
 }
 
 NB_MODULE(_core, m) {
@@ -47,4 +48,5 @@ NB_MODULE(_core, m) {
   bind_select(m);
   bind_clusters(m);
   bind_rotate(m);
+  bind_quantize(m);
 }

@@ -23,6 +23,8 @@ SPLATREE_FN float exp2_of(float x) {
 
 SPLATREE_FN float exp_of(float x) { return exp2_of(x * 1.44269504f); }
 
+SPLATREE_FN float sigmoid_of(float logit) { return 1.f / (1.f + exp_of(-logit)); }
+
 // A power of two that brings |x|, from 0 to below infinity, below 2; 2^127 for 0.
 SPLATREE_FN float power_of_two_over(float x) { return float_of((254 << 23) - (bits_of(x) & 0x7f800000)); }
 

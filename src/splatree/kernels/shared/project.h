@@ -48,8 +48,6 @@ SPLATREE_FN Vector scale_of(const View& view, float z, Vector log_scale) {
   return {least(exp_of(log_scale.x), largest), least(exp_of(log_scale.y), largest), least(exp_of(log_scale.z), largest)};
 }
 
-SPLATREE_FN float sigmoid_of(float logit) { return 1.f / (1.f + exp_of(-logit)); }
-
 // The centre in the picture, px, and the rows of J W: f/z (w_axis - u w_depth), px per world unit.
 struct Image {
   float x, y;

@@ -1,0 +1,29 @@
+// Columns of floats as bytes and back: kernels/reference/quantize.py is the definition.
+#pragma once
+#include <cstdint>
+
+namespace splatree {
+
+constexpr int kMaxWidth = 48;  // values of a row of any column
+
+// A column of float rows and one of byte rows. A row of floats may be part of a longer one (the harmonics without the DC).
+struct ByteColumn {
+  float* values;  // row r starts at r × stride
+  uint8_t* codes;  // row r starts at r × width
+  int64_t stride;
+  int width;
+  float scale[kMaxWidth], offset[kMaxWidth];  // of each place: to codes, code = scale × value + offset; from codes, the reverse
+  int32_t step[kMaxWidth];                    // to codes: whole multiples of it, a power of two
+};
+
+// Three fixed-point numbers of 24 bits a row, or a quaternion in four bytes (smallest three) or three (xyz, w ≥ 0).
+struct Triples {
+  float* values;   // 3 or 4 a row; quaternions are wxyz
+  uint8_t* codes;  // 9, 4 or 3 a row
+  float signs[4];  // of each value
+  float scale;     // of fixed-point numbers
+};
+
+enum class QuatCode : int { smallest_three, first_three };
+
+}  // namespace splatree
