@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import splatree
-from splatree import GaussianTree, Scene, SplatreeError
+from splatree import GaussianTree, Scene, SplatreeError, WriteOptions
 from splatree.io.check import checked
 
 from .conftest import random_gaussians
@@ -37,6 +37,8 @@ def originals(tmp_path_factory):
     write_sog(root / "v1", n=9, version=1)
     write_sog(root / "v2", n=9, version=2)
     bundle(root / "v2", root / "a.sog")
+    for version in (2, 3, 4):
+        splatree.write(scene, root / f"v{version}.spz", options=WriteOptions(format_version=version))
     write_colmap(root / "bin", binary=True)
     write_colmap(root / "txt", binary=False)
     splatree.write_cameras(POSES, root / "cameras.json")
@@ -90,7 +92,7 @@ def read_any(path: Path, repair: bool) -> None:
         assert np.isfinite(scene.tree.extents).all()
 
 
-@pytest.mark.parametrize("name", ["a.ply", "a.splat", "a.splatree", "a.sog"])
+@pytest.mark.parametrize("name", ["a.ply", "a.splat", "a.splatree", "a.sog", "v2.spz", "v3.spz", "v4.spz"])
 @given(edits=changes(), repair=st.booleans())
 @EXAMPLES
 def test_changed_files_are_refused_or_valid(originals, name, edits, repair):

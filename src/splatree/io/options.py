@@ -4,6 +4,7 @@ from dataclasses import dataclass, fields
 from typing import Literal
 
 from splatree.errors import InputError
+from splatree.maths.axes import AxesName
 
 Repair = bool | Literal["drop"]
 """What is done with values that cannot be used: False raises; True fixes or drops; "drop" drops all rows that have any."""
@@ -17,6 +18,9 @@ class ReadOptions:
     """Level of detail to read from a format that has several, 0 the finest; None: 0. An error for other formats."""
     repair: Repair = False
     """Fix or drop what is wrong by the rules of `splatree.io.check`, and count it, instead of raising."""
+    axes: AxesName | None = None
+    """Where x, y and z point in a file whose format leaves that open and that does not name it itself (left or right, up or down,
+    front or back); None: RDF, as in a .ply."""
 
 
 @dataclass(frozen=True)
@@ -34,8 +38,10 @@ class WriteOptions:
     """Rounds of K-means for palettes and codebooks."""
     compression: int | None = None
     """Level of compression, where the format defines levels."""
+    axes: AxesName | None = None
+    """Where x, y and z shall point in the file, where the format leaves that open; None: as in the scene, RDF."""
 
-    def given(self) -> dict[str, int]:
+    def given(self) -> dict[str, int | str]:
         """The options that are not None."""
         values = {f.name: getattr(self, f.name) for f in fields(self)}
         return {name: value for name, value in values.items() if value is not None}

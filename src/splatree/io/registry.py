@@ -13,13 +13,14 @@ from pathlib import Path
 import numpy as np
 
 from splatree.errors import InputError, SplatreeError
-from splatree.io import ply, sog, splat, store, streamed_sog
+from splatree.io import ply, sog, splat, spz, store, streamed_sog
 from splatree.io.chunks import Chunks, chunks_of
 from splatree.io.holds import Holds, losses
 from splatree.io.inputs import find_inputs
 from splatree.io.joined import joined
 from splatree.io.options import ReadOptions, WriteOptions
 from splatree.io.replacing import replacing
+from splatree.maths.axes import AxesName
 from splatree.scene.scene import Scene
 
 _HEAD_BYTES = 4096
@@ -92,6 +93,17 @@ FORMATS: tuple[Format, ...] = (
         write=splat.write,
     ),
     Format(
+        name="spz",
+        description="Niantic SPZ, 24 to 65 bytes",
+        suffixes=(".spz",),
+        versions="1-4 (written: 2-4)",
+        holds=Holds(axes="RUB or as a record says"),
+        sniff=spz.sniff,
+        read=spz.read,
+        write_chunks=spz.write_chunks,
+        options=("format_version", "sh_bits", "compression", "axes"),
+    ),
+    Format(
         name="sog",
         description="PlayCanvas SOG",
         suffixes=(".sog",),
@@ -118,7 +130,11 @@ def formats() -> tuple[Format, ...]:
 
 
 def read(
-    path: str | os.PathLike[str] | Sequence[str | os.PathLike[str]], *, level: int | None = None, repair: bool = False
+    path: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
+    *,
+    level: int | None = None,
+    repair: bool = False,
+    axes: AxesName | None = None,
 ) -> Scene:
     """Read one scene from a file, a folder, or several of them.
 
@@ -130,12 +146,13 @@ def read(
         path: one path or several.
         level: level of detail to take from a format that has several; 0, the default, is the finest.
         repair: fix or drop values that cannot be used, and count them in ``source.metadata["repairs"]``, instead of raising.
+        axes: where x, y, z point in an .spz that does not say it; None: RDF, as in a .ply.
 
     Raises:
         FormatError: a file does not hold what it promises; the message says where and what to do.
         InputError: nothing is there, or it is of no known format, or the inputs cannot be joined.
     """
-    options = ReadOptions(level, repair)
+    options = ReadOptions(level, repair, axes)
     paths = [path] if isinstance(path, str | os.PathLike) else list(path)
     inputs = find_inputs([Path(p) for p in paths], lambda p: detect(p) is not None)
     return joined(read_one(p, options) for p in inputs)

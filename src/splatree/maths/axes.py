@@ -11,17 +11,20 @@ Formats name the directions of x, y, z by a letter each: left or right, up or do
 All are changes of signs, which rounding never touches.
 """
 
-from typing import Final
+from typing import Final, Literal, get_args
 
 import numpy as np
 
 from splatree.maths.harmonics import basis_from_directions
 from splatree.shapes import Array, Float32
 
-__all__ = ["AXES", "harmonic_signs", "quat_signs", "signs_between"]
+__all__ = ["AXES", "AxesName", "harmonic_signs", "quat_signs", "signs_between"]
 
-AXES: Final = ("LDB", "RDB", "LUB", "RUB", "LDF", "RDF", "LUF", "RUF")
-"""Frames whose x, y, z are sideways, vertical, depth; each bit of the index is one axis."""
+AxesName = Literal["LDB", "RDB", "LUB", "RUB", "LDF", "RDF", "LUF", "RUF"]
+"""Frames whose x is sideways, y vertical and z depth."""
+
+AXES: Final[tuple[str, ...]] = get_args(AxesName)
+"""All frames; each bit of the index is one axis."""
 
 
 def signs_between(source: str, target: str) -> Float32[Array, "3"]:
@@ -37,6 +40,5 @@ def quat_signs(signs: Array) -> Float32[Array, "4"]:
 def harmonic_signs(signs: Array, degree: int) -> Float32[Array, "k"]:
     """Signs of the harmonics, DC first, under the mirror ``signs``."""
     direction = np.array([0.36, 0.48, 0.8])  # where no harmonic up to degree 3 vanishes
-    return np.sign(basis_from_directions(direction * signs, degree) * basis_from_directions(direction, degree)).astype(
-        np.float32
-    )
+    product = basis_from_directions(direction * signs, degree) * basis_from_directions(direction, degree)
+    return np.asarray(np.sign(product), np.float32)

@@ -75,9 +75,8 @@ void bind_fixed_from_means(const In<float>& means, const In<float>& signs, float
                   [&](int64_t begin, int64_t end) { kernels().pack_fixed(job, begin, end); });
 }
 
-void bind_means_from_fixed(const In<uint8_t>& codes, const In<float>& signs, float scale, const Out<float>& means,
-                           int threads) {
-  const Triples job = triples_of(means.data(), codes.data(), signs, scale);
+void bind_means_from_fixed(const In<uint8_t>& codes, float scale, const Out<float>& means, int threads) {
+  const Triples job{means.data(), const_cast<uint8_t*>(codes.data()), {}, scale};
   const int64_t num_rows = means.shape(0);
   nb::gil_scoped_release released;
   parallel_ranges(num_rows, kRowsPerChunk, threads,
@@ -98,8 +97,8 @@ void bind_codes_from_quats(const In<float>& quats, const In<float>& signs, const
                   [&](int64_t begin, int64_t end) { kernels().pack_quats(job, kind, begin, end); });
 }
 
-void bind_quats_from_codes(const In<uint8_t>& codes, const In<float>& signs, const Out<float>& quats, int threads) {
-  const Triples job = triples_of(quats.data(), codes.data(), signs, 1);
+void bind_quats_from_codes(const In<uint8_t>& codes, const Out<float>& quats, int threads) {
+  const Triples job{quats.data(), const_cast<uint8_t*>(codes.data()), {}, 1};
   const QuatCode kind = kind_of(codes.shape(1));
   const int64_t num_rows = quats.shape(0);
   nb::gil_scoped_release released;
@@ -114,9 +113,9 @@ void bind_quantize(nb::module_& m) {
   m.def("values_from_bytes", &bind_from_bytes, "codes"_a, "scale"_a, "offset"_a, "values"_a, "skip"_a, "threads"_a);
   m.def("bytes_from_logits", &bind_bytes_from_logits, "logits"_a, "codes"_a, "threads"_a);
   m.def("fixed_from_means", &bind_fixed_from_means, "means"_a, "signs"_a, "scale"_a, "codes"_a, "threads"_a);
-  m.def("means_from_fixed", &bind_means_from_fixed, "codes"_a, "signs"_a, "scale"_a, "means"_a, "threads"_a);
+  m.def("means_from_fixed", &bind_means_from_fixed, "codes"_a, "scale"_a, "means"_a, "threads"_a);
   m.def("codes_from_quats", &bind_codes_from_quats, "quats"_a, "signs"_a, "codes"_a, "threads"_a);
-  m.def("quats_from_codes", &bind_quats_from_codes, "codes"_a, "signs"_a, "quats"_a, "threads"_a);
+  m.def("quats_from_codes", &bind_quats_from_codes, "codes"_a, "quats"_a, "threads"_a);
 }
 
 }  // namespace splatree

@@ -55,10 +55,9 @@ void load_quats(const float* rows, const float* signs, Quats& q) {
   }
 }
 
-void store_quats(const Quats& q, const float* signs, float* rows) {
+void store_quats(const Quats& q, float* rows) {
   for (int i = 0; i < LANES; i += 4) {
-    Quad a = load_quad(q.w + i) * signs[0], b = load_quad(q.x + i) * signs[1];
-    Quad c = load_quad(q.y + i) * signs[2], d = load_quad(q.z + i) * signs[3];
+    Quad a = load_quad(q.w + i), b = load_quad(q.x + i), c = load_quad(q.y + i), d = load_quad(q.z + i);
     transpose(a, b, c, d);
     store_quad(rows + 4 * i, a), store_quad(rows + 4 * i + 4, b);
     store_quad(rows + 4 * i + 8, c), store_quad(rows + 4 * i + 12, d);
@@ -159,7 +158,8 @@ void bytes_from_logits(const float* logits, int64_t begin, int64_t end, uint8_t*
 void pack_fixed(const Triples& job, int64_t begin, int64_t end) {
   for (int64_t row = begin; row < end; ++row)
     for (int j = 0; j < 3; ++j) {
-      const int32_t fixed = int32_t(__builtin_rintf(job.values[3 * row + j] * job.signs[j] * job.scale));
+      const double value = double(job.values[3 * row + j]) * job.signs[j] * job.scale;
+      const int32_t fixed = int32_t(value + (value < 0 ? -0.5 : 0.5));
       uint8_t* code = job.codes + 9 * row + 3 * j;
       code[0] = uint8_t(fixed), code[1] = uint8_t(fixed >> 8), code[2] = uint8_t(fixed >> 16);
     }
@@ -170,7 +170,7 @@ void unpack_fixed(const Triples& job, int64_t begin, int64_t end) {
     for (int j = 0; j < 3; ++j) {
       const uint8_t* code = job.codes + 9 * row + 3 * j;
       const int32_t fixed = int32_t(uint32_t(code[0]) << 8 | uint32_t(code[1]) << 16 | uint32_t(code[2]) << 24) >> 8;
-      job.values[3 * row + j] = float(fixed) * job.scale * job.signs[j];
+      job.values[3 * row + j] = float(fixed) * job.scale;
     }
 }
 
@@ -198,7 +198,7 @@ void unpack_quats(const Triples& job, QuatCode kind, int64_t begin, int64_t end)
     Quats q;
     for (int i = 0; i < used; ++i) memcpy(codes + i, job.codes + (row + i) * bytes, bytes);
     kind == QuatCode::smallest_three ? unpack_smallest(codes, q) : unpack_first(codes, q);
-    store_quats(q, job.signs, rows);
+    store_quats(q, rows);
     memcpy(job.values + 4 * row, rows, used * 4 * sizeof(float));
   }
 }

@@ -20,7 +20,7 @@ struct ByteColumn {
 struct Triples {
   float* values;   // 3 or 4 a row; quaternions are wxyz
   uint8_t* codes;  // 9, 4 or 3 a row
-  float signs[4];  // of each value
+  float signs[4];  // of each value, to codes
   float scale;     // of fixed-point numbers
 };
 

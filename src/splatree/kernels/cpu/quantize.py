@@ -73,16 +73,11 @@ def fixed_from_means(
 
 
 def means_from_fixed(
-    codes: UInt8[Array, "n 9"],
-    means: Float32[Array, "n 3"],
-    *,
-    signs: Float32[Array, "3"],
-    scale: float,
-    threads: int = 0,
+    codes: UInt8[Array, "n 9"], means: Float32[Array, "n 3"], *, scale: float, threads: int = 0
 ) -> None:
-    """Fill ``means`` with ``scale · signs`` times the numbers of 24 bits in ``codes``."""
+    """Fill ``means`` with ``scale`` times the numbers of 24 bits in ``codes``."""
     assert len(means) == len(codes)
-    _core.means_from_fixed(codes, signs, scale, means, threads)
+    _core.means_from_fixed(codes, scale, means, threads)
 
 
 def codes_from_quats(
@@ -93,12 +88,10 @@ def codes_from_quats(
     _core.codes_from_quats(quats, signs, codes, threads)
 
 
-def quats_from_codes(
-    codes: UInt8[Array, "n b"], quats: Float32[Array, "n 4"], *, signs: Float32[Array, "4"], threads: int = 0
-) -> None:
-    """Fill ``quats`` with the quaternions wxyz of codes of four or three bytes, times ``signs``."""
+def quats_from_codes(codes: UInt8[Array, "n b"], quats: Float32[Array, "n 4"], *, threads: int = 0) -> None:
+    """Fill ``quats`` with the quaternions wxyz of codes of four or three bytes."""
     assert len(quats) == len(codes)
-    _core.quats_from_codes(codes, signs, quats, threads)
+    _core.quats_from_codes(codes, quats, threads)
 
 
 def _each(value: Array | float, width: int, dtype: type) -> Array:

@@ -1,9 +1,9 @@
 """Columns of floats as bytes and back: what the fast kernels must give.
 
-A byte is the nearest multiple of a step to ``scale · value + offset``, halves to even before the step and up at it. A quaternion
-becomes its smallest three components, in the places x, y, z, w: the place of the largest in the top two bits, then for each
-other, in order, a sign and nine bits of ``511 √2 |q|``; the largest is made positive, as q and −q are one rotation. Or, older,
-it becomes ``127.5 + 127.5 q`` of x, y, z with w made positive.
+A byte is the nearest multiple of a step to ``scale · value + offset``, halves to even before the step and up at it; a fixed-point
+number is rounded with halves away from zero. A quaternion becomes its smallest three components, in the places x, y, z, w: the
+place of the largest in the top two bits, then for each other, in order, a sign and nine bits of ``511 √2 |q|``; the largest is
+made positive, as q and −q are one rotation. Or, older, it becomes ``127.5 + 127.5 q`` of x, y, z with w made positive.
 """
 
 import numpy as np
@@ -64,22 +64,18 @@ def fixed_from_means(
     threads: int = 0,
 ) -> None:
     """Fill ``codes`` with ``scale · signs · means`` in 24 bits each, little-endian; they must fit."""
-    fixed = np.rint(means.astype(np.float64) * signs * scale).astype("<i4")
+    values = means.astype(np.float64) * signs * scale
+    fixed = np.trunc(values + np.copysign(0.5, values)).astype("<i4")
     codes[:] = np.ascontiguousarray(fixed.view(np.uint8).reshape(-1, 3, 4)[:, :, :3]).reshape(-1, 9)
 
 
 def means_from_fixed(
-    codes: UInt8[Array, "n 9"],
-    means: Float32[Array, "n 3"],
-    *,
-    signs: Float32[Array, "3"],
-    scale: float,
-    threads: int = 0,
+    codes: UInt8[Array, "n 9"], means: Float32[Array, "n 3"], *, scale: float, threads: int = 0
 ) -> None:
-    """Fill ``means`` with ``scale · signs`` times the numbers of 24 bits in ``codes``."""
+    """Fill ``means`` with ``scale`` times the numbers of 24 bits in ``codes``."""
     low, middle, high = (codes.reshape(-1, 3, 3)[..., i].astype(np.int64) for i in range(3))
     fixed = low + 256 * middle + 65536 * high
-    means[:] = np.where(fixed < 1 << 23, fixed, fixed - (1 << 24)) * scale * signs
+    means[:] = np.where(fixed < 1 << 23, fixed, fixed - (1 << 24)) * scale
 
 
 def codes_from_quats(
@@ -100,10 +96,8 @@ def codes_from_quats(
     codes[:] = packed.astype("<u4")[:, None].view(np.uint8)
 
 
-def quats_from_codes(
-    codes: UInt8[Array, "n b"], quats: Float32[Array, "n 4"], *, signs: Float32[Array, "4"], threads: int = 0
-) -> None:
-    """Fill ``quats`` with the quaternions wxyz of codes of four or three bytes, times ``signs``."""
+def quats_from_codes(codes: UInt8[Array, "n b"], quats: Float32[Array, "n 4"], *, threads: int = 0) -> None:
+    """Fill ``quats`` with the quaternions wxyz of codes of four or three bytes."""
     q = np.zeros((len(codes), 4))  # in the places x, y, z, w
     if codes.shape[1] == 3:
         largest = np.full(len(codes), 3)
@@ -116,4 +110,4 @@ def quats_from_codes(
     q[np.arange(4) != largest[:, None]] = others.reshape(-1)
     top = np.sqrt(np.maximum(1 - (others * others).sum(axis=1), 0))
     np.put_along_axis(q, largest[:, None].astype(np.int64), top[:, None], axis=1)
-    quats[:] = q[:, [3, 0, 1, 2]] * signs
+    quats[:] = q[:, [3, 0, 1, 2]]

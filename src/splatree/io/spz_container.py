@@ -1,0 +1,395 @@
+"""What is round the planes of an ``.spz``: header, extension records, and the streams of gzip or zstd.
+
+========  =================================================================================================
+bytes     header
+========  =================================================================================================
+0, 4, 8   NGSP, version u4, Gaussians u4
+12 … 15   degree of harmonics, fractional bits of positions, flags (1 antialiased, 2 extensions), planes (v4)
+16        v4: byte at which the table of planes begins u4, 12 zeros; extension records lie before it
+========  =================================================================================================
+
+A reader takes bytes of a plane as it needs them, so that no count in a header makes it inflate or keep more than the rows in
+hand. A writer keeps what must come later in a temporary file beside the target.
+"""
+
+import gzip
+import io
+import shutil
+import struct
+import tempfile
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any, BinaryIO, Self, cast
+
+from splatree.errors import FormatError
+from splatree.maths.axes import AXES
+from splatree.shapes import Array
+
+if TYPE_CHECKING:
+    import zstandard
+
+MAGIC = b"NGSP"
+GZIP_MAGIC = b"\x1f\x8b"
+
+_ANTIALIASED, _HAS_EXTENSIONS = 1, 2
+_AXES_RECORD = 0xADBE0003
+"""Type of the extension record SPZ_ADOBE_coordinate_system: a u4, one more than the index in `AXES`."""
+
+_EXTENSION_BYTES_MAX = 1 << 20
+"""More of extension records is refused: those that are known take 4 and 12 bytes."""
+
+_GAUSSIANS_PER_BYTE = 16
+"""More Gaussians than this for a byte of the file (real ones take ten bytes and more) is a decompression bomb …"""
+
+_GAUSSIANS_ALWAYS = 1 << 20
+"""… unless there are no more than this."""
+
+_WINDOW_MIN = 1 << 23
+"""zstd frames may ask for a window of this size, or of their plane's if it is larger."""
+
+_COPY_BYTES = 1 << 20
+
+
+@dataclass(frozen=True)
+class Header:
+    """What is said of all planes."""
+
+    version: int
+    """1 to 4."""
+    num_gaussians: int
+    """Rows of each plane."""
+    sh_degree: int
+    """Degree of the harmonics, 0 to 4."""
+    fractional_bits: int
+    """Bits of a position below the point."""
+    antialiased: bool
+    """Whether the scene is drawn in the mode `antialiased`."""
+    axes: str | None = None
+    """Frame that an extension record names; None: none does, or it comes behind the planes and is not read yet."""
+
+    def planes(self) -> dict[str, int]:
+        """Bytes a row of each plane, in the order of the file."""
+        rest = 3 * ((self.sh_degree + 1) ** 2 - 1)
+        widths = {
+            "positions": 6 if self.version == 1 else 9,
+            "alphas": 1,
+            "colors": 3,
+            "scales": 3,
+            "rotations": 3 if self.version <= 2 else 4,
+            "harmonics": rest,
+        }
+        return {name: width for name, width in widths.items() if width and self.num_gaussians}
+
+
+class Planes:
+    """The planes of a file, one after the other."""
+
+    def __init__(self, file: BinaryIO, num_bytes: int, where: str) -> None:
+        """Read the header from the start of ``file``; errors name ``where``."""
+        self._file, self._num_bytes, self._where = file, num_bytes, where
+        self._gzip: gzip.GzipFile | None = None
+        file.seek(0)
+        head = file.read(4)
+        if head[:2] == GZIP_MAGIC:
+            file.seek(0)
+            self._gzip = gzip.GzipFile(fileobj=file, mode="rb")
+            head = self._read(self._gzip, 16)
+        else:
+            head += file.read(28)
+        self.header, self._has_extensions, self._num_planes = self._parse(head)
+        count = self.header.num_gaussians
+        if count > max(_GAUSSIANS_ALWAYS, _GAUSSIANS_PER_BYTE * num_bytes):
+            raise FormatError(
+                f"{where}: found {count} Gaussians in {num_bytes} bytes, wanted at most {_GAUSSIANS_PER_BYTE} a byte; the "
+                "count is wrong or the file is a decompression bomb"
+            )
+
+    def rows(self, rows_at_once: int) -> Iterator[tuple[str, slice, memoryview]]:
+        """Each plane's name, and bytes of so many rows at a time, valid until the next; then the axes are known."""
+        for name, width, stream in self._streams():
+            buffer = memoryview(bytearray(rows_at_once * width))
+            for begin in range(0, self.header.num_gaussians, rows_at_once):
+                end = min(begin + rows_at_once, self.header.num_gaussians)
+                codes = buffer[: (end - begin) * width]
+                self._fill(stream, codes, f"plane {name}")
+                yield name, slice(begin, end), codes
+            if self._gzip is None and stream.read(1):
+                raise FormatError(f"{self._where}: plane {name}: found more bytes than its rows take; it is damaged")
+        if self._gzip is not None:
+            self._finish_gzip(self._gzip)
+
+    @property
+    def axes(self) -> str | None:
+        """Frame that an extension record names."""
+        return self._axes
+
+    def _parse(self, head: bytes) -> tuple[Header, bool, int]:
+        where = self._where
+        if len(head) < 16 or head[:4] != MAGIC:
+            raise FormatError(f"{where}: found {head[:4]!r} at its start, wanted {MAGIC!r}; this is no .spz")
+        version, count, degree, bits, flags, num_planes = struct.unpack("<IIBBBB", head[4:16])
+        versions = range(1, 4) if self._gzip else range(4, 5)
+        if version not in versions:
+            raise FormatError(
+                f"{where}: found version {version}, wanted {' or '.join(map(str, versions))} "
+                f"{'inside gzip' if self._gzip else 'without gzip'}; a newer file needs a newer splatree"
+            )
+        if degree > 4:
+            raise FormatError(f"{where}: found harmonics of degree {degree}, wanted 0 to 4")
+        if bits > 30:
+            raise FormatError(f"{where}: found {bits} fractional bits, wanted at most 30")
+        self._axes: str | None = None
+        header = Header(version, count, degree, bits, bool(flags & _ANTIALIASED))
+        if version == 4:
+            self._read_table(head, header, num_planes, has_extensions=bool(flags & _HAS_EXTENSIONS))
+        return header, bool(flags & _HAS_EXTENSIONS), num_planes
+
+    def _read_table(self, head: bytes, header: Header, num_planes: int, *, has_extensions: bool) -> None:
+        """Extension records, and where each plane lies."""
+        where, wanted = self._where, header.planes()
+        (table_at,) = struct.unpack("<I", head[16:20].ljust(4, b"\0"))
+        first = table_at + 16 * num_planes
+        if (
+            len(head) < 32
+            or not 32 <= table_at <= min(32 + _EXTENSION_BYTES_MAX, self._num_bytes)
+            or first > self._num_bytes
+        ):
+            raise FormatError(
+                f"{where}: found the table of planes at byte {table_at} of {self._num_bytes}, wanted it behind the header and "
+                "inside the file; it is cut off or damaged"
+            )
+        if num_planes != len(wanted):
+            raise FormatError(f"{where}: found {num_planes} planes, wanted {len(wanted)} ({', '.join(wanted)})")
+        self._file.seek(32)
+        if has_extensions:
+            self._axes = _axes_from_records(self._file.read(table_at - 32), where)
+        self._file.seek(table_at)
+        table = struct.unpack(f"<{2 * num_planes}Q", self._file.read(16 * num_planes))
+        self._places: list[tuple[int, int]] = []
+        at = first
+        for (name, width), packed, raw in zip(wanted.items(), table[::2], table[1::2], strict=True):
+            if raw != width * header.num_gaussians or packed > self._num_bytes - at:
+                raise FormatError(
+                    f"{where}: plane {name}: found {packed} bytes for {raw} at byte {at} of {self._num_bytes}, wanted "
+                    f"{width * header.num_gaussians} ({width} for each Gaussian) inside the file; it is cut off or damaged"
+                )
+            self._places.append((at, packed))
+            at += packed
+        if at != self._num_bytes:
+            raise FormatError(
+                f"{where}: found {self._num_bytes - at} bytes behind the last plane, wanted none; it is damaged"
+            )
+
+    def _streams(self) -> Iterator[tuple[str, int, Any]]:
+        if self._gzip is not None:
+            for name, width in self.header.planes().items():
+                yield name, width, self._gzip
+            return
+        import zstandard
+
+        for (name, width), (at, size) in zip(self.header.planes().items(), self._places, strict=True):
+            window = max(_WINDOW_MIN, 2 * width * self.header.num_gaussians)
+            decompressor = zstandard.ZstdDecompressor(max_window_size=min(window, 1 << 31))
+            part = cast(BinaryIO, _Part(self._file, at, size))
+            yield name, width, decompressor.stream_reader(part, read_size=1 << 17, closefd=False)
+
+    def _finish_gzip(self, stream: gzip.GzipFile) -> None:
+        """Extension records behind the planes; and the check sum, which gzip compares at its end."""
+        rest = bytearray(_EXTENSION_BYTES_MAX + 1)
+        size = self._readinto(stream, memoryview(rest), "its end")
+        if size > _EXTENSION_BYTES_MAX:
+            raise FormatError(
+                f"{self._where}: found more than {_EXTENSION_BYTES_MAX} bytes behind its planes; it is damaged"
+            )
+        if self._has_extensions:
+            self._axes = _axes_from_records(bytes(rest[:size]), self._where)
+
+    def _read(self, stream: Any, count: int) -> bytes:
+        data = bytearray(count)
+        self._fill(stream, memoryview(data), "header")
+        return bytes(data)
+
+    def _fill(self, stream: Any, view: memoryview, what: str) -> None:
+        size = self._readinto(stream, view, what)
+        if size < len(view):
+            raise FormatError(
+                f"{self._where}: {what}: ends {len(view) - size} bytes early; the file is cut off or damaged"
+            )
+
+    def _readinto(self, stream: Any, view: memoryview, what: str) -> int:
+        """Fill the view as far as the stream goes; return how far."""
+        errors: tuple[type[Exception], ...] = (gzip.BadGzipFile, EOFError, zlib.error)
+        if self._gzip is None:
+            import zstandard
+
+            errors = (zstandard.ZstdError,)
+        done = 0
+        try:
+            while done < len(view) and (count := stream.readinto(view[done:])):
+                done += count
+        except errors as error:
+            raise FormatError(f"{self._where}: {what}: cannot be inflated ({error}); the file is damaged") from error
+        return done
+
+
+class _Part(io.RawIOBase):
+    """A range of a file."""
+
+    def __init__(self, file: BinaryIO, start: int, size: int) -> None:
+        super().__init__()
+        self._file, self._at, self._end = file, start, start + size
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: Any, /) -> int:
+        view = memoryview(buffer)[: self._end - self._at]
+        self._file.seek(self._at)
+        count = self._file.readinto(view) if len(view) else 0  # type: ignore[attr-defined]
+        self._at += count
+        return int(count)
+
+
+def _axes_from_records(data: bytes, where: str) -> str | None:
+    """The frame that one of the records names; records of other types are passed over by their length."""
+    axes, at = None, 0
+    while at < len(data):
+        kind, size = struct.unpack("<II", data[at : at + 8]) if len(data) - at >= 8 else (0, len(data))
+        if size > len(data) - at - 8:
+            raise FormatError(
+                f"{where}: extension record {kind:#010x}: found {size} bytes announced and {len(data) - at - 8} left; "
+                "the file is damaged"
+            )
+        if kind == _AXES_RECORD:
+            value = int.from_bytes(data[at + 8 : at + 8 + size], "little") if size == 4 else 0
+            if not 1 <= value <= len(AXES):
+                raise FormatError(
+                    f"{where}: found axes {value}, wanted 1 to {len(AXES)} ({' '.join(AXES)}); frames with z upright are not "
+                    "read, convert it to RUB with the tools of the format"
+                )
+            axes = AXES[value - 1]
+        at += 8 + size
+    return axes
+
+
+class PlaneWriter:
+    """Takes codes of all planes chunk by chunk and writes the file at the end."""
+
+    def __init__(self, header: Header, folder: Path, level: int | None) -> None:
+        """``folder`` holds what has to wait; ``level`` is that of gzip or zstd."""
+        self._header, self._level = header, level
+        self._stack = ExitStack()
+        self._folder = folder
+
+    def __enter__(self) -> Self:
+        self._waiting: dict[str, IO[bytes]] = {}
+        self._packers: dict[str, Any] = {}
+        for name, width in self._header.planes().items():
+            self._waiting[name] = self._stack.enter_context(tempfile.TemporaryFile(dir=self._folder))
+            if self._header.version == 4:
+                size = width * self._header.num_gaussians
+                self._packers[name] = _zstd_compressor(name, size, self._level).compressobj(size=size)
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._stack.close()
+
+    def put(self, name: str, codes: Array) -> None:
+        """The next rows of a plane."""
+        data = codes.reshape(-1).data
+        packer = self._packers.get(name)
+        self._waiting[name].write(packer.compress(data) if packer else data)
+
+    def finish(self, file: BinaryIO) -> None:
+        """Write the whole file."""
+        if self._header.version == 4:
+            self._finish_zstd(file)
+        else:
+            self._finish_gzip(file)
+
+    def _head(self, num_planes: int) -> bytes:
+        header = self._header
+        flags = _ANTIALIASED * header.antialiased | _HAS_EXTENSIONS * (header.axes is not None)
+        fields = (header.version, header.num_gaussians, header.sh_degree, header.fractional_bits, flags, num_planes)
+        return MAGIC + struct.pack("<IIBBBB", *fields)
+
+    def _records(self) -> bytes:
+        if self._header.axes is None:
+            return b""
+        return struct.pack("<III", _AXES_RECORD, 4, AXES.index(self._header.axes) + 1)
+
+    def _finish_zstd(self, file: BinaryIO) -> None:
+        table = []
+        for name, waiting in self._waiting.items():
+            waiting.write(self._packers[name].flush())
+            table += [waiting.tell(), self._header.planes()[name] * self._header.num_gaussians]
+        records = self._records()
+        file.write(self._head(len(self._waiting)) + struct.pack("<I12x", 32 + len(records)) + records)
+        file.write(struct.pack(f"<{len(table)}Q", *table))
+        for waiting in self._waiting.values():
+            waiting.seek(0)
+            shutil.copyfileobj(waiting, file, _COPY_BYTES)
+
+    def _finish_gzip(self, file: BinaryIO) -> None:
+        """One gzip member; each plane is deflated on its own, in the way that suits its bytes."""
+        parts: list[tuple[str, Callable[[], Iterator[bytes]]]] = [("head", lambda: iter([self._head(0)]))]
+        for name, waiting in self._waiting.items():
+            parts.append((name, lambda waiting=waiting: _blocks(waiting)))  # type: ignore[misc]
+        parts.append(("records", lambda: iter([self._records()])))
+        file.write(b"\x1f\x8b\x08\0\0\0\0\0\0\xff")
+        check = total = 0
+        for name, blocks in parts:
+            level, strategy = _DEFLATE.get(name, (1, zlib.Z_DEFAULT_STRATEGY))
+            if self._level is not None:
+                level, strategy = self._level, zlib.Z_DEFAULT_STRATEGY
+            packer = zlib.compressobj(level, zlib.DEFLATED, -zlib.MAX_WBITS, 9, strategy)
+            for block in blocks():
+                check, total = zlib.crc32(block, check), total + len(block)
+                file.write(packer.compress(block))
+            # A full flush ends a plane on a byte without ending the stream: the next plane's stream goes on from there.
+            file.write(packer.flush(zlib.Z_FINISH if name == "records" else zlib.Z_FULL_FLUSH))
+        file.write(struct.pack("<II", check, total & 0xFFFFFFFF))
+
+
+def _blocks(file: Any) -> Iterator[bytes]:
+    file.seek(0)
+    while block := file.read(_COPY_BYTES):
+        yield block
+
+
+_DEFLATE = {
+    "positions": (1, zlib.Z_DEFAULT_STRATEGY),
+    "alphas": (1, zlib.Z_HUFFMAN_ONLY),
+    "colors": (1, zlib.Z_HUFFMAN_ONLY),
+    "scales": (1, zlib.Z_HUFFMAN_ONLY),
+    "rotations": (1, zlib.Z_HUFFMAN_ONLY),
+    "harmonics": (4, zlib.Z_DEFAULT_STRATEGY),
+}
+"""Level and strategy of zlib for each plane. On a million Gaussians of a city: 4 % larger than level 6 for all, at 40 % of its
+time. Bytes of alphas, colours, scales and rotations hardly repeat: looking for matches costs three times the coding."""
+
+
+def _zstd_compressor(name: str, size: int, level: int | None) -> "zstandard.ZstdCompressor":
+    """The compressor of a plane: of a level of zstd, or as suits its bytes.
+
+    Harmonics are mostly few values, whose Huffman code is short already: only matches of six bytes and more gain over it, and
+    looking for no shorter ones gives the size of level 9 at a third of its time. The high bytes of positions match in threes.
+    """
+    import zstandard
+
+    if level is not None:
+        parameters = zstandard.ZstdCompressionParameters.from_level(level, source_size=size)
+    elif name == "harmonics":
+        parameters = zstandard.ZstdCompressionParameters(
+            window_log=21, chain_log=17, hash_log=18, search_log=3, min_match=6, target_length=32,
+            strategy=zstandard.STRATEGY_LAZY,
+        )  # fmt: skip
+    else:
+        parameters = zstandard.ZstdCompressionParameters(
+            window_log=20, chain_log=16, hash_log=17, search_log=1, min_match=3, target_length=8,
+            strategy=zstandard.STRATEGY_DFAST,
+        )  # fmt: skip
+    return zstandard.ZstdCompressor(compression_params=parameters)
