@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from splatree.errors import InputError, SplatreeError
-from splatree.io import ply, sog, splat, spz, store, streamed_sog
+from splatree.io import hier, ksplat, ply, rad, sog, splat, spz, store, streamed_sog
 from splatree.io.chunks import Chunks, chunks_of
 from splatree.io.holds import Holds, losses
 from splatree.io.inputs import find_inputs
@@ -120,6 +120,39 @@ FORMATS: tuple[Format, ...] = (
         holds=Holds(levels="one of"),
         sniff=streamed_sog.sniff,
         read=streamed_sog.read,
+    ),
+    Format(
+        name="ksplat",
+        description="GaussianSplats3D",
+        suffixes=(".ksplat",),
+        versions="0.1, levels 0-2",
+        holds=Holds(sh_degree=2, modes=("classic",)),
+        sniff=ksplat.sniff,
+        read=ksplat.read,
+        write=ksplat.write,
+        options=("compression",),
+    ),
+    Format(
+        name="hier",
+        description="Hierarchical 3DGS, with levels",
+        suffixes=(".hier",),
+        versions="float32, half",
+        holds=Holds(levels="tree", modes=("classic",)),
+        sniff=hier.sniff,
+        read=hier.read,
+        write=hier.write,
+        options=("compression",),
+    ),
+    Format(
+        name="rad",
+        description="Spark, with levels",
+        suffixes=(".rad",),
+        versions="1",
+        holds=Holds(levels="tree"),
+        sniff=rad.sniff,
+        read=rad.read,
+        write=rad.write,
+        options=("compression",),
     ),
 )
 

@@ -1,0 +1,346 @@
+"""``.hier`` (Hierarchical 3DGS, Kerbl 2024): Gaussians and the nodes of a tree over them, in float32 or in half precision.
+
+One array after the other, little-endian:
+
+==========================  ==========================================  ============================================
+array                       float32 (P ≥ 0)                             half (P < 0)
+==========================  ==========================================  ============================================
+number of Gaussians         i4 P                                        i4 −P
+means                       3 f4                                        3 f4
+quats wxyz                  4 f4                                        4 f2
+log-scales                  3 f4                                        3 f2
+opacities, linear           f4                                          f2
+harmonics, 16 RGB           48 f4                                       48 f2
+number of nodes             i4 N                                        i4 N
+nodes                       i4 depth parent start leafs merged          i4 parent start first_child,
+                            first_child children                        i2 depth children leafs merged
+boxes                       4 f4 min, 4 f4 max                          4 f2 min, 4 f2 max
+==========================  ==========================================  ============================================
+
+A node owns the Gaussians ``start …``: ``merged`` that stand for its subtree, or ``leafs`` of the scene. One merged Gaussian is a
+node of ours. A node with none or several only joins its children (chunks of a large scene): they move up to its parent, and
+its stand-ins, which our tree cannot draw together, are left out and counted. Opacities above 1 are read as wider Gaussians
+(`splatree.io.opacities`). Written and read from a description of the layout alone. docs/formats/hier.md.
+
+Gaussians are written in preorder, nodes breadth-first, so that writing and reading back gather nothing.
+"""
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from splatree.constants import SIGMAS
+from splatree.errors import FormatError, InputError
+from splatree.io.check import checked
+from splatree.io.levels import preorder_of_file, scene_with_levels
+from splatree.io.opacities import areas_of_clamped, logits_from_opacities, opacities_from_logits
+from splatree.io.options import ReadOptions, WriteOptions
+from splatree.maths.forests import family_extremes, links_from_preorder, parents_by_level
+from splatree.maths.rotations import matrices_from_quats
+from splatree.progress import task
+from splatree.scene.gaussians import Gaussians
+from splatree.scene.scene import Scene
+from splatree.shapes import Array
+
+_NODE = np.dtype([(name, "<i4") for name in ("depth", "parent", "start", "leafs", "merged", "first_child", "children")])
+_HALF_NODE = np.dtype(
+    [(name, "<i4") for name in ("parent", "start", "first_child")]
+    + [(name, "<i2") for name in ("depth", "children", "leafs", "merged")]
+)
+_WIDTHS = (3, 4, 3, 1, 48)
+"""Values of a Gaussian in each array: means, quats, log-scales, opacity, harmonics."""
+
+_HALF_MAX = 65504.0
+"""Largest finite half-precision number."""
+
+_ROWS_AT_ONCE = 1 << 16
+
+
+Rows = slice | Array
+
+
+def sniff(path: Path, head: bytes) -> bool:
+    """Whether the sizes that its two counts announce make up the file: nothing else marks it."""
+    if len(head) < 8 or not path.is_file():
+        return False
+    num_gaussians = int(np.frombuffer(head, "<i4", 1)[0])
+    with path.open("rb") as file:
+        file.seek(_bytes_before_nodes(num_gaussians) - 4)
+        count = file.read(4)
+    num_nodes = int.from_bytes(count, "little", signed=True)
+    return (
+        len(count) == 4
+        and num_nodes > 0
+        and path.stat().st_size == _bytes_before_nodes(num_gaussians) + num_nodes * _bytes_per_node(num_gaussians < 0)
+    )
+
+
+def read(path: Path, options: ReadOptions) -> Scene:
+    """Read either layout; its nodes become the tree."""
+    num_bytes = path.stat().st_size
+    with path.open("rb") as file, task(f"read {path.name}", num_bytes) as advance:
+        num_gaussians = _read_count(path, file)
+        is_half, num_gaussians = num_gaussians < 0, abs(num_gaussians)
+        before = _bytes_before_nodes(-num_gaussians if is_half else num_gaussians)
+        if num_bytes < before:
+            raise FormatError(
+                f"{path}: found {num_bytes} bytes, wanted {before} for the {num_gaussians} "
+                f"{'half' if is_half else 'float32'} Gaussians that it announces; the file is cut off or no .hier"
+            )
+        types = ("<f4", *4 * ("<f2",)) if is_half else 5 * ("<f4",)
+        columns = [
+            np.fromfile(file, dtype, num_gaussians * width).reshape(num_gaussians, width)
+            for dtype, width in zip(types, _WIDTHS, strict=True)
+        ]
+        num_nodes = _read_count(path, file)
+        wanted = before + num_nodes * _bytes_per_node(is_half)
+        if num_nodes < 0 or num_bytes != wanted:
+            raise FormatError(
+                f"{path}: found {num_bytes} bytes, wanted {wanted} for {num_gaussians} Gaussians and {num_nodes} nodes; the file "
+                "is cut off or damaged"
+            )
+        nodes = np.fromfile(file, _HALF_NODE if is_half else _NODE, num_nodes)  # the boxes are not asked for
+        advance(num_bytes)
+    gaussian_from_row, subtree_end, depth, num_left_out = _rows(nodes, num_gaussians, str(path))
+    gaussians, num_opaque = _gaussians(columns, gaussian_from_row, is_half=is_half)
+    scene = scene_with_levels(gaussians, subtree_end, depth, str(path), repair=options.repair, num_opaque=num_opaque)
+    metadata = {**scene.source.metadata, "precision": "half" if is_half else "float32"}
+    if num_left_out:
+        metadata["joining_nodes"] = json.dumps({"gaussians_left_out": num_left_out})
+    return replace(scene, source=replace(scene.source, metadata=metadata))
+
+
+def _bytes_before_nodes(num_gaussians: int) -> int:
+    """Bytes of both counts and the Gaussians; a negative number marks the half layout, as in the file."""
+    each = 12 + 2 * sum(_WIDTHS[1:]) if num_gaussians < 0 else 4 * sum(_WIDTHS)
+    return 8 + abs(num_gaussians) * each
+
+
+def _bytes_per_node(is_half: bool) -> int:
+    return _HALF_NODE.itemsize + 16 if is_half else _NODE.itemsize + 32
+
+
+def _read_count(path: Path, file: BinaryIO) -> int:
+    count = file.read(4)
+    if len(count) < 4:
+        raise FormatError(
+            f"{path}: found the end of the file in a count, wanted 4 bytes; the file is cut off or no .hier"
+        )
+    return int.from_bytes(count, "little", signed=True)
+
+
+def _rows(nodes: Array, num_gaussians: int, where: str) -> tuple[Array, Array, Array, int]:
+    """Gaussian, subtree end and depth of each row, and how many stand-ins of joining nodes are left out."""
+    start, leafs, merged = (nodes[name].astype(np.int64) for name in ("start", "leafs", "merged"))
+    children = nodes["children"].astype(np.int64)
+
+    def refuse(wrong: Array, found: str, wanted: str) -> None:
+        if wrong.any():
+            i = int(np.argmax(wrong))
+            record = " ".join(f"{name} {nodes[name][i]}" for name in nodes.dtype.names or ())
+            raise FormatError(f"{where}: node {i}: found {found} ({record}), wanted {wanted}; the file is damaged")
+
+    refuse((leafs < 0) | (merged < 0), "a negative count", "0 or more")
+    refuse((leafs > 0) & ((merged > 0) | (children > 0)), "Gaussians of the scene at an inner node", "them at leaves")
+    is_own = merged == 1
+    owned = np.where(is_own, 1, leafs)
+    claimed = leafs + merged
+    refuse(
+        (claimed > 0) & ((start < 0) | (start + claimed > num_gaussians)),
+        "a range",
+        f"Gaussians 0 to {num_gaussians - 1}",
+    )
+    if int(owned.sum()) > num_gaussians:
+        raise FormatError(
+            f"{where}: found nodes that own {owned.sum()} Gaussians, wanted at most the {num_gaussians} there are"
+        )
+    is_root = nodes["parent"] < 0
+    order = preorder_of_file(nodes["first_child"], children, np.flatnonzero(is_root), where)
+
+    for rows, parent_rows in parents_by_level(order.depth):
+        wrong = nodes["parent"][order.node_from_row[rows]] != order.node_from_row[parent_rows]
+        if wrong.any():
+            i, parent = (int(order.node_from_row[x[np.argmax(wrong)]]) for x in (rows, parent_rows))
+            raise FormatError(
+                f"{where}: node {i}: found parent {nodes['parent'][i]}, wanted {parent}, whose child it is"
+            )
+
+    row = order.node_from_row  # of nodes; below, rows are those of Gaussians
+    end = np.append(0, np.cumsum(owned[row]))
+    is_joining = (~is_own & (children > 0))[row]
+    # A joining node lifts the nodes below it by one level: +1 behind it, −1 at the end of its subtree.
+    steps = np.zeros(len(row) + 1, np.int64)
+    steps[1:] += is_joining
+    np.subtract.at(steps, order.subtree_end[is_joining], 1)
+    lifted = order.depth - np.cumsum(steps)[:-1]
+
+    node_row = np.repeat(np.arange(len(row)), owned[row])
+    within = np.arange(len(node_row)) - end[node_row]
+    gaussian_from_row = start[row][node_row] + within
+    subtree_end = np.where(is_own[row][node_row], end[order.subtree_end[node_row]], np.arange(1, len(node_row) + 1))
+    num_left_out = int(merged[~is_own].sum())
+    return gaussian_from_row, subtree_end.astype(np.int32), lifted[node_row].astype(np.uint8), num_left_out
+
+
+def _gaussians(columns: list[Array], gaussian_from_row: Array, *, is_half: bool) -> tuple[Gaussians, int]:
+    """The columns in the order of the rows, and how many opacities above 1 they held."""
+    n = len(gaussian_from_row)
+    if not np.array_equal(gaussian_from_row, np.arange(n)):
+        columns = [np.take(column, gaussian_from_row, axis=0) for column in columns]
+    means, quats, log_scales, opacities, harmonics = (column[:n] for column in columns)
+    coefficients = harmonics.reshape(n, 16, 3)
+    # Scenes of lower degree are padded with zeros.
+    k = next((k for k in (16, 9, 4) if coefficients[:, int(k**0.5 - 1) ** 2 : k].any()), 1)
+    opacities = opacities.reshape(n)
+    above = np.flatnonzero(opacities > 1)
+    log_scales = log_scales.astype(np.float32)
+    with np.errstate(invalid="ignore"):  # an infinite opacity: the check of values names its row
+        log_scales[above] += 0.5 * np.log(areas_of_clamped(opacities[above]))[:, None]
+    step_low, step_high = (2.0**-24, 2.0**-11) if is_half else (2.0**-148, 2.0**-24)
+    gaussians = Gaussians(
+        np.ascontiguousarray(means, np.float32),
+        np.ascontiguousarray(quats, np.float32),
+        log_scales,
+        logits_from_opacities(opacities, step_low=step_low, step_high=step_high),
+        np.ascontiguousarray(coefficients[:, :k], np.float32),
+    )
+    return gaussians, len(above)
+
+
+def write(scene: Scene, path: Path, options: WriteOptions) -> tuple[str, ...]:
+    """Write float32 (compression 0, the default) or half precision (1).
+
+    Several roots get a node above them that joins them, with copies of them as its stand-ins; a scene without levels is one
+    node with all of its Gaussians.
+
+    Raises:
+        InputError: half precision cannot hold a coordinate or a count.
+    """
+    if options.compression not in (None, 0, 1):
+        raise InputError(
+            f"{path.name}: found compression {options.compression}, wanted 0 (float32) or 1 (half precision)"
+        )
+    is_half = options.compression == 1
+    scene = checked(scene, "scene to write", repair=False)
+    g, n = scene.gaussians, len(scene)
+    nodes, copied = _nodes(scene)
+    low, high = _boxes(scene, nodes)
+    if is_half:
+        _check_half(nodes, low, high)
+    parts: list[Rows] = [slice(begin, begin + _ROWS_AT_ONCE) for begin in range(0, n, _ROWS_AT_ONCE)]
+    # [n w] of each array, a part at a time
+    columns: tuple[Callable[[Rows], Array], ...] = (
+        lambda rows: g.means[rows],
+        lambda rows: _unit(g.quats[rows]) if is_half else g.quats[rows],
+        lambda rows: g.log_scales[rows],
+        lambda rows: opacities_from_logits(g.logit_opacities[rows]),
+        lambda rows: _padded(g.sh[rows]),
+    )
+    num_gaussians = n + len(copied)
+    with path.open("wb") as file, task(f"write {path.name}", len(columns)) as advance:
+        file.write((-num_gaussians if is_half else num_gaussians).to_bytes(4, "little", signed=True))
+        for i, column in enumerate(columns):
+            for rows in [*parts, copied]:
+                values = column(rows)
+                if is_half and i > 0:
+                    values = np.clip(values, -_HALF_MAX, _HALF_MAX).astype("<f2")
+                file.write(np.ascontiguousarray(values).data)
+            advance(1)
+        file.write(len(nodes).to_bytes(4, "little"))
+        file.write(_half_nodes(nodes).data if is_half else nodes.data)
+        file.write(_packed_boxes(low, high, is_half=is_half).data)
+    return ()
+
+
+def _nodes(scene: Scene) -> tuple[Array, Array]:
+    """Nodes, breadth-first, and the rows that are written once more as stand-ins of a node that joins several roots."""
+    n, tree = len(scene), scene.tree
+    if n and tree.num_leaves == n:
+        return np.array([(0, -1, 0, n, 0, 0, 0)], _NODE), np.zeros(0, np.intp)
+    links = links_from_preorder(tree.depth)
+    num_roots = int(np.count_nonzero(tree.depth == 0))
+    above = int(num_roots > 1)  # how many nodes stand before ours
+    nodes = np.zeros(above + n, _NODE)
+    ours = nodes[above:]
+    is_leaf = links.num_children == 0
+    ours["depth"] = tree.depth[links.row_from_node] + np.uint8(above)
+    ours["parent"] = links.parents + above
+    ours["start"] = links.row_from_node
+    ours["leafs"], ours["merged"] = is_leaf, ~is_leaf
+    ours["first_child"] = np.where(is_leaf, 0, links.first_child + above)
+    ours["children"] = links.num_children
+    if above:
+        nodes[0] = (0, -1, n, 0, num_roots, 1, num_roots)
+    elif n:
+        ours["parent"][0] = -1
+    return nodes, links.row_from_node[:num_roots] if above else np.zeros(0, np.intp)
+
+
+def _boxes(scene: Scene, nodes: Array) -> tuple[Array, Array]:
+    """Corners "N 3" of a box around the 3σ ellipsoids of each node's subtree."""
+    g, n = scene.gaussians, len(scene)
+    low, high = np.empty((n, 3)), np.empty((n, 3))
+    for begin in range(0, n, _ROWS_AT_ONCE):
+        rows = slice(begin, begin + _ROWS_AT_ONCE)
+        axes = matrices_from_quats(g.quats[rows]) * np.exp(g.log_scales[rows].astype(np.float64))[:, None, :]
+        reach = SIGMAS * np.sqrt(np.einsum("nij,nij->ni", axes, axes))  # √Σ_ii along axis i of the world
+        low[rows], high[rows] = g.means[rows] - reach, g.means[rows] + reach
+    family_extremes(low, high, scene.tree.depth)
+    of_all = (nodes["leafs"] > 1) | (nodes["merged"] > 1)
+    box = np.where(of_all, n, nodes["start"])
+    low = np.concatenate([low, low.min(axis=0, keepdims=True, initial=np.inf)])
+    high = np.concatenate([high, high.max(axis=0, keepdims=True, initial=-np.inf)])
+    return low[box], high[box]
+
+
+def _packed_boxes(low: Array, high: Array, *, is_half: bool) -> Array:
+    """Boxes as they are written, rounded outwards; the fourth value of both corners is the longest side."""
+    dtype = np.dtype("<f2" if is_half else "<f4")
+    boxes = np.empty((len(low), 2, 4), dtype)
+    boxes[:, 0, :3] = np.nextafter(low.astype(dtype), dtype.type(-np.inf))
+    boxes[:, 1, :3] = np.nextafter(high.astype(dtype), dtype.type(np.inf))
+    boxes[:, :, 3] = (high - low).max(axis=1, initial=0)[:, None]
+    return boxes
+
+
+def _check_half(nodes: Array, low: Array, high: Array) -> None:
+    """Refuse what 16 bits cannot hold."""
+    limit = np.iinfo(np.int16).max
+    for name in ("children", "leafs", "merged"):
+        largest = int(nodes[name].max(initial=0))
+        if largest > limit:
+            raise InputError(
+                f"node {int(nodes[name].argmax())}: found {largest} {name}, wanted at most {limit} in half precision; write "
+                "float32 (compression 0), or build levels with fewer children a node"
+            )
+    largest_side = float((high - low).max(initial=0))
+    reach = max(float(-low.min(initial=0)), float(high.max(initial=0)), largest_side)
+    if reach >= _HALF_MAX:
+        raise InputError(
+            f"boxes of nodes: found a coordinate or side of {reach:.6g}, wanted less than {_HALF_MAX:.6g} in half precision; "
+            "write float32 (compression 0)"
+        )
+
+
+def _half_nodes(nodes: Array) -> Array:
+    half = np.empty(len(nodes), _HALF_NODE)
+    for name in _NODE.names or ():
+        half[name] = nodes[name]
+    return half
+
+
+def _unit(quats: Array) -> Array:
+    return np.asarray(quats / np.linalg.norm(quats.astype(np.float64), axis=1, keepdims=True))
+
+
+def _padded(sh: Array) -> Array:
+    """Harmonics "n 48"; those above the scene's degree are zero."""
+    if sh.shape[1] == 16:
+        return sh.reshape(len(sh), 48)
+    values = np.zeros((len(sh), 48), np.float32)
+    values[:, : 3 * sh.shape[1]] = sh.reshape(len(sh), 3 * sh.shape[1])
+    return values
