@@ -8,6 +8,7 @@ import numpy as np
 from splatree.constants import SIGMAS
 from splatree.errors import FormatError, InputError
 from splatree.io.check import checked
+from splatree.io.options import Repair
 from splatree.kernels.cpu.blocks import index_blocks
 from splatree.maths.forests import Preorder, preorder_from_links, subtree_radii
 from splatree.scene.gaussians import Gaussians
@@ -32,7 +33,7 @@ def scene_with_levels(
     depth: Array,
     where: str,
     *,
-    repair: bool,
+    repair: Repair,
     num_opaque: int,
     mode: Mode = "classic",
 ) -> Scene:
