@@ -1,10 +1,11 @@
-"""Selection on a real city: CPU-ms of the exact visible cut by blocks, beside the serial traversal and the flat prefix maximum.
+"""Selection on a real city: CPU-ms of the exact visible cut by blocks, beside the serial traversal and FilterGS's own scheme.
 
 The tree is that of the whole semarang_city, twice side by side, so that it has more than 8 M nodes whatever the levels. All
-three find the same rows bit for bit, which is checked; all use the same compiled radius and visibility on one thread:
+four find the same rows bit for bit, which is checked; all use the same compiled radius and visibility on one thread:
 
 blocks   kernels/cpu/select: work follows the blocks that can be seen
 serial   lod/serial: from the roots down, level by level, with a table of children (12 bytes a node) made beforehand
+filtergs as published: one pass over all rows with a table of the ancestors of each (4 bytes a row and level, made beforehand)
 flat     radius of every row with children, one prefix maximum over all rows, visibility of the cut
 
 Run: python benchmarks/selection.py [scene.splatree]      (without a file the tree is built first: a minute of processor time)
@@ -19,6 +20,7 @@ import numpy as np
 from harness import DATA, measure, save, table
 from splatree import Camera, Gaussians, GaussianTree, Scene, SelectOptions, build_lod, read, read_cameras, select
 from splatree.kernels.cpu import select as cpu
+from splatree.lod.baselines import Baseline, BaselineOptions, baseline
 from splatree.lod.blocks import with_blocks
 from splatree.lod.serial import levels_of, select_serial
 
@@ -37,13 +39,16 @@ def main() -> None:
     scene = load(Path(sys.argv[1]) if len(sys.argv) > 1 else None)
     index = measure(lambda: with_blocks(replace(scene, blocks=None), threads=1))
     scene, levels = index.value, levels_of(scene.tree)
+    ancestors = measure(lambda: baseline("filtergs", scene, options=BaselineOptions(SelectOptions().pixel_error)))
+    filtergs = ancestors.value
     n = len(scene)
     index_bytes = scene.blocks.nbytes / n
     print(
         f"{n:,} nodes, {scene.tree.num_leaves:,} leaves; bytes a node: subtree_end 4, block index {index_bytes:.2f}, "
-        f"table of children of the serial traversal 12; index made in {1e3 * index.cpu_s:.0f} CPU-ms\n"
+        f"table of children of the serial traversal 12, table of ancestors {filtergs.num_bytes / n:.0f} "
+        f"(FilterGS); index made in {1e3 * index.cpu_s:.0f} CPU-ms, table of ancestors in {1e3 * ancestors.cpu_s:.0f}\n"
     )
-    rows = [row(scene, levels, camera) for camera in views()]
+    rows = [row(scene, levels, filtergs, camera) for camera in views()]
     print(table(rows))
     slope = np.polyfit(*np.log([[r[key] for r in rows] for key in ("visited", "blocks CPU-ms")]), 1)[0]
     print(f"\nslope of CPU-ms over rows visited (log-log): {slope:.2f}")
@@ -51,7 +56,8 @@ def main() -> None:
         "selection",
         rows,
         about=f"Exact cut and culling at 3 px on {n:,} nodes of a real city, one thread, {index_bytes:.2f} bytes of index a "
-        f"node; CPU-ms of the compiled blocks, of the traversal level by level and of a prefix maximum over all rows.",
+        f"node; CPU-ms of the compiled blocks, of the traversal level by level, of FilterGS's pass over all rows with a table of "
+        f"{filtergs.num_bytes / n:.0f} bytes a node, and of a prefix maximum over all rows.",
     )
 
 
@@ -76,7 +82,7 @@ def views() -> list[Camera]:
     return [named[f"flight_{i:02}"] for i in (0, 3, 6, 9, 12, 15)] + [named["orbit_05"], named["far_02"]]
 
 
-def row(scene: Scene, levels: object, camera: Camera) -> dict[str, object]:
+def row(scene: Scene, levels: object, filtergs: Baseline, camera: Camera) -> dict[str, object]:
     """Costs of the three for one view."""
     options = SelectOptions()
     blocks = measure(lambda: select(scene, camera, options, threads=1), repeat=REPEAT)
@@ -86,19 +92,24 @@ def row(scene: Scene, levels: object, camera: Camera) -> dict[str, object]:
         repeat=REPEAT,
     )
     flat = measure(lambda: select_flat(scene, camera, options), repeat=REPEAT)
+    theirs = measure(lambda: filtergs(camera, threads=1), repeat=REPEAT)
     rows, visited = serial.value
+    assert np.array_equal(rows, theirs.value.rows)
     assert np.array_equal(rows, blocks.value.rows)
     assert np.array_equal(rows, flat.value)
     return {
         "view": camera.name,
         "drawn": len(blocks.value),
+        "drawn %": 100 * len(blocks.value) / len(scene),
         "visited": blocks.value.num_visited,
         "blocks CPU-ms": 1e3 * blocks.cpu_s,
         "ns a visited row": 1e9 * blocks.cpu_s / max(blocks.value.num_visited, 1),
         "serial CPU-ms": 1e3 * serial.cpu_s,
         "serial visits": visited,
+        "filtergs CPU-ms": 1e3 * theirs.cpu_s,
         "flat CPU-ms": 1e3 * flat.cpu_s,
         "serial / blocks": serial.cpu_s / blocks.cpu_s,
+        "filtergs / blocks": theirs.cpu_s / blocks.cpu_s,
         "flat / blocks": flat.cpu_s / blocks.cpu_s,
     }
 

@@ -85,8 +85,11 @@ def select(
             threads=threads,
         )
         if at.max_radius is not None:
-            drawn, extents = scene.gaussians.take(rows), scene.tree.extents[rows]
-            rows = rows[reference.radii(drawn, extents, camera, at.profile, dilation_px2) <= at.max_radius]
+            largest = replace(at, pixel_error=at.max_radius)
+            small = cpu.small(
+                scene.gaussians, scene.tree, rows, camera, largest, dilation_px2=dilation_px2, threads=threads
+            )
+            rows = rows[small]
         return rows, visited
 
     rows, visited = rows_at(options.pixel_error)

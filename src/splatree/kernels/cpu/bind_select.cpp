@@ -7,6 +7,7 @@
 #include <utility>
 #include <vector>
 
+#include "cpu/ancestors.h"
 #include "cpu/arrays.h"
 #include "cpu/isa.h"
 #include "cpu/pool.h"
@@ -27,6 +28,12 @@ const T* column(nb::handle owner, const char* name) {
 Vector32 to_numpy(int32_t* data, size_t size) {
   const nb::capsule owner(data, [](void* p) noexcept { delete[] static_cast<int32_t*>(p); });
   return Vector32(data, {size}, owner);
+}
+
+Vector32 copied(const std::vector<int32_t>& values) {
+  int32_t* data = new int32_t[values.size()];
+  if (!values.empty()) std::memcpy(data, values.data(), values.size() * sizeof(int32_t));
+  return to_numpy(data, values.size());
 }
 
 SelectRule rule_of(const double* v) {
@@ -103,6 +110,18 @@ std::pair<Vector32, int64_t> select_cut(nb::handle gaussians, nb::handle tree, n
   return {to_numpy(rows, size_t(num_selected)), num_visited};
 }
 
+Vector32 select_ancestors(nb::handle gaussians, nb::handle tree, In<int32_t> ancestors, In<double> view, double threshold,
+                          In<double> rule, int visibility, bool unseen_shadow, bool only_leaves_ask, int threads) {
+  const SelectJob job = job_of(gaussians, tree, view, threshold, rule, visibility);
+  const AncestorTable table{ancestors.data(), int(ancestors.shape(1))};
+  std::vector<int32_t> found;
+  {
+    nb::gil_scoped_release release;
+    found = select_by_ancestors(job, table, {unseen_shadow, only_leaves_ask}, threads);
+  }
+  return copied(found);
+}
+
 // Answers for given rows, in chunks of fixed size.
 template <class Ask>
 void ask_rows(const SelectJob& job, const In<int32_t>& rows, Out<bool>& answers, int threads, const Ask& ask) {
@@ -140,12 +159,12 @@ std::pair<Vector32, Vector32> block_ancestors(In<int32_t> subtree_end, int rows_
         },
         &lists);
   }
-  const auto copied = [](const std::vector<int32_t>& values) {
-    int32_t* data = new int32_t[values.size()];
-    if (!values.empty()) std::memcpy(data, values.data(), values.size() * sizeof(int32_t));
-    return to_numpy(data, values.size());
-  };
   return {copied(start), copied(ancestors)};
+}
+
+void ancestor_table(In<uint8_t> depth, Out<int32_t> table) {
+  nb::gil_scoped_release release;
+  list_ancestors(depth.data(), int64_t(depth.shape(0)), int(table.shape(1)), table.data());
 }
 
 void block_bounds(nb::handle gaussians, In<int32_t> subtree_end, int rows_per_block, Out<float> lower, Out<float> upper,
@@ -165,6 +184,8 @@ void bind_select(nb::module_& m) {
   m.attr("BLOCKS_PER_GROUP") = BLOCKS_PER_GROUP;
   m.attr("MAX_BLOCK_ROWS") = MAX_BLOCK_ROWS;
   m.def("select_cut", &select_cut, "Rows of the visible cut, ascending, and the number of rows visited.");
+  m.def("select_ancestors", &select_ancestors, "Rows drawn by FilterGS's ancestor table, ascending.");
+  m.def("ancestor_table", &ancestor_table, "Fill the table of ancestors, parent first.");
   m.def("small_rows", &small_of, "Whether each of the given rows is small.");
   m.def("visible_rows", &visible_of, "Whether each of the given rows can be seen.");
   m.def("block_ancestors", &block_ancestors, "Ancestors of the first row of each block, as starts and one list.");

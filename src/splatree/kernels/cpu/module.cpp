@@ -20,6 +20,7 @@ void bind_select(nb::module_& m);
 void bind_clusters(nb::module_& m);
 void bind_rotate(nb::module_& m);
 void bind_quantize(nb::module_& m);
+void bind_baselines(nb::module_& m);
 }
 
 NB_MODULE(_core, m) {
@@ -49,4 +50,5 @@ NB_MODULE(_core, m) {
   bind_clusters(m);
   bind_rotate(m);
   bind_quantize(m);
+  bind_baselines(m);
 }

@@ -12,7 +12,7 @@ from splatree.scene.options import SelectOptions
 from splatree.scene.tree import BlockIndex, GaussianTree
 from splatree.shapes import Array, Bool, Float64, Int32
 
-__all__ = ["select", "small", "visible"]
+__all__ = ["ancestor_table", "select", "select_by_ancestors", "small", "visible"]
 
 VISIBILITIES = ("footprint", "centre", "none")
 """In the order of the enumeration Visibility in cpu/select.h."""
@@ -50,6 +50,46 @@ def select(
         threads,
     )
     return rows, num_visited
+
+
+def ancestor_table(tree: GaussianTree) -> Int32[Array, "n l"]:
+    """The ancestors of each row, parent first, filled up with −1 (FilterGS §3.2): 4 bytes for each row and level but one."""
+    table = np.empty((len(tree), max(tree.num_levels - 1, 0)), np.int32)
+    _core.ancestor_table(tree.depth, table)
+    return table
+
+
+def select_by_ancestors(
+    gaussians: Gaussians,
+    tree: GaussianTree,
+    ancestors: Int32[Array, "n l"],
+    camera: Camera,
+    options: SelectOptions,
+    *,
+    dilation_px2: float,
+    threshold: float,
+    threads: int = 0,
+) -> tuple[Int32[Array, "v"], int]:
+    """Rows drawn by the rules `cut`, `paper-strict` or `release`, ascending, and how many were looked at: all.
+
+    Every row is asked on its own with its ancestors from the table, as FilterGS does; the rows are those of `select` and of
+    kernels/reference/select.py.
+    """
+    if options.rule not in ("cut", "paper-strict", "release"):
+        raise InputError(f"select_by_ancestors: found rule {options.rule!r}, wanted 'cut', 'paper-strict' or 'release'")
+    rows = _core.select_ancestors(
+        gaussians,
+        tree,
+        ancestors,
+        pack_view(camera, dilation_px2),
+        threshold,
+        _pack_rule(camera, options, dilation_px2, threshold),
+        VISIBILITIES.index(options.visibility),
+        options.rule == "cut",
+        options.rule == "release",
+        threads,
+    )
+    return rows, len(tree)
 
 
 def small(

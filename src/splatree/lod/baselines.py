@@ -1,0 +1,395 @@
+"""Published methods of selection over one tree: each is a `Selector`, drawn and timed as ours is.
+
+The methods were published with trees, trainings and renderers of their own. Here only their rule is kept: which nodes of *one*
+tree does it draw? That compares selections on equal terms, and says nothing of how well each method trains.
+
+================  ==================================================================================================
+3dgs              all leaves; nothing is chosen (Kerbl 2023)
+roots, depth      one depth of the tree everywhere: nodes of that depth, and leaves above it
+h3dgs             size(v) < limit <= size(parent), size = longest side of the nested box / distance from it (Kerbl 2024, §4.2)
+serial            the exact cut, level by level: what `select` is held to (lod/serial.py)
+log-serial        the same as LoG's code decides (Shuai 2024; lod/serial.py)
+octree            depth of the tree from the distance, L = log2(d_std / d) rounded (Octree-GS, Ren 2024, §4.2)
+flod, lodge       depth of the tree from bands of distance (FLoD, Seo 2024, §4.3; LODGE, Kulhanek 2025)
+filtergs          a table of ancestors and one pass over all nodes (Wang 2026, §3.2): the exact cut, as `select`
+================  ==================================================================================================
+
+Rules by distance decide each node alone, so where two bands meet a branch may be drawn twice, or not at all. A name with
+``-per-node`` keeps that, and `violations` counts it; without it the first node of each path that is deep enough is drawn.
+
+Deviations, all of them because the tree is not theirs. Octree-GS and FLoD train levels of their own, where here a level is a
+depth of the tree, the finest the deepest. Octree-GS draws all coarser levels too (its anchors add up); in a tree whose nodes
+replace their children the rule picks one. LODGE blends the two nearest chunks; here the nearest is drawn. H3DGS interpolates
+between a node and its parent; here it switches. LoG drops roots that hid behind others: `log_serial` takes those that are left.
+
+Cost: ``num_bytes`` beside the tree, made once; a view costs one pass over all rows, but for 3dgs, roots, depth and lodge, whose
+rows are listed beforehand.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
+
+import numpy as np
+
+from splatree.constants import DILATION_PX2
+from splatree.errors import InputError
+from splatree.kernels.cpu import baselines as cpu
+from splatree.kernels.cpu import select as cpu_select
+from splatree.lod.select import count_nested, count_uncovered
+from splatree.lod.serial import levels_of, select_serial
+from splatree.scene.cameras import Camera
+from splatree.scene.frame import Selection
+from splatree.scene.options import SelectOptions, Visibility
+from splatree.scene.scene import Scene
+from splatree.scene.tree import GaussianTree
+from splatree.shapes import Array, Bool, Int32, UInt8
+
+__all__ = ["Baseline", "BaselineOptions", "Method", "Violations", "baseline", "violations"]
+
+Method = Literal[
+    "3dgs",
+    "roots",
+    "depth",
+    "h3dgs",
+    "serial",
+    "log-serial",
+    "octree",
+    "octree-per-node",
+    "flod",
+    "flod-per-node",
+    "lodge",
+    "filtergs",
+    "filtergs-strict",
+    "filtergs-release",
+]
+"""Named methods; see the head of this module."""
+
+OCTREE_QUANTILE = 0.999
+"""Share of the points nearer than a camera's largest distance, and farther than its smallest (Octree-GS, `set_level`)."""
+SAMPLE = 100_000
+"""Leaves of which distances are taken, evenly spread over the rows."""
+
+
+@dataclass(frozen=True)
+class View:
+    """A view as a rule is asked about it."""
+
+    camera: Camera
+    """From where."""
+    visibility: Visibility
+    """What is dropped as out of view."""
+    dilation_px2: float
+    """Added to each splat's variance."""
+    threshold: float
+    """τ at which a splat ends."""
+    threads: int
+    """0: all there are."""
+
+
+Choose = Callable[[View], tuple[Array, int]]
+"""Rows drawn, ascending, and how many were looked at."""
+
+
+@dataclass(frozen=True)
+class BaselineOptions:
+    """Parameters of the methods; each uses its own."""
+
+    pixel_error: float = 3.0
+    """τ_R, px, of H3DGS, LoG and FilterGS."""
+    depth: int = 3
+    """Of the method `depth`: the only depth that is drawn."""
+    fork: float = 2.0
+    """Octree-GS: factor of the distance from one level to the next."""
+    bands: int = 5
+    """FLoD, LODGE: levels, as depths of the tree evenly spread from the deepest to the roots."""
+    band_px: float = 1.0
+    """γ, px, of FLoD: a level is drawn from the distance at which its median Gaussian has this standard deviation."""
+    chunks: int = 8
+    """LODGE: places, from the cameras, for which rows are listed beforehand."""
+
+    def __post_init__(self) -> None:
+        if not self.fork > 1:
+            raise InputError(f"fork: found {self.fork}, wanted more than 1")
+        if self.bands < 1 or self.chunks < 1:
+            raise InputError(f"bands, chunks: found {self.bands}, {self.chunks}, wanted at least 1")
+        if not self.band_px > 0:
+            raise InputError(f"band_px: found {self.band_px}, wanted more than 0 px")
+
+
+@dataclass(frozen=True, eq=False)
+class Baseline:
+    """A method over one scene; called as `render` calls a selector."""
+
+    method: Method
+    """Its name."""
+    scene: Scene
+    """What it chooses from."""
+    choose: Choose
+    """The rule."""
+    visibility: Visibility
+    """What is dropped as out of view; `none` where the method leaves that to the renderer."""
+    num_bytes: int
+    """Data beside the Gaussians and the tree's own ``subtree_end`` and ``depth``."""
+    pixel_error: float
+    """τ_R, px; 0 where the method has none."""
+
+    def __call__(
+        self, camera: Camera, *, dilation_px2: float = DILATION_PX2, threshold: float | None = None, threads: int = 0
+    ) -> Selection:
+        """Choose the rows to draw."""
+        threshold = self.scene.threshold if threshold is None else threshold
+        rows, visited = self.choose(View(camera, self.visibility, dilation_px2, threshold, threads))
+        return Selection(rows, self.method, "exact", self.pixel_error, visited)
+
+    def cut(self, camera: Camera, *, dilation_px2: float = DILATION_PX2) -> Int32[Array, "v"]:
+        """The rows that stand for the whole scene, seen or not."""
+        return self.choose(View(camera, "none", dilation_px2, self.scene.threshold, 0))[0]
+
+
+@dataclass(frozen=True)
+class Violations:
+    """How far a choice is from standing for each leaf once."""
+
+    duplicates: int
+    """Rows drawn below another drawn row."""
+    uncovered: int
+    """Leaves that no drawn row stands for."""
+
+
+def violations(tree: GaussianTree, rows: Array) -> Violations:
+    """Count them; ``rows`` are those of `Baseline.cut`, seen and unseen."""
+    return Violations(count_nested(tree, rows), count_uncovered(tree, rows))
+
+
+def baseline(
+    method: Method, scene: Scene, cameras: Sequence[Camera] = (), options: BaselineOptions | None = None
+) -> Baseline:
+    """Make what a method needs of a scene once.
+
+    ``cameras`` are the views that Octree-GS takes its distances and LODGE its places from: those of the training.
+
+    Raises:
+        InputError: a method of an unknown name, or without the cameras that it needs.
+    """
+    if method not in get_args(Method):
+        raise InputError(f"method: found {method!r}, wanted one of {', '.join(get_args(Method))}")
+    if method in ("octree", "octree-per-node", "lodge") and not cameras:
+        raise InputError(f"method {method!r}: found no cameras, wanted those that the scene was trained on")
+    options = options or BaselineOptions()
+    tau = options.pixel_error
+    tree = scene.tree
+
+    def made(
+        choose: Choose, num_bytes: int = 0, visibility: Visibility = "footprint", pixel_error: float = 0.0
+    ) -> Baseline:
+        return Baseline(method, scene, choose, visibility, num_bytes, pixel_error)
+
+    if method in ("3dgs", "roots", "depth"):
+        depth = {"3dgs": tree.num_levels, "roots": 0, "depth": options.depth}[method]
+        listed = _at_depth(tree, depth)
+        return made(_culled(scene, lambda view: (listed, 0)), listed.nbytes, "none")
+    if method == "h3dgs":
+        rows, num_bytes = _h3dgs(scene, tau)
+        return made(_culled(scene, rows), num_bytes, pixel_error=tau)
+    if method in ("serial", "log-serial"):
+        select = SelectOptions(tau) if method == "serial" else SelectOptions(tau, rule="log-serial", profile="ref")
+        return made(log_serial(scene, select), 12 * len(tree), pixel_error=tau)
+    if method in ("filtergs", "filtergs-strict", "filtergs-release"):
+        choose, num_bytes = _filtergs(scene, method, tau)
+        return made(choose, num_bytes, "centre" if method == "filtergs-release" else "footprint", tau)
+    if method == "lodge":
+        rows, num_bytes = _lodge(scene, cameras, options)
+        return made(_culled(scene, rows), num_bytes, "none")
+    bands = _octree_bands(scene, cameras, options) if method.startswith("octree") else _flod_bands(tree, scene, options)
+    return made(_culled(scene, _by_depth(scene, bands, alone=method.endswith("per-node"))), bands.num_bytes)
+
+
+def log_serial(scene: Scene, select: SelectOptions, roots: Array | None = None) -> Choose:
+    """The traversal level by level; ``roots`` are those not hidden by others, None: all."""
+    levels = levels_of(scene.tree)
+
+    def choose(view: View) -> tuple[Array, int]:
+        return select_serial(
+            scene.gaussians,
+            scene.tree,
+            None,
+            view.camera,
+            replace(select, visibility=view.visibility),
+            dilation_px2=view.dilation_px2,
+            threshold=view.threshold,
+            levels=levels,
+            roots=roots,
+            threads=view.threads,
+        )
+
+    return choose
+
+
+def _culled(scene: Scene, rows_of: Choose) -> Choose:
+    """A rule that knows nothing of visibility, then the test of visibility."""
+
+    def choose(view: View) -> tuple[Array, int]:
+        rows, visited = rows_of(view)
+        if view.visibility == "none":
+            return rows, visited
+        seen = cpu_select.visible(
+            scene.gaussians,
+            scene.tree,
+            rows,
+            view.camera,
+            SelectOptions(visibility=view.visibility),
+            dilation_px2=view.dilation_px2,
+            threshold=view.threshold,
+            threads=view.threads,
+        )
+        return rows[seen], visited
+
+    return choose
+
+
+def _at_depth(tree: GaussianTree, depth: int) -> Int32[Array, "v"]:
+    return np.flatnonzero((tree.depth == depth) | ((tree.depth < depth) & tree.is_leaf)).astype(np.int32)
+
+
+def _h3dgs(scene: Scene, pixel_error: float) -> tuple[Choose, int]:
+    """Boxes are nested, so the size never grows towards the leaves: its test of the parent picks the first small one."""
+    lower, upper = cpu.nested_boxes(scene.gaussians, scene.tree)
+
+    def rows_of(view: View) -> tuple[Array, int]:
+        # 2 (τ + ½) tan(fov_x / 2) / (W / 2), as its script for rendering has it.
+        limit = 2 * (pixel_error + 0.5) / view.camera.K[0, 0]
+        small = cpu.small_boxes(lower, upper, view.camera.position, limit, threads=view.threads)
+        return cpu.first_stops(scene.tree, small, 1), len(scene)
+
+    return rows_of, lower.nbytes + upper.nbytes
+
+
+def _filtergs(scene: Scene, method: Method, pixel_error: float) -> tuple[Choose, int]:
+    table = cpu_select.ancestor_table(scene.tree)
+    select = {
+        "filtergs": SelectOptions(pixel_error),
+        "filtergs-strict": SelectOptions(pixel_error, rule="paper-strict", profile="ref"),
+        "filtergs-release": SelectOptions(pixel_error, rule="release", profile="ref"),
+    }[method]
+
+    def choose(view: View) -> tuple[Array, int]:
+        options = replace(select, visibility=view.visibility)
+        rows, visited = cpu_select.select_by_ancestors(
+            scene.gaussians,
+            scene.tree,
+            table,
+            view.camera,
+            options,
+            dilation_px2=view.dilation_px2,
+            threshold=view.threshold,
+            threads=view.threads,
+        )
+        if method == "filtergs-release" and view.visibility != "none":
+            rows = rows[
+                cpu_select.small(
+                    scene.gaussians,
+                    scene.tree,
+                    rows,
+                    view.camera,
+                    replace(options, pixel_error=RELEASE_LARGEST_PX),
+                    dilation_px2=view.dilation_px2,
+                    threads=view.threads,
+                )
+            ]
+        return rows, visited
+
+    return choose, table.nbytes
+
+
+RELEASE_LARGEST_PX = 700.0
+"""The code of FilterGS drops whatever is larger, leaves too."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Bands:
+    """Depths of the tree by distance."""
+
+    edges_of: Callable[[Camera], Array]
+    """Distances, ascending, at which bands meet."""
+    depths: Array
+    """Depth drawn in each band, from the nearest."""
+
+    @property
+    def num_bytes(self) -> int:
+        return 4 * (2 * len(self.depths) - 1)
+
+    def flags(self, scene: Scene, camera: Camera, eye: Array, threads: int) -> UInt8[Array, "n"]:
+        """Where each row lies to the depth of its band."""
+        edges = self.edges_of(camera)
+        return cpu.depth_flags(scene.gaussians, scene.tree, eye, edges, self.depths, threads=threads)
+
+
+def _by_depth(scene: Scene, bands: _Bands, *, alone: bool) -> Choose:
+    def rows_of(view: View) -> tuple[Array, int]:
+        flags = bands.flags(scene, view.camera, view.camera.position, view.threads)
+        if alone:
+            return np.flatnonzero(_drawn_alone(scene.tree, flags)).astype(np.int32), len(scene)
+        return cpu.first_stops(scene.tree, flags, 1), len(scene)
+
+    return rows_of
+
+
+def _drawn_alone(tree: GaussianTree, flags: Array) -> Bool[Array, "n"]:
+    """Rows at the depth of their band, and leaves above it, whatever is drawn above or below them."""
+    return np.asarray((flags == 1) | ((flags == 0) & tree.is_leaf))
+
+
+def _octree_bands(scene: Scene, cameras: Sequence[Camera], options: BaselineOptions) -> _Bands:
+    """Level L = log_fork(d_std / d), rounded, 0 to levels − 1; d_std and the levels from the distances of cameras to points."""
+    leaves = np.flatnonzero(scene.tree.is_leaf)
+    if len(leaves) == 0:
+        return _Bands(lambda camera: np.zeros(0), np.zeros(1, int))
+    points = scene.gaussians.means[leaves[:: max(1, len(leaves) // SAMPLE)]]
+    shares = [1 - OCTREE_QUANTILE, OCTREE_QUANTILE]
+    spans = np.array([np.quantile(np.linalg.norm(points - c.position, axis=1), shares) for c in cameras])
+    nearest, farthest = np.quantile(spans, shares)
+    steps = np.log(farthest / max(nearest, farthest * 2.0**-20)) / np.log(options.fork)
+    levels = min(round(float(steps)) + 1, scene.tree.num_levels)
+    finer = np.arange(levels - 1, 0, -1)
+    edges = farthest * options.fork ** (0.5 - finer)
+    depths = scene.tree.num_levels - levels + np.arange(levels - 1, -1, -1)
+    return _Bands(lambda camera: edges, depths)
+
+
+def _flod_bands(tree: GaussianTree, scene: Scene, options: BaselineOptions) -> _Bands:
+    """A level begins at min(fx, fy) s / γ, s the standard deviation of its median Gaussian."""
+    deepest = max(tree.num_levels - 1, 0)
+    depths = np.unique(np.linspace(0, deepest, min(options.bands, deepest + 1)).round().astype(int))[::-1]
+    largest = scene.gaussians.log_scales.max(axis=1)
+    medians = np.array([np.median(largest[tree.depth == depth]) for depth in depths[1:]], np.float64)
+    slopes = np.exp(np.maximum.accumulate(medians)) / options.band_px  # a distance for each px of the focal length
+    return _Bands(lambda camera: min(camera.K[0, 0], camera.K[1, 1]) * slopes, depths)
+
+
+def _lodge(scene: Scene, cameras: Sequence[Camera], options: BaselineOptions) -> tuple[Choose, int]:
+    """Rows of FLoD's bands around places among the cameras, listed beforehand; a view takes the list of the nearest place."""
+    bands = _flod_bands(scene.tree, scene, options)
+    places = _centres(np.array([camera.position for camera in cameras]), options.chunks)
+    listed = [
+        np.flatnonzero(_drawn_alone(scene.tree, bands.flags(scene, cameras[0], place, 0))).astype(np.int32)
+        for place in places
+    ]
+
+    def rows_of(view: View) -> tuple[Array, int]:
+        return listed[int(np.argmin(np.linalg.norm(places - view.camera.position, axis=1)))], 0
+
+    return rows_of, sum(rows.nbytes for rows in listed)
+
+
+def _centres(points: Array, count: int) -> Array:
+    """Centres of at most ``count`` groups: the farthest points from each other to begin with, then ten rounds of Lloyd."""
+    centres = [points[0]]
+    while len(centres) < min(count, len(np.unique(points, axis=0))):
+        distances = np.linalg.norm(points[:, None] - np.array(centres), axis=2).min(axis=1)
+        centres.append(points[int(np.argmax(distances))])
+    found = np.array(centres)
+    for _ in range(10):
+        nearest = np.linalg.norm(points[:, None] - found, axis=2).argmin(axis=1)
+        found = np.array([points[nearest == i].mean(axis=0) for i in range(len(found))])
+    return found
