@@ -86,7 +86,7 @@ def check_fields(struct: Any, **sizes: int) -> dict[str, int]:
             continue
         if not isinstance(value, np.ndarray):
             raise ShapeError(f"{owner}.{name}: found {type(value).__name__}, wanted a NumPy array")
-        if value.dtype.name != axes.dtype:
+        if value.dtype != np.dtype(axes.dtype):
             raise ShapeError(
                 f"{owner}.{name}: found dtype {value.dtype.name}, wanted {axes.dtype}; convert it with "
                 f".astype(np.{axes.dtype})"

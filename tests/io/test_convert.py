@@ -21,7 +21,7 @@ from splatree import (
     convert,
     edit,
 )
-from splatree.io import chunks, ply
+from splatree.io import chunks, ply, splat
 from splatree.io.registry import formats
 
 from .conftest import random_gaussians
@@ -38,7 +38,7 @@ EDITS = [
 @pytest.fixture
 def small_chunks(monkeypatch):
     """Chunks of 100 rows, so that small scenes have several."""
-    for module in (ply, chunks):
+    for module in (ply, splat, chunks):
         monkeypatch.setattr(module, "ROWS_PER_CHUNK", 100)
 
 
@@ -52,6 +52,16 @@ def test_chunks_and_whole_scene_give_the_same_bytes(tmp_path, small_chunks, suff
     lost = splatree.write(whole, tmp_path / f"c{suffix}")
     assert (tmp_path / f"b{suffix}").read_bytes() == (tmp_path / f"c{suffix}").read_bytes()
     assert done.num_written == len(whole) and done.lost == lost
+
+
+def test_each_format_that_is_read_in_chunks_gives_what_it_gives_whole(tmp_path, small_chunks):
+    for f in formats():
+        if f.read_chunks is None:
+            continue
+        splatree.write(Scene.flat(random_gaussians(777, 2)), tmp_path / f"a{f.suffixes[0]}")
+        assert convert(tmp_path / f"a{f.suffixes[0]}", tmp_path / "b.ply", force=True).in_chunks
+        splatree.write(splatree.read(tmp_path / f"a{f.suffixes[0]}"), tmp_path / "c.ply", force=True)
+        assert (tmp_path / "b.ply").read_bytes() == (tmp_path / "c.ply").read_bytes()
 
 
 @pytest.mark.parametrize("suffix", IN_CHUNKS)

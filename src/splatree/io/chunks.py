@@ -63,8 +63,7 @@ def chunks_of(scene: Scene, *, rows: int = ROWS_PER_CHUNK) -> Chunks:
 
     def make() -> Iterator[Gaussians]:
         for begin in range(0, len(g), rows):
-            part = slice(begin, begin + rows)
-            yield Gaussians(g.means[part], g.quats[part], g.log_scales[part], g.logit_opacities[part], g.sh[part])
+            yield g.rows(begin, begin + rows)
 
     return Chunks(len(g), g.sh_degree, scene.mode, make, scene.source.metadata)
 

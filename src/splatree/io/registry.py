@@ -90,7 +90,8 @@ FORMATS: tuple[Format, ...] = (
         holds=Holds(sh_degree=0, modes=("classic",)),
         sniff=splat.sniff,
         read=splat.read,
-        write=splat.write,
+        write_chunks=splat.write_chunks,
+        read_chunks=splat.read_chunks,
     ),
     Format(
         name="spz",

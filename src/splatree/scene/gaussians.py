@@ -48,6 +48,10 @@ class Gaussians:
         indices = np.arange(len(self))[rows]
         return Gaussians(*(np.take(getattr(self, f.name), indices, axis=0) for f in fields(self)))
 
+    def rows(self, begin: int, end: int) -> "Gaussians":
+        """Consecutive rows, as views."""
+        return Gaussians(*(getattr(self, f.name)[begin:end] for f in fields(self)))
+
     def with_sh_degree(self, degree: int) -> "Gaussians":
         """The same Gaussians with higher harmonics cut off, or missing ones set to zero."""
         if not 0 <= degree <= 3:

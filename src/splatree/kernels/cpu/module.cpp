@@ -21,6 +21,7 @@ void bind_clusters(nb::module_& m);
 void bind_rotate(nb::module_& m);
 void bind_quantize(nb::module_& m);
 void bind_baselines(nb::module_& m);
+void bind_splat(nb::module_& m);
 }
 
 NB_MODULE(_core, m) {
@@ -51,4 +52,5 @@ NB_MODULE(_core, m) {
   bind_rotate(m);
   bind_quantize(m);
   bind_baselines(m);
+  bind_splat(m);
 }

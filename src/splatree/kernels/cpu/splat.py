@@ -1,0 +1,26 @@
+"""Records of a .splat from columns, and back: glue over splat.cpp; kernels/reference/splat.py is the definition."""
+
+import numpy as np
+
+from splatree.kernels.cpu import _core
+from splatree.scene.gaussians import Gaussians
+from splatree.shapes import Array
+
+__all__ = ["decode", "encode", "ranks"]
+
+
+def encode(gaussians: Gaussians, records: Array, *, threads: int = 0) -> None:
+    """Write each Gaussian into its 32 bytes of ``records``, uint8 "n 32"."""
+    _core.encode_splats(gaussians, records, threads)
+
+
+def decode(records: Array, gaussians: Gaussians, *, threads: int = 0) -> None:
+    """Fill the columns of ``gaussians``, of degree 0, from ``records``, uint8 "n 32"."""
+    _core.decode_splats(records, gaussians, threads)
+
+
+def ranks(gaussians: Gaussians, *, threads: int = 0) -> Array:
+    """Place of each row in the file, uint16 below 4096: by descending opacity × volume in quarters of an octave."""
+    out = np.empty(len(gaussians), np.uint16)
+    _core.rank_splats(gaussians, out, threads)
+    return out
