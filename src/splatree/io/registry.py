@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from splatree.errors import InputError, SplatreeError
-from splatree.io import hier, ksplat, ply, rad, sog, splat, spz, store, streamed_sog
+from splatree.io import hier, ksplat, ply, rad, sog, sog_writer, splat, spz, store, streamed_sog
 from splatree.io.chunks import Chunks, chunks_of
 from splatree.io.holds import Holds, losses
 from splatree.io.inputs import find_inputs
@@ -108,10 +108,12 @@ FORMATS: tuple[Format, ...] = (
         name="sog",
         description="PlayCanvas SOG",
         suffixes=(".sog",),
-        versions="1, 2",
+        versions="1, 2 (2)",
         holds=Holds(),
         sniff=sog.sniff,
         read=sog.read,
+        write=sog_writer.write,
+        options=("sh_palette", "iterations"),
     ),
     Format(
         name="streamed-sog",

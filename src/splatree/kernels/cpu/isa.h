@@ -22,6 +22,9 @@ struct NearestJob;
 struct ByteColumn;
 struct Triples;
 enum class QuatCode : int;
+struct Centres;
+struct LaneMinima;
+struct AxesJob;
 
 struct Kernels {
   const char* isa;
@@ -40,6 +43,8 @@ struct Kernels {
   void (*unpack_fixed)(const Triples& job, int64_t begin, int64_t end);
   void (*pack_quats)(const Triples& job, QuatCode kind, int64_t begin, int64_t end);
   void (*unpack_quats)(const Triples& job, QuatCode kind, int64_t begin, int64_t end);
+  void (*nearest_lanes)(const Centres& centres, const float* const* points, LaneMinima* minima);
+  void (*onto_axes)(const AxesJob& job, int64_t begin, int64_t end);
 };
 
 // The table of the best level that the processor runs, or of the level set by use_isa().

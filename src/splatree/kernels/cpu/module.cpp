@@ -14,6 +14,8 @@ using namespace splatree;
 
 namespace splatree {
 void bind_render(nb::module_& m);
+void bind_palette(nb::module_& m);
+void bind_sog(nb::module_& m);
 void bind_columns(nb::module_& m);
 void bind_thin(nb::module_& m);
 void bind_select(nb::module_& m);
@@ -45,6 +47,8 @@ NB_MODULE(_core, m) {
       nb::arg("name"), "Switch to another level; for tests, not while kernels run.");
 
   bind_render(m);
+  bind_palette(m);
+  bind_sog(m);
   bind_columns(m);
   bind_thin(m);
   bind_select(m);

@@ -1,0 +1,235 @@
+#include "cpu/palette.h"
+
+#include <algorithm>
+#include <cstring>
+#include <limits>
+#include <vector>
+
+#include "cpu/isa.h"
+#include "cpu/scores.h"
+#include "cpu/pool.h"
+#include "cpu/scratch.h"
+
+namespace splatree {
+namespace {
+
+constexpr int64_t kPointsPerChunk = 1 << 12;
+
+int64_t blocks_for(int64_t num_centres) { return (num_centres + kLanes - 1) / kLanes; }
+
+int64_t floats_for(int64_t num_centres, int64_t dims) { return blocks_for(num_centres) * (dims + 1) * kLanes; }
+
+// Lays row-major centres out in blocks: centre i in lane i mod 16.
+Centres arrange(const float* centres, int64_t count, int64_t dims, float* blocks) {
+  for (int64_t b = 0; b < blocks_for(count); ++b)
+    for (int64_t l = 0; l < kLanes; ++l) {
+      const int64_t i = b * kLanes + l;
+      float* lane = blocks + b * (dims + 1) * kLanes + l;
+      double norm = 0;
+      for (int64_t d = 0; d < dims; ++d) {
+        const float x = i < count ? centres[i * dims + d] : 0;
+        lane[d * kLanes] = x;
+        norm += double(x) * x;
+      }
+      lane[dims * kLanes] = i < count ? float(norm / 2) : std::numeric_limits<float>::infinity();
+    }
+  return {blocks, blocks_for(count), dims};
+}
+
+struct Nearest {
+  float score;
+  int32_t centre;
+
+  bool operator<(const Nearest& other) const {
+    return score < other.score || (score == other.score && centre < other.centre);
+  }
+};
+
+// The best of the lanes of point p.
+Nearest best_lane(const LaneMinima& minima, int64_t p) {
+  Nearest best{minima.score[p][0], int32_t(minima.block[p][0] * kLanes)};
+  for (int64_t l = 1; l < kLanes; ++l) {
+    const Nearest found{minima.score[p][l], int32_t(minima.block[p][l] * kLanes + l)};
+    if (found < best) best = found;
+  }
+  return best;
+}
+
+// Calls visit(k, minima, p) for k in [0, count): the minima of the point at(k) are number p of `minima`. The last four are
+// filled up with the last point: a point's result does not depend on its companions.
+template <class At, class Visit>
+void each_nearest(const Centres& centres, int64_t count, const At& at, const Visit& visit) {
+  constexpr int64_t kAhead = 4 * kPointsAtOnce;  // points between the fetch of one and its use
+  LaneMinima minima;
+  for (int64_t k = 0; k < count; k += kPointsAtOnce) {
+    const float* points[kPointsAtOnce];
+    for (int64_t p = 0; p < kPointsAtOnce; ++p) {
+      points[p] = at(std::min(k + p, count - 1));
+      __builtin_prefetch(at(std::min(k + p + kAhead, count - 1)));
+    }
+    kernels().nearest_lanes(centres, points, &minima);
+    for (int64_t p = 0; p < kPointsAtOnce && k + p < count; ++p) visit(k + p, minima, p);
+  }
+}
+
+// K-means of `count` points: starts from points evenly spread along the running sum of their weights.
+void split_group(const float* points, const float* weights, int64_t count, int64_t dims, int64_t num_centres,
+                 int iterations, float* centres) {
+  double total = 0;
+  for (int64_t i = 0; i < count; ++i) total += weights[i];
+  double sum = 0;
+  int64_t chosen = 0;
+  for (int64_t i = 0; i < count && chosen < num_centres; ++i) {
+    sum += weights[i];
+    // A row is taken if its weight passes the next mark, and wherever no more rows are left than marks.
+    if (sum * num_centres >= (chosen + 0.5) * total || count - i <= num_centres - chosen) {
+      std::memcpy(centres + chosen * dims, points + i * dims, dims * sizeof(float));
+      ++chosen;
+    }
+  }
+  Scratch<float> blocks = allocate<float>(floats_for(num_centres, dims));
+  std::vector<double> sums(num_centres * (dims + 1));
+  for (int iteration = 0; iteration < iterations; ++iteration) {
+    const Centres arranged = arrange(centres, num_centres, dims, blocks.get());
+    std::fill(sums.begin(), sums.end(), 0.0);
+    each_nearest(
+        arranged, count, [&](int64_t k) { return points + k * dims; },
+        [&](int64_t k, const LaneMinima& minima, int64_t p) {
+          double* row = &sums[best_lane(minima, p).centre * (dims + 1)];
+          const double w = weights[k];
+          for (int64_t d = 0; d < dims; ++d) row[d] += w * points[k * dims + d];
+          row[dims] += w;
+        });
+    for (int64_t c = 0; c < num_centres; ++c) {
+      const double* row = &sums[c * (dims + 1)];
+      if (row[dims] > 0)  // a centre that no point is nearest to stays where it is
+        for (int64_t d = 0; d < dims; ++d) centres[c * dims + d] = float(row[d] / row[dims]);
+    }
+  }
+}
+
+}  // namespace
+
+void nearest_few(const Points& points, const float* centres, int64_t num_centres, int64_t num_near, int32_t* near,
+                 int threads) {
+  Scratch<float> blocks = allocate<float>(floats_for(num_centres, points.dims));
+  const Centres arranged = arrange(centres, num_centres, points.dims, blocks.get());
+  parallel_ranges(points.count, kPointsPerChunk, threads, [&](int64_t begin, int64_t end) {
+    each_nearest(
+        arranged, end - begin, [&](int64_t k) { return points.values + (begin + k) * points.dims; },
+        [&](int64_t k, LaneMinima& minima, int64_t p) {
+          for (int64_t j = 0; j < num_near; ++j) {
+            const Nearest found = best_lane(minima, p);
+            near[(begin + k) * num_near + j] = found.centre;
+            minima.score[p][found.centre % kLanes] = std::numeric_limits<float>::infinity();
+          }
+        });
+  });
+}
+
+void split_groups(const Points& points, const float* weights, const int64_t* start, const int32_t* rows,
+                  const int64_t* first_centre, int64_t num_groups, int iterations, float* centres, int threads) {
+  const int64_t dims = points.dims;
+  parallel_chunks(num_groups, threads, [&](int64_t g) {
+    const int64_t count = start[g + 1] - start[g];
+    Scratch<float> gathered = allocate<float>(count * (dims + 1));  // stays in the second-level cache for all iterations
+    float* own_weights = gathered.get() + count * dims;
+    for (int64_t k = 0; k < count; ++k) {
+      const int64_t row = rows[start[g] + k];
+      std::memcpy(gathered.get() + k * dims, points.values + row * dims, dims * sizeof(float));
+      own_weights[k] = weights[row];
+    }
+    split_group(gathered.get(), own_weights, count, dims, first_centre[g + 1] - first_centre[g], iterations,
+                centres + first_centre[g] * dims);
+  });
+}
+
+void nearest_in_groups(const Points& points, const float* centres, const int64_t* first_centre, int64_t num_groups,
+                       const int32_t* near, int64_t num_near, int32_t* label, int threads) {
+  const int64_t n = points.count, dims = points.dims;
+  std::vector<int64_t> first_float(num_groups + 1);
+  for (int64_t g = 0; g < num_groups; ++g)
+    first_float[g + 1] = first_float[g] + floats_for(first_centre[g + 1] - first_centre[g], dims);
+  Scratch<float> blocks = allocate<float>(first_float[num_groups]);
+  parallel_chunks(num_groups, threads, [&](int64_t g) {
+    arrange(centres + first_centre[g] * dims, first_centre[g + 1] - first_centre[g], dims, blocks.get() + first_float[g]);
+  });
+
+  Scratch<float> best = allocate<float>(n);
+  Scratch<int32_t> rows = allocate<int32_t>(n);
+  std::fill(best.get(), best.get() + n, std::numeric_limits<float>::infinity());
+  std::vector<int64_t> start(num_groups + 1);
+  // One round for each place in `near`: its rows are sorted by group, so that no two threads meet at a row.
+  for (int64_t j = 0; j < num_near; ++j) {
+    std::fill(start.begin(), start.end(), 0);
+    for (int64_t i = 0; i < n; ++i) ++start[near[i * num_near + j] + 1];
+    for (int64_t g = 0; g < num_groups; ++g) start[g + 1] += start[g];
+    std::vector<int64_t> next(start.begin(), start.end() - 1);
+    for (int64_t i = 0; i < n; ++i) rows[next[near[i * num_near + j]]++] = int32_t(i);
+    parallel_chunks(num_groups, threads, [&](int64_t g) {
+      const int64_t num_centres = first_centre[g + 1] - first_centre[g];
+      if (num_centres == 0) return;
+      const int32_t* own = rows.get() + start[g];
+      each_nearest(
+          Centres{blocks.get() + first_float[g], blocks_for(num_centres), dims}, start[g + 1] - start[g],
+          [&](int64_t k) { return points.values + int64_t(own[k]) * dims; },
+          [&](int64_t k, const LaneMinima& minima, int64_t p) {
+            const Nearest found = best_lane(minima, p);
+            if (found.score < best[own[k]]) {
+              best[own[k]] = found.score;
+              label[own[k]] = int32_t(first_centre[g]) + found.centre;
+            }
+          });
+    });
+  }
+}
+
+void label_means(const float* vectors, int64_t stride, int64_t width, const float* weights, const int64_t* start,
+                 const int32_t* rows, int64_t num_labels, float* means, int threads) {
+  parallel_ranges(num_labels, 64, threads, [&](int64_t begin, int64_t end) {
+    std::vector<double> sums(width);
+    for (int64_t l = begin; l < end; ++l) {
+      std::fill(sums.begin(), sums.end(), 0.0);
+      double total = 0;
+      for (int64_t k = start[l]; k < start[l + 1]; ++k) {
+        const float* vector = vectors + rows[k] * stride;
+        const double w = weights[rows[k]];
+        for (int64_t j = 0; j < width; ++j) sums[j] += w * vector[j];
+        total += w;
+      }
+      for (int64_t j = 0; j < width; ++j) means[l * width + j] = total > 0 ? float(sums[j] / total) : 0.f;
+    }
+  });
+}
+
+int64_t distinct_rows(const float* vectors, int64_t stride, int64_t width, int64_t num_rows, int64_t limit,
+                      int32_t* label, int32_t* first_row) {
+  int64_t size = 64;
+  while (size < 2 * limit) size *= 2;
+  std::vector<int32_t> label_from_slot(size, -1);  // open addressing, at most half full
+  const auto bytes = static_cast<size_t>(width) * sizeof(float);
+  int64_t found = 0;
+  for (int64_t i = 0; i < num_rows; ++i) {
+    const float* row = vectors + i * stride;
+    uint64_t hash = 0;
+    for (int64_t j = 0; j < width; ++j) {
+      uint32_t bits;
+      std::memcpy(&bits, row + j, sizeof bits);
+      hash = (hash ^ bits) * 0x9e3779b97f4a7c15u;
+      hash ^= hash >> 29;
+    }
+    int64_t slot = int64_t(hash & uint64_t(size - 1));
+    while (label_from_slot[slot] >= 0 &&
+           std::memcmp(vectors + first_row[label_from_slot[slot]] * stride, row, bytes) != 0)
+      slot = (slot + 1) & (size - 1);
+    if (label_from_slot[slot] < 0) {
+      if (found == limit) return -1;
+      first_row[found] = int32_t(i);
+      label_from_slot[slot] = int32_t(found++);
+    }
+    label[i] = label_from_slot[slot];
+  }
+  return found;
+}
+
+}  // namespace splatree
