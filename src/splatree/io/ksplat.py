@@ -27,7 +27,7 @@ import numpy as np
 from splatree.constants import SH_C0
 from splatree.errors import FormatError, InputError
 from splatree.io.check import checked
-from splatree.io.opacities import logits_from_opacities, opacities_from_logits
+from splatree.io.opacities import CODE_STEP, logits_from_opacities, opacities_from_logits
 from splatree.io.options import ReadOptions, WriteOptions
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
@@ -213,7 +213,7 @@ def _read_section(
     else:
         file.seek(bucket_bytes, 1)
     share = np.arange(256) / 255
-    logits = logits_from_opacities(share, step_low=1 / 255, step_high=1 / 255)
+    logits = logits_from_opacities(share, step_low=CODE_STEP, step_high=CODE_STEP)
     low, high = found.rest_range
     rest_table = (low + (high - low) * share).astype(np.float32)
     color_table = ((share - 0.5) / SH_C0).astype(np.float32)

@@ -15,7 +15,11 @@ import numpy as np
 from splatree.constants import MERGED_ALPHA_MAX
 from splatree.shapes import Array, Float32
 
-__all__ = ["areas_of_clamped", "areas_of_powers", "logits_from_opacities", "opacities_from_logits"]
+__all__ = ["CODE_STEP", "areas_of_clamped", "areas_of_powers", "logits_from_opacities", "opacities_from_logits"]
+
+
+CODE_STEP = 2e-6
+"""Step for 8-bit codes: 0 and 255 stand for opacities nearer to 0 and 1 than the other codes say, as in our other formats."""
 
 
 def opacities_from_logits(logits: Array) -> Float32[Array, "n"]:

@@ -32,7 +32,7 @@ from splatree.errors import FormatError, InputError
 from splatree.io import untrusted
 from splatree.io.check import checked
 from splatree.io.levels import preorder_of_file, scene_with_levels
-from splatree.io.opacities import areas_of_powers, logits_from_opacities, opacities_from_logits
+from splatree.io.opacities import CODE_STEP, areas_of_powers, logits_from_opacities, opacities_from_logits
 from splatree.io.options import ReadOptions, WriteOptions
 from splatree.io.rad_properties import (
     LOG_SCALE_ZERO,
@@ -317,7 +317,7 @@ def _fill(file: _File, g: Gaussians, palette: Array | None, row_from_node: Array
         log_scales[above] += 0.5 * np.log(areas_of_powers(np.exp((d * d - 1) / np.e)))[:, None]
     g.log_scales[rows] = log_scales
     steps = {"f32": (2.0**-148, 2.0**-24), "f16": (2.0**-24, 2.0**-11)}
-    step_low, step_high = steps.get(chunk.properties["alpha"]["encoding"], (1 / 255, 1 / 255))
+    step_low, step_high = steps.get(chunk.properties["alpha"]["encoding"], (CODE_STEP, CODE_STEP))
     g.logit_opacities[rows] = logits_from_opacities(alphas, step_low=step_low, step_high=step_high)
 
     rest = g.sh.reshape(len(g), -1)
