@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from splatree.metrics.psnr import psnr
     from splatree.metrics.ssim import ssim
     from splatree.render.batch import render_batch, trace_batch
+    from splatree.render.calibrate import CalibrateOptions, Calibration, calibrate, calibrated
     from splatree.render.contribution import (
         ContributionHistogram,
         TileContributions,
@@ -44,6 +45,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BuildOptions",
+    "CalibrateOptions",
+    "Calibration",
     "Camera",
     "Cameras",
     "ContributionHistogram",
@@ -74,6 +77,8 @@ __all__ = [
     "TileContributions",
     "WriteOptions",
     "build_lod",
+    "calibrate",
+    "calibrated",
     "contribution_histogram",
     "convert",
     "edit",
@@ -101,6 +106,8 @@ __all__ = [
 
 _HOME = {
     "BuildOptions": "splatree.lod.build",
+    "CalibrateOptions": "splatree.render.calibrate",
+    "Calibration": "splatree.render.calibrate",
     "Camera": "splatree.scene.cameras",
     "Cameras": "splatree.scene.cameras",
     "ContributionHistogram": "splatree.render.contribution",
@@ -131,6 +138,8 @@ _HOME = {
     "TileContributions": "splatree.render.contribution",
     "WriteOptions": "splatree.io.options",
     "build_lod": "splatree.lod.build",
+    "calibrate": "splatree.render.calibrate",
+    "calibrated": "splatree.render.calibrate",
     "contribution_histogram": "splatree.render.contribution",
     "convert": "splatree.io.convert",
     "edit": "splatree.edit.edit",

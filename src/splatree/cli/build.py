@@ -8,10 +8,13 @@ from typing import Annotated, Any
 import numpy as np
 from tyro.conf import arg
 
+from splatree.cli.calibrate import Views, calibrate_on, in_words
 from splatree.cli.console import Console, table
 from splatree.cli.files import Files, inputs_and_output
 from splatree.io.registry import read, write
 from splatree.lod.build import BuildOptions, build_lod
+from splatree.render.calibrate import CalibrateOptions, Calibration, calibrated
+from splatree.scene.options import RenderOptions, SelectOptions
 from splatree.scene.scene import Mode
 from splatree.scene.tree import GaussianTree
 from splatree.shapes import Array, Int64
@@ -25,6 +28,8 @@ class Command:
     mode: Mode | None = None
     """How the scene was trained and will be drawn; merged nodes depend on it. None: as the file says, else `classic`."""
     options: Annotated[BuildOptions, arg(name="")] = BuildOptions()
+    views: Annotated[Views, arg(name="")] = Views()
+    calibration: Annotated[CalibrateOptions, arg(name="")] = CalibrateOptions()
     console: Annotated[Console, arg(name="")] = Console()
 
 
@@ -50,6 +55,8 @@ class Built:
     """Radii, and nodes left after each level, and the rules, as they are written into the file."""
     bytes: int
     """Size of the file."""
+    calibration: Calibration | None = None
+    """The τ that was chosen, if views were given."""
 
 
 def run(command: Command) -> Built:
@@ -59,6 +66,12 @@ def run(command: Command) -> Built:
     if command.mode is not None:
         scene = replace(scene, mode=command.mode)
     scene = build_lod(scene, command.options)
+    calibration = None
+    if command.views.cameras or command.views.data:
+        calibration, held_out = calibrate_on(
+            scene, command.views, command.calibration, RenderOptions(), SelectOptions()
+        )
+        scene = calibrated(scene, calibration, held_out=held_out)
     write(scene, output, force=command.files.force)
     tree = scene.tree
     counts, numbers = np.unique(children_per_node(tree)[~tree.is_leaf], return_counts=True)
@@ -72,6 +85,7 @@ def run(command: Command) -> Built:
         children={str(count): int(number) for count, number in zip(counts, numbers, strict=True)},
         rules=json.loads(scene.source.metadata["levels"]),
         bytes=output.stat().st_size,
+        calibration=calibration,
     )
 
 
@@ -96,4 +110,4 @@ def show(built: Built) -> str:
         f"{table(rows)}\nwrote {built.output}: {built.num_gaussians:,} Gaussians, {built.num_nodes:,} nodes "
         f"({built.num_nodes / max(1, built.num_gaussians):.2f} ×), {built.levels} levels, {built.num_roots} roots, "
         f"{built.bytes / 2**20:.1f} MiB"
-    )
+    ) + ("" if built.calibration is None else f"\n{in_words(built.calibration)}")

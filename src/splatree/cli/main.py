@@ -30,6 +30,7 @@ VERBS = {
     "convert": "write a scene in another format",
     "thin": "merge Gaussians that are close, to a radius, a share or a count",
     "build": "build the levels of detail of a scene",
+    "calibrate": "choose the opacity at which splats end, by a loss of quality that is allowed",
     "render": "draw pictures or a video",
     "eval": "compare the levels of detail with all leaves, or with photographs",
     "bench": "run a table or a figure of a paper again",
@@ -55,7 +56,7 @@ splatree {verb} <command> --help says more; every command takes --json, --verbos
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; return its exit code."""
     words = list(sys.argv[1:] if argv is None else argv)
-    usage = USAGE.format(verbs="\n".join(f"  {verb:9}{purpose}" for verb, purpose in VERBS.items()))
+    usage = USAGE.format(verbs="\n".join(f"  {verb:11}{purpose}" for verb, purpose in VERBS.items()))
     if words[:1] in (["-h"], ["--help"]):
         print(usage)
         return 0

@@ -1,0 +1,129 @@
+"""``splatree calibrate``: choose τ, the opacity at which splats end, and keep it in the scene."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tyro.conf import arg
+
+from splatree.cli.console import Console, table
+from splatree.cli.files import Files, inputs_and_output
+from splatree.errors import InputError
+from splatree.io.cameras import read_cameras
+from splatree.io.photos import Photos
+from splatree.io.registry import read, write
+from splatree.io.split import split_views
+from splatree.render.calibrate import CalibrateOptions, Calibration, calibrate, calibrated
+from splatree.render.paths import PathOptions, flyout, orbit
+from splatree.scene.cameras import Camera
+from splatree.scene.options import RenderOptions, SelectOptions
+from splatree.scene.scene import Scene
+
+
+@dataclass(frozen=True)
+class Views:
+    """Views to calibrate with; those held out for scores are never used."""
+
+    cameras: Path | None = None
+    """Calibrate with these views: cameras.json, transforms.json or a COLMAP model; None: those in --data."""
+    data: Path | None = None
+    """Folder of photographs, named like the cameras; subfolders are searched too."""
+    held_out: int | Path = 8
+    """Leave out the views kept for scores: each n-th from the first, or a file of names, one a line."""
+    scale: float = 1.0
+    """Factor on the width and height of the cameras; photographs are resized likewise."""
+
+
+@dataclass(frozen=True)
+class Command:
+    """Choose the τ of a scene and keep it: in.splatree out.splatree; with one path, a .splatree is changed in place."""
+
+    files: Annotated[Files, arg(name="")]
+    views: Annotated[Views, arg(name="")] = Views()
+    path: Literal["orbit", "flyout"] = "flyout"
+    """Path to make without --cameras and --data: away from the scene, or around it."""
+    made: Annotated[PathOptions, arg(name="")] = PathOptions(views=16)
+    calibration: Annotated[CalibrateOptions, arg(name="")] = CalibrateOptions()
+    select: Annotated[SelectOptions, arg(name="")] = SelectOptions()
+    options: Annotated[RenderOptions, arg(name="")] = RenderOptions()
+    console: Annotated[Console, arg(name="")] = Console()
+
+
+@dataclass(frozen=True)
+class Calibrated:
+    """What was chosen, and where it was written."""
+
+    output: Path
+    """The file."""
+    held_out: str
+    """Which views were left out, and of how many; empty for views made for the scene."""
+    calibration: Calibration
+    """τ, how it was chosen, and what it costs and saves."""
+
+
+def run(command: Command) -> Calibrated:
+    """Read, draw, choose, write."""
+    paths = command.files.paths
+    in_place = command.files.output is None and len(paths) == 1 and paths[0].suffix.lower() == ".splatree"
+    inputs, output = (paths, paths[0]) if in_place else inputs_and_output(command.files, keeps_tree=True)
+    scene = read(inputs, repair=command.files.repair)
+    if command.views.cameras or command.views.data:
+        calibration, held_out = calibrate_on(scene, command.views, command.calibration, command.options, command.select)
+    else:
+        made = {"orbit": orbit, "flyout": flyout}[command.path](scene, command.made)
+        calibration = calibrate(scene, list(made), command.calibration, command.options, command.select)
+        held_out = ""
+    kept = calibrated(scene, calibration, held_out=held_out or f"none: {command.path} made for the scene")
+    write(kept, output, force=in_place or command.files.force)
+    return Calibrated(output, held_out, calibration)
+
+
+def calibrate_on(
+    scene: Scene, views: Views, options: CalibrateOptions, render: RenderOptions, select: SelectOptions
+) -> tuple[Calibration, str]:
+    """Calibrate with the training views of a file or folder; also say which were left out."""
+    source = views.cameras or views.data
+    if source is None or not views.scale > 0:
+        raise InputError(
+            f"cameras, data, scale: found {source}, {views.scale}, wanted a file or folder, and more than 0"
+        )
+    split = split_views(list(read_cameras(source)), views.held_out)
+    if not split.training:
+        raise InputError(f"held_out: found {views.held_out}, which leaves no view to calibrate with; wanted 2 or more")
+    training: Sequence[Camera] = [camera.scaled(views.scale) for camera in split.training]
+    photos = Photos(views.data, training) if views.data else None
+    return calibrate(scene, training, options, render, select, photos=photos), split.rule
+
+
+def show(calibrated: Calibrated) -> str:
+    """The result in words."""
+    c = calibrated.calibration
+    rows = [
+        {
+            "τ": f"{trial.threshold:.5f}",
+            "loss dB": f"{trial.loss_db:.4f}",
+            "PSNR to lossless": "" if trial.psnr is None else f"{trial.psnr:.2f}",
+            "pairs": trial.num_pairs,
+            "of lossless": f"{trial.num_pairs / max(1, c.num_pairs_lossless):.3f}",
+        }
+        for trial in sorted(c.trials, key=lambda trial: trial.threshold)
+    ]
+    left_out = f"; held out: {calibrated.held_out}" if calibrated.held_out else ""
+    return (
+        f"{table(rows)}\n"
+        f"G = {c.contribution:.4g} ({c.options.unit}, {c.options.tiles} tiles, lists {c.options.lists}) over "
+        f"{len(c.views)} views of {c.size_px[0]} × {c.size_px[1]} px{left_out}\n"
+        f"{in_words(c)}\nkept in {calibrated.output}"
+    )
+
+
+def in_words(c: Calibration) -> str:
+    """τ, how it was chosen, what it costs and saves."""
+    truth = (
+        "the photographs" if c.photographs else f"a truth that lossless pictures are {c.options.scene_psnr:g} dB from"
+    )
+    return (
+        f"τ = {c.threshold:.5f} by {c.policy}: {c.loss_db:.3f} dB lost against {truth}, "
+        f"{c.num_pairs / max(1, c.num_pairs_lossless):.3f} × the pairs of lossless"
+    )

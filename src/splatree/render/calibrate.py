@@ -1,0 +1,288 @@
+"""Choose τ, the opacity at which splats end, for a scene and its training views.
+
+Policies (FilterGS 2026, §3.3, Eq. 8; G is the mean contribution of a pair, render/contribution.py):
+
+- ``target`` (default): the largest τ whose mean loss of PSNR over the views is within a budget in dB, by bisection;
+- ``paper``: τ = λ_G / G, as Eq. 8 says: crowded scenes, where G is small, are shrunk more;
+- ``release``: τ = λ_G · G, as the code of FilterGS computes: crowded scenes are shrunk less;
+- ``fixed``: the render option ``threshold``, or 1/255.
+
+None goes below 1/255, down to which the blend draws anyway, nor above 0.5.
+
+What a loss of x dB means. With photographs: the mean over the views of PSNR(lossless, photo) − PSNR(shrunk, photo). Without: the
+lossless picture is taken to be Q dB from the truth (``scene_psnr``), and the error of shrinking independent of that one, so that
+their squares add up: a view that is P dB from its lossless picture loses
+
+    10 log10(1 + 10^((Q − P) / 10)) dB
+
+With Q = 30 a loss of 0.1 dB is reached at P = 46.3 dB.
+
+Cost: one lossless drawing of each view, and one more at each of up to ten trials of τ. Lossless pictures are kept where there
+are no photographs: 12 bytes a pixel and view, 24 views of 960 × 540 px take 150 MB.
+"""
+
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Final, Literal, get_args
+
+import numpy as np
+
+from splatree.constants import ALPHA_THRESHOLD
+from splatree.errors import InputError
+from splatree.lod.blocks import with_blocks
+from splatree.metrics.psnr import psnr
+from splatree.progress import task
+from splatree.render.contribution import Tiles, Unit, tile_contributions
+from splatree.render.pipeline import trace
+from splatree.scene.cameras import Camera
+from splatree.scene.frame import Frame
+from splatree.scene.options import Extent, RenderOptions, SelectOptions
+from splatree.scene.scene import Scene
+from splatree.shapes import Array
+
+__all__ = ["CalibrateOptions", "Calibration", "Policy", "Trial", "calibrate", "calibrated"]
+
+Policy = Literal["target", "paper", "release", "fixed"]
+"""Named ways to choose τ."""
+
+THRESHOLD_MAX: Final = 0.5
+"""Largest τ that is chosen: above it splats of medium opacity vanish altogether."""
+
+BISECTIONS: Final = 8
+"""Halvings of ln(0.5 / (1/255)) = 4.85: τ is found to 2 %."""
+
+METADATA_KEY: Final = "calibration"
+"""Where a scene keeps how its threshold was chosen, as JSON."""
+
+
+@dataclass(frozen=True)
+class CalibrateOptions:
+    """How τ is chosen."""
+
+    policy: Policy = "target"
+    """`target` meets a loss of PSNR; `paper` is λ_G / G, `release` λ_G · G; `fixed` is --threshold, or 1/255."""
+    loss_db: float = 0.1
+    """`target`: mean loss of PSNR over the views that is allowed, dB."""
+    scene_psnr: float = 30.0
+    """Without photographs: PSNR that the scene's lossless pictures are taken to have against the truth, dB."""
+    lambda_g: float = 0.2
+    """λ_G of `paper` and `release`."""
+    lists: Extent = "ellipse"
+    """`paper` and `release`: the tile lists that G is the mean over; `3sigma` as in the code of FilterGS."""
+    tiles: Tiles = "all"
+    """The same: whether tiles without splats count, as 0."""
+    unit: Unit = "pixels"
+    """The same: whether G is in pixels, 0 to 256, or in shares of a tile, 0 to 1."""
+    max_views: int = 24
+    """Draw at most this many of the views, spread evenly over them."""
+
+    def __post_init__(self) -> None:
+        for name, kind in (("policy", Policy), ("lists", Extent), ("tiles", Tiles), ("unit", Unit)):
+            if getattr(self, name) not in get_args(kind):
+                raise InputError(f"{name}: found {getattr(self, name)!r}, wanted one of {', '.join(get_args(kind))}")
+        for name in ("loss_db", "scene_psnr", "lambda_g"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise InputError(f"{name}: found {getattr(self, name)}, wanted more than 0")
+        if self.max_views < 1:
+            raise InputError(f"max_views: found {self.max_views}, wanted at least 1")
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What one τ costs and saves over the views."""
+
+    threshold: float
+    """τ."""
+    loss_db: float
+    """Mean loss of PSNR, dB, as the head of this module defines it."""
+    psnr: float | None
+    """PSNR of the mean squared error against the lossless pictures, dB; None if they are equal or photographs are judged by."""
+    num_pairs: int
+    """N_P over all views."""
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A τ and where it comes from."""
+
+    policy: Policy
+    """How it was chosen."""
+    threshold: float
+    """τ."""
+    loss_db: float
+    """Mean loss of PSNR at this τ, dB."""
+    psnr: float | None
+    """PSNR of the mean squared error against the lossless pictures, dB; None if they are equal or photographs are judged by."""
+    num_pairs: int
+    """N_P over all views at this τ."""
+    num_pairs_lossless: int
+    """The same at 1/255."""
+    contribution: float
+    """G of the views, in the unit and over the lists and tiles that the options name."""
+    photographs: bool
+    """Whether losses were measured against photographs."""
+    views: tuple[str, ...]
+    """Names of the views that were drawn, or their numbers if they have none."""
+    size_px: tuple[int, int]
+    """Width and height of the first view."""
+    options: CalibrateOptions
+    """How it was asked for."""
+    extent: Extent
+    """Extent of the splats."""
+    pixels: str
+    """Treatment of the pixels."""
+    pixel_error: float | None
+    """τ_R of the selection, px; None if it was another selector."""
+    trials: tuple[Trial, ...]
+    """Every τ that was tried, in order."""
+
+
+def calibrate(
+    scene: Scene,
+    cameras: Sequence[Camera],
+    options: CalibrateOptions | None = None,
+    render: RenderOptions | None = None,
+    select: SelectOptions | None = None,
+    *,
+    photos: Mapping[str, Array] | None = None,
+    threads: int = 0,
+) -> Calibration:
+    """Choose τ from the views given, which should be those that the scene was trained on.
+
+    ``photos`` are pictures, float32 (h w 3), by the camera's name; if there are any, only views that have one are drawn. τ
+    depends on the size of the pictures and on the level of detail: calibrate with what will be drawn.
+
+    Raises:
+        InputError: there is no view, or the extent is `3sigma`, which takes no notice of τ.
+    """
+    options, render, select = options or CalibrateOptions(), render or RenderOptions(), select or SelectOptions()
+    if render.extent == "3sigma":
+        raise InputError("extent: found '3sigma', which does not depend on τ; wanted 'ellipse' or 'tau'")
+    with_photo = [camera for camera in cameras if camera.name in photos] if photos else list(cameras)
+    if not with_photo:
+        found = f"{len(cameras)} views, none with a photograph" if cameras else "no view"
+        raise InputError(f"calibrate: found {found}, wanted at least one view to draw")
+    chosen = np.unique(np.linspace(0, len(with_photo) - 1, min(options.max_views, len(with_photo))).round().astype(int))
+    views = [with_photo[i] for i in chosen]
+    studio = _Studio(with_blocks(scene), views, options, render, select, photos, threads)
+    with task("calibrate", total=len(views) * (BISECTIONS + 2)) as studio.advance:
+        studio.draw_lossless()
+        best, trials = studio.choose()
+    return Calibration(
+        policy=options.policy,
+        threshold=best.threshold,
+        loss_db=best.loss_db,
+        psnr=best.psnr,
+        num_pairs=best.num_pairs,
+        num_pairs_lossless=studio.num_pairs_lossless,
+        contribution=studio.contribution,
+        photographs=bool(photos),
+        views=tuple(view.name or str(number) for number, view in zip(chosen, views, strict=True)),
+        size_px=(views[0].width, views[0].height),
+        options=options,
+        extent=render.extent,
+        pixels=render.pixels,
+        pixel_error=select.pixel_error,
+        trials=tuple(trials),
+    )
+
+
+def calibrated(scene: Scene, calibration: Calibration, **provenance: str) -> Scene:
+    """The scene with the τ of a calibration, and in its metadata how it was chosen; ``provenance`` is added to that."""
+    record = {name: value for name, value in asdict(calibration).items() if name != "trials"} | provenance
+    metadata = {**scene.source.metadata, METADATA_KEY: json.dumps(record)}
+    return replace(scene, threshold=calibration.threshold, source=replace(scene.source, metadata=metadata))
+
+
+class _Studio:
+    """Draws the views at one τ after the other."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        views: Sequence[Camera],
+        options: CalibrateOptions,
+        render: RenderOptions,
+        select: SelectOptions,
+        photos: Mapping[str, Array] | None,
+        threads: int,
+    ) -> None:
+        self.scene, self.views, self.options = scene, views, options
+        self.render, self.select, self.photos, self.threads = render, select, photos or {}, threads
+        self.advance: Callable[[float], None] = lambda units: None
+        self.num_pairs_lossless = 0
+        self.contribution = 0.0
+
+    def draw(self, view: Camera, render: RenderOptions) -> Frame:
+        self.advance(1)
+        return trace(self.scene, view, render, self.select, threads=self.threads)
+
+    def draw_lossless(self) -> None:
+        """Draw all views with the exact test at 1/255; keep their pictures, or else how far they are from the photographs."""
+        lossless = replace(self.render, extent="ellipse", pixels="hard", threshold=ALPHA_THRESHOLD)
+        self.pictures: list[Array] = []
+        self.photo_psnrs: list[float] = []
+        contributions = []
+        for view in self.views:
+            frame = self.draw(view, lossless)
+            self.num_pairs_lossless += frame.bins.num_pairs
+            if self.photos:
+                self.photo_psnrs.append(psnr(_shown(frame), self.photos[view.name]))
+            else:
+                self.pictures.append(_shown(frame))
+            if self.options.lists != "ellipse":
+                frame = trace(
+                    self.scene, view, replace(lossless, extent=self.options.lists), self.select, threads=self.threads
+                )
+            contributions.append(tile_contributions(frame).mean(tiles=self.options.tiles, unit=self.options.unit))
+        self.contribution = float(np.mean(contributions))
+
+    def choose(self) -> tuple[Trial, list[Trial]]:
+        """The trial that the policy asks for, and all that were made."""
+        if self.options.policy == "target":
+            return self._largest_within_budget()
+        wanted = {
+            "paper": self.options.lambda_g / self.contribution if self.contribution else math.inf,
+            "release": self.options.lambda_g * self.contribution,
+            "fixed": self.render.threshold or ALPHA_THRESHOLD,
+        }[self.options.policy]
+        trial = self.attempt(min(max(wanted, ALPHA_THRESHOLD), THRESHOLD_MAX))
+        return trial, [trial]
+
+    def _largest_within_budget(self) -> tuple[Trial, list[Trial]]:
+        best = Trial(ALPHA_THRESHOLD, 0.0, None, self.num_pairs_lossless)
+        if self.render.extent != "ellipse":  # not what was drawn as lossless
+            best = self.attempt(ALPHA_THRESHOLD)
+        above = self.attempt(THRESHOLD_MAX)
+        trials = [best, above]
+        if above.loss_db <= self.options.loss_db:
+            return above, trials
+        for _ in range(BISECTIONS):
+            trial = self.attempt(math.sqrt(best.threshold * above.threshold))
+            trials.append(trial)
+            if trial.loss_db <= self.options.loss_db:
+                best = trial
+            else:
+                above = trial
+        return best, trials
+
+    def attempt(self, threshold: float) -> Trial:
+        """Draw all views with one τ."""
+        losses, errors, num_pairs = [], [], 0
+        for i, view in enumerate(self.views):
+            frame = self.draw(view, replace(self.render, threshold=threshold))
+            num_pairs += frame.bins.num_pairs
+            if self.photos:
+                losses.append(self.photo_psnrs[i] - psnr(_shown(frame), self.photos[view.name]))
+            else:
+                errors.append(10 ** (-psnr(_shown(frame), self.pictures[i]) / 10))
+                losses.append(10 * math.log10(1 + errors[-1] * 10 ** (self.options.scene_psnr / 10)))
+        error = float(np.mean(errors)) if errors else 0.0
+        return Trial(threshold, float(np.mean(losses)), -10 * math.log10(error) if error else None, num_pairs)
+
+
+def _shown(frame: Frame) -> Array:
+    """The picture as a screen shows it."""
+    return np.clip(frame.result.image, 0, 1)

@@ -1,0 +1,126 @@
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import splatree as st
+from splatree.render.calibrate import THRESHOLD_MAX
+from splatree.render.contribution import tile_contributions
+
+from .test_pipeline import cloud
+
+SCENE = st.Scene.flat(cloud(400, 1, degree=0))
+SIZE = {"width": 64, "height": 48}
+VIEWS = [replace(st.Camera.look_at((x, -0.5, -5), (0, 0, 0), **SIZE), name=f"v{x}") for x in (-1, 0, 2)]
+
+
+def loss_of(threshold: float, scene_psnr: float = 30) -> float:
+    """The mean loss as the module's head defines it, written out."""
+    losses = []
+    for view in VIEWS:
+        lossless, shrunk = (
+            np.clip(st.render(SCENE, view, st.RenderOptions(threshold=tau)).image, 0, 1) for tau in (1 / 255, threshold)
+        )
+        ratio = np.mean((lossless.astype(float) - shrunk) ** 2) / 10 ** (-scene_psnr / 10)
+        losses.append(10 * math.log10(1 + ratio))
+    return float(np.mean(losses))
+
+
+def test_target_is_the_largest_threshold_within_the_budget() -> None:
+    found = st.calibrate(SCENE, VIEWS, st.CalibrateOptions(loss_db=0.1))
+    assert 1 / 255 < found.threshold < THRESHOLD_MAX
+    assert np.isclose(found.loss_db, loss_of(found.threshold)) and found.loss_db <= 0.1
+    assert loss_of(1.03 * found.threshold) > 0.1  # found to 2 %
+    assert found.num_pairs < found.num_pairs_lossless
+    assert found.psnr is not None and 44 < found.psnr < 49  # 46.3 dB in each view would lose 0.1 dB
+
+
+def test_a_larger_budget_gives_fewer_pairs() -> None:
+    budgets = (0.02, 0.2, 1.0)
+    found = [st.calibrate(SCENE, VIEWS, st.CalibrateOptions(loss_db=budget)) for budget in budgets]
+    assert found[0].threshold < found[1].threshold < found[2].threshold
+    assert found[0].num_pairs > found[1].num_pairs > found[2].num_pairs
+
+
+def test_a_budget_that_nothing_exceeds_gives_the_largest_threshold() -> None:
+    found = st.calibrate(SCENE, VIEWS, st.CalibrateOptions(loss_db=80))
+    assert found.threshold == THRESHOLD_MAX and len(found.trials) == 2
+
+
+def test_a_better_scene_is_shrunk_less() -> None:
+    found = [st.calibrate(SCENE, VIEWS, st.CalibrateOptions(scene_psnr=psnr)).threshold for psnr in (25, 35)]
+    assert found[0] > found[1]
+
+
+@pytest.mark.parametrize("lists", ["ellipse", "3sigma"])
+def test_formulas_of_paper_and_release(lists: str) -> None:
+    options = st.RenderOptions(extent=lists, threshold=1 / 255)  # type: ignore[arg-type]
+    frames = [st.trace(SCENE, view, options) for view in VIEWS]
+    g = np.mean([tile_contributions(frame).mean() for frame in frames])
+    for lambda_g in (0.02, 0.1):
+        for policy, threshold in (("paper", lambda_g / g), ("release", lambda_g * g)):
+            asked = st.CalibrateOptions(policy=policy, lambda_g=lambda_g, lists=lists)  # type: ignore[arg-type]
+            found = st.calibrate(SCENE, VIEWS, asked)
+            assert np.isclose(found.contribution, g)
+            assert np.isclose(found.threshold, np.clip(threshold, 1 / 255, THRESHOLD_MAX))
+            assert np.isclose(found.loss_db, loss_of(found.threshold))
+
+
+def test_no_policy_leaves_the_range() -> None:
+    for lambda_g, wanted in ((1e-9, 1 / 255), (1e9, THRESHOLD_MAX)):
+        for policy in ("paper", "release"):
+            options = st.CalibrateOptions(policy=policy, lambda_g=lambda_g)  # type: ignore[arg-type]
+            assert st.calibrate(SCENE, VIEWS, options).threshold == wanted
+
+
+def test_fixed_is_the_threshold_of_the_options_and_its_loss_is_told() -> None:
+    fixed = st.CalibrateOptions(policy="fixed")
+    lossless = st.calibrate(SCENE, VIEWS, fixed)
+    assert lossless.threshold == 1 / 255 and lossless.loss_db == 0 and lossless.psnr is None
+    found = st.calibrate(SCENE, VIEWS, fixed, st.RenderOptions(threshold=0.1))
+    assert found.threshold == 0.1 and np.isclose(found.loss_db, loss_of(0.1))
+
+
+def test_photographs_replace_the_assumed_truth() -> None:
+    rng = np.random.default_rng(0)
+    pictures = {view.name: np.clip(st.render(SCENE, view).image, 0, 1) for view in VIEWS[:2]}
+    photos = {name: np.clip(p + rng.normal(0, 0.1, p.shape), 0, 1).astype(np.float32) for name, p in pictures.items()}
+    found = st.calibrate(SCENE, VIEWS, photos=photos)
+    assert found.photographs and found.views == ("v-1", "v0")  # the third has no photograph
+    losses = []
+    for view in VIEWS[:2]:
+        shrunk = np.clip(st.render(SCENE, view, st.RenderOptions(threshold=found.threshold)).image, 0, 1)
+        losses.append(st.psnr(pictures[view.name], photos[view.name]) - st.psnr(shrunk, photos[view.name]))
+    assert np.isclose(found.loss_db, np.mean(losses)) and found.loss_db <= 0.1
+    # 20 dB of noise hide more than the 30 dB that are assumed without photographs.
+    assert found.threshold > st.calibrate(SCENE, VIEWS[:2]).threshold
+
+
+def test_views_are_taken_evenly_if_there_are_too_many() -> None:
+    views = [replace(VIEWS[0], name=str(i)) for i in range(9)]
+    assert st.calibrate(SCENE, views, st.CalibrateOptions(policy="fixed", max_views=3)).views == ("0", "4", "8")
+
+
+def test_scene_keeps_threshold_and_provenance(tmp_path) -> None:
+    found = st.calibrate(SCENE, VIEWS, st.CalibrateOptions(policy="fixed"), st.RenderOptions(threshold=0.07))
+    path = tmp_path / "scene.splatree"
+    st.write(st.calibrated(SCENE, found, held_out="every 8th"), path)
+    scene = st.read(path)
+    assert scene.threshold == 0.07
+    record = json.loads(scene.source.metadata["calibration"])
+    assert record["policy"] == "fixed" and record["held_out"] == "every 8th" and record["views"] == ["v-1", "v0", "v2"]
+    assert record["options"]["loss_db"] == 0.1 and record["pixels"] == "hard" and record["pixel_error"] == 3.0
+
+
+def test_what_cannot_be_calibrated_is_refused() -> None:
+    with pytest.raises(st.InputError, match="found no view"):
+        st.calibrate(SCENE, [])
+    with pytest.raises(st.InputError, match="found 3 views, none with a photograph"):
+        st.calibrate(SCENE, VIEWS, photos={"other": np.zeros((48, 64, 3), np.float32)})
+    with pytest.raises(st.InputError, match="found '3sigma', which does not depend on τ"):
+        st.calibrate(SCENE, VIEWS, render=st.RenderOptions(extent="3sigma"))
+    for wrong in ({"loss_db": 0.0}, {"lambda_g": -1.0}, {"scene_psnr": math.inf}, {"max_views": 0}, {"policy": "best"}):
+        with pytest.raises(st.InputError, match="found"):
+            st.CalibrateOptions(**wrong)  # type: ignore[arg-type]
