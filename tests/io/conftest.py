@@ -7,15 +7,15 @@ import pytest
 
 from splatree import Gaussians
 
-_DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
+DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 
 
 @pytest.fixture
 def data() -> Path:
     """The folder of shared real scenes."""
-    if not _DATA.is_dir():
+    if not DATA.is_dir():
         pytest.skip("needs the real scenes of ../shared/data")
-    return _DATA
+    return DATA
 
 
 def random_gaussians(n: int, degree: int = 3, seed: int = 0) -> Gaussians:

@@ -5,7 +5,6 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
 from typing import Annotated, Any
 
 from tyro.conf import arg
@@ -43,6 +42,8 @@ def progress_shown(console: Console) -> Iterator[None]:
 
 def program_version() -> str:
     """Version of the installed package; "of a source tree" if it runs without being installed."""
+    from importlib.metadata import PackageNotFoundError, version  # 15 ms, which other commands need not wait for
+
     try:
         return version("splatree")
     except PackageNotFoundError:

@@ -1,6 +1,7 @@
 """Interleaved records into float32 columns and back, and the extremes of a column, at the speed of memory."""
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import BinaryIO
 
 import numpy as np
@@ -8,7 +9,7 @@ import numpy as np
 from splatree.kernels.cpu import _core
 from splatree.shapes import Array
 
-_SCALARS = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "float32", "float64")  # order of enum Scalar
+_SCALARS = ("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8")  # order of enum Scalar
 
 
 def deinterleave(
@@ -29,7 +30,7 @@ def deinterleave(
         EOFError: the file ends before the last record.
         OSError: it cannot be read.
     """
-    offsets, types = _places(record, fields)
+    offsets, types = _places(record, tuple(map(tuple, fields)))
     try:
         found = _core.deinterleave(file.fileno(), start, record.itemsize, offsets, types, list(columns), threads)
     except RuntimeError as error:
@@ -39,16 +40,17 @@ def deinterleave(
 
 def interleave(columns: Sequence[Array], fields: Sequence[Sequence[str]], records: Array, *, threads: int = 0) -> None:
     """Write float32 ``columns`` "n w" into the named float32 fields of the first n of ``records``; others keep their bytes."""
-    offsets, types = _places(records.dtype, fields)
+    offsets, types = _places(records.dtype, tuple(map(tuple, fields)))
     _core.interleave(records.itemsize, offsets, types, list(columns), records.view(np.uint8), threads)
 
 
-def _places(record: np.dtype[np.void], fields: Sequence[Sequence[str]]) -> tuple[Array, Array]:
+@lru_cache(maxsize=16)
+def _places(record: np.dtype[np.void], fields: tuple[tuple[str, ...], ...]) -> tuple[Array, Array]:
     """Byte in the record and type of each value, column by column."""
     assert record.fields is not None
     flat = [record.fields[name] for names in fields for name in names]
     offsets = np.array([offset for _, offset, *_ in flat], np.int64)
-    return offsets, np.array([_SCALARS.index(scalar.name) for scalar, *_ in flat], np.uint8)
+    return offsets, np.array([_SCALARS.index(scalar.str[1:]) for scalar, *_ in flat], np.uint8)
 
 
 def largest_magnitude(values: Array, *, threads: int = 0) -> float:
