@@ -2,8 +2,9 @@
 
 ``python benchmarks/quality.py [scene] [--mode classic antialiased] [--peer] [--dilation 0]``;
 without a scene, one chunk of the shared city. Six views at growing distance (each twice as far as the one before)
-around the median of the scene. Table 1: one thinning to 50, 25, 10 % by each named rule, and splat-transform's output
-of the same share with ``--peer`` (npm). Table 2: the cut at τ_R = 3 px and more with its share of the leaves over the
+around the median of the scene. Table 1: one thinning to 50, 25, 10 % by pairs and by a radius with
+each named rule, and splat-transform's output of the same share with ``--peer`` (npm).
+Table 2: the cut at τ_R = 3 px and more with its share of the leaves over the
 whole scene, and the cut at a budget of 10 % of the leaves drawn in view. All PSNRs are against all leaves, drawn by the
 same renderer.
 """
@@ -75,11 +76,12 @@ def thinned(judge: Judge, peers: dict[float, splatree.Gaussians]) -> list[dict[s
     """Table 1."""
     rows: list[dict[str, object]] = []
     for keep in SHARES:
-        entries: dict[str, splatree.Gaussians] = {}
+        pairs = splatree.ThinOptions("pairs", keep=keep)
+        entries = {"pairs": splatree.thin(judge.leaves, pairs, mode=judge.mode).gaussians}
         for name, merge in RULES.items():
             color_radius = None if merge.rule == "mean" else splatree.ThinOptions().color_radius
-            options = splatree.ThinOptions(keep=keep, merge=merge, color_radius=color_radius)
-            entries[name] = splatree.thin(judge.leaves, options, mode=judge.mode).gaussians
+            options = splatree.ThinOptions("radius", keep=keep, merge=merge, color_radius=color_radius)
+            entries[f"radius: {name}"] = splatree.thin(judge.leaves, options, mode=judge.mode).gaussians
         if keep in peers:
             entries[f"{PEER} -g cpu -d"] = peers[keep]
         for name, gaussians in entries.items():

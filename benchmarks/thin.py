@@ -47,7 +47,12 @@ def main() -> None:
     parser.add_argument("--peer", action="store_true")
     arguments = parser.parse_args()
     rows: list[dict[str, object]] = []
-    jobs = {"radius auto": splatree.ThinOptions(), "keep 10 %": splatree.ThinOptions(keep=0.1)}
+    jobs = {
+        "radius auto": splatree.ThinOptions(),
+        "radius, keep 10 %": splatree.ThinOptions("radius", keep=0.1),
+        "pairs, keep 50 %": splatree.ThinOptions("pairs", keep=0.5),
+        "pairs, keep 10 %": splatree.ThinOptions("pairs", keep=0.1),
+    }
     for count in arguments.counts:
         gaussians = city(count, arguments.degree)
         for name, options in jobs.items():

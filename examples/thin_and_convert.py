@@ -9,7 +9,7 @@ with as_file(files("splatree") / "data" / "semarang_5_9.sog") as path:
     scene = st.read(path)
 
 thinned = st.thin(scene.gaussians, st.ThinOptions(keep=0.1), mode=scene.mode)
-print(f"{len(thinned):,} of {len(scene):,} Gaussians are left at radius {thinned.radius:.3g}")
+print(f"{len(thinned):,} of {len(scene):,} Gaussians are left after {thinned.groups.rounds} rounds")
 
 small = st.Scene.flat(thinned.gaussians, mode=scene.mode, source=scene.source)
 st.write(small, "tenth.ply", force=True)

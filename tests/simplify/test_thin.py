@@ -126,7 +126,7 @@ def test_radius_beyond_the_scene_leaves_one():
 
 @pytest.mark.parametrize("n", [0, 1])
 def test_smallest_scenes(n):
-    for options in (ThinOptions(), ThinOptions(keep=0.5), ThinOptions(count=1), ThinOptions(radius=1.0)):
+    for options in (ThinOptions(), ThinOptions(keep=0.5), ThinOptions("radius", count=1), ThinOptions(radius=1.0)):
         assert len(thin(random_gaussians(n), options)) == n
 
 
@@ -140,7 +140,7 @@ def test_enormous_scales_merge_to_finite_numbers():
 @pytest.mark.parametrize("keep", [0.5, 0.1])
 def test_a_share_is_met_to_one_percent(keep):
     g = random_gaussians(20_000)
-    thinned = thin(g, ThinOptions(keep=keep, color_radius=None))
+    thinned = thin(g, ThinOptions("radius", keep=keep, color_radius=None))
     assert abs(len(thinned) / (keep * len(g)) - 1) <= 0.01
     again = thin(g, ThinOptions(radius=thinned.radius, color_radius=None))
     np.testing.assert_array_equal(again.groups.group_from_row, thinned.groups.group_from_row)
@@ -149,7 +149,7 @@ def test_a_share_is_met_to_one_percent(keep):
 def test_count_that_colour_forbids_is_refused():
     g = random_gaussians(200)
     with pytest.raises(InputError, match="color_radius"):
-        thin(g, ThinOptions(count=1, color_radius=0.01))
+        thin(g, ThinOptions("radius", count=1, color_radius=0.01))
 
 
 def test_auto_radius_is_the_median_distance_to_the_nearest():

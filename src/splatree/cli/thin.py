@@ -16,7 +16,7 @@ from splatree.simplify.thin import thin
 
 @dataclass(frozen=True)
 class Command:
-    """Merge Gaussians that are close to each other: to a radius, a share or a count; to the radius `auto` if none is given."""
+    """Merge Gaussians that are close or alike: to a share, a count or a radius; to the radius `auto` if none is given."""
 
     files: Annotated[Files, arg(name="")]
     options: Annotated[ThinOptions, arg(name="")] = ThinOptions()
@@ -33,10 +33,10 @@ class Result:
     """Gaussians read, without merged ones."""
     num_gaussians: int
     """Gaussians written."""
-    radius: float
-    """r, world units, given or found."""
+    radius: float | None
+    """r, world units, given or found; None for `pairs`."""
     rounds: int
-    """Rounds of parallel decisions."""
+    """Rounds: of pairs, or of parallel decisions."""
     options: ThinOptions
     """The rules."""
     bytes: int
@@ -65,7 +65,8 @@ def run(command: Command) -> Result:
 def show(result: Result) -> str:
     """The result in words."""
     share = 100 * result.num_gaussians / max(1, result.num_read)
+    how = f"{result.rounds} rounds of pairs" if result.radius is None else f"radius {result.radius:.4g}"
     return (
         f"wrote {result.output}: {result.num_gaussians:,} of {result.num_read:,} Gaussians ({share:.1f} %), "
-        f"radius {result.radius:.4g}, {result.bytes / 2**20:.1f} MiB"
+        f"{how}, {result.bytes / 2**20:.1f} MiB"
     )

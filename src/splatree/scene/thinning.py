@@ -6,7 +6,7 @@ Defaults live here alone; the command line's help is these docstrings. What a ru
 
 import dataclasses
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -93,20 +93,30 @@ class MergeOptions:
         return 1.5 if self.rule == "mean" else float("inf")
 
 
+Method = Literal["pairs", "radius"]
+"""How Gaussians are chosen for merging: `pairs` merges the two whose merging changes the picture least, again and again
+(simplify/pairs.py); `radius` keeps an even distance: all within r of a more important one join it."""
+
+
 @dataclass(frozen=True)
 class ThinOptions:
     """How far a scene is thinned. Give one of radius, keep and count; without any of them the radius is `auto`."""
 
+    method: Method | None = None
+    """`pairs` changes the picture least; `radius` keeps an even distance; None: `pairs` for a share or count, else `radius`."""
+
     radius: float | Literal["auto"] | None = None
     """r, world units: no two representatives are closer. `auto`: 1.5 × the median distance to the nearest neighbour."""
     keep: float | None = None
-    """Share of the Gaussians to keep, 0 to 1; the radius is found by bisection, to 1 % of the count."""
+    """Share of the Gaussians to keep, 0 to 1; `radius` finds r by bisection, to 1 % of the count."""
     count: int | None = None
-    """Number of Gaussians to keep, to 1 %."""
+    """Number of Gaussians to keep; `radius` meets it to 1 %."""
     importance: Importance = "opacity-scale"
-    """Which of two close Gaussians stays: the larger `opacity`, opacity times mean scale, or opacity times area."""
+    """`radius`: which of two close Gaussians stays: the larger `opacity`, opacity times mean scale, or opacity times area."""
     color_radius: float | None = 0.5
-    """ρ: distance in linear RGB (DC colour) that counts as much as r in space; None: colour keeps nothing apart."""
+    """`radius`: ρ, the distance in linear RGB (DC colour) that counts as much as r in space; None: colour keeps nothing apart."""
+    pixel_size: float | None = None
+    """`pairs` in mode `classic`: width of a pixel, world units, where the scene is seen; None: as its median Gaussian."""
     merge: MergeOptions = field(default_factory=MergeOptions)
     """How a group becomes one Gaussian."""
 
@@ -114,6 +124,12 @@ class ThinOptions:
         given = [name for name in ("radius", "keep", "count") if getattr(self, name) is not None]
         if len(given) > 1:
             raise InputError(f"thin: found {' and '.join(given)}, wanted one of radius, keep and count")
+        if self.method not in (None, *get_args(Method)):
+            raise InputError(f"method: found {self.method!r}, wanted one of {', '.join(get_args(Method))}")
+        if self.method == "pairs" and (self.keep, self.count) == (None, None):
+            raise InputError("method: found 'pairs' without a count, wanted keep or count; a radius goes with 'radius'")
+        if self.pixel_size is not None and not 0 < self.pixel_size <= 1e30:
+            raise InputError(f"pixel_size: found {self.pixel_size}, wanted more than 0 world units, finite")
         if isinstance(self.radius, str):
             if self.radius != "auto":
                 raise InputError(f"radius: found {self.radius!r}, wanted a number or 'auto'")

@@ -1,5 +1,6 @@
-"""Radius thinning: fewer Gaussians, no two representatives closer than r, each other one merged into its nearest.
+"""Thinning: fewer Gaussians that look alike, by pairs (simplify/pairs.py) or by a radius.
 
+Radius thinning leaves no two representatives closer than r and merges each other one into its nearest.
 The scheme takes Gaussians in the order of importance; one that has no earlier representative within r becomes one, the others
 join theirs (kernels/reference/thin.py), then each group is merged (kernels/reference/merge.py). Cost: one radix sort and
 O(n) for a radius; a count is found by about six of them, without merging.
@@ -19,6 +20,7 @@ from splatree.scene.scene import Mode
 from splatree.scene.thinning import Groups, ThinOptions
 from splatree.shapes import Array, Float32
 from splatree.simplify.merge import check_finite, importance_of, merge
+from splatree.simplify.pairs import merge_pairs
 
 __all__ = ["Thinned", "auto_radius", "linear_colors", "thin"]
 
@@ -37,10 +39,10 @@ class Thinned:
     """One for each group, in the order of their representatives' rows."""
     groups: Groups
     """Which input rows each stands for."""
-    radius: float
-    """r, world units, given or found."""
+    radius: float | None
+    """r, world units, given or found; None for `pairs`."""
     options: ThinOptions
-    """The rules."""
+    """The rules, method and merge filled in."""
 
     def __len__(self) -> int:
         return len(self.gaussians)
@@ -53,19 +55,24 @@ def thin(
 
     ``mode`` is how the result will be drawn (`Scene.mode`): the merge depends on it.
 
-    A count is met to 1 % where the scene allows: duplicates are always merged, and colours that differ by more than ρ never.
+    `pairs` meets a count exactly; `radius` to 1 % where the scene allows: duplicates are always merged, and colours that differ
+    by more than ρ never.
 
     Raises:
         InputError: NaN or infinity in the Gaussians, or a count that colour does not allow.
     """
     options = options or ThinOptions()
-    options = dataclasses.replace(options, merge=options.merge.resolved(mode))
     check_finite(gaussians)
+    count = options.count
+    if options.keep is not None:
+        count = max(1, round(options.keep * len(gaussians)))
+    method = options.method or ("radius" if count is None else "pairs")
+    if method == "pairs" and count is not None:
+        merged, groups = merge_pairs(gaussians, count, options, mode=mode, threads=threads)
+        return Thinned(merged, groups, None, dataclasses.replace(options, method=method))
+    options = dataclasses.replace(options, method=method, merge=options.merge.resolved(mode))
     space = _Space(gaussians, options, threads)
     with task("thin", 3) as advance:
-        count = options.count
-        if options.keep is not None:
-            count = max(1, round(options.keep * len(gaussians)))
         if count is not None:
             radius = space.radius_of(count)
         elif isinstance(options.radius, float | int):

@@ -7,6 +7,7 @@
 
 #include "cpu/arrays.h"
 #include "cpu/merge.h"
+#include "cpu/pairs.h"
 #include "cpu/thin.h"
 
 namespace splatree {
@@ -65,6 +66,21 @@ void bind_thin(nb::module_& m) {
           nearest_distances(static_cast<int64_t>(means.shape(0)), means.data(), static_cast<int64_t>(queries.shape(0)),
                             queries.data(), edge, distances.data(), threads);
         });
+  m.def("best_partners", [](In<float> means, In<float> quats, In<float> log_scales, In<float> logit_opacities, In<float> sh,
+                            In<float> weights, double dilation, Out<int32_t> partner_from_row, Out<float> costs,
+                            Out<float> opacities, int threads) {
+    PairJob job{static_cast<int64_t>(means.shape(0)), means.data(), quats.data(), log_scales.data(),
+                logit_opacities.data(), sh.data(), weights.data(), static_cast<int64_t>(sh.shape(1)), dilation,
+                partner_from_row.data(), costs.data(), opacities.data(), threads};
+    nb::gil_scoped_release release;
+    best_partners(job);
+  });
+  m.def("match_pairs", [](In<int32_t> partner_from_row, In<float> costs, int64_t max_pairs,
+                          Out<int32_t> representative_from_row, int threads) {
+    nb::gil_scoped_release release;
+    return match_pairs(static_cast<int64_t>(costs.shape(0)), partner_from_row.data(), costs.data(), max_pairs,
+                       representative_from_row.data(), threads);
+  });
   m.def("group_rows", [](In<int32_t> group_from_row, int64_t num_groups, Out<int64_t> start, Out<int32_t> rows) {
     nb::gil_scoped_release release;
     group_rows(static_cast<int64_t>(group_from_row.shape(0)), group_from_row.data(), num_groups, start.data(),

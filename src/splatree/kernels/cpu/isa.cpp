@@ -11,6 +11,7 @@
   void blend(const BlendJob&);                                            \
   int32_t largest_bits(const float*, int64_t);                            \
   RunResult select_group(const SelectJob&, int64_t, int32_t*);            \
+  PairCost cheapest_pair(const PairCandidates&);                          \
   void small_rows(const SelectJob&, const int32_t*, int64_t, uint8_t*);   \
   void visible_rows(const SelectJob&, const int32_t*, int64_t, uint8_t*); \
   void label_nearest(const NearestJob&, int64_t, int64_t);                \
@@ -25,7 +26,7 @@
   void onto_axes(const AxesJob&, int64_t, int64_t);                       \
   }
 #define SPLATREE_TABLE(name, isa)                                                                                  \
-  {name, isa::project, isa::list_spans, isa::blend, isa::largest_bits, isa::select_group, isa::small_rows, isa::visible_rows, \
+  {name, isa::project, isa::list_spans, isa::blend, isa::largest_bits, isa::select_group, isa::cheapest_pair, isa::small_rows, isa::visible_rows, \
    isa::label_nearest, isa::quantize, isa::dequantize, isa::bytes_from_logits, isa::pack_fixed, isa::unpack_fixed, \
    isa::pack_quats, isa::unpack_quats, isa::nearest_lanes, isa::onto_axes}
 

@@ -18,6 +18,8 @@ struct BinJob;
 struct BlendJob;
 struct SelectJob;
 struct RunResult;
+struct PairCandidates;
+struct PairCost;
 struct NearestJob;
 struct ByteColumn;
 struct Triples;
@@ -33,6 +35,7 @@ struct Kernels {
   void (*blend)(const BlendJob& job);
   int32_t (*largest_bits)(const float* values, int64_t num_values);
   RunResult (*select_group)(const SelectJob& job, int64_t group, int32_t* out);
+  PairCost (*cheapest_pair)(const PairCandidates& pair);
   void (*small_rows)(const SelectJob& job, const int32_t* rows, int64_t count, uint8_t* small);
   void (*visible_rows)(const SelectJob& job, const int32_t* rows, int64_t count, uint8_t* visible);
   void (*label_nearest)(const NearestJob& job, int64_t begin, int64_t end);

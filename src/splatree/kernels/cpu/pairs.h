@@ -1,0 +1,50 @@
+// Merging pair by pair: the cheapest partner of each Gaussian among its nearest neighbours, and a matching of the cheapest
+// (reference/pairs.py).
+#pragma once
+#include <cstdint>
+
+namespace splatree {
+
+constexpr int kPairNeighbors = 8;
+
+// What the cost of a pair needs of a Gaussian: a cache line.
+struct PairRecord {
+  float mean[3];
+  float covariance[6];  // xx xy xz yy yz zz, dilated
+  float color[3];       // linear RGB
+  float opacity, weight;
+  float energy;  // α² |(c, 1)|² Σ √det over the three coordinate planes: what it shows, squared
+  float length;  // √trace of the covariance: the unit in which a pair is computed
+};
+static_assert(sizeof(PairRecord) == 64, "one cache line");
+
+struct PairJob {
+  int64_t n;
+  const float *means, *quats, *log_scales, *logit_opacities, *sh, *weights;
+  int64_t k;        // harmonics of a channel
+  double dilation;  // variance added to every axis, world units²
+  int32_t* partner_from_row;  // out: the neighbour that costs least; -1 if there is none
+  float* costs;               // out: infinity if there is none
+  float* opacities;           // out: of the merged Gaussian
+  int threads;
+};
+
+void best_partners(const PairJob& job);
+
+// Costs of merging one Gaussian with each of up to kPairNeighbors others; the opacity that costs least for each.
+struct PairCandidates {
+  const PairRecord* self;
+  const PairRecord* others[kPairNeighbors];  // none is null: those from `count` on repeat another
+  int count;
+};
+struct PairCost {
+  int best;  // index into others
+  float cost, opacity;
+};
+
+// The pairs (row, its partner) of least cost, ties by row, no row twice, at most `max_pairs`; returns how many. Rows point to
+// the row that stands for them: themselves, or the first of their pair.
+int64_t match_pairs(int64_t n, const int32_t* partner_from_row, const float* costs, int64_t max_pairs,
+                    int32_t* representative_from_row, int threads);
+
+}  // namespace splatree

@@ -1,0 +1,73 @@
+"""Thinning by pairs: the two Gaussians whose merging changes the picture least become one, again and again.
+
+Each round finds every Gaussian's cheapest partner among its nearest neighbours (kernels/reference/pairs.py has the cost),
+takes the cheapest pairs that share no member, at most a quarter of the Gaussians, and merges them. Large and bright
+differences count as much as they show, so this keeps what a view shows where `radius` keeps an even distance; near views
+gain most. A count is met exactly.
+
+A scene of mode `classic` is drawn with 0.3 px² added to each splat: what is lost, and how opaque a merged one has to be, depends
+on the size of a pixel. It is fixed once, for the distance at which the median Gaussian is a pixel wide.
+
+Cost: rounds are log₄⸝₃ of the factor; each takes about 2 µs a Gaussian for the neighbours and costs, and the merge.
+"""
+
+import dataclasses
+import math
+
+import numpy as np
+
+from splatree.constants import DILATION_PX2
+from splatree.kernels.cpu import merge as merge_kernel
+from splatree.kernels.cpu import pairs as kernel
+from splatree.kernels.cpu.thin import group
+from splatree.progress import task
+from splatree.scene.gaussians import Gaussians
+from splatree.scene.scene import Mode
+from splatree.scene.thinning import Groups, ThinOptions
+from splatree.simplify.merge import weights_of
+
+__all__ = ["merge_pairs", "pixel_size_of"]
+
+ROUND_SHARE = 0.25
+"""Pairs that a round merges at most, as a share of the Gaussians: those cheapest to merge twice get their turn."""
+
+
+def merge_pairs(
+    gaussians: Gaussians, count: int, options: ThinOptions, *, mode: Mode, threads: int = 0
+) -> tuple[Gaussians, Groups]:
+    """``count`` Gaussians (at least 1), and the rows that each stands for."""
+    fitted = options.merge.opacity is None and mode == "classic"
+    merge_options = options.merge.resolved(mode)
+    dilation = 0.0
+    if mode == "classic":
+        dilation = DILATION_PX2 * (options.pixel_size or pixel_size_of(gaussians)) ** 2
+    num_rows = num_left = len(gaussians)
+    representatives = group_from_row = np.arange(num_rows, dtype=np.int32)
+    rounds = 0
+    with task("merge pairs", math.log(max(1.0, num_rows / count))) as advance:
+        while num_left > count:
+            weights = weights_of(gaussians, merge_options.weight or "opacity")
+            partner, costs, opacities = kernel.best_partners(gaussians, weights, dilation=dilation, threads=threads)
+            most = min(num_left - count, int(ROUND_SHARE * num_left) + 1)
+            pairs = group(kernel.match_pairs(partner, costs, most, threads=threads))
+            gaussians = merge_kernel.merge(gaussians, pairs, weights, merge_options, threads=threads)
+            if fitted:
+                is_pair = pairs.sizes == 2
+                alphas = opacities[pairs.representatives[is_pair]].astype(np.float64)
+                logits = gaussians.logit_opacities.copy()
+                logits[is_pair] = np.log(alphas) - np.log1p(-alphas)
+                gaussians = dataclasses.replace(gaussians, logit_opacities=logits)
+            group_from_row = pairs.group_from_row[group_from_row]
+            representatives = representatives[pairs.representatives]
+            advance(math.log(num_left / len(gaussians)))
+            num_left = len(gaussians)
+            rounds += 1
+    groups = group(representatives[group_from_row], rounds=rounds)
+    return gaussians, groups
+
+
+def pixel_size_of(gaussians: Gaussians) -> float:
+    """The median over all Gaussians of √(σ₁ σ₂), the two largest axes: world units."""
+    x, y, z = gaussians.log_scales.T
+    largest_two = x + y + z - np.minimum(np.minimum(x, y), z)
+    return float(np.exp(np.median(largest_two) / 2)) if len(gaussians) else 1.0

@@ -1,0 +1,155 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from splatree import Gaussians, InputError, MergeOptions, ThinOptions, thin
+from splatree.kernels.cpu import _core, pairs
+from splatree.kernels.reference import pairs as reference
+from splatree.simplify.pairs import merge_pairs, pixel_size_of
+
+
+def random_gaussians(n: int, seed: int, *, spread: float = 1.0, degree: int = 0) -> Gaussians:
+    rng = np.random.default_rng(seed)
+    return Gaussians(
+        (spread * rng.normal(size=(n, 3))).astype(np.float32),
+        rng.normal(size=(n, 4)).astype(np.float32),
+        rng.normal(-2, 1, size=(n, 3)).astype(np.float32),
+        rng.normal(0, 2, size=n).astype(np.float32),
+        rng.normal(size=(n, (degree + 1) ** 2, 3)).astype(np.float32),
+    )
+
+
+@pytest.fixture(params=_core.isas())
+def isa(request):
+    before = _core.isa()
+    _core.use_isa(request.param)
+    yield request.param
+    _core.use_isa(before)
+
+
+@pytest.mark.parametrize("n", [2, 3, 9, 60])
+@pytest.mark.parametrize("dilation", [0.0, 0.01])
+@pytest.mark.parametrize("spread", [0.0, 0.1, 3.0])
+def test_partners_agree_with_the_reference(n, dilation, spread, isa):
+    g = random_gaussians(n, seed=n, spread=spread)
+    weights = np.random.default_rng(1).uniform(0.1, 1, n).astype(np.float32)
+    if spread == 0:  # which of more than 8 at one place are candidates is left open
+        n = min(n, 9)
+        g, weights = g.take(np.arange(n)), weights[:n]
+    partner, costs, opacities = pairs.best_partners(g, weights, dilation=dilation)
+    expected = reference.best_partners(g, weights, dilation=dilation)
+    found, alphas = reference.pair_costs(g, weights, np.arange(n), partner, dilation=dilation)
+    # Float32 sums of terms of the size of what the two show, of which little may be left; exponentials are good to 1e-6.
+    alpha = 1 / (1 + np.exp(-g.logit_opacities.astype(np.float64)))
+    energy = alpha**2 * np.exp(2 * g.log_scales.max(axis=1)) * 40 + 40 * dilation
+    rounding = 1e-5 * (energy + energy[partner])
+    np.testing.assert_array_less(np.abs(costs - found), rounding)
+    np.testing.assert_array_less(found - expected[1], 2 * rounding)  # no candidate was cheaper
+    np.testing.assert_allclose(opacities, alphas, rtol=1e-4)
+
+
+@given(st.integers(1, 50), st.integers(0, 2**32 - 1), st.integers(0, 30))
+def test_matching_takes_the_cheapest_pairs_that_share_no_row(n, seed, most):
+    rng = np.random.default_rng(seed)
+    partner = rng.integers(0, n, n).astype(np.int32)
+    partner = np.where(partner == np.arange(n), (partner + 1) % n if n > 1 else -1, partner).astype(np.int32)
+    costs = rng.integers(0, 5, n).astype(np.float32)
+    representative = np.arange(n)
+    free = np.ones(n, bool)
+    made = 0
+    for i in np.lexsort((np.arange(n), costs)):
+        j = partner[i]
+        if made < most and j >= 0 and free[i] and free[j]:
+            free[[i, j]] = False
+            representative[[i, j]] = i
+            made += 1
+    np.testing.assert_array_equal(pairs.match_pairs(partner, costs, most), representative)
+
+
+@pytest.mark.parametrize("count", [1, 7, 100, 299, 300, 400])
+def test_a_count_is_met_exactly_and_groups_hold_each_row_once(count):
+    g = random_gaussians(300, seed=3, degree=1)
+    thinned = thin(g, ThinOptions(count=count), mode="antialiased")
+    groups = thinned.groups
+    assert len(thinned) == len(groups) == min(count, 300)
+    np.testing.assert_array_equal(np.sort(groups.rows), np.arange(300))
+    assert np.all(np.diff(groups.representatives) > 0)
+    np.testing.assert_array_equal(groups.group_from_row[groups.representatives], np.arange(len(groups)))
+    if count >= 300:
+        np.testing.assert_array_equal(thinned.gaussians.sh, g.sh)
+
+
+@pytest.mark.parametrize("mode", ["classic", "antialiased"])
+def test_result_does_not_depend_on_threads(mode):
+    g = random_gaussians(3000, seed=4)
+    results = [thin(g, ThinOptions(keep=0.3), mode=mode, threads=t).gaussians for t in (1, 2, 4)]
+    for other in results[1:]:
+        for name in ("means", "quats", "log_scales", "logit_opacities", "sh"):
+            np.testing.assert_array_equal(getattr(results[0], name), getattr(other, name))
+
+
+def test_twins_merge_first_and_cost_nothing():
+    g = random_gaussians(50, seed=5, spread=10.0)
+    g = Gaussians(
+        *(np.concatenate([c, c]) for c in (g.means, g.quats, g.log_scales, np.full(50, -3, np.float32), g.sh))
+    )
+    thinned = thin(g, ThinOptions(count=50), mode="antialiased")
+    np.testing.assert_array_equal(thinned.groups.group_from_row[:50], thinned.groups.group_from_row[50:])
+    np.testing.assert_allclose(thinned.gaussians.means, g.means[:50], rtol=1e-6)
+
+
+def test_of_two_pairs_the_one_that_shows_less_merges():
+    """Two neighbours of one colour are merged before two of different colours at the same distance."""
+    colors = np.array([[1, 0, 0], [1, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32)
+    g = Gaussians(
+        np.array([[0, 0, 0], [0.1, 0, 0], [5, 0, 0], [5.1, 0, 0]], np.float32),
+        np.tile(np.array([1, 0, 0, 0], np.float32), (4, 1)),
+        np.full((4, 3), -2, np.float32),
+        np.zeros(4, np.float32),
+        colors[:, None, :],
+    )
+    groups = thin(g, ThinOptions(count=3), mode="classic").groups
+    np.testing.assert_array_equal(groups.group_from_row, [0, 0, 1, 2])
+
+
+def test_all_at_one_place_become_one():
+    g = random_gaussians(40, seed=6, spread=0.0)
+    for mode in ("classic", "antialiased"):
+        merged, groups = merge_pairs(g, 1, ThinOptions(count=1), mode=mode)
+        assert len(merged) == 1 and len(groups.rows) == 40
+        assert np.isfinite(merged.log_scales).all() and np.isfinite(merged.logit_opacities).all()
+
+
+@pytest.mark.parametrize("mode", ["classic", "antialiased"])
+def test_enormous_scales_merge_to_finite_numbers(mode):
+    g = random_gaussians(50, seed=9)
+    wide = Gaussians(g.means, g.quats, np.full_like(g.log_scales, 80.0), g.logit_opacities, g.sh)
+    merged = thin(wide, ThinOptions(count=5), mode=mode).gaussians
+    for name in ("means", "quats", "log_scales", "logit_opacities", "sh"):
+        assert np.isfinite(getattr(merged, name)).all(), name
+
+
+def test_a_named_opacity_rule_is_kept():
+    g = random_gaussians(60, seed=7)
+    options = ThinOptions(count=59, merge=MergeOptions(opacity="union"))
+    thinned = thin(g, options, mode="classic")
+    members = thinned.groups.rows[np.repeat(thinned.groups.sizes == 2, thinned.groups.sizes)]
+    alphas = 1 / (1 + np.exp(-g.logit_opacities[members].astype(np.float64)))
+    merged = thinned.gaussians.logit_opacities[thinned.groups.sizes == 2][0]
+    assert 1 / (1 + np.exp(-float(merged))) == pytest.approx(1 - np.prod(1 - alphas), rel=1e-6)
+
+
+def test_pixel_size_is_the_median_size():
+    g = random_gaussians(3, seed=8)
+    scales = np.sort(np.exp(g.log_scales.astype(np.float64)), axis=1)
+    assert pixel_size_of(g) == pytest.approx(np.median(np.sqrt(scales[:, 1] * scales[:, 2])), rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"method": "pairs"}, {"method": "pairs", "radius": 1.0}, {"method": "ball"}, {"keep": 0.5, "pixel_size": 0.0}],
+)
+def test_options_that_cannot_be_are_refused(wrong):
+    with pytest.raises(InputError, match=r"method|pixel_size"):
+        ThinOptions(**wrong)
