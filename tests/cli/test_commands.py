@@ -140,7 +140,7 @@ def test_eval_without_a_picture_named_like_a_camera_is_refused(splatree, small_t
 def test_formats_lists_what_is_read_and_written(splatree):
     lines = {line["name"]: line for line in result_of(splatree("formats", "--json"))}
     assert lines["ply"]["written"] and lines["ply"]["suffixes"] == [".ply"]
-    assert not lines["sog"]["written"]
+    assert not lines["streamed-sog"]["written"]
     assert lines["splatree"]["levels"] == "tree"
 
 
