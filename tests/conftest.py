@@ -1,7 +1,45 @@
+import shutil
+from collections.abc import Iterator
+
+import pytest
 from hypothesis import HealthCheck, settings
+
+from splatree.errors import DeviceError
+from splatree.kernels.cuda.device import open_device
+from splatree.kernels.cuda.driver import Device
+
+from .kernels.simt_device import Emulator, compile_emulator
 
 # No deadline: this suite never asserts on time. Derandomized: a red run is red again.
 settings.register_profile(
     "splatree", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow], print_blob=False
 )
 settings.load_profile("splatree")
+
+
+@pytest.fixture(scope="session")
+def compiled_emulator(tmp_path_factory: pytest.TempPathFactory) -> Emulator:
+    """Device code on the processor, compiled once."""
+    if shutil.which("c++") is None:
+        pytest.skip("the emulator of the device needs a C++ compiler, c++")
+    return Emulator(compile_emulator(tmp_path_factory.mktemp("simt")))
+
+
+@pytest.fixture
+def emulator(compiled_emulator: Emulator) -> Iterator[Emulator]:
+    """The emulator as each test finds it."""
+    compiled_emulator.seed(1)
+    yield compiled_emulator
+    compiled_emulator.limit_memory(1 << 30)
+    compiled_emulator.forget_failure()
+
+
+@pytest.fixture(params=["emulator", "gpu"])
+def device(request: pytest.FixtureRequest) -> Device:
+    """Where device code runs: the emulator, and the GPU if there is one."""
+    if request.param == "emulator":
+        return request.getfixturevalue("emulator")
+    try:
+        return open_device()
+    except DeviceError as error:
+        pytest.skip(f"no GPU: {error}")

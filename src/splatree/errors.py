@@ -7,7 +7,8 @@
     │   ├── FormatError       a file does not hold what its format promises
     │   └── ShapeError        an array has the wrong shape or type
     ├── OutputError           a result could not be written; the target is as it was
-    └── MissingExtraError     an optional dependency is not installed
+    ├── MissingExtraError     an optional dependency is not installed
+    └── DeviceError           the GPU, its driver or its compiler is missing, too old, or failed
 
 A message says what, found, wanted, and then what to do; it names the file, the field, the row.
 """
@@ -38,3 +39,7 @@ class MissingExtraError(SplatreeError, ImportError):
 
     def __init__(self, module: str, extra: str, purpose: str) -> None:
         super().__init__(f"{purpose} needs the package {module!r}: pip install 'splatree[{extra}]'")
+
+
+class DeviceError(SplatreeError, RuntimeError):
+    """The GPU, its driver or its compiler is missing, too old, or failed; ``splatree doctor`` says what was found."""

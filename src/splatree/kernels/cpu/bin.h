@@ -27,9 +27,6 @@ struct Spans {
 
 constexpr int64_t SPAN_CHUNK = 4096;  // splats
 
-// Which tiles a splat is listed in: all that its ellipse, its box or its square touches.
-enum class Extent { ELLIPSE, BOX, SQUARE };
-
 struct BinJob {
   const float* records;  // v splats
   const int32_t* order;  // v

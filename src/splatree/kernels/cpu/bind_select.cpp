@@ -36,15 +36,6 @@ Vector32 copied(const std::vector<int32_t>& values) {
   return to_numpy(data, values.size());
 }
 
-SelectRule rule_of(const double* v) {
-  SelectRule rule{};
-  float* const fields[] = {&rule.limit, &rule.add, &rule.least_diagonal, &rule.floor, &rule.pixel_error, &rule.focal_max,
-                           &rule.focal_min, &rule.k_max, &rule.logit_min, &rule.pad_x, &rule.pad_y};
-  for (float* field : fields) *field = float(*v++);
-  rule.sphere = *v++ != 0;
-  return rule;
-}
-
 SelectJob job_of(nb::handle gaussians, nb::handle tree, In<double> view, double threshold, In<double> rule, int visibility) {
   SelectJob job{};
   job.means = column<float>(gaussians, "means");
@@ -79,10 +70,7 @@ std::pair<Vector32, int64_t> select_cut(nb::handle gaussians, nb::handle tree, n
   SelectJob job = job_of(gaussians, tree, view, threshold, rule, visibility);
   job.index = blocks_of(blocks);
   job.cull = cull;
-  for (size_t i = 0; i < planes.shape(0); ++i) {
-    const double* plane = planes.data() + 4 * i;
-    job.planes.x[i] = plane[0], job.planes.y[i] = plane[1], job.planes.z[i] = plane[2], job.planes.d[i] = plane[3];
-  }
+  job.planes = planes_of(planes.data(), int(planes.shape(0)));
   for (int i = 0; i < NUM_SIDES; ++i) job.reach[i] = reach.data()[i];
 
   const int64_t rows_per_group = int64_t(job.index.rows_per_block) * BLOCKS_PER_GROUP;

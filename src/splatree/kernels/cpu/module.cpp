@@ -24,6 +24,7 @@ void bind_rotate(nb::module_& m);
 void bind_quantize(nb::module_& m);
 void bind_baselines(nb::module_& m);
 void bind_splat(nb::module_& m);
+void bind_cuda(nb::module_& m);
 }
 
 NB_MODULE(_core, m) {
@@ -57,4 +58,5 @@ NB_MODULE(_core, m) {
   bind_quantize(m);
   bind_baselines(m);
   bind_splat(m);
+  bind_cuda(m);
 }

@@ -227,23 +227,6 @@ int64_t shadow_before(const SelectJob& job, int64_t block) {
   return shadow;
 }
 
-// The largest size class that a small inner row of a block can have, -1 if none can be small: R >= 3 σ_mid f / z, and so is
-// that of the ball with the distance in place of z.
-int largest_small_class(const SelectJob& job, const Placement& placement) {
-  if (job.all_small) return LEAF_CLASS - 1;
-  double scale;
-  if (job.rule.sphere) {
-    scale = job.rule.pixel_error * placement.distance_max / (3.0 * job.rule.focal_max);
-  } else {
-    const double room = double(job.rule.limit) - job.rule.add;
-    if (!(room > 0 && placement.depth_max > 0)) return -1;
-    scale = __builtin_sqrt(room) * placement.depth_max / job.rule.focal_min;
-  }
-  const double size_class = CLASSES_PER_OCTAVE * __builtin_log2(scale * MARGIN) + CLASS_OF_UNIT;
-  // Class 0 holds everything smaller too, so it can always be small; NaN and infinity exclude nothing.
-  return size_class < 0 ? 0 : size_class < LEAF_CLASS - 1 ? int(size_class) : LEAF_CLASS - 1;
-}
-
 // The rows drawn of [begin, end), a part of a block that starts outside of any shadow; moves `shadow` on.
 int select_rows(const SelectJob& job, int64_t block, const Placement& placement, int64_t begin, int64_t end, int64_t& shadow,
                 int32_t* out) {
@@ -253,7 +236,7 @@ int select_rows(const SelectJob& job, int64_t block, const Placement& placement,
   for (int i = 0; i < count; ++i) kept[i] = size_class[i] == LEAF_CLASS;
   for (int i = count; i < count + 8; ++i) kept[i] = 0;
 
-  const int largest = largest_small_class(job, placement);
+  const int largest = largest_small_class(job.rule, job.all_small, placement.depth_max, placement.distance_max);
   if (largest >= 0) {
     alignas(64) uint8_t maybe[MAX_BLOCK_ROWS + LANES];
     for (int i = 0; i < count; ++i) maybe[i] = size_class[i] <= uint8_t(largest);

@@ -12,7 +12,17 @@ from splatree.scene.options import SelectOptions
 from splatree.scene.tree import BlockIndex, GaussianTree
 from splatree.shapes import Array, Bool, Float64, Int32
 
-__all__ = ["ancestor_table", "select", "select_by_ancestors", "small", "visible"]
+__all__ = [
+    "VISIBILITIES",
+    "ancestor_table",
+    "is_culled",
+    "pack_rule",
+    "select",
+    "select_by_ancestors",
+    "small",
+    "view_planes",
+    "visible",
+]
 
 VISIBILITIES = ("footprint", "centre", "none")
 """In the order of the enumeration Visibility in cpu/select.h."""
@@ -43,10 +53,10 @@ def select(
         blocks,
         pack_view(camera, dilation_px2),
         threshold,
-        _pack_rule(camera, options, dilation_px2, threshold),
+        pack_rule(camera, options, dilation_px2, threshold),
         VISIBILITIES.index(options.visibility),
-        bool(options.visibility != "none" and options.pixel_error < CULL_BELOW_PX),
-        *_view_planes(camera, options, dilation_px2, threshold),
+        is_culled(options),
+        *view_planes(camera, options, dilation_px2, threshold),
         threads,
     )
     return rows, num_visited
@@ -83,7 +93,7 @@ def select_by_ancestors(
         ancestors,
         pack_view(camera, dilation_px2),
         threshold,
-        _pack_rule(camera, options, dilation_px2, threshold),
+        pack_rule(camera, options, dilation_px2, threshold),
         VISIBILITIES.index(options.visibility),
         options.rule == "cut",
         options.rule == "release",
@@ -104,7 +114,7 @@ def small(
 ) -> Bool[Array, "v"]:
     """Whether R ≤ τ_R for each of the rows, as `select` decides it."""
     found = np.empty(len(rows), bool)
-    rule = _pack_rule(camera, options, dilation_px2, 0.5)
+    rule = pack_rule(camera, options, dilation_px2, 0.5)
     _core.small_rows(gaussians, tree, rows, pack_view(camera, dilation_px2), 0.5, rule, found, threads)
     return found
 
@@ -124,13 +134,18 @@ def visible(
     if options.visibility == "none":
         return np.ones(len(rows), bool)
     found = np.empty(len(rows), bool)
-    view, rule = pack_view(camera, dilation_px2), _pack_rule(camera, options, dilation_px2, threshold)
+    view, rule = pack_view(camera, dilation_px2), pack_rule(camera, options, dilation_px2, threshold)
     named = VISIBILITIES.index(options.visibility)
     _core.visible_rows(gaussians, tree, rows, view, threshold, rule, named, found, threads)
     return found
 
 
-def _pack_rule(camera: Camera, options: SelectOptions, dilation_px2: float, threshold: float) -> Float64[Array, "12"]:
+def is_culled(options: SelectOptions) -> bool:
+    """Whether blocks are tested against the image."""
+    return bool(options.visibility != "none" and options.pixel_error < CULL_BELOW_PX)
+
+
+def pack_rule(camera: Camera, options: SelectOptions, dilation_px2: float, threshold: float) -> Float64[Array, "12"]:
     """The numbers of the struct SelectRule in shared/select.h, in the order of bind_select.cpp."""
     focal = camera.K[0, 0], camera.K[1, 1]
     limit = (options.pixel_error / SIGMAS) ** 2
@@ -148,7 +163,7 @@ def _reach_of_opaque(threshold: float) -> float:
     return float(np.sqrt(-2 * np.log(threshold)))
 
 
-def _view_planes(
+def view_planes(
     camera: Camera, options: SelectOptions, dilation_px2: float, threshold: float
 ) -> tuple[Float64[Array, "11 4"], Float64[Array, "5"]]:
     """The struct ViewPlanes of cpu/select.h as rows (n, d) of n·p + d, and how far a unit of σ reaches over each side.

@@ -104,21 +104,12 @@ SPLATREE_FN void cover_ellipse(const BinJob& job, int i, Planes& p) {
 
 // The tiles of lane i's square.
 SPLATREE_FN void cover_square(const BinJob& job, int i, Planes& p) {
-  // Σ' from the factor of its inverse.
-  const float inverse_a = 1.f / p.column[FACTOR_A][i], sigma_y = 1.f / p.column[FACTOR_C][i];
-  const float skew = -p.column[FACTOR_B][i] * inverse_a * sigma_y;
-  const float half_side = half_side_of(job.square, inverse_a * inverse_a + skew * skew, skew * sigma_y, sigma_y * sigma_y,
-                                       p.column[LOG2_OPACITY][i]);
+  const float half_side = half_side_of_factor(job.square, p.column[FACTOR_A][i], p.column[FACTOR_B][i],
+                                              p.column[FACTOR_C][i], p.column[LOG2_OPACITY][i]);
   const Side across = side_of(p.column[X][i], half_side, job.num_tiles_x);
   const Side down = side_of(p.column[Y][i], half_side, job.num_tiles_y);
   p.first_row[i] = int(down.first), p.end_row[i] = int(down.end);
   p.first[i] = int(across.first), p.end[i] = int(across.end);
-}
-
-// The largest opacity in a tile that the splat is not listed in, but 1/255 at least and τ at most.
-SPLATREE_FN float floor_of(const BinJob& job, float log2_opacity, float nearest) {
-  constexpr float LOG2_ALPHA_THRESHOLD = -7.99435344f;
-  return exp2_of(least(greatest(log2_opacity - 0.72134752f * nearest, LOG2_ALPHA_THRESHOLD), job.log2_threshold));
 }
 
 template <Extent EXTENT, bool FLOORS>
@@ -142,14 +133,14 @@ void list_all(const BinJob& job, int64_t begin, int64_t end, SplatTiles* tiles, 
       t.first_row = uint16_t(p.first_row[i]);
       t.num_rows = uint16_t(num_rows);
       t.span = {uint16_t(p.first[i]), uint16_t(p.end[i])};
-      if (FLOORS && num_rows <= 1) job.floors[batch + i] = floor_of(job, p.column[LOG2_OPACITY][i], p.nearest[i]);
+      if (FLOORS && num_rows <= 1) job.floors[batch + i] = floor_of(p.column[LOG2_OPACITY][i], p.nearest[i], job.log2_threshold);
       if (num_rows <= 1) continue;
       t.first_span = spans.size;
       if (EXTENT == Extent::ELLIPSE) {
         const Ellipse ellipse = {p.column[X][i], p.column[Y][i], p.k_squared[i], p.c_squared[i], p.skew[i],
                                  p.inverse_a[i], p.height[i], p.dy_of_right[i], p.margin[i]};
         const float beside = list_rows<FLOORS>(job, ellipse, p.first_row[i], num_rows, spans);
-        if (FLOORS) job.floors[batch + i] = floor_of(job, p.column[LOG2_OPACITY][i], least(p.nearest[i], beside));
+        if (FLOORS) job.floors[batch + i] = floor_of(p.column[LOG2_OPACITY][i], least(p.nearest[i], beside), job.log2_threshold);
       } else {
         repeat_span({uint16_t(p.first[i]), uint16_t(p.end[i])}, num_rows, spans);
       }

@@ -1,8 +1,8 @@
-// How glue hands a camera to the kernels.
+// How glue hands a camera and the options of the selection to the kernels.
 #pragma once
 #include <cmath>
 
-#include "shared/project.h"
+#include "shared/select.h"
 
 namespace splatree {
 
@@ -28,6 +28,24 @@ inline View view_of(const double* v, double threshold, bool antialiased) {
   view.log2_threshold = float(std::log2(threshold));
   view.antialiased = antialiased;
   return view;
+}
+
+// The rule from the doubles that kernels/cpu/select.py packs.
+inline SelectRule rule_of(const double* v) {
+  SelectRule rule{};
+  float* const fields[] = {&rule.limit, &rule.add, &rule.least_diagonal, &rule.floor, &rule.pixel_error, &rule.focal_max,
+                           &rule.focal_min, &rule.k_max, &rule.logit_min, &rule.pad_x, &rule.pad_y};
+  for (float* field : fields) *field = float(*v++);
+  rule.sphere = *v++ != 0;
+  return rule;
+}
+
+// The planes from rows (x, y, z, d).
+inline ViewPlanes planes_of(const double* rows, int count) {
+  ViewPlanes planes{};
+  for (int i = 0; i < count; ++i, rows += 4)
+    planes.x[i] = rows[0], planes.y[i] = rows[1], planes.z[i] = rows[2], planes.d[i] = rows[3];
+  return planes;
 }
 
 }  // namespace splatree

@@ -97,5 +97,12 @@ SPLATREE_FN float nearest_above_or_below(const Ellipse& e, Tiles rows, int num_t
   return least(rows.first > 0 ? above : FAR, rows.end < num_tiles ? below : FAR);
 }
 
+// The largest opacity in a tile that the splat is not listed in, but 1/255 at least and τ at most; `nearest` is the smallest
+// |L d|² there.
+SPLATREE_FN float floor_of(float log2_opacity, float nearest, float log2_threshold) {
+  constexpr float LOG2_ALPHA_THRESHOLD = -7.99435344f;
+  return exp2_of(least(greatest(log2_opacity - 0.72134752f * nearest, LOG2_ALPHA_THRESHOLD), log2_threshold));
+}
+
 }  // namespace
 }  // namespace splatree

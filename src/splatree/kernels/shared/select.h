@@ -16,6 +16,22 @@ struct SelectRule {
   float pad_x, pad_y;       // centre: how far out of the image it may be, px
 };
 
+enum Visibility { FOOTPRINT, CENTRE, UNSEEN_TOO };
+
+// The class of an inner row is the whole part of 8 log2 σ_mid + 128, held in 0 to 254. By interlacing, the larger eigenvalue of
+// its splat is at least (σ_mid f / z)²: with M = J W = f/z (I | -u) in camera axes, M Mᵀ is at least (f/z)².
+constexpr int LEAF_CLASS = 255, CLASS_OF_UNIT = 128, CLASSES_PER_OCTAVE = 8;
+
+// The view as planes in the world: the value of each at p is x p.x + y p.y + z p.z + d. The sides are the image's borders and
+// the near plane. A splat of standard deviation s is out of view if the value of OUTSIDE + i at its mean is above reach[i] s for
+// any side i; a mean whose values of INSIDE + i are all below 0 is in the image, half a pixel at least from its border. The
+// value of DEPTH_PLANE is the view depth.
+constexpr int NUM_SIDES = 5, OUTSIDE = 0, INSIDE = 5, DEPTH_PLANE = 10, NUM_PLANES = 12;
+
+struct ViewPlanes {
+  double x[NUM_PLANES], y[NUM_PLANES], z[NUM_PLANES], d[NUM_PLANES];  // the last one is zero: vectors are full
+};
+
 namespace {
 
 struct Slopes {
@@ -85,6 +101,23 @@ SPLATREE_FN int is_visible(const View& view, const Point& p, const Factor& m, fl
   const float k_squared = 1.38629436f * greatest(log2_opacity - view.log2_threshold, 0.f);  // 2 ln(o/τ)
   return meets_image(view, p, __builtin_sqrtf(k_squared * (dot(m.x, m.x) + view.dilation)),
                      __builtin_sqrtf(k_squared * (dot(m.y, m.y) + view.dilation)));
+}
+
+// The largest size class that a small inner row of a run can have, -1 if none can be small: R >= 3 σ_mid f / z, and so is
+// that of the ball with the distance in place of z. Depth and distance are the largest of the run.
+SPLATREE_FN int largest_small_class(const SelectRule& rule, bool all_small, double depth_max, double distance_max) {
+  if (all_small) return LEAF_CLASS - 1;
+  double scale;
+  if (rule.sphere) {
+    scale = rule.pixel_error * distance_max / (3.0 * rule.focal_max);
+  } else {
+    const double room = double(rule.limit) - rule.add;
+    if (!(room > 0 && depth_max > 0)) return -1;
+    scale = __builtin_sqrt(room) * depth_max / rule.focal_min;
+  }
+  const double size_class = CLASSES_PER_OCTAVE * __builtin_log2(scale * MARGIN) + CLASS_OF_UNIT;
+  // Class 0 holds everything smaller too, so it can always be small; NaN and infinity exclude nothing.
+  return size_class < 0 ? 0 : size_class < LEAF_CLASS - 1 ? int(size_class) : LEAF_CLASS - 1;
 }
 
 }  // namespace

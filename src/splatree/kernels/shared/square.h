@@ -4,6 +4,9 @@
 
 namespace splatree {
 
+// Which tiles a splat is listed in: all that its ellipse, its box or its square touches.
+enum class Extent { ELLIPSE, BOX, SQUARE };
+
 // `3sigma` is `tau` with no share left to shrink and no pad.
 struct Square {
   float log2_threshold;      // τ
@@ -23,6 +26,13 @@ SPLATREE_FN float half_side_of(const Square& square, float xx, float xy, float y
   const float energy = greatest(0.69314718f * (log2_opacity - square.log2_threshold), square.energy_min);
   const float reach = greatest(least(__builtin_sqrtf(2.f * energy), 3.f), 3.f * square.ratio_min);
   return greatest(__builtin_ceilf(reach * sigma + square.pad), 1.f);
+}
+
+// The same from the triangular factor a, b, c of the inverse covariance.
+SPLATREE_FN float half_side_of_factor(const Square& square, float a, float b, float c, float log2_opacity) {
+  const float inverse_a = 1.f / a, sigma_y = 1.f / c;
+  const float skew = -b * inverse_a * sigma_y;
+  return half_side_of(square, inverse_a * inverse_a + skew * skew, skew * sigma_y, sigma_y * sigma_y, log2_opacity);
 }
 
 // The tiles from first to before end, of num_tiles, that a side of the square is listed in; as Kerbl's code counts, in whose

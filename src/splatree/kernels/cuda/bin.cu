@@ -1,0 +1,144 @@
+// The tiles that each splat touches, and the lists of the tiles; kernels/reference/bin.py is the definition.
+//
+// count_tiles   a thread a splat: how many tiles, by two square roots a row of tiles
+// keep_order    the splats in depth order, before the pairs take the place of their sort
+// scan_pairs    where the pairs of each splat go, in depth order
+// list_pairs    a thread a splat in depth order; one that touches many tiles is listed by its warp, 32 tiles at a time
+// start_tiles   a thread a tile, after the pairs were sorted by tile: where its list begins
+#include "cuda/scan.h"
+#include "shared/ellipse.h"
+#include "shared/square.h"
+
+namespace splatree {
+namespace {
+
+constexpr int FEW_TILES = 16;  // that a thread lists alone
+
+struct Cover {
+  Ellipse ellipse;
+  Tiles rows, columns;  // the columns of all rows, if they are the same in each: of a box or a square
+};
+
+SPLATREE_FN Cover load_cover(const FrameJob* job, long long splat) {
+  const FrameNumbers& n = job->numbers;
+  const float4 p = job->records[4 * splat], q = job->records[4 * splat + 1];
+  const float4 r = job->records[4 * splat + 2], s = job->records[4 * splat + 3];
+  Cover cover = {};
+  if (n.extent == int(Extent::SQUARE)) {
+    const float half_side = half_side_of_factor(n.square, p.z, p.w, q.x, q.z);
+    const Side across = side_of(p.x, half_side, (float)n.num_tiles_x), down = side_of(p.y, half_side, (float)n.num_tiles_y);
+    cover.rows = {int(down.first), int(down.end)};
+    cover.columns = {int(across.first), int(across.end)};
+    return cover;
+  }
+  const Ellipse e = ellipse_of(p.x, p.y, p.z, p.w, q.x, q.z, r.w, s.x, n.view.log2_threshold);
+  cover.ellipse = e;
+  cover.rows = tiles_in({e.y - e.height - e.margin, e.y + e.height + e.margin}, (float)n.height);
+  const float box = r.w + e.margin;
+  cover.columns = tiles_in({e.x - box, e.x + box}, (float)n.width);
+  return cover;
+}
+
+// The tiles of a splat in a row of tiles.
+SPLATREE_FN Tiles columns_of(const FrameJob* job, const Cover& cover, int row) {
+  if (job->numbers.extent != int(Extent::ELLIPSE)) return cover.columns;
+  const Interval strip = strip_of(row, (float)job->numbers.height);
+  return tiles_in(reach_of(cover.ellipse, strip.low, strip.high), (float)job->numbers.width);
+}
+
+SPLATREE_FN void store_pair(const FrameJob* job, long long at, int tile, unsigned splat) {
+  if (at >= job->pair_capacity) return;
+  job->keys_a[at] = (unsigned)tile;
+  job->values_a[at] = splat;
+}
+
+}  // namespace
+}  // namespace splatree
+
+using namespace splatree;
+
+// `tapers`: also the opacity at which each splat is tapered off.
+SPLATREE_KERNEL(256) count_tiles(const FrameJob* job, int tapers) {
+  const long long i = index_of_thread();
+  if (i >= held(job->counters[NUM_SELECTED], job->row_capacity)) return;
+  unsigned count = 0;
+  if (job->depth_keys[i] != ~0u) {
+    const FrameNumbers& n = job->numbers;
+    const Cover cover = load_cover(job, i);
+    float nearest = tapers ? nearest_above_or_below(cover.ellipse, cover.rows, n.num_tiles_y) : FAR;
+    for (int row = cover.rows.first; row < cover.rows.end; ++row) {
+      const Tiles columns = columns_of(job, cover, row);
+      count += columns.end - columns.first;
+      if (tapers) {
+        const float beside = nearest_beside(cover.ellipse, columns, strip_of(row, (float)n.height), n.num_tiles_x);
+        nearest = least(beside, nearest);
+      }
+    }
+    if (tapers) {
+      const float4 q = job->records[4 * i + 1];
+      job->floors[i] = floor_of(q.z, nearest, n.view.log2_threshold);
+    }
+  }
+  job->num_tiles[i] = count;
+}
+
+// `from_b`: the side on which the sort of the splats ended.
+SPLATREE_KERNEL(256) keep_order(const FrameJob* job, int from_b) {
+  const long long i = index_of_thread();
+  if (i >= held(job->counters[NUM_SELECTED], job->row_capacity)) return;
+  job->order[i] = from_b ? job->values_b[i] : job->values_a[i];
+}
+
+SPLATREE_KERNEL(256) scan_pairs(const FrameJob* job, int which) {
+  scan(
+      job, which, held(job->counters[NUM_SELECTED], job->row_capacity), NUM_PAIRS,
+      [&](long long i) { return job->num_tiles[job->order[i]]; },
+      [&](long long i, unsigned first) { job->first_pair[i] = first; });
+}
+
+SPLATREE_KERNEL(256) list_pairs(const FrameJob* job) {
+  const long long i = index_of_thread();
+  const long long num_splats = held(job->counters[NUM_SELECTED], job->row_capacity);
+  const int num_tiles_x = job->numbers.num_tiles_x;
+  const unsigned splat = i < num_splats ? job->order[i] : 0;
+  const unsigned count = i < num_splats ? job->num_tiles[splat] : 0;
+  const long long first = count ? job->first_pair[i] : 0;
+  if (count && count <= FEW_TILES) {
+    const Cover cover = load_cover(job, splat);
+    long long at = first;
+    for (int row = cover.rows.first; row < cover.rows.end; ++row) {
+      const Tiles columns = columns_of(job, cover, row);
+      for (int column = columns.first; column < columns.end; ++column)
+        store_pair(job, at++, row * num_tiles_x + column, splat);
+    }
+  }
+  // The others one after the other: all lanes go along its rows together.
+  for (unsigned many = __ballot_sync(ALL_LANES, count > FEW_TILES); many; many &= many - 1) {
+    const int lane = __ffs(many) - 1;
+    const unsigned theirs = __shfl_sync(ALL_LANES, splat, lane);
+    long long at = __shfl_sync(ALL_LANES, first, lane);
+    const Cover cover = load_cover(job, theirs);
+    for (int row = cover.rows.first; row < cover.rows.end; ++row) {
+      const Tiles columns = columns_of(job, cover, row);
+      for (int column = columns.first + lane_of(); column < columns.end; column += WARP)
+        store_pair(job, at + column - columns.first, row * num_tiles_x + column, theirs);
+      at += columns.end - columns.first;
+    }
+  }
+}
+
+SPLATREE_KERNEL(256) start_tiles(const FrameJob* job, int from_b) {
+  const long long tile = index_of_thread();
+  if (tile > (long long)job->numbers.num_tiles_x * job->numbers.num_tiles_y) return;
+  const Global<const unsigned> keys = from_b ? job->keys_b : job->keys_a;
+  // The first pair of this tile or a later one, by bisection.
+  long long low = 0, high = held(job->counters[NUM_PAIRS], job->pair_capacity);
+  while (low < high) {
+    const long long middle = (low + high) / 2;
+    if (keys[middle] < tile)
+      low = middle + 1;
+    else
+      high = middle;
+  }
+  job->tile_start[tile] = (unsigned)low;
+}

@@ -1,0 +1,200 @@
+// Blending of the tiles' lists front to back; kernels/reference/blend.py is the definition.
+//
+// Both kernels draw the same picture, a thread a pixel; which is faster depends on the device (kernels/cuda/frame.py measures):
+//
+// blend_16   256 threads a tile of 16 × 16 px. A warp has 8 × 4 px.
+// blend_8    64 threads a quarter of a tile, 8 × 8 px: more, smaller blocks that end sooner; a splat of the list that misses the
+//            quarter is left out while it is loaded.
+//
+// Each is there once more for splats that are tapered off, and blend_16 for the sums of what each pair contributes.
+//
+// The list is taken in batches: each thread loads a splat into shared memory. Then each warp tests 32 splats of the batch at
+// once, a splat a lane, against its own 8 × 4 px, and evaluates those that may touch them, nearest first. Bounds are widened by
+// what float32 may lose, so the test changes no pixel.
+//
+// The transmittance of a finished pixel is kept with a minus sign, so one comparison tells that it takes no more light.
+#include "cuda/device.h"
+#include "shared/ellipse.h"
+
+namespace splatree {
+namespace {
+
+constexpr int WARP_WIDTH = 8, WARP_HEIGHT = 4;
+constexpr float ALPHA_MAX = 0.99f, ALPHA_THRESHOLD = 1.f / 255, TRANSMITTANCE_MIN = 1e-4f, TAPER_SLOPE = 2;
+constexpr float SQRT_HALF_LOG2E = 0.849321800f;  // √(½ log2 e): exp(-½ q²) = 2^-(this q)²
+
+// A splat in units in which the exponent is a power of 2.
+struct Brush {
+  float x, y, a, b, c, log2_opacity;
+};
+
+// Whether the splat may touch the pixel centres of a rectangle of half size (half_x, half_y) around (x, y): |L d| over it is
+// at least that at its centre less what the half sizes can add; `lost` is what float32 may lose.
+SPLATREE_FN bool may_touch(const Brush& s, float x, float y, float half_x, float half_y, float log2_threshold, float extent_x,
+                           float extent_y) {
+  const float dx = x - s.x, dy = y - s.y, abs_b = __builtin_fabsf(s.b);
+  const float u = s.a * dx + s.b * dy, v = s.c * dy;
+  const float u_reach = s.a * half_x + abs_b * half_y + 2e-6f * (s.a * (extent_x + 16) + abs_b * (extent_y + 16));
+  const float v_reach = s.c * half_y + 2e-6f * s.c * (extent_y + 16);
+  const float u_least = greatest(__builtin_fabsf(u) - u_reach, 0.f), v_least = greatest(__builtin_fabsf(v) - v_reach, 0.f);
+  const float limit = (s.log2_opacity - log2_threshold) * (1 + 1e-5f) + 1e-5f;
+  return (u_least * u_least + v_least * v_least <= limit) &
+         (__builtin_fabsf(dx) <= extent_x * (1 + 1e-5f) + half_x + 1e-3f);
+}
+
+struct Pixel {
+  float transmittance, red, green, blue, depth;
+};
+
+SPLATREE_FN float sum_of_warp(float value) {
+  for (int step = WARP / 2; step; step /= 2) value += __shfl_xor_sync(ALL_LANES, value, step);
+  return value;
+}
+
+// Draws a splat at a pixel; returns α T, 0 where it is not drawn.
+template <bool TAPER>
+SPLATREE_FN float draw(Pixel& pixel, float log2_alpha, float4 color, float log2_threshold, float floor) {
+  const float whole = exp2_of(log2_alpha);
+  const bool passes = TAPER ? whole >= floor : log2_alpha >= log2_threshold;
+  if (!(passes && pixel.transmittance > 0.f)) return 0.f;
+  const float left = TAPER ? least(TAPER_SLOPE * (whole - floor) + ALPHA_THRESHOLD, whole) : whole;
+  const float alpha = least(left, ALPHA_MAX);
+  const float after = pixel.transmittance * (1.f - alpha);
+  if (after < TRANSMITTANCE_MIN) {
+    pixel.transmittance = -pixel.transmittance;
+    return 0.f;
+  }
+  const float weight = pixel.transmittance * alpha;
+  pixel.red += weight * color.x;
+  pixel.green += weight * color.y;
+  pixel.blue += weight * color.z;
+  pixel.depth += weight * color.w;
+  pixel.transmittance = after;
+  return weight;
+}
+
+// SIDE px a block and side, which is the tile's or half of it.
+template <int SIDE, bool TAPER, bool CONTRIBUTIONS>
+SPLATREE_FN void blend(const FrameJob* job, int from_b) {
+  constexpr int THREADS = SIDE * SIDE, PARTS = int(TILE_PX) / SIDE;
+  SPLATREE_SHARED(float4, geometry, THREADS);   // x, y, a, b
+  SPLATREE_SHARED(float4, appearance, THREADS);  // c, log2 opacity, extent x, extent y
+  SPLATREE_SHARED(float4, color, THREADS);      // red, green, blue, depth
+  SPLATREE_SHARED(float, floors, TAPER ? THREADS : 1);
+  SPLATREE_SHARED(int, num_loaded, THREADS / WARP);
+  SPLATREE_SHARED(float, sums, CONTRIBUTIONS ? THREADS / WARP * THREADS : 1);  // of each warp and splat
+
+  const FrameNumbers& n = job->numbers;
+  const Global<const unsigned> pairs = from_b ? job->values_b : job->values_a;
+  const int tile = blockIdx.x / (PARTS * PARTS), part = blockIdx.x % (PARTS * PARTS);
+  const float block_x = TILE_PX * (tile % n.num_tiles_x) + SIDE * (part % PARTS);
+  const float block_y = TILE_PX * (tile / n.num_tiles_x) + SIDE * (part / PARTS);
+  const float warp_x = block_x + WARP_WIDTH * (warp_of() % (SIDE / WARP_WIDTH));
+  const float warp_y = block_y + WARP_HEIGHT * (warp_of() / (SIDE / WARP_WIDTH));
+  const int x = int(warp_x) + lane_of() % WARP_WIDTH, y = int(warp_y) + lane_of() / WARP_WIDTH;
+  const bool in_image = x < n.width && y < n.height;
+  const float threshold = n.log2_pixel_threshold;
+
+  Pixel pixel = {in_image ? 1.f : -1.f, 0, 0, 0, 0};
+  const long long begin = job->tile_start[tile], end = job->tile_start[tile + 1];
+  long long at = begin;
+  unsigned num_evaluated = 0, num_blended = 0;
+  while (at < end) {
+    if (!__syncthreads_or(pixel.transmittance > 0.f)) break;
+    // A batch. In a part of a tile those that miss it are left out, the others keep their order.
+    const bool there = at + threadIdx.x < end;
+    float4 p = {}, q = {}, r = {};
+    float extent_y = 0, floor = 0, ends = threshold;
+    bool taken = there;
+    if (there) {
+      const long long splat = pairs[at + threadIdx.x];
+      p = job->records[4 * splat], q = job->records[4 * splat + 1], r = job->records[4 * splat + 2];
+      extent_y = float4(job->records[4 * splat + 3]).x;
+      if (TAPER) floor = job->floors[splat], ends = log2_of(floor);
+      p.z *= SQRT_HALF_LOG2E, p.w *= SQRT_HALF_LOG2E, q.x *= SQRT_HALF_LOG2E;
+      const float half = 0.5f * (SIDE - 1);
+      if (PARTS > 1)
+        taken = may_touch({p.x, p.y, p.z, p.w, q.x, q.z}, block_x + 0.5f * SIDE, block_y + 0.5f * SIDE, half, half,
+                          ends, r.w, extent_y);
+    }
+    const unsigned lanes = __ballot_sync(ALL_LANES, taken);
+    if (lane_of() == 0) num_loaded[warp_of()] = __popc(lanes);
+    __syncthreads();
+    int place = __popc(lanes & lanes_before()), loaded = 0;
+    for (int warp = 0; warp < THREADS / WARP; ++warp) {
+      if (warp < warp_of()) place += num_loaded[warp];
+      loaded += num_loaded[warp];
+    }
+    if (taken) {
+      geometry[place] = p;
+      appearance[place] = make_float4(q.x, q.z, r.w, extent_y);
+      color[place] = make_float4(q.w, r.x, r.y, r.z);
+      if (TAPER) floors[place] = floor;
+    }
+    if (CONTRIBUTIONS)
+      for (int warp = 0; warp < THREADS / WARP; ++warp) sums[warp * THREADS + threadIdx.x] = 0;
+    __syncthreads();
+    const long long first_pair = at;
+    at = at + THREADS < end ? at + THREADS : end;
+
+    for (int first = 0; first < loaded; first += WARP) {
+      if (!__any_sync(ALL_LANES, pixel.transmittance > 0.f)) break;
+      const int mine = first + lane_of();
+      bool touches = mine < loaded;
+      if (touches) {
+        const float4 g = geometry[mine], a = appearance[mine];
+        touches = may_touch({g.x, g.y, g.z, g.w, a.x, a.y}, warp_x + 0.5f * WARP_WIDTH, warp_y + 0.5f * WARP_HEIGHT,
+                            0.5f * (WARP_WIDTH - 1), 0.5f * (WARP_HEIGHT - 1),
+                            TAPER ? log2_of(floors[mine]) : threshold, a.z, a.w);
+      }
+      for (unsigned left = __ballot_sync(ALL_LANES, touches); left; left &= left - 1) {
+        const int splat = first + __ffs(left) - 1;
+        const float4 g = geometry[splat], a = appearance[splat];
+        const float dx = x + 0.5f - g.x, dy = y + 0.5f - g.y;
+        const float u = g.z * dx + g.w * dy, v = a.x * dy;
+        const float weight = draw<TAPER>(pixel, a.y - (u * u + v * v), color[splat], threshold, TAPER ? floors[splat] : 0.f);
+        num_evaluated += WARP;
+        num_blended += weight > 0.f;
+        if (CONTRIBUTIONS) {
+          const float sum = sum_of_warp(weight);
+          if (lane_of() == 0) sums[warp_of() * THREADS + splat] = sum;
+        }
+      }
+    }
+    if (CONTRIBUTIONS) {
+      // Warp by warp, so that the sum does not depend on which of them was first. Here a splat's place is its thread's.
+      __syncthreads();
+      float sum = 0;
+      for (int warp = 0; warp < THREADS / WARP; ++warp) sum += sums[warp * THREADS + threadIdx.x];
+      if (there) job->contributions[first_pair + threadIdx.x] = sum;
+    }
+  }
+
+  unsigned blended_of_warp;
+  sum_before(num_blended, blended_of_warp);
+  if (lane_of() == 0) {
+    if (threadIdx.x == 0) atomicMax(&job->tile_work[3 * tile], (unsigned long long)(at - begin));
+    if (num_evaluated) atomicAdd(&job->tile_work[3 * tile + 1], (unsigned long long)num_evaluated);
+    if (blended_of_warp) atomicAdd(&job->tile_work[3 * tile + 2], (unsigned long long)blended_of_warp);
+  }
+  if (!in_image) return;
+  const long long to = (long long)y * n.width + x;
+  const float left = __builtin_fabsf(pixel.transmittance), stopped = 1.f - left;
+  job->image[3 * to] = pixel.red + left * n.background[0];
+  job->image[3 * to + 1] = pixel.green + left * n.background[1];
+  job->image[3 * to + 2] = pixel.blue + left * n.background[2];
+  job->alpha[to] = stopped;
+  job->depth[to] = stopped > 0.f ? pixel.depth / stopped : 0.f;
+}
+
+}  // namespace
+}  // namespace splatree
+
+using namespace splatree;
+
+SPLATREE_KERNEL(256) blend_16(const FrameJob* job, int from_b) { blend<16, false, false>(job, from_b); }
+SPLATREE_KERNEL(64) blend_8(const FrameJob* job, int from_b) { blend<8, false, false>(job, from_b); }
+SPLATREE_KERNEL(256) taper_16(const FrameJob* job, int from_b) { blend<16, true, false>(job, from_b); }
+SPLATREE_KERNEL(64) taper_8(const FrameJob* job, int from_b) { blend<8, true, false>(job, from_b); }
+SPLATREE_KERNEL(256) contribute_16(const FrameJob* job, int from_b) { blend<16, false, true>(job, from_b); }
+SPLATREE_KERNEL(256) contribute_taper_16(const FrameJob* job, int from_b) { blend<16, true, true>(job, from_b); }

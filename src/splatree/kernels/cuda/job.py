@@ -1,0 +1,93 @@
+"""The struct FrameJob of job.h from Python: numbers packed by the native core, then addresses and sizes by name.
+
+Names, order and types of the arrays are read from the header, so that it alone says what there is.
+"""
+
+import re
+from collections.abc import Mapping
+from functools import cache
+
+import numpy as np
+
+from splatree.errors import InputError
+from splatree.kernels.cpu import _core
+from splatree.kernels.cpu.select import VISIBILITIES, is_culled, pack_rule, view_planes
+from splatree.kernels.cpu.view import pack_square, pack_view
+from splatree.kernels.cuda.sources import headers
+from splatree.scene.cameras import Camera
+from splatree.scene.options import ResolvedOptions, SelectOptions
+
+__all__ = ["COUNTERS", "array_dtypes", "pack_job", "pack_numbers"]
+
+_DTYPES = {
+    "float": (np.float32, 1),
+    "float4": (np.float32, 4),
+    "int": (np.int32, 1),
+    "int4": (np.int32, 4),
+    "unsigned": (np.uint32, 1),
+    "unsigned char": (np.uint8, 1),
+    "unsigned long long": (np.uint64, 1),
+}
+
+
+@cache
+def _fields() -> tuple[tuple[tuple[str, str], ...], tuple[str, ...]]:
+    body = headers()["cuda/job.h"].split("struct FrameJob {")[1]
+    arrays = re.findall(r"^  Global<(?:const )?([\w ]+)> (\w+);", body, re.M)
+    return tuple((name, kind) for kind, name in arrays), tuple(re.findall(r"^  long long (\w+);", body, re.M))
+
+
+@cache
+def _counters() -> tuple[str, ...]:
+    body = re.search(r"enum Counter \{(.*?)\};", headers()["cuda/job.h"], re.S)
+    assert body is not None
+    return tuple(name.lower() for name in re.findall(r"^  (NUM_\w+),", body[1], re.M))
+
+
+COUNTERS = _counters()
+"""Names of the counters, in their order: num_selected, num_pairs, ..."""
+
+
+def array_dtypes() -> dict[str, tuple[np.dtype[np.generic], int]]:
+    """Type and number of values of an element of each array of a job."""
+    return {name: (np.dtype(_DTYPES[kind][0]), _DTYPES[kind][1]) for name, kind in _fields()[0]}
+
+
+def pack_job(numbers: bytes, pointers: Mapping[str, int], sizes: Mapping[str, int]) -> np.ndarray:
+    """The bytes of a job; arrays that are not named have no memory, sizes that are not named are 0."""
+    arrays, fields = _fields()
+    unknown = sorted((pointers.keys() - {name for name, _ in arrays}) | (sizes.keys() - set(fields)))
+    assert not unknown, unknown
+    words = [pointers.get(name, 0) for name, _ in arrays] + [sizes.get(name, 0) for name in fields]
+    return np.frombuffer(numbers + np.array(words, np.uint64).tobytes(), np.uint8)
+
+
+def pack_numbers(
+    camera: Camera, options: ResolvedOptions, select: SelectOptions, *, degree: int, whole_box: bool = False
+) -> bytes:
+    """The struct FrameNumbers of a view."""
+    if select.rule != "cut" or select.max_radius is not None:
+        found = f"rule {select.rule!r}" if select.rule != "cut" else f"max_radius {select.max_radius}"
+        raise InputError(
+            f"device 'cuda': found {found}, wanted rule 'cut' without max_radius; use device 'cpu' for others"
+        )
+    dilation, threshold = options.dilation_px2, options.threshold
+    return bytes(
+        _core.frame_numbers(
+            pack_view(camera, dilation),
+            threshold,
+            options.least_opacity,
+            options.pixel_threshold,
+            options.mode == "antialiased",
+            pack_rule(camera, select, dilation, threshold),
+            VISIBILITIES.index(select.visibility),
+            is_culled(select),
+            *view_planes(camera, select, dilation, threshold),
+            min(options.sh_degree, degree),
+            camera.width,
+            camera.height,
+            np.asarray(options.background, np.float64),
+            pack_square(options),
+            whole_box,
+        )
+    )

@@ -1,0 +1,130 @@
+// A stable sort of keys with values, eight bits at a time from the lowest (radix sort): once for the depths of the splats, once
+// for the tiles of the pairs.
+//
+// order_splats, order_pairs   what is sorted: splats by depth (or by id first), pairs by tile
+// count_digits                256 threads a tile of 4096 keys: how many there are of each digit
+// scan_digits                 where each tile's keys of each digit go: digit by digit, and tile by tile in a digit
+// move_digits                 256 threads a tile: the keys go there; equal digits keep their order, by the ranks below
+#include "cuda/scan.h"
+
+namespace splatree {
+namespace {
+
+constexpr int THREADS = 256, ITEMS = 16, SORT_TILE = THREADS * ITEMS, DIGITS = 256;
+
+// A pass of a sort; packed by kernels/cuda/frame.py.
+struct Pass {
+  int shift;    // of the digit
+  int scan;     // number of the scan in the frame
+  bool pairs;   // whether pairs are sorted, else splats
+  bool from_b;  // which side the keys are on
+};
+
+SPLATREE_FN Pass pass_of(int packed) { return {packed & 31, packed >> 7 & 63, (packed >> 5 & 1) != 0, (packed >> 6 & 1) != 0}; }
+
+SPLATREE_FN long long count_of(const FrameJob* job, const Pass& pass) {
+  return pass.pairs ? held(job->counters[NUM_PAIRS], job->pair_capacity)
+                    : held(job->counters[NUM_SELECTED], job->row_capacity);
+}
+
+SPLATREE_FN long long tiles_of(long long count) { return (count + SORT_TILE - 1) / SORT_TILE; }
+
+// The place of a lane's i-th key: a warp takes 512 keys in a row, so that its rounds are in their order.
+SPLATREE_FN long long place_of(int i) {
+  return (long long)blockIdx.x * SORT_TILE + warp_of() * (WARP * ITEMS) + i * WARP + lane_of();
+}
+
+}  // namespace
+}  // namespace splatree
+
+using namespace splatree;
+
+// Depth keys of splats in the order of their rows; `by_id`: the ids, which are sorted first.
+SPLATREE_KERNEL(256) order_splats(const FrameJob* job, int by_id) {
+  const long long i = index_of_thread();
+  if (i >= held(job->counters[NUM_SELECTED], job->row_capacity)) return;
+  job->keys_a[i] = by_id ? job->ids[job->rows[i]] : job->depth_keys[i];
+  job->values_a[i] = (unsigned)i;
+}
+
+// After the ids were sorted: the depths of the splats in the order of their ids.
+SPLATREE_KERNEL(256) order_by_depth(const FrameJob* job, int from_b) {
+  const long long i = index_of_thread();
+  if (i >= held(job->counters[NUM_SELECTED], job->row_capacity)) return;
+  const unsigned splat = from_b ? job->values_b[i] : job->values_a[i];
+  if (from_b)
+    job->keys_b[i] = job->depth_keys[splat];
+  else
+    job->keys_a[i] = job->depth_keys[splat];
+}
+
+SPLATREE_KERNEL(256) count_digits(const FrameJob* job, int packed) {
+  SPLATREE_SHARED(unsigned, counts, DIGITS);
+  const Pass pass = pass_of(packed);
+  const long long count = count_of(job, pass), num_tiles = tiles_of(count);
+  if (blockIdx.x >= num_tiles) return;
+  const Global<const unsigned> keys = pass.from_b ? job->keys_b : job->keys_a;
+  counts[threadIdx.x] = 0;
+  __syncthreads();
+  for (int i = 0; i < ITEMS; ++i) {
+    const long long at = place_of(i);
+    if (at < count) atomicAdd(&counts[keys[at] >> pass.shift & (DIGITS - 1)], 1u);
+  }
+  __syncthreads();
+  job->digits[threadIdx.x * num_tiles + blockIdx.x] = counts[threadIdx.x];
+}
+
+SPLATREE_KERNEL(256) scan_digits(const FrameJob* job, int packed) {
+  const Pass pass = pass_of(packed);
+  scan(
+      job, pass.scan, DIGITS * tiles_of(count_of(job, pass)), -1, [&](long long i) { return job->digits[i]; },
+      [&](long long i, unsigned first) { job->digits[i] = first; });
+}
+
+SPLATREE_KERNEL(256) move_digits(const FrameJob* job, int packed) {
+  SPLATREE_SHARED(unsigned, places, THREADS / WARP * DIGITS);  // of each warp and digit
+  const Pass pass = pass_of(packed);
+  const long long count = count_of(job, pass), num_tiles = tiles_of(count);
+  if (blockIdx.x >= num_tiles) return;
+  const Global<const unsigned> keys = pass.from_b ? job->keys_b : job->keys_a;
+  const Global<const unsigned> values = pass.from_b ? job->values_b : job->values_a;
+  const Global<unsigned> to_keys = pass.from_b ? job->keys_a : job->keys_b;
+  const Global<unsigned> to_values = pass.from_b ? job->values_a : job->values_b;
+  const int own = warp_of() * DIGITS;
+  for (int digit = lane_of(); digit < DIGITS; digit += WARP) places[own + digit] = 0;
+  __syncwarp();
+
+  // The rank of each key among those of its digit in the warp's part.
+  unsigned key[ITEMS], value[ITEMS], rank[ITEMS];
+#pragma unroll
+  for (int i = 0; i < ITEMS; ++i) {
+    const long long at = place_of(i);
+    const bool there = at < count;
+    key[i] = there ? keys[at] : 0;
+    value[i] = there ? values[at] : 0;
+    const unsigned digit = key[i] >> pass.shift & (DIGITS - 1);
+    const unsigned peers = __match_any_sync(ALL_LANES, there ? digit : DIGITS);
+    const unsigned earlier = there ? places[own + digit] : 0;
+    __syncwarp();
+    rank[i] = earlier + __popc(peers & lanes_before());
+    if (there && !(peers & lanes_before())) places[own + digit] = earlier + __popc(peers);
+    __syncwarp();
+  }
+  __syncthreads();
+
+  // Counts of the warps become places: thread d takes the digit d.
+  unsigned next = job->digits[threadIdx.x * num_tiles + blockIdx.x];
+  for (int warp = 0; warp < THREADS / WARP; ++warp) {
+    const unsigned of_warp = places[warp * DIGITS + threadIdx.x];
+    places[warp * DIGITS + threadIdx.x] = next;
+    next += of_warp;
+  }
+  __syncthreads();
+#pragma unroll
+  for (int i = 0; i < ITEMS; ++i) {
+    if (place_of(i) >= count) continue;
+    const unsigned to = places[own + (key[i] >> pass.shift & (DIGITS - 1))] + rank[i];
+    to_keys[to] = key[i];
+    to_values[to] = value[i];
+  }
+}

@@ -1,0 +1,144 @@
+"""The launches of a frame, stage by stage: which kernel, how many blocks, which number.
+
+Grids cover what the arrays hold, not what a view needs: kernels read how much there is from counters on the device and
+the rest of their blocks end at once. So nothing has to be asked in between, and a frame can be recorded once and replayed.
+"""
+
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+__all__ = ["SCAN_CHUNK", "SORT_TILE", "Blend", "Launch", "Sizes", "bin_pairs", "blend", "order", "project", "select"]
+
+Blend = Literal["blend_16", "blend_8"]
+"""The kernels that blend (blend.cu)."""
+
+SORT_TILE = SCAN_CHUNK = 4096
+"""Keys of a tile of the sort, values of a chunk of a scan (order.cu, scan.h)."""
+DIGITS, DIGIT_BITS = 256, 8
+KEPT_SCAN = 0
+MAX_PASSES = 4
+FIRST_SPLAT_SCAN, PAIR_SCAN = 1, 1 + 2 * MAX_PASSES
+FIRST_PAIR_SCAN = PAIR_SCAN + 1
+NUM_SCANS = FIRST_PAIR_SCAN + MAX_PASSES
+
+
+class Launch(NamedTuple):
+    """One kernel."""
+
+    kernel: str
+    """Its name."""
+    num_blocks: int
+    """Blocks of the grid."""
+    argument: int = 0
+    """What it takes beside the job."""
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """What a frame's arrays hold."""
+
+    num_blocks: int
+    """Blocks of the scene's index."""
+    rows: int
+    """Rows that can be selected."""
+    pairs: int
+    """Pairs of splat and tile."""
+    num_tiles: int
+    """Tiles of the image."""
+    id_bits: int
+    """Bits of the largest id; 0 where rows are their own ids."""
+    tapers: bool
+    """Whether splats are tapered off."""
+    num_multiprocessors: int
+    """Of the device."""
+
+    @property
+    def chain_stride(self) -> int:
+        """Chunks of the longest scan."""
+        longest = max(
+            self.num_blocks, self.rows, DIGITS * _over(self.rows, SORT_TILE), DIGITS * _over(self.pairs, SORT_TILE)
+        )
+        return _over(longest, SCAN_CHUNK)
+
+
+def select(sizes: Sizes) -> list[Launch]:
+    """The visible cut as ascending rows."""
+    warps = _over(sizes.num_blocks, 8)
+    return [
+        Launch("select_blocks", warps),
+        Launch("select_rows", min(sizes.num_blocks, 8 * sizes.num_multiprocessors)),
+        Launch("scan_kept", _over(sizes.num_blocks, SCAN_CHUNK)),
+        Launch("list_rows", warps),
+    ]
+
+
+def project(sizes: Sizes) -> list[Launch]:
+    """Splats of the rows."""
+    return [Launch("project", _over(sizes.rows, 128))]
+
+
+def order(sizes: Sizes) -> list[Launch]:
+    """Splats by depth, equal depths by id: sorted by id first where ids are not the rows."""
+    threads = _over(sizes.rows, 256)
+    launches = [Launch("order_splats", threads, int(sizes.id_bits > 0))]
+    by_id = _passes(sizes.rows, sizes.id_bits, FIRST_SPLAT_SCAN, from_b=False, pairs=False)
+    side = _side_after(sizes.id_bits)
+    if sizes.id_bits:
+        launches += [*by_id, Launch("order_by_depth", threads, side)]
+    scan = FIRST_SPLAT_SCAN + _over(sizes.id_bits, DIGIT_BITS)
+    launches += _passes(sizes.rows, 32, scan, from_b=bool(side), pairs=False)
+    return [*launches, Launch("keep_order", threads, (side + _side_after(32)) % 2)]
+
+
+def bin_pairs(sizes: Sizes) -> list[Launch]:
+    """The lists of the tiles."""
+    threads = _over(sizes.rows, 256)
+    bits = _tile_bits(sizes)
+    return [
+        Launch("count_tiles", threads, int(sizes.tapers)),
+        Launch("scan_pairs", _over(sizes.rows, SCAN_CHUNK), PAIR_SCAN),
+        Launch("list_pairs", threads),
+        *_passes(sizes.pairs, bits, FIRST_PAIR_SCAN, from_b=False, pairs=True),
+        Launch("start_tiles", _over(sizes.num_tiles + 1, 256), pair_side(sizes)),
+    ]
+
+
+def blend(sizes: Sizes, kernel: Blend, *, contributions: bool = False) -> list[Launch]:
+    """The picture; on request with what each pair contributes, which one kernel alone sums."""
+    blocks_per_tile = {"blend_16": 1, "blend_8": 4}[kernel]
+    name = kernel.replace("blend", "taper") if sizes.tapers else kernel
+    if contributions:
+        blocks_per_tile, name = 1, "contribute_taper_16" if sizes.tapers else "contribute_16"
+    return [Launch(name, sizes.num_tiles * blocks_per_tile, pair_side(sizes))]
+
+
+def pair_side(sizes: Sizes) -> int:
+    """Whether the sorted pairs are on side b."""
+    return _side_after(_tile_bits(sizes))
+
+
+def _tile_bits(sizes: Sizes) -> int:
+    return (sizes.num_tiles - 1).bit_length()
+
+
+def _passes(capacity: int, num_bits: int, first_scan: int, *, from_b: bool, pairs: bool) -> list[Launch]:
+    """A sort by the lowest bits of the keys."""
+    tiles = _over(capacity, SORT_TILE)
+    launches = []
+    for i in range(_over(num_bits, DIGIT_BITS)):
+        side = (from_b + i) % 2
+        packed = DIGIT_BITS * i | pairs << 5 | side << 6 | (first_scan + i) << 7
+        launches += [
+            Launch("count_digits", tiles, packed),
+            Launch("scan_digits", _over(DIGITS * tiles, SCAN_CHUNK), packed),
+            Launch("move_digits", tiles, packed),
+        ]
+    return launches
+
+
+def _side_after(num_bits: int) -> int:
+    return _over(num_bits, DIGIT_BITS) % 2
+
+
+def _over(count: int, size: int) -> int:
+    return -(-count // size)

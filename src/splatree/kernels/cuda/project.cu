@@ -1,0 +1,86 @@
+// Projection and colour of the selected rows; kernels/reference/project.py is the definition.
+//
+// project   a thread a row. Splat i comes from the i-th selected row, so the order of splats does not depend on the schedule; one
+//           that does not touch the image gets a key behind all depths and no tiles.
+#include "cuda/rows.h"
+#include "shared/harmonics.h"
+#include "shared/record.h"
+
+namespace splatree {
+namespace {
+
+constexpr int MAX_COEFFICIENTS = 16;
+
+// Choices that are made before a function is compiled.
+struct Yes {
+  static constexpr bool value = true;
+};
+struct No {
+  static constexpr bool value = false;
+};
+
+// Σ Y_k(d) sh_k + ½, not below 0. Four coefficients of three channels are three vectors of four floats.
+template <int DEGREE>
+SPLATREE_FN Vector color_of(const FrameJob* job, const Point& p, long long row) {
+  const float inverse = 1.f / __builtin_sqrtf(p.dx * p.dx + p.dy * p.dy + p.dz * p.dz);
+  float basis[MAX_COEFFICIENTS];
+  harmonics_of(p.dx * inverse, p.dy * inverse, p.dz * inverse, DEGREE, basis, 1);
+  const long long first = row * job->num_coefficients * 3;
+  float color[3] = {0.5f, 0.5f, 0.5f};
+#pragma unroll
+  for (int k = 0; k < (DEGREE + 1) * (DEGREE + 1); ++k)
+    for (int c = 0; c < 3; ++c) color[c] += basis[k] * job->sh[first + 3 * k + c];
+  return {greatest(color[0], 0.f), greatest(color[1], 0.f), greatest(color[2], 0.f)};
+}
+
+SPLATREE_FN Vector color_of(const FrameJob* job, const Point& p, long long row) {
+  switch (job->numbers.degree) {
+    case 0:
+      return color_of<0>(job, p, row);
+    case 1:
+      return color_of<1>(job, p, row);
+    case 2:
+      return color_of<2>(job, p, row);
+    default:
+      return color_of<3>(job, p, row);
+  }
+}
+
+}  // namespace
+}  // namespace splatree
+
+using namespace splatree;
+
+SPLATREE_KERNEL(128) project(const FrameJob* job) {
+  const long long i = index_of_thread();
+  const bool asked = i < held(job->counters[NUM_SELECTED], job->row_capacity);
+  bool visible = false;
+  if (asked) {
+    const FrameNumbers& n = job->numbers;
+    const long long row = job->rows[i];
+    const Point p = load_point(job, row);
+    const Image image = image_of(n.view, p.x, p.y, p.z);
+    const float4 quat = job->quats[row];
+    const Vector scale = scale_of(n.view, p.z, load_vector(job->log_scales, row));
+    const Factor m = factor_of(image.tx, image.ty, quat.x, quat.y, quat.z, quat.w, scale);
+    const float sigmoid = sigmoid_of(job->logit_opacities[row]);
+    const bool is_square = n.extent == int(Extent::SQUARE);
+    const auto shape = [&](auto antialiased, auto square) {
+      return splat_of<antialiased.value, square.value>(n.view, n.square, image.x, image.y, p.z, m.x, m.y, sigmoid);
+    };
+    const Splat s = n.view.antialiased ? is_square ? shape(Yes{}, Yes{}) : shape(Yes{}, No{})
+                    : is_square        ? shape(No{}, Yes{})
+                                       : shape(No{}, No{});
+    visible = s.visible;
+    // Depths of what is visible are positive: their bits order as they do.
+    job->depth_keys[i] = visible ? (unsigned)bits_of(p.z) : ~0u;
+    if (visible) {
+      const Vector color = color_of(job, p, row);
+      job->records[4 * i] = make_float4(image.x, image.y, s.a, s.b);
+      job->records[4 * i + 1] = make_float4(s.c, s.opacity, s.log2_opacity, color.x);
+      job->records[4 * i + 2] = make_float4(color.y, color.z, p.z, s.extent_x);
+      job->records[4 * i + 3] = make_float4(s.extent_y, 0.f, 0.f, 0.f);
+    }
+  }
+  count_lanes(job, NUM_VISIBLE, visible);
+}

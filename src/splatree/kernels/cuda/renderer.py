@@ -1,0 +1,328 @@
+"""Draw a scene on a device: the order of a frame's work, without a wait for the device in it.
+
+A frame is: copy the job (2 KB), clear the counters, select, project, order, bin, blend, copy the counters back. All of it is
+enqueued at once; the kernels read how much there is to do from the counters. The second frame of a size is recorded as a CUDA
+graph, later ones replay it.
+
+Arrays have fixed sizes. If a view selects more rows or makes more pairs than they hold, the counters say how many: then
+`Pending.finish` makes room and draws the view again. A picture that lacks something is never handed out.
+
+Of the two blend kernels the one is taken that is faster on this device at this size, measured once on the first view.
+"""
+
+import weakref
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from splatree.errors import InputError
+from splatree.kernels.cuda import plan
+from splatree.kernels.cuda.driver import Device, DeviceArray, Graph
+from splatree.kernels.cuda.job import COUNTERS, pack_numbers
+from splatree.kernels.cuda.plan import Blend, Launch, Sizes
+from splatree.kernels.cuda.workspace import DeviceScene, Workspace
+from splatree.scene.cameras import Camera
+from splatree.scene.frame import Picture, Splats, TileBins, TileWork, tiles_of
+from splatree.scene.gaussians import Gaussians
+from splatree.scene.options import ResolvedOptions, SelectOptions
+from splatree.scene.tree import BlockIndex, GaussianTree
+from splatree.shapes import Array, Bool, Float32, Int32, UInt32
+
+__all__ = ["DevicePicture", "Pending", "Renderer", "Traced"]
+
+FIRST_ROWS, FIRST_PAIRS = 1 << 20, 1 << 22
+"""Rows and pairs that a renderer has room for at first; it grows by half more than what a view needs."""
+GROWTH = 1.5
+
+
+class _Outputs:
+    """Where one picture goes, with what the device reports of it."""
+
+    def __init__(self, device: Device, width: int, height: int) -> None:
+        self.arrays = {
+            "image": device.empty((height, width, 3), np.float32, name="image"),
+            "alpha": device.empty((height, width), np.float32, name="alpha"),
+            "depth": device.empty((height, width), np.float32, name="depth"),
+        }
+        self.counters = device.pinned((len(COUNTERS) + 2,), np.uint64)
+        self.done = device.event()
+
+
+class DevicePicture:
+    """A picture in device memory; its arrays are free for another one when this object goes."""
+
+    def __init__(self, outputs: _Outputs, counters: dict[str, int], keep: Callable[[_Outputs], None]) -> None:
+        self.image: DeviceArray = outputs.arrays["image"]
+        """Colour over the background, float32 (h w 3)."""
+        self.alpha: DeviceArray = outputs.arrays["alpha"]
+        """Share of light that the splats stop, float32 (h w)."""
+        self.depth: DeviceArray = outputs.arrays["depth"]
+        """Blended view depth over alpha, world units, float32 (h w)."""
+        self.counters = counters
+        """Rows selected and visited, splats visible, pairs."""
+        weakref.finalize(self, keep, outputs).atexit = False
+
+
+@dataclass(frozen=True, eq=False)
+class Traced:
+    """A frame with all that lies between, on the host."""
+
+    rows: Int32[Array, "v"]
+    """Rows selected, ascending."""
+    num_visited: int
+    """Rows looked at."""
+    splats: Splats
+    """Those that touch the image."""
+    bins: TileBins
+    """Splats of each tile."""
+    picture: Picture
+    """The picture."""
+    milliseconds: dict[str, float]
+    """Time of each stage on the device."""
+
+
+class Pending:
+    """A view that was enqueued."""
+
+    def __init__(self, renderer: "Renderer", outputs: _Outputs, sizes: Sizes, again: Callable[[], "Pending"]) -> None:
+        self._renderer, self._outputs, self._sizes, self._again = renderer, outputs, sizes, again
+
+    def finish(self) -> DevicePicture:
+        """Wait for the picture; if the arrays were too small for it, make room and draw it again."""
+        pending: Pending = self
+        while True:
+            pending._outputs.done.wait()
+            counts = dict(zip(COUNTERS, pending._outputs.counters.values.tolist(), strict=False))
+            if not pending._renderer._grow(counts, pending._sizes):
+                return DevicePicture(pending._outputs, counts, pending._renderer._keep)
+            pending._renderer._keep(pending._outputs)
+            pending = pending._again()
+
+
+class Renderer:
+    """Draws views of one scene; holds its columns and a frame's arrays in device memory."""
+
+    def __init__(
+        self,
+        device: Device,
+        gaussians: Gaussians,
+        tree: GaussianTree,
+        blocks: BlockIndex,
+        ids: UInt32[Array, "n"] | None = None,
+        *,
+        blend: Blend | None = None,
+        rows: int = FIRST_ROWS,
+        pairs: int = FIRST_PAIRS,
+    ) -> None:
+        """``blend`` names a kernel instead of measuring; ``rows`` and ``pairs`` are what there is room for at first."""
+        device.make_current()
+        self.device = device
+        self.scene = DeviceScene(device, gaussians, ids, tree, blocks)
+        self._work = Workspace(device, self.scene)
+        self._rows, self._pairs = min(rows, max(len(gaussians), 1)), pairs
+        self._named_blend = blend
+        self._blend: dict[tuple[int, int, bool], Blend] = {}
+        self._graphs: dict[tuple[Sizes, Blend], Graph | None] = {}
+        self._free: dict[tuple[int, int], list[_Outputs]] = {}
+
+    def enqueue(self, camera: Camera, options: ResolvedOptions, select: SelectOptions) -> Pending:
+        """Draw a view without waiting for it."""
+        self.device.make_current()
+        sizes = self._fit(camera, options)
+        outputs = self._outputs(camera)
+        self._work.write_job(self._numbers(camera, options, select), outputs.arrays)
+        self._launch_frame(sizes, (camera.width, camera.height, sizes.tapers))
+        outputs.counters.fetch(self._work.arrays["counters"])
+        outputs.done.record()
+        return Pending(self, outputs, sizes, lambda: self.enqueue(camera, options, select))
+
+    def draw(self, camera: Camera, options: ResolvedOptions, select: SelectOptions) -> DevicePicture:
+        """Draw a view and wait for it."""
+        return self.enqueue(camera, options, select).finish()
+
+    def select(self, camera: Camera, options: ResolvedOptions, select: SelectOptions) -> tuple[Int32[Array, "v"], int]:
+        """Rows of the visible cut, ascending, and how many were looked at."""
+        self.device.make_current()
+        while True:
+            sizes = self._fit(camera, options)
+            self._work.write_job(self._numbers(camera, options, select))
+            self._work.clear()
+            self._work.run(plan.select(sizes))
+            counts = self._work.counts()
+            if not self._grow(counts, sizes):
+                rows = self._work.arrays["rows"].numpy(counts["num_selected"])[:, 0]
+                return np.ascontiguousarray(rows), counts["num_visited"]
+
+    def trace(
+        self, camera: Camera, options: ResolvedOptions, select: SelectOptions, *, contributions: bool = False
+    ) -> Traced:
+        """Draw a view stage by stage, with times, and copy everything to the host, on request with each pair's contribution."""
+        self.device.make_current()
+        while True:
+            sizes = self._fit(camera, options)
+            outputs = self._outputs(camera)
+            if contributions:
+                self._work.ensure("contributions", sizes.pairs).clear()
+            self._work.write_job(self._numbers(camera, options, select), outputs.arrays)
+            blend = self._blend.get((camera.width, camera.height, sizes.tapers), self._named_blend or "blend_16")
+            stages = _stages(sizes, blend) | {"blend": plan.blend(sizes, blend, contributions=contributions)}
+            self.device.prepare([launch.kernel for stage in stages.values() for launch in stage])
+            milliseconds = self._timed(stages)
+            counts = self._work.counts()
+            if not self._grow(counts, sizes):
+                image, alpha, depth = (outputs.arrays[name].numpy() for name in ("image", "alpha", "depth"))
+                of_pairs = read_contributions(self._work, counts["num_pairs"]) if contributions else None
+                picture = Picture(image, alpha, depth, read_tile_work(self._work), of_pairs)
+                self._keep(outputs)
+                rows = np.ascontiguousarray(self._work.arrays["rows"].numpy(counts["num_selected"])[:, 0])
+                splats, slots = read_splats(self._work, rows)
+                bins = read_bins(self._work, camera, slots, len(rows))
+                return Traced(rows, counts["num_visited"], splats, bins, picture, milliseconds)
+
+    def tile_work(self) -> TileWork:
+        """What the blend did in each tile of the view that was enqueued last; waits for it."""
+        return read_tile_work(self._work)
+
+    @property
+    def bytes_held(self) -> int:
+        """Device memory of the scene and of a frame's arrays; pictures not counted."""
+        return sum(array.nbytes for array in [*self.scene.arrays.values(), *self._work.arrays.values()])
+
+    def _numbers(self, camera: Camera, options: ResolvedOptions, select: SelectOptions) -> bytes:
+        if select.budget is not None:
+            raise InputError("Renderer: found a budget, wanted none: choose pixel_error with splatree.select first")
+        return pack_numbers(camera, options, select, degree=self.scene.sh_degree)
+
+    def _fit(self, camera: Camera, options: ResolvedOptions) -> Sizes:
+        num_x, num_y = tiles_of(camera)
+        sizes = Sizes(
+            num_blocks=self.scene.num_blocks,
+            rows=self._rows,
+            pairs=self._pairs,
+            num_tiles=num_x * num_y,
+            id_bits=self.scene.id_bits,
+            tapers=options.tapers,
+            num_multiprocessors=self.device.num_multiprocessors,
+        )
+        if sizes != self._work.sizes and self._work.fit(sizes):
+            self._graphs.clear()
+        return sizes
+
+    def _grow(self, counts: dict[str, int], sizes: Sizes) -> bool:
+        """Whether a view needed more than there was room for; makes room for it."""
+        rows, pairs = counts["num_selected"], counts["num_pairs"]
+        if rows > sizes.rows:
+            self._rows = max(self._rows, min(int(rows * GROWTH), self.scene.num_rows))
+        if pairs > sizes.pairs:
+            self._pairs = max(self._pairs, int(pairs * GROWTH))
+        return rows > sizes.rows or pairs > sizes.pairs
+
+    def _outputs(self, camera: Camera) -> _Outputs:
+        free = self._free.setdefault((camera.width, camera.height), [])
+        return free.pop() if free else _Outputs(self.device, camera.width, camera.height)
+
+    def _keep(self, outputs: _Outputs) -> None:
+        height, width = outputs.arrays["alpha"].shape
+        self._free.setdefault((width, height), []).append(outputs)
+
+    def _launch_frame(self, sizes: Sizes, size: tuple[int, int, bool]) -> None:
+        if size not in self._blend:
+            self._blend[size] = self._choose_blend(sizes)
+            return  # the picture is there
+        blend = self._blend[size]
+        key = (sizes, blend)
+        launches = [launch for stage in _stages(sizes, blend).values() for launch in stage]
+        if key in self._graphs:
+            graph = self._graphs[key]
+            if graph is None:
+                with self.device.recorded() as graphs:
+                    self._work.clear()
+                    self._work.run(launches)
+                graph = self._graphs[key] = graphs[0]
+            graph.launch()
+            return
+        self._work.clear()
+        self._work.run(launches)
+        self._graphs[key] = None  # next time; all kernels are loaded now
+
+    def _choose_blend(self, sizes: Sizes) -> Blend:
+        """The faster kernel, after the picture was drawn with it."""
+        self._work.clear()
+        stages = _stages(sizes, "blend_16")
+        blends = stages.pop("blend")
+        self._work.run([launch for stage in stages.values() for launch in stage])
+        if self._named_blend:
+            self._work.run(plan.blend(sizes, self._named_blend))
+            return self._named_blend
+        self._work.run(blends)  # the first run of a kernel loads it
+        self._work.run(plan.blend(sizes, "blend_8"))
+        times: dict[Blend, float] = {}
+        for kernel in ("blend_16", "blend_8"):
+            before, after = self.device.event(), self.device.event()
+            self._work.arrays["tile_work"].clear()
+            before.record()
+            self._work.run(plan.blend(sizes, kernel))
+            after.record()
+            after.wait()
+            times[kernel] = after.milliseconds_since(before)
+        return min(times, key=lambda kernel: times[kernel])
+
+    def _timed(self, stages: dict[str, list[Launch]]) -> dict[str, float]:
+        events = [self.device.event() for _ in range(len(stages) + 1)]
+        self._work.clear()
+        events[0].record()
+        for launches, event in zip(stages.values(), events[1:], strict=True):
+            self._work.run(launches)
+            event.record()
+        events[-1].wait()
+        return {
+            name: after.milliseconds_since(before)
+            for name, before, after in zip(stages, events, events[1:], strict=False)
+        }
+
+
+def _stages(sizes: Sizes, blend: Blend) -> dict[str, list[Launch]]:
+    """A frame's launches by stage; the order by depth belongs to the projection, as on the processor."""
+    return {
+        "select": plan.select(sizes),
+        "project": plan.project(sizes) + plan.order(sizes),
+        "bin": plan.bin_pairs(sizes),
+        "blend": plan.blend(sizes, blend),
+    }
+
+
+def read_splats(work: Workspace, rows: Int32[Array, "v"]) -> tuple[Splats, Bool[Array, "v"]]:
+    """The visible splats of the rows, and which of the rows they come from."""
+    visible = work.arrays["depth_keys"].numpy(len(rows))[:, 0] != 0xFFFFFFFF
+    records = work.arrays["records"].numpy(4 * len(rows)).reshape(-1, 16)[visible]
+    order = work.arrays["order"].numpy(int(visible.sum()))[:, 0]
+    return Splats(rows[visible], records, _renumbered(visible)[order]), visible
+
+
+def read_bins(work: Workspace, camera: Camera, visible: Bool[Array, "v"], num_rows: int) -> TileBins:
+    """The lists of the tiles, of the visible rows."""
+    assert work.sizes is not None
+    num_x, num_y = tiles_of(camera)
+    start = work.arrays["tile_start"].numpy(num_x * num_y + 1)[:, 0].astype(np.int64)
+    side = "values_b" if plan.pair_side(work.sizes) else "values_a"
+    slots = work.arrays[side].numpy(int(start[-1]))[:, 0]
+    floors = work.arrays["floors"].numpy(num_rows)[visible, 0] if work.sizes.tapers else None
+    return TileBins(start, _renumbered(visible)[slots], num_x, num_y, floors)
+
+
+def read_contributions(work: Workspace, num_pairs: int) -> Float32[Array, "m"]:
+    """What each pair contributes."""
+    return np.ascontiguousarray(work.arrays["contributions"].numpy(num_pairs)[:, 0])
+
+
+def _renumbered(visible: Bool[Array, "v"]) -> Int32[Array, "v"]:
+    """The place of each row among those that are visible."""
+    return (np.cumsum(visible) - 1).astype(np.int32)
+
+
+def read_tile_work(work: Workspace) -> TileWork:
+    """What the blend did in each tile."""
+    assert work.sizes is not None
+    counts = work.arrays["tile_work"].numpy(3 * work.sizes.num_tiles).reshape(-1, 3).astype(np.int64)
+    return TileWork(*(np.ascontiguousarray(counts[:, i]) for i in range(3)))

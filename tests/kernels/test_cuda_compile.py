@@ -1,0 +1,135 @@
+"""Every kernel compiles for every architecture within its budget of registers and shared memory, without a spill.
+
+Needs NVRTC (extra `cuda`), no GPU. `python -m tests.kernels.test_cuda_compile` in the repository's root writes the budgets
+anew, when a kernel is meant to take more.
+"""
+
+import json
+import multiprocessing
+import re
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+from splatree.errors import DeviceError
+from splatree.kernels.cuda import compile as cuda_compile
+from splatree.kernels.cuda.compile import Compiler, load_compiler
+from splatree.kernels.cuda.sources import STAGES, kernels_of
+
+ARCHITECTURES = (75, 80, 86, 89, 90, 100, 120)
+BUDGETS = Path(__file__).with_name("cuda_budgets.json")
+Use = dict[str, dict[str, int]]
+
+
+@pytest.fixture(scope="module")
+def compiler() -> Compiler:
+    try:
+        return load_compiler()
+    except DeviceError as error:
+        pytest.skip(str(error))
+
+
+def used_by(log: str) -> Use:
+    """Registers, bytes of shared memory and of spills of each kernel, from the assembler's report."""
+    parts = re.split(r"Compiling entry function '(\w+)'", log)[1:]
+    return {name: dict(_numbers(text)) for name, text in zip(parts[::2], parts[1::2], strict=True)}
+
+
+def _numbers(text: str) -> Iterator[tuple[str, int]]:
+    for name, pattern in (("registers", r"Used (\d+) registers"), ("shared_bytes", r"(\d+) bytes smem")):
+        found = re.search(pattern, text)
+        yield name, int(found[1]) if found else 0
+    yield "spill_bytes", sum(map(int, re.findall(r"(\d+) bytes spill", text)))
+    yield "stack_bytes", sum(map(int, re.findall(r"(\d+) bytes stack frame", text)))
+
+
+def measure(compiler: Compiler) -> dict[int, Use]:
+    """What each kernel takes on each architecture."""
+    with ThreadPoolExecutor(2) as pool:
+        logs = {
+            (arch, stage): pool.submit(compiler.compile, stage, f"sm_{arch}", "--ptxas-options=-v")
+            for arch in ARCHITECTURES
+            for stage in STAGES
+        }
+    found: dict[int, Use] = {arch: {} for arch in ARCHITECTURES}
+    for (arch, _), work in logs.items():
+        found[arch] |= used_by(work.result().log)
+    return found
+
+
+def test_kernels_keep_their_budgets_on_every_architecture(compiler: Compiler) -> None:
+    budgets: Use = json.loads(BUDGETS.read_text())
+    assert set(budgets) == {kernel for stage in STAGES for kernel in kernels_of(stage)}
+    for arch, use in measure(compiler).items():
+        for kernel, budget in budgets.items():
+            # Compilers differ by a few registers; what counts is how many blocks fit, in steps of 8 registers a thread.
+            over = {k: v for k, v in use[kernel].items() if v > budget[k]}
+            assert not over, f"{kernel} on sm_{arch}: found {over}, wanted at most {budget}"
+
+
+def test_compiled_code_is_kept_and_what_is_damaged_is_compiled_anew(compiler: Compiler, tmp_path: Path) -> None:
+    first = compiler.cubin_of("project", "sm_90", 13000, cache=tmp_path)
+    (kept,) = tmp_path.iterdir()
+    assert first.startswith(b"\x7fELF")
+    for damage in (b"", kept.read_bytes()[:-1], b"x" * 100):
+        kept.write_bytes(damage)
+        assert compiler.cubin_of("project", "sm_90", 13000, cache=tmp_path) == first
+        assert [p.name for p in tmp_path.iterdir()] == [kept.name]
+    compiler.cubin_of("project", "sm_90", 12080, cache=tmp_path)  # another driver: another file
+    compiler.cubin_of("project", "sm_80", 13000, cache=tmp_path)
+    assert len(list(tmp_path.iterdir())) == 3
+
+
+def test_a_cache_that_cannot_be_written_costs_only_time(compiler: Compiler, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    cubin = compiler.cubin_of("project", "sm_90", 13000, cache=tmp_path / "file" / "folder")
+    assert cubin.startswith(b"\x7fELF")
+
+
+def _compile_into(folder: Path) -> bytes:
+    return load_compiler().cubin_of("project", "sm_90", 13000, cache=folder)
+
+
+def test_processes_that_compile_at_once_do_not_disturb_each_other(compiler: Compiler, tmp_path: Path) -> None:
+    with multiprocessing.get_context("spawn").Pool(2) as pool:
+        cubins = pool.map(_compile_into, [tmp_path] * 4)
+    assert len(set(cubins)) == 1
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_an_error_in_device_code_shows_the_compilers_message(
+    compiler: Compiler, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cuda_compile, "source", lambda stage: "__global__ void k() { nothing; }")
+    with pytest.raises(
+        DeviceError, match=r'project.cu does not compile for sm_90:[^"]*identifier "nothing" is undefined'
+    ):
+        compiler.compile("project", "sm_90")
+
+
+def test_a_compiler_newer_than_the_driver_is_refused(compiler: Compiler) -> None:
+    with pytest.raises(DeviceError, match=r"as the driver supports CUDA 10: update the driver"):
+        load_compiler(10020)
+
+
+def test_without_nvrtc_the_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cuda_compile, "find_compilers", lambda: iter(()))
+    with pytest.raises(DeviceError, match=r"no NVRTC.*pip install 'splatree\[cuda\]'"):
+        load_compiler(13000)
+
+
+def write_budgets() -> None:
+    """The most that a kernel takes on any architecture, registers rounded up to the next step of 8."""
+    budgets: Use = {}
+    for use in measure(load_compiler()).values():
+        for kernel, numbers in use.items():
+            most = budgets.setdefault(kernel, dict.fromkeys(numbers, 0))
+            for name, value in numbers.items():
+                most[name] = max(most[name], -(-value // 8) * 8 if name == "registers" else value)
+    BUDGETS.write_text(json.dumps(dict(sorted(budgets.items())), indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    write_budgets()

@@ -1,0 +1,221 @@
+"""Each stage of the device against the same references, scenes and bands as the stage of the processor."""
+
+import numpy as np
+import pytest
+
+import splatree as st
+from splatree.kernels import cpu, reference
+from splatree.kernels.cuda.driver import Device
+from splatree.kernels.cuda.plan import Blend
+from splatree.kernels.cuda.stages import Stages
+from splatree.kernels.reference.bin import smallest_distances
+from splatree.scene.frame import Splats
+
+from .conftest import SCENES, absurd, camera, gaussians
+from .test_bin import pairs_of, splats_of
+from .test_blend import BACKGROUND, same_bits
+from .test_project import MODES, all_rows, aspect, assert_at_a_step, options
+
+KERNELS: tuple[Blend, ...] = ("blend_16", "blend_8")
+
+
+@pytest.fixture(params=SCENES)
+def view(request: pytest.FixtureRequest) -> tuple[st.Scene, st.Camera]:
+    """Each hard scene in turn."""
+    g, seen_by = SCENES[request.param]()
+    return st.Scene.flat(g), seen_by
+
+
+def assert_same_splats(found: Splats, wanted: Splats, seen_by: st.Camera) -> None:
+    """The bands of tests/kernels/test_project.py."""
+    assert_at_a_step(found, np.setdiff1d(found.rows, wanted.rows), seen_by, 1 / 255)
+    assert_at_a_step(wanted, np.setdiff1d(wanted.rows, found.rows), seen_by, 1 / 255)
+    _, i, j = np.intersect1d(found.rows, wanted.rows, return_indices=True)
+    relative = 1e-6 * aspect(wanted)[j] + 4e-6
+    place = np.abs(wanted.means_px[j]) + seen_by.K[0, 0]
+    assert np.all(np.abs(found.means_px[i] - wanted.means_px[j]) <= 4e-6 * place)
+    np.testing.assert_allclose(found.depths[i], wanted.depths[j], rtol=4e-6)
+    largest = np.abs(wanted.factors[j]).max(axis=1, initial=0)
+    assert np.all(np.abs(found.factors[i] - wanted.factors[j]).max(axis=1, initial=0) <= relative * largest)
+    assert np.all(np.abs(found.opacities[i] - wanted.opacities[j]) <= relative * wanted.opacities[j].max(initial=0))
+    np.testing.assert_allclose(found.colors[i], wanted.colors[j], atol=4e-6)
+    clear = wanted.opacities[j] > 1.1 / 255
+    np.testing.assert_allclose(found.extents_px[i][clear], wanted.extents_px[j][clear], rtol=2e-4)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_splats_are_those_of_the_reference(view: tuple[st.Scene, st.Camera], device: Device, mode: str) -> None:
+    scene, seen_by = view
+    rows = all_rows(scene)
+    found, wanted = (
+        stage.project(scene.gaussians, None, rows, seen_by, options(mode))
+        for stage in (Stages(device), reference.project)
+    )
+    assert_same_splats(found, wanted, seen_by)
+
+
+def test_rows_that_a_reader_would_refuse_spoil_no_others(device: Device) -> None:
+    scene, seen_by = st.Scene.flat(absurd()), camera()
+    rows = all_rows(scene)[11:]
+    found, alone = (
+        Stages(device).project(scene.gaussians, None, chosen, seen_by, options()) for chosen in (all_rows(scene), rows)
+    )
+    kept = np.isin(found.rows, rows)
+    np.testing.assert_array_equal(found.records[kept], alone.records)
+
+
+def test_order_is_by_depth_and_then_by_id(device: Device) -> None:
+    g = gaussians(200, 1)
+    g.means[:, 2] = np.round(g.means[:, 2])  # many of one depth for a camera that looks along z
+    g.log_scales[:] = -1
+    ids = np.random.default_rng(0).permutation(200).astype(np.uint32) + 1000
+    seen_by = st.Camera.look_at((0, 0, -6), (0, 0, 0), width=40, height=30)
+    for given in (ids, None):
+        splats = Stages(device).project(g, given, np.arange(200, dtype=np.int32), seen_by, options())
+        assert len(np.unique(splats.depths)) < len(splats) / 4
+        tie = splats.rows if given is None else given[splats.rows]
+        np.testing.assert_array_equal(splats.order, np.lexsort((tie, splats.depths)))
+
+
+def test_order_of_more_than_a_tile_of_the_sort(device: Device) -> None:
+    g = gaussians(9000, 3)
+    g.log_scales[:] = -1
+    g.means[4000:] = g.means[:5000]  # ties across tiles
+    splats = Stages(device).project(g, None, np.arange(9000, dtype=np.int32), camera(), options())
+    assert len(splats) > 8192
+    np.testing.assert_array_equal(splats.order, np.lexsort((splats.rows, splats.depths)))
+
+
+def test_pairs_are_those_of_the_reference(view: tuple[st.Scene, st.Camera], device: Device) -> None:
+    scene, seen_by = view
+    splats = splats_of(scene, seen_by)
+    bins = Stages(device).bin(splats, seen_by, options())
+    found, wanted = pairs_of(bins), pairs_of(reference.bin.bin(splats, seen_by, options()))
+    assert wanted <= found
+    # The margin of tests/kernels/test_bin.py.
+    distances = smallest_distances(splats, seen_by)
+    k = np.sqrt(2 * np.log(splats.opacities.astype(np.float64) * 255))
+    margin = (3e-3 + 4e-6 * splats.extents_px.sum(axis=1)) * np.linalg.norm(splats.factors, axis=1) + 1e-4
+    for tile, splat in found - wanted:
+        assert distances[splat, tile] <= k[splat] + margin[splat]
+    place = np.empty(len(splats), np.int64)
+    place[splats.order] = np.arange(len(splats))
+    for start, end in zip(bins.tile_start[:-1], bins.tile_start[1:], strict=True):
+        assert np.all(np.diff(place[bins.splat_from_pair[start:end]]) > 0)
+
+
+def test_splats_over_many_tiles_are_listed_in_depth_order(device: Device) -> None:
+    # 300 × 200 px are 19 × 13 tiles: splats that a warp lists together, and more tiles than a digit of the sort holds.
+    scene, seen_by = st.Scene.flat(gaussians(60, 3, log_scales=(-2, 1))), camera(300, 300)
+    splats = splats_of(scene, seen_by)
+    wanted, bins = cpu.bin.bin(splats, seen_by, options()), Stages(device).bin(splats, seen_by, options())
+    assert len(bins.tile_start) > 256
+    assert pairs_of(bins) == pairs_of(wanted)
+    np.testing.assert_array_equal(bins.splat_from_pair, wanted.splat_from_pair)
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_picture_of_the_same_lists_is_that_of_the_reference(
+    view: tuple[st.Scene, st.Camera], device: Device, kernel: Blend
+) -> None:
+    scene, seen_by = view
+    splats = splats_of(scene, seen_by)
+    bins = cpu.bin.bin(splats, seen_by, options())
+    fast = Stages(device).blend(splats, bins, seen_by, options(**BACKGROUND), kernel=kernel)
+    slow = reference.blend.blend(splats, bins, seen_by, options(**BACKGROUND))
+    # The bands of tests/kernels/test_blend.py.
+    brightest = max(1.0, float(splats.colors.max(initial=0)))
+    difference = np.abs(fast.image - slow.image).max(axis=-1)
+    tolerance = brightest * (2e-5 + 1e-6 * min(float(splats.extents_px.max(initial=0)), 1e3))
+    flipped = difference > tolerance
+    assert flipped.mean() <= 0.01
+    assert difference.max() <= brightest * 1.5 / 255
+    np.testing.assert_array_less(np.abs(fast.alpha - slow.alpha)[~flipped], tolerance)
+    assert abs(fast.num_blended - slow.num_blended) <= 1e-3 * slow.num_blended + 2
+    assert fast.num_evaluated >= fast.num_blended
+
+
+@pytest.mark.parametrize("extent", ["tau", "3sigma"])
+def test_squares_are_listed_as_on_the_processor(view: tuple[st.Scene, st.Camera], device: Device, extent: str) -> None:
+    scene, seen_by = view
+    chosen = options(extent=extent, threshold=0.05)  # type: ignore[arg-type]
+    splats = cpu.project.project(scene.gaussians, None, all_rows(scene), seen_by, chosen)
+    found = Stages(device).project(scene.gaussians, None, all_rows(scene), seen_by, chosen)
+    # A side is rounded up to a whole pixel: a rounding error moves one in some thousand to the next.
+    assert len(np.setxor1d(found.rows, splats.rows)) <= 1
+    bins, wanted = (stage.bin(splats, seen_by, chosen) for stage in (Stages(device), cpu.bin))
+    moved = {splat for _, splat in pairs_of(bins) ^ pairs_of(wanted)}
+    assert len(moved) <= 1e-3 * len(splats) + 1
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_splats_are_tapered_as_by_the_reference(
+    view: tuple[st.Scene, st.Camera], device: Device, kernel: Blend
+) -> None:
+    scene, seen_by = view
+    chosen = options(pixels="taper", threshold=0.05, **BACKGROUND)  # type: ignore[arg-type]
+    splats = cpu.project.project(scene.gaussians, None, all_rows(scene), seen_by, chosen)
+    wanted, bins = cpu.bin.bin(splats, seen_by, chosen), Stages(device).bin(splats, seen_by, chosen)
+    assert wanted.floors is not None
+    assert bins.floors is not None
+    # |L d|² of a needle's nearest point loses digits as in the lists; the opacity follows it by e^(-½ that).
+    np.testing.assert_allclose(bins.floors, wanted.floors, rtol=2e-3)
+    fast = Stages(device).blend(splats, wanted, seen_by, chosen, kernel=kernel)
+    slow = reference.blend.blend(splats, wanted, seen_by, chosen)
+    brightest = max(1.0, float(splats.colors.max(initial=0)))
+    difference = np.abs(fast.image - slow.image).max(axis=-1)
+    # As without a taper, times its slope of 2.
+    tolerance = brightest * (4e-5 + 2e-6 * min(float(splats.extents_px.max(initial=0)), 1e3))
+    assert (difference > tolerance).mean() <= 0.01
+    assert difference.max() <= brightest * 1.5 / 255
+
+
+@pytest.mark.parametrize("pixels", ["hard", "taper"])
+def test_contributions_are_those_of_the_processor(
+    view: tuple[st.Scene, st.Camera], device: Device, pixels: str
+) -> None:
+    scene, seen_by = view
+    chosen = options(pixels=pixels, threshold=0.02)  # type: ignore[arg-type]
+    splats = cpu.project.project(scene.gaussians, None, all_rows(scene), seen_by, chosen)
+    bins = cpu.bin.bin(splats, seen_by, chosen)
+    found, wanted = (
+        stage.blend(splats, bins, seen_by, chosen, contributions=True) for stage in (Stages(device), cpu.blend)
+    )
+    assert found.contributions is not None
+    assert wanted.contributions is not None
+    # 256 pixels of up to 1; a pixel at τ may fall either way in either.
+    close = np.abs(found.contributions - wanted.contributions) <= 1e-3 + 1e-4 * wanted.contributions
+    assert (~close).sum() <= 0.01 * len(close) + 1
+    # FilterGS: what the pairs of the picture contribute is what its pixels stop.
+    np.testing.assert_allclose(found.contributions.sum(), found.alpha.sum(dtype=np.float64), rtol=1e-4, atol=1e-4)
+    plain = Stages(device).blend(splats, bins, seen_by, chosen)
+    np.testing.assert_array_equal(plain.image, found.image)
+
+
+def test_both_blend_kernels_draw_the_same_bits_in_any_order(emulator: Device) -> None:
+    scene, seen_by = st.Scene.flat(gaussians(300, 1, degree=3)), camera()
+    splats = splats_of(scene, seen_by)
+    bins = cpu.bin.bin(splats, seen_by, options())
+    first = Stages(emulator).blend(splats, bins, seen_by, options(**BACKGROUND))
+    for seed in (2, 3):
+        emulator.seed(seed)  # type: ignore[attr-defined]
+        for kernel in KERNELS:
+            assert same_bits(first, Stages(emulator).blend(splats, bins, seen_by, options(**BACKGROUND), kernel=kernel))
+
+
+def test_what_lies_behind_a_wall_is_not_read(device: Device) -> None:
+    g = gaussians(4000, 5, log_scales=(-3, -2))
+    g.log_scales[:40], g.logit_opacities[:40] = 0.5, 9
+    g.means[:40, 2] = -2  # 40 opaque sheets before the cloud
+    scene, seen_by = st.Scene.flat(g), camera()
+    splats = splats_of(scene, seen_by)
+    bins = cpu.bin.bin(splats, seen_by, options())
+    for kernel in KERNELS:
+        work = Stages(device).blend(splats, bins, seen_by, options(), kernel=kernel).tiles
+        assert work.consumed.sum() < 0.6 * bins.num_pairs
+        assert np.all(work.consumed <= np.diff(bins.tile_start))
+
+
+def test_rows_that_are_not_there_are_refused(device: Device) -> None:
+    with pytest.raises(st.InputError, match="rows: found -1 to 3, wanted 0 to 39"):
+        Stages(device).project(gaussians(40, 1), None, np.array([-1, 3], np.int32), camera(), options())

@@ -1,0 +1,67 @@
+"""The emulator finds what it is there to find."""
+
+import numpy as np
+import pytest
+
+from splatree.errors import DeviceError
+from splatree.kernels.cuda.driver import DeviceArray
+from splatree.kernels.cuda.job import pack_job
+
+from .simt_device import Emulator
+
+THREADS = 64
+
+
+def job_of(emulator: Emulator, arrays: dict[str, DeviceArray]) -> DeviceArray:
+    from splatree.kernels.cuda.job import pack_numbers
+    from splatree.scene.gaussians import Gaussians
+    from splatree.scene.options import RenderOptions, SelectOptions
+    from splatree.scene.scene import Scene
+
+    from .conftest import camera
+
+    options = RenderOptions().resolved(Scene.flat(Gaussians.empty()))
+    numbers = pack_numbers(camera(), options, SelectOptions(), degree=0)
+    return emulator.upload(pack_job(numbers, {name: a.pointer for name, a in arrays.items()}, {"num_rows": THREADS}))
+
+
+FAULTS = {
+    "index_behind_the_end": "alpha: found index 1?[0-9]+ of 64",
+    "read_of_nothing": "depth, word [0-9]+: read before it is written",
+    "read_of_another_threads_word": "cells, word [0-9]+: (read before it is written|race)",
+    "warp_barrier_for_a_block": "cells, word [0-9]+: (read before it is written|race)",
+    "two_writers": "alpha, word [0-9]+: race of two writes",
+    "blocks_that_share_a_word": "alpha, word 0: race of two writes",
+    "barrier_of_a_few": "waits at __syncthreads; .*54 threads have ended",
+    "vote_of_a_few": "waits at __ballot_sync",
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_fault_is_found_whatever_the_schedule(fault: str, seed: int, emulator: Emulator) -> None:
+    emulator.seed(seed)
+    emulator.add_kernel(fault, THREADS)
+    arrays = {name: emulator.empty((THREADS,), np.float32, name=name) for name in ("alpha", "depth")}
+    emulator.launch(fault, 2, job_of(emulator, arrays))
+    with pytest.raises(DeviceError, match=FAULTS[fault]):
+        emulator.wait()
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_code_without_a_fault_runs(seed: int, emulator: Emulator) -> None:
+    emulator.seed(seed)
+    emulator.add_kernel("no_fault", THREADS)
+    arrays = {"alpha": emulator.empty((THREADS,), np.float32), "counters": emulator.upload(np.zeros(8, np.uint64))}
+    emulator.launch("no_fault", 3, job_of(emulator, arrays))
+    np.testing.assert_array_equal(arrays["alpha"].numpy(), np.arange(THREADS) ^ 32)
+    assert arrays["counters"].numpy()[0] == 3 * THREADS
+
+
+def test_nothing_runs_before_the_host_waits(emulator: Emulator) -> None:
+    array = emulator.upload(np.arange(4, dtype=np.float32))
+    pinned = emulator.pinned((4,), np.float32)
+    pinned.fetch(array)
+    assert not pinned.values.any()
+    emulator.wait()
+    np.testing.assert_array_equal(pinned.values, np.arange(4))
