@@ -1,12 +1,21 @@
 """``splatree bench`` from end to end on a small real scene."""
 
 import json
+from pathlib import Path
 
 import pytest
 
+from splatree.bench.measure import Judge
+from splatree.bench.subject import SubjectOptions, subject_of
 from splatree.cli.main import commands_of
+from splatree.io.cameras import write_cameras
+from splatree.io.images import write_image
+from splatree.io.registry import read
+from splatree.render.paths import PathOptions, flyout
+from splatree.render.pipeline import render
+from splatree.scene.options import SelectOptions
 
-SMALL = ("--views", "2", "--size", "64", "--frames", "2")
+SMALL = ("--views", "2", "--size", "64")
 
 
 def result_of(run):
@@ -28,19 +37,98 @@ def test_an_unknown_experiment_is_a_wrong_command_line(splatree, words):
     assert "table1" in err
 
 
-def test_table1_compares_methods_and_shows_the_papers_figures_as_theirs(splatree, small_tree, tmp_path):
-    words = ("bench", "table1", "--scene", small_tree, *SMALL, "--pixel-error", "20")
-    found = result_of(splatree(*words, "-o", tmp_path / "out", "--json"))
-    ours, theirs = found["tables"]
-    assert ours["source"] == "measured in this run"
-    assert "FilterGS (Wang 2026), Table 1; theirs" in theirs["source"]
-    rows = {row["method"]: row for row in ours["rows"]}
-    assert rows["all leaves (3DGS)"]["PSNR"] == 100
-    assert 5 < rows["cut (ours)"]["PSNR"] < 60
-    assert rows["cut (ours)"]["nodes"] < rows["all leaves (3DGS)"]["nodes"]
-    assert "no photographs" in found["about"]["compared with"]
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
-        "table1.csv",
-        "table1.json",
-        "table1_paper.csv",
-    ]
+@pytest.fixture
+def bench(splatree, small_tree):
+    """Run an experiment on a small real scene; the tables by name, and the names of the files."""
+
+    def run(name, *words):
+        found = result_of(splatree("bench", name, "--scene", small_tree, *SMALL, *words, "--json"))
+        for table in found["tables"]:
+            theirs = table["name"].endswith("_paper")
+            assert ("theirs, RTX 4090" in table["source"]) == theirs
+            assert (table["source"] == "measured in this run") != theirs
+        assert "no photographs" in found["about"]["compared with"]
+        return {table["name"]: table["rows"] for table in found["tables"]}, {Path(f).name for f in found["files"]}
+
+    pytest.importorskip("matplotlib", reason="matplotlib (extra bench) is not installed")
+    return run
+
+
+def test_table1_compares_methods(bench, tmp_path):
+    tables, files = bench("table1", "-o", tmp_path, "--frames", "2", "--pixel-error", "20")
+    rows = {row["method"]: row for row in tables["table1"]}
+    assert rows["3DGS: all leaves"]["PSNR"] == 100
+    assert 5 < rows["splatree"]["PSNR"] < 60
+    for same in ("level by level", "FilterGS, exact"):
+        assert [rows[same][key] for key in ("PSNR", "nodes", "N_P")] == [
+            rows["splatree"][key] for key in ("PSNR", "nodes", "N_P")
+        ]
+    assert all(rows[name]["twice"] == rows[name]["missing"] == 0 for name in ("H3DGS", "roots", "FLoD, first hit"))
+    assert rows["FilterGS, exact"]["B/node"] > 5 * rows["splatree"]["B/node"]
+    assert files == {"table1.csv", "table1.json", "table1_paper.csv", "table1_frontier.png"}
+
+
+def test_table2_times_each_stage(bench):
+    tables, _ = bench("table2", "--frames", "2")
+    assert len(tables["table2"]) == 12
+    for row in tables["table2"]:
+        assert sum(row[f"{stage} %"] for stage in ("T_calcu", "T_prepr", "T_sort", "T_alpha")) == pytest.approx(100)
+
+
+def test_table3_shows_equal_selections_and_fewer_pairs(bench):
+    tables, _ = bench("table3", "--pixel-error", "20")
+    rows = tables["table3"]
+    assert {row["same rows as serial"] for row in rows} == {"2 of 2 views"}
+    by_filter = [[row[key] for key in ("PSNR", "SSIM", "N_P")] for row in rows]
+    assert by_filter[:4] == by_filter[4:8] == by_filter[8:]
+    squares, _, exact, target = (row["N_P"] for row in rows[:4])
+    assert squares > exact > target
+
+
+def test_fig5_draws_details_of_each_way(bench):
+    tables, _ = bench("fig5", "--frames", "2")
+    rows = tables["fig5"]
+    assert [row["N_P / 3σ"] for row in rows if row["shrinking"].startswith("3σ")] == [1, 1]
+    assert all(row["PSNR to unshrunk"] == 100 for row in rows if row["shrinking"].startswith("1/255 exact"))
+
+
+def test_fig6_sweeps_and_counts_contributions(bench):
+    words = ("--frames", "1", "--lambdas", "0.1", "0.4", "--thresholds", "0.05", "--losses-db", "0.2")
+    tables, _ = bench("fig6", *words)
+    assert len(tables["fig6_sweep"]) == 1 + 4 + 2 + 2
+    contributions = {row["drawn"]: row for row in tables["fig6_contributions"]}
+    # What does not reach a pixel with 1/255 adds nothing: the exact test leaves out only such pairs.
+    squares, exact = contributions["3σ squares"], contributions["1/255 exact (ours)"]
+    assert exact["N_P"] < squares["N_P"]
+    assert exact["used %"] > squares["used %"]
+
+
+def test_fig7_shows_where_detail_is_high_and_low(bench, tmp_path):
+    tables, files = bench("fig7", "-o", tmp_path, "--frames", "1", "--thresholds", "0.05", "0.4")
+    rows = tables["fig7"]
+    assert len(rows) == 9
+    assert rows[0]["N_low less %"] == 0
+    assert rows[3]["N_P"] > rows[4]["N_P"] > rows[5]["N_P"]
+    assert {"fig7_high.png", "fig7_low.png"} <= files
+
+
+def test_scored_views_are_held_out_and_others_calibrated_on(small_tree, tmp_path):
+    scene = read(small_tree)
+    cameras = flyout(scene, PathOptions(views=9, width=64, height=36))
+    write_cameras(cameras, tmp_path / "cameras.json")
+    for camera in cameras:
+        write_image(render(scene, camera).image, tmp_path / f"{camera.name}.png")
+    subject = subject_of(SubjectOptions((small_tree,), data=tmp_path, views=0, size=64))
+    assert [camera.name for camera in subject.cameras] == ["view_0000", "view_0008"]
+    assert len(subject.training) == 7 == len(subject.training_photos)
+    assert "every 8th view from the first: 2 of 9" in subject.about["cameras"]
+    assert subject.about["compared with"] == "2 photographs"
+    # The photographs are the pictures of the cut, rounded to 8 bits: at most half a step off, so better than 20 log10(510) dB.
+    assert Judge(subject).quality(SelectOptions()).psnr > 54
+
+
+def test_options_out_of_range_are_a_wrong_command_line(splatree):
+    for words in (("table1", "--frames", "0"), ("fig7", "--thresholds", "2"), ("table3", "--lambda-g", "-1")):
+        code, _, err = splatree("bench", *words)
+        assert code == 2
+        assert words[1].removeprefix("--").replace("-", "_") in err

@@ -1,6 +1,7 @@
 """Each verb from end to end on a small real scene."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,10 +9,13 @@ import pytest
 
 from splatree.cli.render import file_names
 from splatree.io.cameras import write_cameras
-from splatree.io.images import read_image
-from splatree.io.registry import read
+from splatree.io.images import read_image, write_image
+from splatree.io.registry import read, write
+from splatree.render.calibrate import METADATA_KEY
 from splatree.render.paths import PathOptions, flyout
+from splatree.render.pipeline import render
 from splatree.scene.cameras import Camera
+from splatree.scene.options import SelectOptions
 
 NUM_GAUSSIANS = 3161
 
@@ -98,8 +102,12 @@ def test_budget_bounds_the_nodes_of_each_view(splatree, small_tree, tmp_path):
 
 
 def test_eval_compares_with_all_leaves(splatree, small_tree):
-    words = ("eval", small_tree, "--views", "2", *SIZE, "--pixel-error", "20", "--json")
+    words = ("eval", small_tree, "--views", "2", *SIZE, "--pixel-error", "20", "--frames", "3", "--json")
     evaluated = result_of(splatree(*words))
+    assert "no photographs" in evaluated["compared_with"]
+    assert evaluated["timing"]["num_frames"] == 3
+    assert set(evaluated["timing"]["cpu_ms"]) == {"select", "project", "bin", "blend"}
+    assert 0 < evaluated["num_bytes"]["tree"] < evaluated["num_bytes"]["gaussians"] < evaluated["num_bytes"]["peak"]
     assert evaluated["num_gaussians"] == NUM_GAUSSIANS
     for view in evaluated["views"]:
         assert view["selected"] < view["leaves_selected"]
@@ -111,7 +119,8 @@ def test_eval_compares_with_all_leaves(splatree, small_tree):
 
 
 def test_eval_of_equal_pictures_is_null_in_json(splatree, small_ply):
-    evaluated = result_of(splatree("eval", small_ply, "--views", "1", *SIZE, "--json"))
+    evaluated = result_of(splatree("eval", small_ply, "--views", "1", *SIZE, "--frames", "0", "--json"))
+    assert evaluated["timing"] is None
     assert evaluated["views"][0]["psnr_vs_leaves"] is None
     assert evaluated["views"][0]["ssim_vs_leaves"] == pytest.approx(1)
 
@@ -122,12 +131,76 @@ def test_eval_finds_the_photographs_and_the_cameras_beside_them(splatree, small_
     words = ("--cameras", tmp_path / "cameras.json", "-o", tmp_path / "images", "--pixel-error", "0")
     assert splatree("render", small_tree, *words)[0] == 0
     (tmp_path / "images" / "view_0001.png").unlink()
-    evaluated = result_of(splatree("eval", small_tree, "--data", tmp_path, "--json"))
+    words = ("eval", small_tree, "--data", tmp_path, "--frames", "0", "--json")
+    evaluated = result_of(splatree(*words, "--held-out", "1"))
+    assert "all views, said to be held out: 2 of 2" in evaluated["compared_with"]
     first, second = evaluated["views"]
     # The photograph is the picture of all leaves, rounded to 8 bits: at most half a step off, so better than 20 log10(510) dB.
     assert first["leaves_psnr_vs_photo"] > 54
     assert first["psnr_vs_photo"] == pytest.approx(first["psnr_vs_leaves"], abs=0.1)
     assert second["psnr_vs_photo"] is None
+
+
+@pytest.fixture(scope="module")
+def photographed(small_tree, tmp_path_factory):
+    """A folder of ten pictures of the scene, drawn from all leaves, with their cameras."""
+    folder = tmp_path_factory.mktemp("photos")
+    scene = read(small_tree)
+    cameras = flyout(scene, PathOptions(views=10, width=64, height=36))
+    write_cameras(cameras, folder / "cameras.json")
+    (folder / "images").mkdir()
+    for camera in cameras:
+        image = render(scene, camera, select=SelectOptions(pixel_error=0)).image
+        write_image(image, folder / "images" / f"{camera.name}.png")
+    return folder
+
+
+def test_eval_scores_held_out_views_and_keeps_training_views_apart(splatree, small_tree, photographed):
+    words = ("eval", small_tree, "--data", photographed, "--pixel-error", "20", "--frames", "0", "--json")
+    held_out = result_of(splatree(*words))
+    assert [view["name"] for view in held_out["views"]] == ["view_0000", "view_0008"]
+    assert "every 8th view from the first: 2 of 10" in held_out["compared_with"]
+    assert held_out["training_mean"] == {}
+    both = result_of(splatree(*words, "--training"))
+    assert [view["held_out"] for view in both["views"]] == [True] * 2 + [False] * 8
+    assert both["mean"]["psnr_vs_photo"] == held_out["mean"]["psnr_vs_photo"]
+    training = [view["psnr_vs_photo"] for view in both["views"] if not view["held_out"]]
+    assert both["training_mean"]["psnr_vs_photo"] == pytest.approx(np.mean(training))
+
+
+def test_eval_takes_held_out_views_from_a_list(splatree, small_tree, photographed, tmp_path):
+    (tmp_path / "test.txt").write_text("view_0003\nview_0004.png\n")
+    words = ("eval", small_tree, "--data", photographed, "--frames", "0", "--json")
+    evaluated = result_of(splatree(*words, "--held-out", tmp_path / "test.txt"))
+    assert [view["name"] for view in evaluated["views"]] == ["view_0003", "view_0004"]
+
+
+def test_eval_refuses_views_that_the_threshold_was_calibrated_on(splatree, small_tree, photographed, tmp_path):
+    scene = read(small_tree)
+    record = {"photographs": True, "views": ["view_0001", "view_0008"]}
+    source = replace(scene.source, metadata={**scene.source.metadata, METADATA_KEY: json.dumps(record)})
+    write(replace(scene, source=source), tmp_path / "calibrated.splatree")
+    words = ("eval", tmp_path / "calibrated.splatree", "--data", photographed, "--frames", "0")
+    code, out, err = splatree(*words)
+    assert (code, out) == (1, "")
+    assert "'view_0008' and 0 more" in err and "hold out others" in err
+    (tmp_path / "test.txt").write_text("view_0000\n")
+    assert splatree(*words, "--held-out", tmp_path / "test.txt")[0] == 0
+
+
+def test_eval_with_a_published_method(splatree, small_tree):
+    words = ("eval", small_tree, "--views", "2", *SIZE, "--frames", "0", "--json")
+    views = {m: result_of(splatree(*words, "--method", m))["views"] for m in ("3dgs", "filtergs", "roots")}
+    ours = result_of(splatree(*words))["views"]
+    assert [v["selected"] for v in views["filtergs"]] == [v["selected"] for v in ours]
+    assert all(v["ssim_vs_leaves"] == pytest.approx(1) for v in views["3dgs"])
+    assert all(v["psnr_vs_leaves"] < 40 for v in views["roots"])
+
+
+def test_eval_of_training_views_needs_photographs(splatree, small_tree):
+    code, _, err = splatree("eval", small_tree, "--training", "--frames", "0")
+    assert code == 1
+    assert "found no --data" in err
 
 
 def test_eval_without_a_picture_named_like_a_camera_is_refused(splatree, small_tree, tmp_path):

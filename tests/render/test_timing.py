@@ -21,6 +21,7 @@ def test_few_cameras_are_timed_along_a_path_through_them(scene):
     assert timing.num_frames == 7
     assert set(timing.ms) == {"select", "project", "bin", "blend"}
     assert timing.frame_ms >= sum(timing.ms.values())  # the stages are within the frame
+    assert timing.frame_cpu_ms == pytest.approx(sum(timing.cpu_ms.values()))
 
 
 def test_enough_cameras_are_timed_themselves(scene):

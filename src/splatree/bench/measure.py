@@ -1,13 +1,16 @@
 """What every experiment measures of one way to draw a subject: quality view by view, then time along a path."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 
 import numpy as np
 
+from splatree.bench.experiment import Row
 from splatree.bench.subject import Subject
+from splatree.constants import ALPHA_THRESHOLD
 from splatree.lod.select import Selector
+from splatree.lod.select import select as select_rows
 from splatree.progress import track
 from splatree.render.evaluate import score
 from splatree.render.pipeline import render, trace
@@ -15,9 +18,12 @@ from splatree.render.timing import Timing, time_frames
 from splatree.scene.options import RenderOptions, SelectOptions
 from splatree.shapes import Array
 
-__all__ = ["Judge", "Quality"]
+__all__ = ["ALL_LEAVES", "Judge", "Quality", "number", "shrinking_row"]
 
 ALL_LEAVES = SelectOptions(pixel_error=0.0)
+LOSSLESS = RenderOptions(threshold=ALPHA_THRESHOLD)
+WARM_UP = 20
+"""Frames drawn before those that are timed: caches, clocks and threads are then as they stay."""
 PSNR_MAX = 100.0
 """dB; beyond it pictures differ by less than a thousandth of a step of 8 bits, and the mean would say nothing of other views."""
 
@@ -46,6 +52,8 @@ class Judge:
     """Scene and views."""
     lpips: Callable[[Array, Array], float] | None = None
     """A loaded `splatree.metrics.lpips.Lpips`."""
+    selection: SelectOptions = ALL_LEAVES
+    """Nodes of the picture to compare with, which is drawn without loss, where there are no photographs."""
 
     @cached_property
     def references(self) -> Mapping[str, Array]:
@@ -55,8 +63,16 @@ class Judge:
             return {
                 camera.name: subject.photos[camera.name] for camera in subject.cameras if camera.name in subject.photos
             }
-        views = track(list(subject.cameras), "draw all leaves")
-        return {camera.name: render(subject.scene, camera, select=ALL_LEAVES).image for camera in views}
+        views = track(list(subject.cameras), "draw references")
+        return {camera.name: render(subject.scene, camera, LOSSLESS, self.selection).image for camera in views}
+
+    def of_shrinking(self, selection: SelectOptions) -> "Judge":
+        """One that compares with the lossless picture of the same nodes, so that only what shrinking loses is counted."""
+        return Judge(replace(self.subject, photos=None), selection=selection)
+
+    def selector(self, select: SelectOptions | Selector) -> Selector:
+        """Options as a selector, so that what is out of view is dropped whatever the extent of the splats."""
+        return partial(select_rows, self.subject.scene, options=select) if isinstance(select, SelectOptions) else select
 
     def quality(self, select: SelectOptions | Selector, options: RenderOptions | None = None) -> Quality:
         """Draw each view that has a reference, and compare."""
@@ -64,7 +80,7 @@ class Judge:
         for camera in self.subject.cameras:
             if camera.name not in self.references:
                 continue
-            result = trace(self.subject.scene, camera, options, select).result
+            result = trace(self.subject.scene, camera, options, self.selector(select)).result
             found = score(result.image, self.references[camera.name], self.lpips)
             numbers = (min(found.psnr, PSNR_MAX), found.ssim, found.lpips or 0.0)
             rows.append((*numbers, result.counters.num_selected, result.counters.num_pairs))
@@ -72,5 +88,35 @@ class Judge:
         return Quality(psnr, ssim, lpips if self.lpips else None, num_selected, num_pairs)
 
     def timing(self, select: SelectOptions | Selector, options: RenderOptions | None = None, *, frames: int) -> Timing:
-        """Draw a path through the views and time it."""
-        return time_frames(self.subject.scene, self.subject.cameras, options, select, views=frames)
+        """Draw a path through the views and time it, after as many frames, at most 20, to warm up."""
+        return time_frames(
+            self.subject.scene,
+            self.subject.cameras,
+            options,
+            self.selector(select),
+            views=frames,
+            warm_up=min(WARM_UP, frames),
+        )
+
+
+def shrinking_row(
+    judge: Judge, unshrunk: Judge, select: SelectOptions, options: RenderOptions, frames: int
+) -> dict[str, object]:
+    """What one way to end splats costs and saves; ``unshrunk`` is `Judge.of_shrinking` for the same selection."""
+    quality, timing = judge.quality(select, options), judge.timing(select, options, frames=frames)
+    return {
+        "τ": options.threshold,
+        "PSNR": quality.psnr,
+        "SSIM": quality.ssim,
+        "PSNR to unshrunk": unshrunk.quality(select, options).psnr,
+        "N_P": round(quality.num_pairs),
+        "FPS": timing.fps,
+        "frame CPU-ms": timing.frame_cpu_ms,
+    }
+
+
+def number(row: Row, column: str) -> float:
+    """An entry of a row that is a number."""
+    value = row[column]
+    assert isinstance(value, int | float)
+    return float(value)

@@ -61,6 +61,8 @@ class Subject:
     """Views that τ may be calibrated on: none of those to draw where photographs make the difference, else the same."""
     photos: Mapping[str, Array] | None
     """Photographs by the camera's name."""
+    training_photos: Mapping[str, Array] | None
+    """Photographs of the views to calibrate on."""
     about: Mapping[str, str]
     """Scene, cameras, size, comparison, machine and version, in words."""
 
@@ -69,7 +71,9 @@ def subject_of(options: SubjectOptions) -> Subject:
     """Read the scene, build its levels if it has none, and choose the views."""
     scene = _read_scene(options.scene)
     views, training, named = _views(scene, options)
-    photos = Photos(options.data, views) if options.data is not None else None
+    photos, training_photos = (
+        Photos(options.data, of) if options.data is not None else None for of in (views, training)
+    )
     tree = scene.tree
     nodes = f"{tree.num_leaves:,} Gaussians, {len(tree):,} nodes, {tree.num_levels} levels"
     about = {
@@ -81,7 +85,7 @@ def subject_of(options: SubjectOptions) -> Subject:
         "machine": machine(),
         "version": program(),
     }
-    return Subject(scene, views, training, photos, about)
+    return Subject(scene, views, training, photos, training_photos, about)
 
 
 def _views(scene: Scene, options: SubjectOptions) -> tuple[tuple[Camera, ...], tuple[Camera, ...], str]:

@@ -1,7 +1,8 @@
 """``splatree eval``: what the levels of detail cost in quality and save in work."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -13,15 +14,22 @@ from splatree.errors import InputError
 from splatree.io.cameras import read_cameras
 from splatree.io.photos import Photos
 from splatree.io.registry import read
+from splatree.io.split import split_views
+from splatree.lod.baselines import Baseline, BaselineOptions, Method, baseline
+from splatree.lod.blocks import with_blocks
 from splatree.metrics.lpips import Lpips, Net
+from splatree.render.calibrate import METADATA_KEY
 from splatree.render.evaluate import Evaluation, evaluate
 from splatree.render.paths import PathOptions, flyout
+from splatree.render.timing import STAGES, Timing, peak_bytes, time_frames
+from splatree.scene.cameras import Camera
 from splatree.scene.options import RenderOptions, SelectOptions
+from splatree.scene.scene import Scene
 
 
 @dataclass(frozen=True)
 class Command:
-    """Compare the cut with all leaves, view by view; with --data also both with photographs."""
+    """Compare the cut with all leaves, view by view; with --data both with photographs of views that were held out."""
 
     paths: Positional[tuple[Path, ...]]
     """Scene; several files or folders are read as one."""
@@ -29,10 +37,18 @@ class Command:
     """cameras.json, transforms.json or a COLMAP model; None: those in --data, or else a flight away from the scene."""
     data: Path | None = None
     """Folder of photographs, named like the cameras; subfolders are searched too."""
+    held_out: int | Path = 8
+    """With --data: every n-th view was held out of the training (1: all of them), or those named in a text file."""
+    training: bool = False
+    """With --data: draw the training views too; their means are kept apart, for they say nothing of new views."""
     every: int = 1
-    """Take each n-th camera only, from the first; 8 is the usual held-out split."""
+    """Draw each n-th of these views only, from the first."""
     scale: float = 1.0
     """Factor on the width and height of the cameras; photographs are resized likewise."""
+    method: Method | None = None
+    """Choose nodes by a published method instead of the options below, of which --pixel-error alone counts."""
+    frames: int = 100
+    """Frames timed, the views themselves or a path through them, after 20 to warm up; 0: none."""
     lpips: Net | None = None
     """Also LPIPS by this network; needs the extra `lpips` and its weights."""
     lpips_trunk: Path | None = None
@@ -83,6 +99,8 @@ class View:
     """Cut against the photograph, LPIPS."""
     leaves_lpips_vs_photo: float | None = None
     """All leaves against the photograph, LPIPS."""
+    held_out: bool = True
+    """Whether the view counts; a training view does not."""
 
 
 @dataclass(frozen=True)
@@ -95,45 +113,122 @@ class Evaluated:
     """All nodes."""
     levels: int
     """Largest depth + 1."""
+    method: str
+    """How nodes were chosen: the rule of the options, or a published method."""
     select: SelectOptions
-    """How the cut was chosen."""
+    """How the cut was chosen, if by the options."""
     mode: str
     """How the scene was drawn."""
+    compared_with: str
+    """Photographs and how their views were held out, or all leaves."""
+    num_bytes: dict[str, int | None]
+    """Gaussians; tree; data of the selection beside it; largest resident memory of the process, with what reading took."""
+    timing: Timing | None
+    """Frames along a path; None if none were asked for."""
     mean: dict[str, float | None]
-    """Mean over the views of each number."""
+    """Mean of each number over the held-out views, or all views where there are no photographs."""
+    training_mean: dict[str, float | None]
+    """The same over the training views, if they were drawn."""
     views: tuple[View, ...]
     """One entry a view."""
 
 
 def run(command: Command) -> Evaluated:
-    """Draw and compare each view."""
-    if command.every < 1 or not command.scale > 0:
-        raise InputError(f"every, scale: found {command.every}, {command.scale}, wanted at least 1, and more than 0")
-    scene = read(command.paths)
-    source = command.cameras or command.data
-    cameras = read_cameras(source) if source else flyout(scene, command.made)
-    chosen = [camera.scaled(command.scale) for camera in list(cameras)[:: command.every]]
-    photos = Photos(command.data, chosen) if command.data else None
+    """Draw and compare each view, then time frames."""
+    if command.every < 1 or not command.scale > 0 or command.frames < 0:
+        found = f"{command.every}, {command.scale}, {command.frames}"
+        raise InputError(f"every, scale, frames: found {found}, wanted at least 1, more than 0, and at least 0")
+    if command.training and command.data is None:
+        raise InputError("training: found no --data, wanted photographs; without them no view is held out")
+    scene = with_blocks(read(command.paths))
+    held_out, training, compared_with = _views(scene, command)
+    photos = Photos(command.data, [*held_out, *training]) if command.data else None
+    if photos is not None:
+        _check_calibration(scene, held_out)
+    select: SelectOptions | Baseline = command.select
+    if command.method is not None:
+        parameters = BaselineOptions(pixel_error=command.select.pixel_error)
+        select = baseline(command.method, scene, training or held_out, parameters)
     network = Lpips(command.lpips, trunk=command.lpips_trunk, heads=command.lpips_heads) if command.lpips else None
-    compared = evaluate(scene, chosen, command.options, command.select, photos=photos, lpips=network)
-    views = tuple(view_of(evaluation) for evaluation in compared)
+    drawn = [*held_out, *training] if command.training else held_out
+    compared = evaluate(scene, drawn, command.options, select, photos=photos, lpips=network)
+    views = tuple(replace(view_of(evaluation), held_out=i < len(held_out)) for i, evaluation in enumerate(compared))
+    timing = time_frames(scene, held_out, command.options, select, views=command.frames) if command.frames else None
+    tree = scene.tree
     return Evaluated(
-        num_gaussians=scene.tree.num_leaves,
+        num_gaussians=tree.num_leaves,
         num_nodes=len(scene),
-        levels=scene.tree.num_levels,
+        levels=tree.num_levels,
+        method=command.method or command.select.rule,
         select=command.select,
         mode=command.options.mode or scene.mode,
-        mean=_means(views),
+        compared_with=compared_with,
+        num_bytes={
+            "gaussians": scene.gaussians.nbytes,
+            "tree": tree.subtree_end.nbytes + tree.depth.nbytes + tree.extents.nbytes,
+            "selection": select.num_bytes
+            if isinstance(select, Baseline)
+            else scene.blocks.nbytes
+            if scene.blocks
+            else 0,
+            "peak": peak_bytes(),
+        },
+        timing=timing,
+        mean=_means([view for view in views if view.held_out]),
+        training_mean=_means([view for view in views if not view.held_out]),
         views=views,
     )
 
 
+def _views(scene: Scene, command: Command) -> tuple[list[Camera], list[Camera], str]:
+    """Views to score, training views, and what their pictures are compared with."""
+
+    def chosen(cameras: Sequence[Camera]) -> list[Camera]:
+        return [camera.scaled(command.scale) for camera in cameras[:: command.every]]
+
+    source = command.cameras or command.data
+    cameras = (read_cameras(source) if source else flyout(scene, command.made)).views
+    if command.data is None:
+        return chosen(cameras), [], "pictures of all leaves (no photographs were given)"
+    split = split_views(cameras, command.held_out)
+    return chosen(split.held_out), chosen(split.training), f"photographs of held-out views, {split.rule}"
+
+
+def _check_calibration(scene: Scene, held_out: Sequence[Camera]) -> None:
+    """Refuse views on whose photographs τ was chosen: their scores would flatter."""
+    calibration = json.loads(scene.source.metadata.get(METADATA_KEY, "{}"))
+    seen = set(calibration.get("views", ())) if calibration.get("photographs") else set()
+    both = [camera.name for camera in held_out if camera.name in seen]
+    if both:
+        raise InputError(
+            f"held_out: found {both[0]!r} and {len(both) - 1} more among the views that the scene's threshold was calibrated on; "
+            "hold out others, or calibrate without them"
+        )
+
+
 def show(evaluated: Evaluated) -> str:
-    """The views as a table."""
-    rows = [row_of(view) for view in evaluated.views]
-    mean = ", ".join(f"{name} {value:.4g}" for name, value in evaluated.mean.items() if value is not None)
-    head = f"{evaluated.num_gaussians:,} Gaussians, {evaluated.num_nodes:,} nodes, {evaluated.levels} levels, {evaluated.mode}"
-    return f"{head}\n{table(rows)}\nmean: {mean}"
+    """The views as a table, their means, what a frame takes, and sizes."""
+    head = (
+        f"{evaluated.num_gaussians:,} Gaussians, {evaluated.num_nodes:,} nodes, {evaluated.levels} levels, "
+        f"{evaluated.mode}, method {evaluated.method}; compared with {evaluated.compared_with}"
+    )
+    lines = [head, table([row_of(view) for view in evaluated.views]), f"mean: {_words(evaluated.mean)}"]
+    if evaluated.training_mean:
+        lines.append(f"mean of the training views, no measure of new ones: {_words(evaluated.training_mean)}")
+    if evaluated.timing is not None:
+        timing = evaluated.timing
+        stages = ", ".join(f"{name} {timing.ms[stage]:.2f}" for name, stage in STAGES.items())
+        lines.append(
+            f"{timing.num_frames} frames: {timing.fps:.1f} a second, 95 of 100 at least {timing.fps_p95:.1f}; ms: {stages}; "
+            f"t_f {timing.filter_ms:.2f}; CPU-ms a frame {timing.frame_cpu_ms:.2f}"
+        )
+    sizes = {name: number for name, number in evaluated.num_bytes.items() if number is not None}
+    lines.append("MiB: " + ", ".join(f"{name} {number / 2**20:,.1f}" for name, number in sizes.items()))
+    return "\n".join(lines)
+
+
+def _words(mean: Mapping[str, float | None]) -> str:
+    return ", ".join(f"{name} {value:.4g}" for name, value in mean.items() if value is not None)
 
 
 def view_of(e: Evaluation) -> View:
@@ -182,7 +277,7 @@ def _means(views: Sequence[View]) -> dict[str, float | None]:
     means: dict[str, float | None] = {}
     for field in fields(View):
         values = [getattr(view, field.name) for view in views]
-        numbers = [float(value) for value in values if isinstance(value, int | float)]
+        numbers = [float(value) for value in values if isinstance(value, int | float) and not isinstance(value, bool)]
         if len(numbers) == len(values) and numbers:
             means[field.name] = float(np.mean(numbers))
     return means

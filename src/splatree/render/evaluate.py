@@ -1,8 +1,8 @@
-"""What the levels of detail cost in quality, and what they save: the cut beside all leaves, view by view.
+"""What levels of detail and shrinking cost in quality, and what they save: the cut beside all leaves, view by view.
 
-Each view is drawn twice at the same size and in the same run: from the cut that the options ask for, and from all leaves
-(``pixel_error`` 0, no budget). Where a photograph of the view is given, both pictures are also compared with it. Pictures are
-clipped to 0 to 1 before they are compared, as a screen would show them.
+Each view is drawn twice at the same size and in the same run: as the options ask for, and from all leaves (``pixel_error`` 0, no
+budget) without loss (splats end at 1/255, exactly). Where a photograph of the view is given, both pictures are also compared with
+it. Pictures are clipped to 0 to 1 before they are compared, as a screen would show them.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -10,7 +10,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from splatree.constants import ALPHA_THRESHOLD
 from splatree.lod.blocks import with_blocks
+from splatree.lod.select import Selector
 from splatree.metrics.psnr import psnr
 from splatree.metrics.ssim import WINDOW_PX, ssim
 from splatree.progress import track
@@ -43,9 +45,9 @@ class Evaluation:
     cut: Frame
     """What the options draw."""
     leaves: Frame
-    """What all leaves draw."""
+    """What all leaves draw without loss."""
     cut_vs_leaves: Score
-    """The loss that the levels of detail cause."""
+    """The loss that levels of detail and shrinking cause."""
     cut_vs_photo: Score | None = None
     """Against the photograph, if there is one."""
     leaves_vs_photo: Score | None = None
@@ -56,21 +58,21 @@ def evaluate(
     scene: Scene,
     cameras: Iterable[Camera],
     options: RenderOptions | None = None,
-    select: SelectOptions | None = None,
+    select: SelectOptions | Selector | None = None,
     *,
     photos: Mapping[str, Array] | None = None,
     lpips: Callable[[Array, Array], float] | None = None,
 ) -> Iterator[Evaluation]:
     """Yield the comparison of each view.
 
-    ``photos`` are pictures, float32 (h w 3), by the camera's name. ``lpips`` is a loaded `splatree.metrics.lpips.Lpips`.
+    ``select`` may be a baseline (lod/baselines.py). ``photos`` are pictures, float32 (h w 3), by the camera's name. ``lpips`` is
+    a loaded `splatree.metrics.lpips.Lpips`.
     """
-    select = select or SelectOptions()
     scene = with_blocks(scene)
-    all_leaves = replace(select, pixel_error=0.0, budget=None, rule="cut", max_radius=None)
+    lossless = replace(options or RenderOptions(), extent="ellipse", pixels="hard", threshold=ALPHA_THRESHOLD)
     for camera in track(list(cameras), "evaluate views"):
         cut = trace(scene, camera, options, select)
-        leaves = trace(scene, camera, options, all_leaves)
+        leaves = trace(scene, camera, lossless, SelectOptions(pixel_error=0.0))
         photo = (photos or {}).get(camera.name)
         yield Evaluation(
             camera,

@@ -67,11 +67,13 @@ def trace(
         # Footprints are ellipses; the projection drops what squares do not show.
         select = replace(select, visibility="none")
     milliseconds: dict[str, float] = {}
+    cpu_milliseconds: dict[str, float] = {}
 
     def timed(stage: str, work: Callable[[], T]) -> T:
-        start = time.perf_counter()
+        start, cpu = time.perf_counter(), time.process_time()
         value = work()
         milliseconds[stage] = 1e3 * (time.perf_counter() - start)
+        cpu_milliseconds[stage] = 1e3 * (time.process_time() - cpu)
         return value
 
     choose: Selector = partial(select_rows, scene, options=select) if isinstance(select, SelectOptions) else select
@@ -95,5 +97,5 @@ def trace(
         num_evaluated=picture.num_evaluated,
         num_blended=picture.num_blended,
     )
-    result = RenderResult(picture.image, picture.alpha, picture.depth, counters, milliseconds)
+    result = RenderResult(picture.image, picture.alpha, picture.depth, counters, milliseconds, cpu_milliseconds)
     return Frame(camera, selection, splats, bins, picture.tiles, result, picture.contributions)

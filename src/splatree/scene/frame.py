@@ -193,6 +193,8 @@ class RenderResult:
     """Work done."""
     milliseconds: dict[str, float]
     """Wall time of each stage."""
+    cpu_milliseconds: dict[str, float]
+    """Processor time of each stage, all threads together: other work on the machine disturbs it least."""
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -1,0 +1,51 @@
+"""Table 3: a filter that is faster but exact changes nothing; a way to end splats changes pairs and, if it is lossy, the picture.
+
+Equal pairs and equal PSNR do not prove equal selections, so the selected rows are compared too, view by view.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from splatree.bench import paper
+from splatree.bench.ablation import AblationOptions, filters, shrinkings
+from splatree.bench.experiment import Report, Table
+from splatree.bench.measure import Judge
+from splatree.bench.subject import subject_of
+from splatree.constants import ALPHA_THRESHOLD, DILATION_PX2
+from splatree.progress import track
+
+__all__ = ["Options", "run"]
+
+
+@dataclass(frozen=True)
+class Options(AblationOptions):
+    """Check that filters select the same nodes, and what shrinking does to quality and pairs (FilterGS, Table 3)."""
+
+
+def run(options: Options) -> Report:
+    """Draw the views for each pair of filter and shrinking; compare the rows with those of the traversal."""
+    subject = subject_of(options.subject)
+    judge = Judge(subject)
+    rows, first = [], None
+    chosen = shrinkings(subject, options)
+    for name, select in track(list(filters(subject, options)), "filters"):
+        choose = judge.selector(select)
+        selected = [
+            choose(camera, dilation_px2=DILATION_PX2, threshold=ALPHA_THRESHOLD).rows for camera in subject.cameras
+        ]
+        first = first or selected
+        same = sum(np.array_equal(a, b) for a, b in zip(first, selected, strict=True))
+        for way in chosen:
+            found = judge.quality(select, way.options)
+            rows.append(
+                {"shrinking": way.name, "filter": name, "PSNR": found.psnr, "SSIM": found.ssim}
+                | {"N_P": round(found.num_pairs), "nodes": round(found.num_selected)}
+                | {"same rows as serial": f"{same} of {len(selected)} views"}
+            )
+    return Report(
+        "table3",
+        "Quality and pairs with each part switched on alone",
+        {**subject.about, "rules": f"τ_R = {options.pixel_error:g} px"},
+        [Table("table3", "Quality, pairs and equality of the selections", rows), paper.TABLE3],
+    )
