@@ -26,10 +26,10 @@ Gaussians are written in preorder, nodes breadth-first, so that writing and read
 """
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -228,8 +228,8 @@ def write(scene: Scene, path: Path, options: WriteOptions) -> tuple[str, ...]:
     scene = checked(scene, "scene to write", repair=False)
     g, n = scene.gaussians, len(scene)
     nodes, copied = _nodes(scene)
-    low, high = _boxes(scene, nodes)
-    if is_half:
+    low, high = _corners(scene)
+    if is_half and n:
         _check_half(nodes, low, high)
     parts: list[Rows] = [slice(begin, begin + _ROWS_AT_ONCE) for begin in range(0, n, _ROWS_AT_ONCE)]
     # [n w] of each array, a part at a time
@@ -252,7 +252,8 @@ def write(scene: Scene, path: Path, options: WriteOptions) -> tuple[str, ...]:
             advance(1)
         file.write(len(nodes).to_bytes(4, "little"))
         file.write(_half_nodes(nodes).data if is_half else nodes.data)
-        file.write(_packed_boxes(low, high, is_half=is_half).data)
+        for boxes in _packed_boxes(nodes, low, high, np.dtype("<f2" if is_half else "<f4")):
+            file.write(boxes.data)
     return ()
 
 
@@ -280,31 +281,31 @@ def _nodes(scene: Scene) -> tuple[Array, Array]:
     return nodes, links.row_from_node[:num_roots] if above else np.zeros(0, np.intp)
 
 
-def _boxes(scene: Scene, nodes: Array) -> tuple[Array, Array]:
-    """Corners "N 3" of a box around the 3σ ellipsoids of each node's subtree."""
+def _corners(scene: Scene) -> tuple[Array, Array]:
+    """Corners "n+1 3" of a box around the 3σ ellipsoids of each row's subtree; the last box holds all."""
     g, n = scene.gaussians, len(scene)
-    low, high = np.empty((n, 3)), np.empty((n, 3))
+    low, high = np.full((n + 1, 3), np.inf), np.full((n + 1, 3), -np.inf)
     for begin in range(0, n, _ROWS_AT_ONCE):
-        rows = slice(begin, begin + _ROWS_AT_ONCE)
+        rows = slice(begin, min(begin + _ROWS_AT_ONCE, n))
         axes = matrices_from_quats(g.quats[rows]) * np.exp(g.log_scales[rows].astype(np.float64))[:, None, :]
         reach = SIGMAS * np.sqrt(np.einsum("nij,nij->ni", axes, axes))  # √Σ_ii along axis i of the world
         low[rows], high[rows] = g.means[rows] - reach, g.means[rows] + reach
-    family_extremes(low, high, scene.tree.depth)
-    of_all = (nodes["leafs"] > 1) | (nodes["merged"] > 1)
-    box = np.where(of_all, n, nodes["start"])
-    low = np.concatenate([low, low.min(axis=0, keepdims=True, initial=np.inf)])
-    high = np.concatenate([high, high.max(axis=0, keepdims=True, initial=-np.inf)])
-    return low[box], high[box]
+    family_extremes(low[:n], high[:n], scene.tree.depth)
+    low[n], high[n] = low.min(axis=0), high.max(axis=0)
+    return low, high
 
 
-def _packed_boxes(low: Array, high: Array, *, is_half: bool) -> Array:
-    """Boxes as they are written, rounded outwards; the fourth value of both corners is the longest side."""
-    dtype = np.dtype("<f2" if is_half else "<f4")
-    boxes = np.empty((len(low), 2, 4), dtype)
-    boxes[:, 0, :3] = np.nextafter(low.astype(dtype), dtype.type(-np.inf))
-    boxes[:, 1, :3] = np.nextafter(high.astype(dtype), dtype.type(np.inf))
-    boxes[:, :, 3] = (high - low).max(axis=1, initial=0)[:, None]
-    return boxes
+def _packed_boxes(nodes: Array, low: Array, high: Array, dtype: np.dtype[Any]) -> Iterator[Array]:
+    """Boxes as they are written, some at a time, rounded outwards; the fourth value of both corners is the longest side."""
+    for begin in range(0, len(nodes), _ROWS_AT_ONCE):
+        part = nodes[begin : begin + _ROWS_AT_ONCE]
+        holds_all = (part["leafs"] > 1) | (part["merged"] > 1)
+        row = np.where(holds_all, len(low) - 1, part["start"])
+        boxes = np.empty((len(part), 2, 4), dtype)
+        boxes[:, 0, :3] = np.nextafter(low[row].astype(dtype), dtype.type(-np.inf))
+        boxes[:, 1, :3] = np.nextafter(high[row].astype(dtype), dtype.type(np.inf))
+        boxes[:, :, 3] = (high[row] - low[row]).max(axis=1)[:, None]
+        yield boxes
 
 
 def _check_half(nodes: Array, low: Array, high: Array) -> None:
@@ -317,8 +318,7 @@ def _check_half(nodes: Array, low: Array, high: Array) -> None:
                 f"node {int(nodes[name].argmax())}: found {largest} {name}, wanted at most {limit} in half precision; write "
                 "float32 (compression 0), or build levels with fewer children a node"
             )
-    largest_side = float((high - low).max(initial=0))
-    reach = max(float(-low.min(initial=0)), float(high.max(initial=0)), largest_side)
+    reach = max(float(-low[-1].min()), float(high[-1].max()), float((high[-1] - low[-1]).max()))
     if reach >= _HALF_MAX:
         raise InputError(
             f"boxes of nodes: found a coordinate or side of {reach:.6g}, wanted less than {_HALF_MAX:.6g} in half precision; "

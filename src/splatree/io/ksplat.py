@@ -67,6 +67,9 @@ _BLOCK_SIZE = 5.0
 _BLOCK_SIZE_IN_SIGMAS = 1310.0
 """… at most this many times the median standard deviation, so that a step is at most 2 % of it."""
 
+_SAMPLE = 1 << 16
+"""Rows, evenly spread, of which the median is taken."""
+
 _HALF_MAX = 65504.0
 _HALF_MIN = 2.0**-24
 """Smallest half-precision number above 0; a scale of 0 stands for one below half of it."""
@@ -249,7 +252,7 @@ def write(scene: Scene, path: Path, options: WriteOptions) -> tuple[str, ...]:
     record, order = _record(level, degree), _rest_order(degree)
     buckets = _buckets(g) if level > 0 else _NO_BUCKETS
     row_from_place = buckets.rows if level > 0 else np.arange(n)
-    rest_step = _rest_step(g.sh[:, 1 : (degree + 1) ** 2])
+    rest_step = _rest_step(g.sh[:, 1 : (degree + 1) ** 2]) if level == 2 else 0.0
 
     header, section = np.zeros(1, _HEADER), np.zeros(1, _SECTION)
     header["minor"], header["level"] = 1, level
@@ -282,7 +285,7 @@ def write(scene: Scene, path: Path, options: WriteOptions) -> tuple[str, ...]:
             color = 0.5 + SH_C0 * g.sh[rows, 0].astype(np.float64)
             records["rgba"][:, :3] = np.rint(np.clip(color, 0, 1) * 255)
             records["rgba"][:, 3] = np.rint(opacities_from_logits(g.logit_opacities[rows]) * np.float32(255))
-            rest = g.sh.reshape(n, 3 * g.sh.shape[1])[rows[:, None], 3 + order]
+            rest = np.take(g.sh, rows, axis=0).reshape(len(rows), 3 * g.sh.shape[1])[:, 3 + order]
             if level == 1:
                 rest = np.clip(rest, -_HALF_MAX, _HALF_MAX)
             if level == 2:
@@ -310,7 +313,8 @@ _NO_BUCKETS = _Buckets(*2 * (np.zeros(0, np.intp),), np.zeros((0, 3), np.float32
 
 def _buckets(g: Gaussians) -> _Buckets:
     n = len(g)
-    middle = np.median(g.log_scales, axis=1) if n else np.zeros(1)
+    sample = g.log_scales[:: n // _SAMPLE + 1]
+    middle = np.sort(sample, axis=1)[:, 1] if n else np.zeros(1)
     block_size = float(np.float32(min(_BLOCK_SIZE, _BLOCK_SIZE_IN_SIGMAS * float(np.exp(np.median(middle))))))
     low = g.means.min(axis=0, initial=np.inf).astype(np.float64)
     blocks = np.floor((g.means - low) / block_size)  # [n 3] float64: exact far beyond any scene
