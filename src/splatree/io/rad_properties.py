@@ -17,6 +17,7 @@ u16, u32               whole numbers
 8-bit codes are looked up in a table of 256 values made in float64. Scales are decoded to their logarithms, which is what we keep.
 """
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -124,7 +125,18 @@ def _table(encoding: str, property_: dict[str, Any], where: str) -> Array:
 
 
 def _rotations_from_codes(codes: Array) -> Array:
-    """wxyz of an axis (u, v) on the octahedron |x| + |y| + |z| = 1, folded out to a square, and an angle."""
+    """wxyz of an axis (u, v) and an angle."""
+    axis = np.take(_octahedral_axes(), codes[:, 0].astype(np.intp) << 8 | codes[:, 1], axis=0)
+    half_angle = np.arange(256) / 255 * np.pi / 2
+    quats = np.empty((len(codes), 4), np.float32)
+    quats[:, 0] = np.cos(half_angle).astype(np.float32)[codes[:, 2]]
+    quats[:, 1:] = axis * np.sin(half_angle).astype(np.float32)[codes[:, 2], None]
+    return quats
+
+
+@cache
+def _octahedral_axes() -> Array:
+    """Unit vectors "65536 3" of all (u, v): the octahedron |x| + |y| + |z| = 1, its lower half folded out to a square."""
     square = np.arange(256) / 255 * 2 - 1
     x, y = (np.broadcast_to(side, (256, 256)).copy() for side in (square[:, None], square[None, :]))
     z = 1 - np.abs(x) - np.abs(y)
@@ -133,12 +145,7 @@ def _rotations_from_codes(codes: Array) -> Array:
     y -= np.copysign(fold, y)
     axes = np.stack([x, y, z], axis=-1).reshape(65536, 3)
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
-    half_angle = np.arange(256) / 255 * np.pi / 2
-    axis = np.take(axes.astype(np.float32), codes[:, 0].astype(np.intp) << 8 | codes[:, 1], axis=0)
-    quats = np.empty((len(codes), 4), np.float32)
-    quats[:, 0] = np.cos(half_angle).astype(np.float32)[codes[:, 2]]
-    quats[:, 1:] = axis * np.sin(half_angle).astype(np.float32)[codes[:, 2], None]
-    return quats
+    return axes.astype(np.float32)
 
 
 def encode_floats(values: Array, encoding: str) -> bytes:
@@ -161,16 +168,25 @@ def encode_codes(values: Array, low: float, high: float, *, steps: int, first: i
 
 
 def encode_rotations(quats: Array) -> bytes:
-    """Quaternions wxyz of any length as oct88r8."""
-    q = quats.astype(np.float32)
-    q = q / np.linalg.norm(q, axis=1, keepdims=True)
+    """Quaternions wxyz of any length as oct88r8: of the four axes of the grid around theirs, the one that comes closest.
+
+    The best angle about an axis a is 2 atan2(v · a, w), which makes up for some of the error of the axis.
+    """
+    q = quats / np.linalg.norm(quats, axis=1, keepdims=True)
     q *= np.where(q[:, :1] < 0, np.float32(-1), np.float32(1))
-    sine = np.linalg.norm(q[:, 1:], axis=1)
-    angle = 2 * np.arctan2(sine, q[:, 0])
-    axis = q[:, 1:] / np.maximum(sine, np.float32(1e-12))[:, None]
-    axis[sine < 1e-6] = (1, 0, 0)
-    x, y, z = (axis / np.abs(axis).sum(axis=1, keepdims=True)).T
+    sums = np.abs(q[:, 1:]).sum(axis=1)
+    x, y, z = q[:, 1:].T / np.where(sums > 0, sums, 1)
     u = np.where(z < 0, np.copysign(1 - np.abs(y), x), x)
     v = np.where(z < 0, np.copysign(1 - np.abs(x), y), y)
-    codes = np.stack([(u + 1) * 127.5, (v + 1) * 127.5, angle * (255 / np.pi)], axis=1)
-    return bytes(np.rint(np.clip(codes, 0, 255)).astype(np.uint8).tobytes())
+    corner = [np.clip((side + 1) * np.float32(127.5), 0, 255).astype(np.intp) for side in (u, v)]
+    best, found = np.zeros((len(q), 3), np.uint8), np.full(len(q), -1, np.float32)
+    for du, dv in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        at = [np.minimum(side + step, 255) for side, step in zip(corner, (du, dv), strict=True)]
+        along = np.einsum("ij,ij->i", np.take(_octahedral_axes(), at[0] << 8 | at[1], axis=0), q[:, 1:])
+        angle = np.rint(np.clip(2 * np.arctan2(along, q[:, 0]), 0, np.pi) * np.float32(255 / np.pi))
+        half_angle = angle * np.float32(np.pi / 510)
+        closeness = q[:, 0] * np.cos(half_angle) + along * np.sin(half_angle)  # cosine of half the turn between them
+        better = closeness > found
+        found[better] = closeness[better]
+        best[better] = np.column_stack([*at, angle])[better].astype(np.uint8)
+    return bytes(best.tobytes())
