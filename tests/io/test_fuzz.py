@@ -24,9 +24,12 @@ from splatree.io.registry import Format, detect, formats
 from .conftest import DATA, random_gaussians
 from .sog_files import bundle, write_sog
 from .test_cameras import POSES, transforms, write_colmap
+from .test_hier import DEPTHS, forest
 
 EXAMPLES = settings(max_examples=60)
 BUNDLED = Path(splatree.__file__).parent / "data" / "semarang_5_9.sog"
+LEVELS = ["0.ksplat", "2.ksplat", "0.hier", "1.hier", "0.rad", "2.rad"]
+"""Files of a tree, or of its leaves; the number is the level of compression."""
 WRITTEN = [f.suffixes[0] for f in formats() if f.is_written and f.suffixes]
 
 
@@ -44,6 +47,8 @@ def originals(tmp_path_factory):
     bundle(root / "v2", root / "a.sog")
     for version in (2, 3, 4):
         splatree.write(scene, root / f"v{version}.spz", options=WriteOptions(format_version=version))
+    for name in LEVELS:
+        splatree.write(forest(DEPTHS["several roots"], 1), root / name, options=WriteOptions(compression=int(name[0])))
     write_colmap(root / "bin", binary=True)
     write_colmap(root / "txt", binary=False)
     splatree.write_cameras(POSES, root / "cameras.json")
@@ -164,7 +169,7 @@ def test_changed_files_of_other_writers_are_refused_or_valid_within_memory(tmp_p
         changed_file.unlink()
 
 
-@pytest.mark.parametrize("name", ["a.ply", "a.splat", "a.splatree", "a.sog", "v2.spz", "v3.spz", "v4.spz"])
+@pytest.mark.parametrize("name", ["a.ply", "a.splat", "a.splatree", "a.sog", "v2.spz", "v3.spz", "v4.spz", *LEVELS])
 @given(edits=changes(), repair=st.booleans())
 @EXAMPLES
 def test_changed_files_are_refused_or_valid(originals, name, edits, repair):
