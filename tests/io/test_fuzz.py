@@ -38,7 +38,7 @@ def originals(tmp_path_factory):
     """One small file or folder of each kind."""
     root = tmp_path_factory.mktemp("originals")
     scene = Scene.flat(random_gaussians(12, 1))
-    for name in ("a.ply", "a.splat"):
+    for name in ("a.ply", "a.compressed.ply", "a.splat"):
         splatree.write(scene, root / name)
     tree = GaussianTree(np.array([3, 2, 3], np.int32), np.array([0, 1, 1], np.uint8), np.ones(3, np.float32))
     splatree.write(Scene(random_gaussians(3, 0), tree), root / "a.splatree")
@@ -169,7 +169,9 @@ def test_changed_files_of_other_writers_are_refused_or_valid_within_memory(tmp_p
         changed_file.unlink()
 
 
-@pytest.mark.parametrize("name", ["a.ply", "a.splat", "a.splatree", "a.sog", "v2.spz", "v3.spz", "v4.spz", *LEVELS])
+@pytest.mark.parametrize(
+    "name", ["a.ply", "a.compressed.ply", "a.splat", "a.splatree", "a.sog", "v2.spz", "v3.spz", "v4.spz", *LEVELS]
+)
 @given(edits=changes(), repair=st.booleans())
 @EXAMPLES
 def test_changed_files_are_refused_or_valid(originals, name, edits, repair):

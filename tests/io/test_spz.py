@@ -47,8 +47,9 @@ def check_steps(a: Gaussians, b: Gaussians, *, version=4, sh_steps=(8, 16)):
         tolerance = (HALF_STEP * step + (0.5 if step > 1 else 0)) / 128
         wanted = np.clip(a.sh[:, rest], -1, 1)
         np.testing.assert_allclose(b.sh[:, rest], wanted, atol=max(tolerance, HALF_STEP / 128 + 1 / 128 * (step == 1)))
-    # Nine bits to √½: half of √½ / 511 in each of three, and the largest follows. Three bytes lose most where w is small.
-    assert angles(a, b).max() < (0.25 if version > 2 else 12.1)
+    # Half of √½ / 511 in each of three; where all are ½, the largest is off by the sum of these: 0.0024 rad of a half angle.
+    # Three bytes lose most where w is small.
+    assert angles(a, b).max() < (0.28 if version > 2 else 12.1)
 
 
 @pytest.mark.parametrize("version", [2, 3, 4])

@@ -47,6 +47,10 @@ QUAT_MIN, QUAT_MAX = 1e-12, 1e12
 LOGIT_CERTAIN = math.log((1 - 1e-6) / 1e-6)
 """13.8: logit of an opacity of 1 − 1e-6, which no picture tells from 1."""
 
+_SHARE = np.clip(np.arange(256) / 255, 1e-6, 1 - 1e-6)
+LOGIT_FROM_BYTE = np.log(_SHARE / (1 - _SHARE)).astype(np.float32)
+"""Logit of an opacity of 8 bits; 0 and 255 have none and are read as 1e-6 and 1 − 1e-6."""
+
 
 Magnitudes = Mapping[str, float]
 """Largest magnitude of each column of `Gaussians`, NaN if it holds one."""

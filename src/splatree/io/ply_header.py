@@ -10,7 +10,7 @@ import numpy as np
 from splatree.errors import FormatError
 from splatree.scene.scene import Mode
 
-__all__ = ["HEADER_MAX", "Encoding", "Header", "parse_header"]
+__all__ = ["HEADER_MAX", "Element", "Encoding", "Header", "Text", "parse_header", "parse_text"]
 
 HEADER_MAX = 1 << 20
 """A longer header is refused: 62 properties take 1.5 kB."""
@@ -57,22 +57,47 @@ class Header:
 
 
 @dataclass
-class _Element:
+class Element:
+    """A table of the file."""
+
     name: str
+    """Its name."""
     count: int
+    """Rows announced."""
     properties: list[tuple[str, str]]
+    """Name and NumPy type of each value of a row."""
     has_lists: bool = False
+    """Whether some values are lists, which `properties` leaves out."""
 
     @property
     def num_bytes(self) -> int:
+        """Bytes of all rows, without lists."""
         return self.count * np.dtype(self.properties).itemsize
 
 
-def parse_header(path: Path, head: bytes) -> Header:
-    """The header in the first bytes of a file.
+@dataclass(frozen=True)
+class Text:
+    """The header as it is written."""
+
+    encoding: Encoding
+    """How values are written."""
+    num_bytes: int
+    """Bytes of the header."""
+    elements: list[Element]
+    """The tables, in their order."""
+    mode: Mode
+    """As noted in a comment, else classic."""
+    are_surfels: bool
+    """Whether a comment says that these are surfels (2DGS)."""
+    comments: list[str]
+    """The other comments."""
+
+
+def parse_text(path: Path, head: bytes) -> Text:
+    """The tables and comments that the first bytes of a file announce.
 
     Raises:
-        FormatError: it is not whole, not of a .ply, or its vertices cannot be Gaussians.
+        FormatError: the header is not whole or not of a .ply.
     """
     match = re.search(rb"(?:^|\n)end_header[ \t]*\r?\n", head)
     if not match:
@@ -87,7 +112,7 @@ def parse_header(path: Path, head: bytes) -> Header:
         raise FormatError(f"{path}: found format {encoding!r}, wanted one of {', '.join(get_args(Encoding))}")
     order = ">" if encoding == "binary_big_endian" else "<"
     comments: list[str] = []
-    elements: list[_Element] = []
+    elements: list[Element] = []
     for line_number, line in enumerate(lines[1:], start=2):
         match line.split():
             case [] | ["format", *_]:
@@ -95,7 +120,7 @@ def parse_header(path: Path, head: bytes) -> Header:
             case ["comment" | "obj_info", *_]:
                 comments.append(line.partition(" ")[2])
             case ["element", name, digits] if digits.isascii() and digits.isdigit() and len(digits) < 16:
-                elements.append(_Element(name, int(digits), []))
+                elements.append(Element(name, int(digits), []))
             case ["property", "list", _, _, _] if elements:
                 elements[-1].has_lists = True
             case ["property", kind, name] if elements and kind in _TYPES:
@@ -109,25 +134,36 @@ def parse_header(path: Path, head: bytes) -> Header:
         names = [name for name, _ in element.properties]
         if len(set(names)) != len(names):
             raise FormatError(f"{path}: element {element.name!r} has two properties of the same name")
+    mode, are_surfels, rest = _notes(path, comments)
+    return Text(encoding, match.end(), elements, mode, are_surfels, rest)  # type: ignore[arg-type]  # checked above
+
+
+def parse_header(path: Path, head: bytes) -> Header:
+    """The header in the first bytes of a file.
+
+    Raises:
+        FormatError: it is not whole, not of a .ply, or its vertices cannot be Gaussians.
+    """
+    text = parse_text(path, head)
+    elements = text.elements
     index = _vertices(path, elements)
     before, vertices, after = elements[:index], elements[index], elements[index + 1 :]
     names = [name for name, _ in vertices.properties]
-    mode, are_surfels, rest = _notes(path, comments)
     return Header(
-        encoding=encoding,  # type: ignore[arg-type]  # one of them, as was checked
-        start=match.end() + (0 if encoding == "ascii" else sum(element.num_bytes for element in before)),
+        encoding=text.encoding,
+        start=text.num_bytes + (0 if text.encoding == "ascii" else sum(element.num_bytes for element in before)),
         lines_before=sum(element.count for element in before),
         count=vertices.count,
         dtype=np.dtype(vertices.properties),
         names={name.removeprefix("scalar_"): name for name in names} | {name: name for name in names},
         bytes_after=None if any(e.has_lists for e in after) else sum(element.num_bytes for element in after),
-        mode=mode,
-        are_surfels=are_surfels,
-        comments=rest,
+        mode=text.mode,
+        are_surfels=text.are_surfels,
+        comments=text.comments,
     )
 
 
-def _vertices(path: Path, elements: list[_Element]) -> int:
+def _vertices(path: Path, elements: list[Element]) -> int:
     """Index of the element that holds the Gaussians."""
     names = [element.name for element in elements]
     if "codebook_centers" in names:

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from splatree.errors import InputError, SplatreeError
-from splatree.io import hier, ksplat, ply, rad, sog, sog_writer, splat, spz, store, streamed_sog
+from splatree.io import compressed_ply, hier, ksplat, ply, rad, sog, sog_writer, splat, spz, store, streamed_sog
 from splatree.io.chunks import Chunks, chunks_of
 from splatree.io.holds import Holds, losses
 from splatree.io.inputs import find_inputs
@@ -70,6 +70,17 @@ FORMATS: tuple[Format, ...] = (
         sniff=store.sniff,
         read=store.read,
         write=store.write,
+    ),
+    Format(
+        name="compressed-ply",
+        description="PlayCanvas, 16 to 61 bytes",
+        suffixes=(".compressed.ply",),
+        versions="with and without colour ranges",
+        holds=Holds(),
+        sniff=compressed_ply.sniff,
+        read=compressed_ply.read,
+        write=compressed_ply.write,
+        read_chunks=compressed_ply.read_chunks,
     ),
     Format(
         name="ply",

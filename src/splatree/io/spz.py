@@ -29,7 +29,7 @@ import numpy as np
 
 from splatree.constants import SH_MAX_DEGREE
 from splatree.errors import InputError
-from splatree.io.check import LOGIT_CERTAIN, checked, checked_rows, magnitudes_of
+from splatree.io.check import LOGIT_FROM_BYTE, checked, checked_rows, magnitudes_of
 from splatree.io.chunks import ROWS_PER_CHUNK, Chunks
 from splatree.io.mirror import mirror
 from splatree.io.options import ReadOptions, WriteOptions
@@ -101,7 +101,7 @@ def decode(file: BinaryIO, num_bytes: int, where: str, *, default_axes: str) -> 
                 case "positions":
                     quantize.means_from_fixed(codes, means[rows], scale=2.0**-header.fractional_bits)
                 case "alphas":
-                    np.take(_LOGITS, codes, out=logits[rows], mode="clip")  # all codes are in the table
+                    np.take(LOGIT_FROM_BYTE, codes, out=logits[rows], mode="clip")  # all codes are in the table
                 case "colors":
                     quantize.values_from_bytes(codes, sh[rows], scale=1 / _COLOR_SCALE, offset=-0.5 / 0.15)
                 case "scales":
@@ -115,11 +115,6 @@ def decode(file: BinaryIO, num_bytes: int, where: str, *, default_axes: str) -> 
     gaussians = Gaussians(means, quats, scales, logits.reshape(-1), sh.reshape(n, (degree + 1) ** 2, 3))
     mirror(gaussians, signs_between(planes.axes or default_axes, SCENE_AXES))
     return gaussians, planes
-
-
-_SHARE = np.clip(np.arange(256) / 255, 1 / (1 + np.exp(LOGIT_CERTAIN)), 1 / (1 + np.exp(-LOGIT_CERTAIN)))
-_LOGITS = np.log(_SHARE / (1 - _SHARE)).astype(np.float32)
-"""Logit of each code; 0 and 255 stand for opacities without one and are read as this near to them."""
 
 
 def write_chunks(chunks: Chunks, path: Path, options: WriteOptions) -> tuple[str, ...]:

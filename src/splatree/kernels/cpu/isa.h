@@ -23,6 +23,7 @@ struct PairCost;
 struct NearestJob;
 struct ByteColumn;
 struct Triples;
+struct PackedJob;
 enum class QuatCode : int;
 struct Centres;
 struct LaneMinima;
@@ -48,6 +49,8 @@ struct Kernels {
   void (*unpack_quats)(const Triples& job, QuatCode kind, int64_t begin, int64_t end);
   void (*nearest_lanes)(const Centres& centres, const float* const* points, LaneMinima* minima);
   void (*onto_axes)(const AxesJob& job, int64_t begin, int64_t end);
+  void (*pack_chunk)(const PackedJob& job, int64_t chunk);
+  void (*unpack_chunk)(const PackedJob& job, int64_t chunk);
 };
 
 // The table of the best level that the processor runs, or of the level set by use_isa().

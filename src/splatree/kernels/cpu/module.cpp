@@ -25,6 +25,7 @@ void bind_quantize(nb::module_& m);
 void bind_baselines(nb::module_& m);
 void bind_splat(nb::module_& m);
 void bind_cuda(nb::module_& m);
+void bind_packed(nb::module_& m);
 }
 
 NB_MODULE(_core, m) {
@@ -59,4 +60,5 @@ NB_MODULE(_core, m) {
   bind_baselines(m);
   bind_splat(m);
   bind_cuda(m);
+  bind_packed(m);
 }
