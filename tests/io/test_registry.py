@@ -169,7 +169,7 @@ def test_an_existing_file_is_kept_unless_forced(tmp_path):
     assert len(splatree.read(path)) == 9
 
 
-@pytest.mark.parametrize(("name", "message"), [("a.xyz", "wanted one of .splatree .ply .splat"), ("a", "suffix")])
+@pytest.mark.parametrize(("name", "message"), [("a.xyz", "wanted one of .splatree .compressed.ply .ply"), ("a", "suffix")])
 def test_an_unknown_suffix_is_refused(tmp_path, name, message):
     with pytest.raises(InputError, match=message):
         splatree.write(Scene.flat(random_gaussians(1)), tmp_path / name)
