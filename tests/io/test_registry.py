@@ -2,6 +2,7 @@ import json
 import os
 import resource
 import shutil
+import zipfile
 
 import numpy as np
 import pytest
@@ -130,6 +131,21 @@ def test_what_is_no_scene_is_refused_with_a_reason(tmp_path, name, message):
         splatree.read(tmp_path / name)
 
 
+@pytest.mark.parametrize("name", ["chkpnt30000.pth", "ckpt_29999_rank0.pt", "model.bin", "old.dat"])
+def test_checkpoints_are_named_and_never_unpickled(tmp_path, name):
+    """Whatever they are called: by their suffix, as a ZIP of torch.save, or by the first bytes of a pickle."""
+    path, ran = tmp_path / name, tmp_path / "ran"
+    evil = b"\x80\x04cposix\nsystem\n(S'touch %s'\ntR." % os.fsencode(ran)
+    if name == "old.dat":
+        path.write_bytes(evil)
+    else:
+        with zipfile.ZipFile(path, "w") as bundle:
+            bundle.writestr("archive/data.pkl", evil)
+    with pytest.raises(InputError, match=r"is a pickled checkpoint .* export a \.ply"):
+        splatree.read(path)
+    assert not ran.exists()
+
+
 def test_an_empty_splat_file_is_an_empty_scene(tmp_path):
     (tmp_path / "a.splat").write_bytes(b"")
     assert len(splatree.read(tmp_path / "a.splat")) == 0
@@ -169,7 +185,9 @@ def test_an_existing_file_is_kept_unless_forced(tmp_path):
     assert len(splatree.read(path)) == 9
 
 
-@pytest.mark.parametrize(("name", "message"), [("a.xyz", "wanted one of .splatree .compressed.ply .ply"), ("a", "suffix")])
+@pytest.mark.parametrize(
+    ("name", "message"), [("a.xyz", "wanted one of .splatree .compressed.ply .ply"), ("a", "suffix")]
+)
 def test_an_unknown_suffix_is_refused(tmp_path, name, message):
     with pytest.raises(InputError, match=message):
         splatree.write(Scene.flat(random_gaussians(1)), tmp_path / name)

@@ -6,7 +6,7 @@ from typing import Annotated
 from tyro.conf import arg
 
 from splatree.cli.console import Console, table
-from splatree.io.registry import formats
+from splatree.io.registry import Format, formats
 
 
 @dataclass(frozen=True)
@@ -30,8 +30,8 @@ class FormatLine:
     """Versions that are read."""
     written: bool
     """Whether it is written too."""
-    streamed: bool
-    """Whether files larger than memory are converted from it and to it."""
+    chunks: str
+    """Files larger than memory: `from and to` them, `from`, `to` or `no`."""
     options: tuple[str, ...]
     """Options of `splatree convert` that its writer takes."""
     lossless: bool
@@ -57,12 +57,17 @@ def run(command: Command) -> tuple[FormatLine, ...]:
             suffixes=f.suffixes,
             versions=f.versions,
             written=f.is_written,
-            streamed=f.write_chunks is not None and f.read_chunks is not None,
+            chunks=_chunks(f),
             options=f.options,
             **vars(f.holds),
         )
         for f in formats()
     )
+
+
+def _chunks(f: Format) -> str:
+    ways = [way for way, function in (("from", f.read_chunks), ("to", f.write_chunks)) if function is not None]
+    return " and ".join(ways) or "no"
 
 
 def show(lines: tuple[FormatLine, ...]) -> str:
@@ -77,6 +82,7 @@ def show(lines: tuple[FormatLine, ...]) -> str:
                 "SH": line.sh_degree,
                 "modes": ", ".join(line.modes),
                 "levels": line.levels,
+                "in chunks": line.chunks,
                 "versions": line.versions,
                 "what": line.description,
             }

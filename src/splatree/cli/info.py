@@ -48,6 +48,8 @@ class Info:
     """How it is meant to be drawn."""
     threshold: float
     """τ: opacity below which a splat ends."""
+    file_bytes: int
+    """Size of the files read, those in folders included; a meta.json that is named alone counts alone."""
     bytes: int
     """Memory of the columns."""
     box_min: tuple[float, ...]
@@ -87,6 +89,7 @@ def describe(scene: Scene) -> Info:
         sh_degree=scene.gaussians.sh_degree,
         mode=scene.mode,
         threshold=scene.threshold,
+        file_bytes=sum(_size(Path(path)) for path in scene.source.paths),
         bytes=scene.gaussians.nbytes,
         box_min=tuple(float(x) for x in box.min(axis=0)),
         box_max=tuple(float(x) for x in box.max(axis=0)),
@@ -109,6 +112,7 @@ def show(info: Info) -> str:
         ("nodes per depth", " ".join(f"{n:,}" for n in info.nodes_per_depth)),
         ("harmonics", f"degree {info.sh_degree}"),
         ("drawn", f"{info.mode}, τ = {info.threshold:.4g}"),
+        ("file", f"{info.file_bytes / 2**20:.1f} MiB, {info.file_bytes / max(1, info.num_nodes):.1f} bytes a row"),
         ("memory", f"{info.bytes / 2**20:.1f} MiB"),
         ("box", f"{point(*info.box_min)} to {point(*info.box_max)}"),
         ("90 % within", f"{info.radius:.4g} of {point(*info.centre)}"),
@@ -117,6 +121,11 @@ def show(info: Info) -> str:
         *((f"  {key}", value if len(value) < 200 else value[:197] + "...") for key, value in info.metadata.items()),
     ]
     return table([{"": name, " ": value} for name, value in rows]).strip("\n ")
+
+
+def _size(path: Path) -> int:
+    files = [path] if path.is_file() else [file for file in path.rglob("*") if file.is_file()]
+    return sum(file.stat().st_size for file in files)
 
 
 def _quantiles(values: np.ndarray) -> dict[str, float]:

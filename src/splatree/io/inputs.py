@@ -5,6 +5,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from splatree.errors import InputError
+from splatree.io.foreign import advice
+
+_HEAD_BYTES = 1024
 
 
 def find_inputs(paths: Sequence[Path], is_scene: Callable[[Path], bool]) -> list[Path]:
@@ -20,7 +23,14 @@ def _find(path: Path, is_scene: Callable[[Path], bool]) -> list[Path]:
     if is_scene(path):
         return [path]
     if not path.is_dir():
-        raise InputError(f"{path}: of no known format, by content or by suffix; see splatree.io.registry.formats()")
+        if path.is_file():  # a pipe would wait
+            with path.open("rb") as file:
+                known = advice(path, file.read(_HEAD_BYTES))
+            if known:
+                raise InputError(f"{path}: {known}")
+        raise InputError(
+            f"{path}: of no known format, by content or by suffix; `splatree formats` lists those that are read"
+        )
     if newest := newest_iteration(path):
         return [newest]
     found = [child for child in sorted(path.iterdir(), key=_natural) if is_scene(child)]

@@ -86,7 +86,7 @@ FORMATS: tuple[Format, ...] = (
         name="ply",
         description="3DGS training output",
         suffixes=(".ply",),
-        versions="SH 0-3",
+        versions="text, binary",
         holds=Holds(lossless=True),
         sniff=ply.sniff,
         read=ply.read,
