@@ -12,7 +12,7 @@ from splatree.bench import paper
 from splatree.bench.crops import busiest
 from splatree.bench.experiment import Grid, Panel, Report, Row, Table
 from splatree.bench.measure import ALL_LEAVES, Judge, number, shrinking_row
-from splatree.bench.shrinking import THREE_SIGMA, ways
+from splatree.bench.shrinking import ABOUT_LOSS, THREE_SIGMA, ways
 from splatree.bench.subject import SubjectOptions, subject_of
 from splatree.progress import track
 from splatree.render.pipeline import render
@@ -62,6 +62,6 @@ def run(options: Options) -> Report:
         "fig5",
         "Ways to end splats: quality, frames a second, pairs",
         {**subject.about, "rules": f"τ_R = {options.pixel_error:g} px, λ_G = {options.lambda_g:g}"},
-        [Table("fig5", "Ways to end splats, with and without levels of detail", rows), paper.FIG5],
+        [Table("fig5", "Ways to end splats, with and without levels of detail", rows, notes=[ABOUT_LOSS]), paper.FIG5],
         [Grid("fig5_details", "The busiest part of the first view", panels)],
     )

@@ -14,7 +14,7 @@ from tyro.conf import arg
 from splatree.bench import paper
 from splatree.bench.experiment import Curve, Plot, Report, Row, Table
 from splatree.bench.measure import Judge, number, shrinking_row
-from splatree.bench.shrinking import EXACT, THREE_SIGMA, Way, calibrated_options
+from splatree.bench.shrinking import ABOUT_LOSS, EXACT, THREE_SIGMA, Way, calibrated_options
 from splatree.bench.subject import Subject, SubjectOptions, subject_of
 from splatree.errors import InputError
 from splatree.progress import track
@@ -70,7 +70,7 @@ def run(options: Options) -> Report:
         "Quality, frames and pairs as shrinking grows; what the pairs contribute",
         {**subject.about, "rules": f"τ_R = {options.pixel_error:g} px; each point over {options.frames} frames"},
         [
-            Table("fig6_sweep", "Each rule over its parameter", rows),
+            Table("fig6_sweep", "Each rule over its parameter", rows, notes=[ABOUT_LOSS]),
             Table("fig6_contributions", "What pairs contribute", [_shares(*item) for item in histograms.items()]),
             paper.FIG7,
         ],
@@ -111,7 +111,7 @@ def _shares(name: str, histogram: ContributionHistogram) -> Row:
     low = int(histogram.counts[histogram.edges_px[1:] <= LOW_PX].sum())
     return {
         "drawn": name,
-        "N_P": histogram.num_pairs,
+        "pairs of all views": histogram.num_pairs,
         "used %": 100 * histogram.used_ratio,
         "KPC < 0.01 %": 100 * histogram.redundant_ratio,
         "KPC < 0.01": histogram.num_redundant,

@@ -92,4 +92,4 @@ def _measured(
     frames = [trace(judge.subject.scene, c, drawn, choose, contributions=True) for c in judge.subject.cameras]
     histogram = contribution_histogram(frame.contributions for frame in frames)
     row = shrinking_row(judge, unshrunk, select, drawn, options.frames)
-    return row | {"N_low": histogram.num_redundant}, frames[options.view].result.image
+    return row | {"N_low": round(histogram.num_redundant / len(frames))}, frames[options.view].result.image

@@ -11,7 +11,7 @@ from splatree.constants import ALPHA_THRESHOLD
 from splatree.render.calibrate import CalibrateOptions, Policy, calibrate
 from splatree.scene.options import RenderOptions, SelectOptions
 
-__all__ = ["EXACT", "SQUARE", "THREE_SIGMA", "Way", "calibrated_options", "ways"]
+__all__ = ["ABOUT_LOSS", "EXACT", "SQUARE", "THREE_SIGMA", "Way", "calibrated_options", "ways"]
 
 THREE_SIGMA = RenderOptions(extent="3sigma", threshold=ALPHA_THRESHOLD)
 """Squares of 3 σ (Kerbl 2023)."""
@@ -19,6 +19,10 @@ SQUARE = RenderOptions(extent="tau", threshold=ALPHA_THRESHOLD)
 """Squares that end at τ, at most 3 σ (FilterGS; it takes τ = 1/255 for the rule of FlashGS)."""
 EXACT = RenderOptions(extent="ellipse", threshold=ALPHA_THRESHOLD)
 """Exact test of tiles at 1/255: draws what evaluating every pixel draws. So does FlashGS's own code, at 1/256."""
+
+ABOUT_LOSS = (
+    "A loss of x dB without photographs is that of a scene which is itself 30 dB from the truth (render/calibrate.py)."
+)
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from splatree.bench import paper
 from splatree.bench.ablation import AblationOptions, filters, shrinkings
 from splatree.bench.experiment import Report, Table
 from splatree.bench.measure import Judge
+from splatree.bench.shrinking import ABOUT_LOSS
 from splatree.bench.subject import subject_of
 from splatree.progress import track
 from splatree.render.timing import STAGES, Timing, check_frames
@@ -44,7 +45,12 @@ def run(options: Options) -> Report:
         "table2",
         "Where a frame's time goes, CPU-ms",
         {**subject.about, "rules": rules},
-        [Table("table2", "CPU-ms of each stage a frame, all threads together, and its share", rows), paper.TABLE2],
+        [
+            Table(
+                "table2", "CPU-ms of each stage a frame, all threads together, and its share", rows, notes=[ABOUT_LOSS]
+            ),
+            paper.TABLE2,
+        ],
     )
 
 

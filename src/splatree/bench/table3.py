@@ -11,6 +11,7 @@ from splatree.bench import paper
 from splatree.bench.ablation import AblationOptions, filters, shrinkings
 from splatree.bench.experiment import Report, Table
 from splatree.bench.measure import Judge
+from splatree.bench.shrinking import ABOUT_LOSS
 from splatree.bench.subject import subject_of
 from splatree.constants import ALPHA_THRESHOLD, DILATION_PX2
 from splatree.progress import track
@@ -47,5 +48,5 @@ def run(options: Options) -> Report:
         "table3",
         "Quality and pairs with each part switched on alone",
         {**subject.about, "rules": f"τ_R = {options.pixel_error:g} px"},
-        [Table("table3", "Quality, pairs and equality of the selections", rows), paper.TABLE3],
+        [Table("table3", "Quality, pairs and equality of the selections", rows, notes=[ABOUT_LOSS]), paper.TABLE3],
     )
