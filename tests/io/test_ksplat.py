@@ -91,6 +91,14 @@ def test_files_of_its_own_tool_agree_with_their_source(data, level):
         )
 
 
+def test_clipped_colours_are_counted(tmp_path):
+    g = random_gaussians(5, 0)
+    g.sh[:] = 0
+    g.sh[[1, 3], 0, 2] = (3, -2)
+    g.sh[4, 0, 0] = 0.5 / SH_C0  # a colour of 1
+    assert "the colours of 2 Gaussians: ksplat clips them to 0 to 1" in written(tmp_path, g, 1)[1]
+
+
 def test_small_scenes_get_small_blocks(tmp_path):
     g = random_gaussians(500, 0)
     g.means[:] *= 1e-3

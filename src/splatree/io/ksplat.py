@@ -74,6 +74,9 @@ _HALF_MAX = 65504.0
 _HALF_MIN = 2.0**-24
 """Smallest half-precision number above 0; a scale of 0 stands for one below half of it."""
 
+_CLIP_MIN = 0.5 / 255
+"""A colour that is clipped by less is only rounded."""
+
 _ROWS_AT_ONCE = 1 << 16
 
 
@@ -242,7 +245,7 @@ def _read_section(
 def write(scene: Scene, path: Path, options: WriteOptions) -> tuple[str, ...]:
     """Write one section at level 0, 1 (the default) or 2, in blocks that follow each other along the axes.
 
-    Colours are clipped to 0 to 1 and scales to what half precision holds; no row is dropped.
+    Colours are clipped to 0 to 1 (and counted) and scales to what half precision holds; no row is dropped.
     """
     level = 1 if options.compression is None else options.compression
     if level not in (0, 1, 2):
@@ -267,7 +270,7 @@ def write(scene: Scene, path: Path, options: WriteOptions) -> tuple[str, ...]:
         section["buckets"], section["block_size"] = len(buckets.centres), buckets.block_size
         section["full_buckets"], section["partial_buckets"] = buckets.num_full, len(buckets.partial_lengths)
     section["bytes"] = min(2**32 - 1, n * record.itemsize + buckets.partial_lengths.nbytes + 12 * len(buckets.centres))
-    step = float(section["block_size"][0]) / 2 / _CODE_RANGE
+    step, num_clipped = float(section["block_size"][0]) / 2 / _CODE_RANGE, 0
     with path.open("wb") as file, task(f"write {path.name}", n) as advance:
         for part in (header, section, buckets.partial_lengths, buckets.centres.astype("<f4")):
             file.write(part.data)
@@ -283,6 +286,7 @@ def write(scene: Scene, path: Path, options: WriteOptions) -> tuple[str, ...]:
             quats = g.quats[rows].astype(np.float64)
             records["quat"] = quats / np.linalg.norm(quats, axis=1, keepdims=True)
             color = 0.5 + SH_C0 * g.sh[rows, 0].astype(np.float64)
+            num_clipped += int(((color < -_CLIP_MIN) | (color > 1 + _CLIP_MIN)).any(axis=1).sum())
             records["rgba"][:, :3] = np.rint(np.clip(color, 0, 1) * 255)
             records["rgba"][:, 3] = np.rint(opacities_from_logits(g.logit_opacities[rows]) * np.float32(255))
             rest = np.take(g.sh, rows, axis=0).reshape(len(rows), 3 * g.sh.shape[1])[:, 3 + order]
@@ -293,7 +297,7 @@ def write(scene: Scene, path: Path, options: WriteOptions) -> tuple[str, ...]:
             records["rest"] = rest
             file.write(records.data)
             advance(len(rows))
-    return ()
+    return (f"the colours of {num_clipped:,} Gaussians: ksplat clips them to 0 to 1",) if num_clipped else ()
 
 
 @dataclass(frozen=True, eq=False)

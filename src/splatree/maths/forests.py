@@ -29,6 +29,9 @@ DEPTH_MAX = 255
 """Edges from a root; a depth is kept in a byte."""
 
 
+_ROWS_AT_ONCE = 1 << 16
+
+
 @dataclass(frozen=True, eq=False)
 class Links:
     """A forest as links, nodes in breadth-first order."""
@@ -72,13 +75,15 @@ def links_from_preorder(depth: Array) -> Links:
 
 
 def parents_by_level(depth: Array) -> Iterator[tuple[Array, Array]]:
-    """Rows of each depth from 1 down, ascending, with the rows of their parents."""
+    """Rows of each depth from 1 down, ascending, with the rows of their parents; at most 65,536 at a time."""
     order = np.argsort(depth, kind="stable").astype(np.int32)
     ends = np.cumsum(np.bincount(depth)) if len(depth) else np.zeros(0, np.int64)
     begin = 0
     for end, below in pairwise(ends):
-        parents, rows = order[begin:end], order[end:below]
-        yield rows, parents[np.searchsorted(parents, rows) - 1]  # the last row of the level above that lies before
+        above = order[begin:end]
+        for first in range(end, below, _ROWS_AT_ONCE):
+            rows = order[first : min(first + _ROWS_AT_ONCE, below)]
+            yield rows, above[np.searchsorted(above, rows) - 1]  # the last row of the level above that lies before
         begin = end
 
 
