@@ -9,6 +9,8 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from splatree.clusters.build import ClusterOptions, build_clusters
+    from splatree.clusters.cull import cull
     from splatree.edit.edit import edit
     from splatree.edit.options import EditOptions
     from splatree.errors import FormatError, InputError, MissingExtraError, OutputError, ShapeError, SplatreeError
@@ -34,6 +36,7 @@ if TYPE_CHECKING:
     from splatree.render.pipeline import render, trace
     from splatree.render.video import open_video
     from splatree.scene.cameras import Camera, Cameras
+    from splatree.scene.clusters import ClusterIndex, Culling
     from splatree.scene.frame import Frame, RenderResult, Selection
     from splatree.scene.gaussians import Gaussians
     from splatree.scene.options import RenderOptions, SelectOptions
@@ -49,9 +52,12 @@ __all__ = [
     "Calibration",
     "Camera",
     "Cameras",
+    "ClusterIndex",
+    "ClusterOptions",
     "ContributionHistogram",
     "ConvertOptions",
     "Converted",
+    "Culling",
     "EditOptions",
     "Evaluation",
     "FormatError",
@@ -76,11 +82,13 @@ __all__ = [
     "Thinned",
     "TileContributions",
     "WriteOptions",
+    "build_clusters",
     "build_lod",
     "calibrate",
     "calibrated",
     "contribution_histogram",
     "convert",
+    "cull",
     "edit",
     "evaluate",
     "flyout",
@@ -110,9 +118,12 @@ _HOME = {
     "Calibration": "splatree.render.calibrate",
     "Camera": "splatree.scene.cameras",
     "Cameras": "splatree.scene.cameras",
+    "ClusterIndex": "splatree.scene.clusters",
+    "ClusterOptions": "splatree.clusters.build",
     "ContributionHistogram": "splatree.render.contribution",
     "ConvertOptions": "splatree.io.convert",
     "Converted": "splatree.io.convert",
+    "Culling": "splatree.scene.clusters",
     "EditOptions": "splatree.edit.options",
     "Evaluation": "splatree.render.evaluate",
     "FormatError": "splatree.errors",
@@ -137,11 +148,13 @@ _HOME = {
     "Thinned": "splatree.simplify.thin",
     "TileContributions": "splatree.render.contribution",
     "WriteOptions": "splatree.io.options",
+    "build_clusters": "splatree.clusters.build",
     "build_lod": "splatree.lod.build",
     "calibrate": "splatree.render.calibrate",
     "calibrated": "splatree.render.calibrate",
     "contribution_histogram": "splatree.render.contribution",
     "convert": "splatree.io.convert",
+    "cull": "splatree.clusters.cull",
     "edit": "splatree.edit.edit",
     "evaluate": "splatree.render.evaluate",
     "flyout": "splatree.render.paths",

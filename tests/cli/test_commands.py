@@ -43,6 +43,35 @@ def test_info_counts_and_places_the_scene(splatree, small_tree):
     assert "3,161" in words
 
 
+@pytest.mark.parametrize("flat", [True, False])
+def test_build_makes_clusters(splatree, small_ply, tmp_path, flat):
+    words = ("--clusters", "50", *(["--flat"] if flat else []))
+    built = result_of(splatree("build", small_ply, tmp_path / "a.splatree", *words, "--json"))
+    assert (built["rules"] is None) == flat
+    assert built["clusters"]["rule"] == ("kmeans" if flat else "subtrees")
+    info = result_of(splatree("info", tmp_path / "a.splatree", "--json"))
+    assert info["clusters"]["number"] == built["clusters"]["clusters"]
+    code, words, _ = splatree("info", tmp_path / "a.splatree")
+    assert code == 0
+    assert f"{info['clusters']['number']}, median of" in words
+
+
+def test_culling_draws_the_same_pictures(splatree, small_ply, tmp_path):
+    result_of(splatree("build", small_ply, tmp_path / "a.splatree", "--clusters", "60", "--flat", "--json"))
+    pictures = []
+    for rule in ("none", "exact"):
+        words = ("-o", tmp_path / rule, "--views", "2", *SIZE, "--cull", rule, "--json")
+        views = result_of(splatree("render", tmp_path / "a.splatree", *words))["views"]
+        pictures.append([Path(view["file"]).read_bytes() for view in views])
+    assert pictures[0] == pictures[1]
+
+
+def test_build_without_levels_and_clusters_is_an_error(splatree, small_ply, tmp_path):
+    code, _, err = splatree("build", small_ply, tmp_path / "a.splatree", "--flat")
+    assert code == 1
+    assert "--flat without --clusters" in err
+
+
 def test_convert_writes_the_same_gaussians(splatree, small_tree, tmp_path):
     converted = result_of(splatree("convert", small_tree, tmp_path / "out.ply", "--json"))
     assert converted["num_gaussians"] == len(read(tmp_path / "out.ply")) == NUM_GAUSSIANS

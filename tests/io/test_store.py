@@ -179,3 +179,33 @@ def test_flat_formats_get_the_leaves_or_a_cut(tmp_path):
         splatree.write(scene, tmp_path / f"{depth}.ply", depth=depth)
         back = splatree.read(tmp_path / f"{depth}.ply")
         assert same_bits(back.gaussians.means, scene.gaussians.means[rows]) and back.mode == "antialiased"
+
+
+def test_clusters_are_kept_but_their_radii_made_anew(tmp_path):
+    scene = splatree.build_clusters(Scene.flat(random_gaussians(40, 3)), 6)
+    splatree.write(scene, tmp_path / "a.splatree")
+    back = splatree.read(tmp_path / "a.splatree")
+    for name in ("start", "centers", "radii", "mean_radii", "footprint_radii"):
+        assert same_bits(getattr(scene.clusters, name), getattr(back.clusters, name))
+    assert json.loads(back.source.metadata["clusters"])["clusters"] == 6
+    # A file that says its spheres are smaller would hide what reaches out of them.
+    content = bytearray((tmp_path / "a.splatree").read_bytes())
+    at = content.find(scene.clusters.footprint_radii.tobytes())
+    content[at : at + 24] = (scene.clusters.footprint_radii * np.float32(1.5)).tobytes()
+    (tmp_path / "b.splatree").write_bytes(content)
+    assert same_bits(splatree.read(tmp_path / "b.splatree").clusters.footprint_radii, scene.clusters.footprint_radii)
+    content[at : at + 24] = (scene.clusters.footprint_radii / 9).tobytes()
+    (tmp_path / "c.splatree").write_bytes(content)
+    with pytest.raises(FormatError, match="clusters of other Gaussians"):
+        splatree.read(tmp_path / "c.splatree")
+
+
+def test_clusters_that_do_not_cover_the_rows_are_refused(tmp_path):
+    scene = splatree.build_clusters(Scene.flat(random_gaussians(40, 3)), 6)
+    splatree.write(scene, tmp_path / "a.splatree")
+    content = (tmp_path / "a.splatree").read_bytes()
+    start = scene.clusters.start
+    for wrong in (start[::-1], start - 1, start * 0, start * 1000):
+        (tmp_path / "b.splatree").write_bytes(content.replace(start.tobytes(), wrong.astype(np.int32).tobytes()))
+        with pytest.raises(FormatError, match="clusters"):
+            splatree.read(tmp_path / "b.splatree")

@@ -1,9 +1,9 @@
-"""``splatree build``: the levels of detail of a scene."""
+"""``splatree build``: the levels of detail of a scene, and its clusters."""
 
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from tyro.conf import arg
@@ -11,23 +11,30 @@ from tyro.conf import arg
 from splatree.cli.calibrate import Views, calibrate_on, in_words
 from splatree.cli.console import Console, table
 from splatree.cli.files import Files, inputs_and_output
+from splatree.clusters.build import ClusterOptions, build_clusters
+from splatree.errors import InputError
 from splatree.io.registry import read, write
 from splatree.lod.build import BuildOptions, build_lod
 from splatree.render.calibrate import CalibrateOptions, Calibration, calibrated
 from splatree.scene.options import RenderOptions, SelectOptions
-from splatree.scene.scene import Mode
+from splatree.scene.scene import Mode, Scene
 from splatree.scene.tree import GaussianTree
 from splatree.shapes import Array, Int64
 
 
 @dataclass(frozen=True)
 class Command:
-    """Build the levels of detail of a scene and write them as one file: in.ply out.splatree, or chunk_*/ -o city.splatree."""
+    """Build levels of detail, clusters or both, and write one file: in.ply out.splatree, or chunk_*/ -o city.splatree."""
 
     files: Annotated[Files, arg(name="")]
     mode: Mode | None = None
     """How the scene was trained and will be drawn; merged nodes depend on it. None: as the file says, else `classic`."""
+    clusters: int | Literal["auto"] | None = None
+    """Make so many clusters, which views then leave out whole; `auto`: one for 128 rows, 1,024 to 32,768. None: no clusters."""
+    flat: bool = False
+    """Make no levels: only clusters, of the Gaussians as they are; a scene that has levels keeps them."""
     options: Annotated[BuildOptions, arg(name="")] = BuildOptions()
+    clustering: Annotated[ClusterOptions, arg(name="")] = ClusterOptions()
     views: Annotated[Views, arg(name="")] = Views()
     calibration: Annotated[CalibrateOptions, arg(name="")] = CalibrateOptions()
     console: Annotated[Console, arg(name="")] = Console()
@@ -51,8 +58,10 @@ class Built:
     """Nodes at each depth, roots first."""
     children: dict[str, int]
     """How many merged nodes have 2, 3, ... children."""
-    rules: dict[str, Any]
-    """Radii, and nodes left after each level, and the rules, as they are written into the file."""
+    rules: dict[str, Any] | None
+    """Radii, and nodes left after each level, and the rules, as they are written into the file; None without levels."""
+    clusters: dict[str, Any] | None
+    """Number and rules of the clusters, as they are written into the file; None without clusters."""
     bytes: int
     """Size of the file."""
     calibration: Calibration | None = None
@@ -62,10 +71,15 @@ class Built:
 def run(command: Command) -> Built:
     """Read, build, write."""
     inputs, output = inputs_and_output(command.files, keeps_tree=True)
+    if command.flat and command.clusters is None:
+        raise InputError("found --flat without --clusters, which leaves nothing to build; wanted --clusters auto too")
     scene = read(inputs, repair=command.files.repair)
     if command.mode is not None:
         scene = replace(scene, mode=command.mode)
-    scene = build_lod(scene, command.options)
+    if not command.flat:
+        scene = build_lod(scene, command.options)
+    if command.clusters is not None:
+        scene = build_clusters(scene, command.clusters, command.clustering)
     calibration = None
     if command.views.cameras or command.views.data:
         calibration, held_out = calibrate_on(
@@ -83,10 +97,15 @@ def run(command: Command) -> Built:
         num_roots=int((tree.depth == 0).sum()),
         nodes_per_depth=tuple(int(n) for n in np.bincount(tree.depth)),
         children={str(count): int(number) for count, number in zip(counts, numbers, strict=True)},
-        rules=json.loads(scene.source.metadata["levels"]),
+        rules=_metadata(scene, "levels"),
+        clusters=_metadata(scene, "clusters"),
         bytes=output.stat().st_size,
         calibration=calibration,
     )
+
+
+def _metadata(scene: Scene, key: str) -> dict[str, Any] | None:
+    return json.loads(scene.source.metadata[key]) if key in scene.source.metadata else None
 
 
 def children_per_node(tree: GaussianTree) -> Int64[Array, "n"]:
@@ -102,12 +121,14 @@ def children_per_node(tree: GaussianTree) -> Int64[Array, "n"]:
 
 def show(built: Built) -> str:
     """The result in words."""
-    rows = [
-        {"level": i + 1, "radius": f"{r:.4g}", "nodes left": n}
-        for i, (r, n) in enumerate(zip(built.rules["radii"], built.rules["nodes"][1:], strict=True))
-    ]
+    levels = ""
+    if built.rules is not None:
+        steps = zip(built.rules["radii"], built.rules["nodes"][1:], strict=True)
+        rows = [{"level": i + 1, "radius": f"{r:.4g}", "nodes left": n} for i, (r, n) in enumerate(steps)]
+        levels = f"{table(rows)}\n"
+    clusters = f"{built.clusters['clusters']:,} clusters, " if built.clusters else ""
     return (
-        f"{table(rows)}\nwrote {built.output}: {built.num_gaussians:,} Gaussians, {built.num_nodes:,} nodes "
-        f"({built.num_nodes / max(1, built.num_gaussians):.2f} ×), {built.levels} levels, {built.num_roots} roots, "
+        f"{levels}wrote {built.output}: {built.num_gaussians:,} Gaussians, {built.num_nodes:,} nodes "
+        f"({built.num_nodes / max(1, built.num_gaussians):.2f} ×), {built.levels} levels, {built.num_roots} roots, {clusters}"
         f"{built.bytes / 2**20:.1f} MiB"
     ) + ("" if built.calibration is None else f"\n{in_words(built.calibration)}")

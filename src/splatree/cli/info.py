@@ -42,6 +42,8 @@ class Info:
     """Largest depth + 1."""
     nodes_per_depth: tuple[int, ...]
     """Nodes at each depth, roots first."""
+    clusters: dict[str, float] | None
+    """Number of clusters, rows of one and radius (median); None without clusters."""
     sh_degree: int
     """Degree of the spherical harmonics."""
     mode: str
@@ -86,6 +88,7 @@ def describe(scene: Scene) -> Info:
         num_nodes=len(scene),
         levels=scene.tree.num_levels,
         nodes_per_depth=tuple(int(n) for n in np.bincount(scene.tree.depth)),
+        clusters=_clusters(scene),
         sh_degree=scene.gaussians.sh_degree,
         mode=scene.mode,
         threshold=scene.threshold,
@@ -101,6 +104,13 @@ def describe(scene: Scene) -> Info:
     )
 
 
+def _clusters(scene: Scene) -> dict[str, float] | None:
+    if scene.clusters is None:
+        return None
+    rows, radius = np.median(scene.clusters.counts), np.median(scene.clusters.radii)
+    return {"number": len(scene.clusters), "rows": float(rows), "radius": float(radius)}
+
+
 def show(info: Info) -> str:
     """The description in words."""
     point = "({:.4g}, {:.4g}, {:.4g})".format
@@ -110,6 +120,7 @@ def show(info: Info) -> str:
         ("Gaussians", f"{info.num_gaussians:,}"),
         ("nodes", f"{info.num_nodes:,} in {info.levels} level{'s' if info.levels != 1 else ''}"),
         ("nodes per depth", " ".join(f"{n:,}" for n in info.nodes_per_depth)),
+        *([("clusters", _cluster_words(info.clusters))] if info.clusters else []),
         ("harmonics", f"degree {info.sh_degree}"),
         ("drawn", f"{info.mode}, τ = {info.threshold:.4g}"),
         ("file", f"{info.file_bytes / 2**20:.1f} MiB, {info.file_bytes / max(1, info.num_nodes):.1f} bytes a row"),
@@ -126,6 +137,11 @@ def show(info: Info) -> str:
 def _size(path: Path) -> int:
     files = [path] if path.is_file() else [file for file in path.rglob("*") if file.is_file()]
     return sum(file.stat().st_size for file in files)
+
+
+def _cluster_words(clusters: dict[str, float]) -> str:
+    number, rows, radius = clusters["number"], clusters["rows"], clusters["radius"]
+    return f"{number:,}, median of {rows:,.0f} rows and radius {radius:.3g}"
 
 
 def _quantiles(values: np.ndarray) -> dict[str, float]:

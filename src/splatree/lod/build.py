@@ -199,6 +199,9 @@ def _assemble(scene: Scene, leaves: Gaussians, leaf_ids: Array, forest: _Forest,
         leaf_ids, first_id = np.arange(len(leaves), dtype=np.uint32), len(leaves)
     ids[row_from_leaf] = leaf_ids
     ids[row[len(leaves) :]] = np.arange(first_id, first_id + n - len(leaves), dtype=np.uint32)
-    source = dataclasses.replace(scene.source, metadata={**scene.source.metadata, "levels": report})
+    metadata = {key: value for key, value in scene.source.metadata.items() if key != "clusters"}
+    source = dataclasses.replace(scene.source, metadata={**metadata, "levels": report})
     blocks = index_blocks(gaussians, order.tree, threads=threads)
-    return dataclasses.replace(scene, gaussians=gaussians, tree=order.tree, ids=ids, blocks=blocks, source=source)
+    return dataclasses.replace(
+        scene, gaussians=gaussians, tree=order.tree, ids=ids, blocks=blocks, clusters=None, source=source
+    )

@@ -4,16 +4,20 @@ The rule `cut` (kernels/reference/select.py has its definition) runs in the comp
 that can be seen, not with the scene. The rules that reproduce published code, `paper-strict`, `release` and `log-serial`,
 run in NumPy over all rows: they are there to be compared with.
 
+Rows of clusters that culling leaves out are not drawn; with the rule `exact` they could not be seen anyway.
+
 A budget is met by raising τ_R: coarser cuts are nested in finer ones, so the number of nodes falls as τ_R grows (but for
 the few at the border of the image), and interpolation between two values finds where it fits.
 """
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Protocol
 
 import numpy as np
 
+from splatree.clusters.cull import cull
 from splatree.constants import DILATION_PX2, EIGENVALUE_FLOOR_PX4, SIGMAS
 from splatree.errors import InputError
 from splatree.kernels.cpu import select as cpu
@@ -21,13 +25,14 @@ from splatree.kernels.cpu.blocks import index_blocks
 from splatree.kernels.reference import select as reference
 from splatree.lod.serial import select_serial
 from splatree.scene.cameras import Camera
+from splatree.scene.clusters import Culling
 from splatree.scene.frame import Selection
-from splatree.scene.options import Profile, SelectOptions
+from splatree.scene.options import Extent, Profile, SelectOptions
 from splatree.scene.scene import Scene
 from splatree.scene.tree import GaussianTree
-from splatree.shapes import Array
+from splatree.shapes import Array, Bool, Int32
 
-__all__ = ["Selector", "count_nested", "count_uncovered", "select", "smallest_radius"]
+__all__ = ["Selector", "count_nested", "count_uncovered", "cull_scene", "select", "smallest_radius"]
 
 BUDGET_SHARE = 0.98
 """A selection that holds this share of its budget is not refined further."""
@@ -52,25 +57,32 @@ def select(
     *,
     dilation_px2: float = DILATION_PX2,
     threshold: float | None = None,
+    culling: Culling | None = None,
     threads: int = 0,
 ) -> Selection:
     """Choose the rows to draw.
 
     ``dilation_px2`` is what the drawing adds to each splat's variance; ``threshold`` the opacity τ at which a splat ends (None:
-    the scene's), below which the visibility test `footprint` drops it.
+    the scene's), below which the visibility test `footprint` drops it. ``culling`` is what `cull_scene` found for the same
+    camera and options; None: it is found here.
 
     Raises:
-        InputError: a budget that not even the roots in view meet.
+        InputError: a budget that not even the roots in view meet; or a rule of culling for a scene without clusters.
     """
     options = options or SelectOptions()
+    if culling is None:
+        culling = cull_scene(scene, camera, options, dilation_px2=dilation_px2, threshold=threshold, threads=threads)
+    runs = None if culling is None or culling.kept.all() else culling.runs
     blocks = scene.blocks
     if blocks is None and options.rule == "cut":
         blocks = index_blocks(scene.gaussians, scene.tree, threads=threads)
     threshold = scene.threshold if threshold is None else threshold
 
-    choose: Callable[..., tuple[Array, int]] = {"cut": cpu.select, "log-serial": select_serial}.get(
-        options.rule, reference.select
-    )
+    choose: Callable[..., tuple[Array, int]] = reference.select
+    if options.rule == "cut":
+        choose = partial(cpu.select, runs=runs)
+    elif options.rule == "log-serial":
+        choose = select_serial
 
     def rows_at(pixel_error: float) -> tuple[Array, int]:
         at = replace(options, pixel_error=pixel_error)
@@ -84,6 +96,8 @@ def select(
             threshold=threshold,
             threads=threads,
         )
+        if runs is not None and options.rule != "cut":
+            rows = rows[in_runs(rows, runs)]
         if at.max_radius is not None:
             largest = replace(at, pixel_error=at.max_radius)
             small = cpu.small(
@@ -106,6 +120,45 @@ def select(
             f"{options.profile!r} gives: all leaves are drawn"
         )
     return Selection(rows, options.rule, options.profile, pixel_error, visited, tuple(notes))
+
+
+def cull_scene(
+    scene: Scene,
+    camera: Camera,
+    options: SelectOptions | None = None,
+    *,
+    dilation_px2: float = DILATION_PX2,
+    threshold: float | None = None,
+    extent: Extent = "ellipse",
+    threads: int = 0,
+) -> Culling | None:
+    """Decide which clusters of a scene are left out, by ``options.cull``; None if it is not to be done.
+
+    Raises:
+        InputError: a rule is named for a scene without clusters.
+    """
+    rule = (options or SelectOptions()).cull
+    if scene.clusters is None and rule not in (None, "none"):
+        raise InputError(
+            f"cull: found rule {rule!r} for a scene without clusters; make them with splatree build --clusters auto"
+        )
+    if scene.clusters is None or rule == "none":
+        return None
+    threshold = scene.threshold if threshold is None else threshold
+    return cull(
+        scene.clusters,
+        camera,
+        rule or "exact",
+        dilation_px2=dilation_px2,
+        threshold=threshold,
+        extent=extent,
+        threads=threads,
+    )
+
+
+def in_runs(rows: Int32[Array, "v"], runs: Int32[Array, "r 2"]) -> Bool[Array, "v"]:
+    """Whether each row is in one of the runs: an odd number of their bounds is at or before it."""
+    return np.asarray(np.searchsorted(runs.ravel(), rows, side="right") % 2 == 1)
 
 
 def smallest_radius(profile: Profile, dilation_px2: float = DILATION_PX2) -> float:

@@ -72,7 +72,7 @@ def evaluate(
     lossless = replace(options or RenderOptions(), extent="ellipse", pixels="hard", threshold=ALPHA_THRESHOLD)
     for camera in track(list(cameras), "evaluate views"):
         cut = trace(scene, camera, options, select)
-        leaves = trace(scene, camera, lossless, SelectOptions(pixel_error=0.0))
+        leaves = trace(scene, camera, lossless, SelectOptions(pixel_error=0.0, cull="none"))
         photo = (photos or {}).get(camera.name)
         yield Evaluation(
             camera,

@@ -1,9 +1,9 @@
-"""A frame: select → project → bin → blend.
+"""A frame: cull → select → project → bin → blend.
 
 ::
 
-    Camera ─► select ────► project ─► bin ─► blend ─► RenderResult
-              LoD cut      splats     tiles  image
+    Camera ─► cull ─────► select ────► project ─► bin ─► blend ─► RenderResult
+              clusters    LoD cut      splats     tiles  image
 
 Each stage is a function from structs to a struct; `render` drops what lies between, `trace` keeps it. The picture is that of
 standard 3D Gaussian Splatting (Kerbl 2023), and has the same bits for any number of threads and any order of rows.
@@ -16,7 +16,7 @@ from functools import partial
 from typing import TypeVar
 
 from splatree.kernels import Backend, backend_for
-from splatree.lod.select import Selector
+from splatree.lod.select import Selector, cull_scene
 from splatree.lod.select import select as select_rows
 from splatree.scene.cameras import Camera
 from splatree.scene.frame import Counters, Frame, RenderResult
@@ -76,7 +76,24 @@ def trace(
         cpu_milliseconds[stage] = 1e3 * (time.process_time() - cpu)
         return value
 
-    choose: Selector = partial(select_rows, scene, options=select) if isinstance(select, SelectOptions) else select
+    culling = None
+    if isinstance(select, SelectOptions):
+        if scene.clusters is not None or select.cull is not None:
+            culling = timed(
+                "cull",
+                lambda: cull_scene(
+                    scene,
+                    camera,
+                    select,
+                    dilation_px2=resolved.dilation_px2,
+                    threshold=resolved.threshold,
+                    extent=resolved.extent,
+                    threads=threads,
+                ),
+            )
+        choose: Selector = partial(select_rows, scene, options=select, culling=culling)
+    else:
+        choose = select
     selection = timed(
         "select",
         lambda: choose(camera, dilation_px2=resolved.dilation_px2, threshold=resolved.threshold, threads=threads),
@@ -98,4 +115,4 @@ def trace(
         num_blended=picture.num_blended,
     )
     result = RenderResult(picture.image, picture.alpha, picture.depth, counters, milliseconds, cpu_milliseconds)
-    return Frame(camera, selection, splats, bins, picture.tiles, result, picture.contributions)
+    return Frame(camera, culling, selection, splats, bins, picture.tiles, result, picture.contributions)

@@ -1,13 +1,76 @@
-"""Clusters of Gaussians: runs of consecutive rows with a sphere around each, and what a step of K-means leaves."""
+"""Clusters of Gaussians: runs of consecutive rows with spheres around them, and what K-means and culling leave."""
 
 from dataclasses import dataclass
 
-from splatree.shapes import Array, Float32, Float64, Int32, Int64, check_fields
+import numpy as np
+
+from splatree.constants import ALPHA_THRESHOLD, SIGMAS
+from splatree.errors import ShapeError
+from splatree.scene.gaussians import Gaussians
+from splatree.shapes import Array, Bool, Float32, Float64, Int32, Int64, check_fields
+
+
+@dataclass(frozen=True, eq=False)
+class ClusterIndex:
+    """Clusters: run ``j`` is the rows ``start[j] : start[j + 1]``; each row is in one.
+
+    All radii are around the same centre, over the rows of the cluster, rounded upwards. In a tree a row's descendants that lie in
+    other clusters are held by those.
+    """
+
+    start: Int32[Array, "c+1"]
+    """First row of each cluster, and the number of rows."""
+    centers: Float32[Array, "c 3"]
+    """Centres of the spheres, world units."""
+    radii: Float32[Array, "c"]
+    """Holds the 3σ balls: largest |μ − centre| + 3σ, σ the largest standard deviation (Jo 2024, Eq. 2)."""
+    mean_radii: Float32[Array, "c"]
+    """Holds the means: largest |μ − centre| (the ablation "only distance" of Jo 2024)."""
+    footprint_radii: Float32[Array, "c"]
+    """Holds what is drawn at τ = 1/255: largest |μ − centre| + k σ with k = √(2 ln 255 o), of rows of opacity o ≥ 1/255."""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        if len(self.start) < 1 or self.start[0] != 0 or np.any(np.diff(self.start) <= 0):
+            raise ShapeError("ClusterIndex.start: wanted rows from 0 on, ascending; a cluster has at least one row")
+
+    def __len__(self) -> int:
+        return len(self.centers)
+
+    @property
+    def num_rows(self) -> int:
+        """Rows of all clusters."""
+        return int(self.start[-1])
+
+    @property
+    def counts(self) -> Int32[Array, "c"]:
+        """Rows of each cluster."""
+        return np.diff(self.start)
+
+    def fits(self, gaussians: Gaussians) -> bool:
+        """Whether they are the clusters of these Gaussians, by their number and the first row of each."""
+        if self.num_rows != len(gaussians):
+            return False
+        first = self.start[:-1]
+        logits = gaussians.logit_opacities[first].astype(np.float64)
+        with np.errstate(invalid="ignore", over="ignore"):
+            distances = np.linalg.norm(gaussians.means[first].astype(np.float64) - self.centers, axis=1)
+            scales = np.exp(gaussians.log_scales[first].max(axis=1, initial=-np.inf).astype(np.float64))
+            log_opacities = -np.logaddexp(0.0, -logits)
+            reach = np.sqrt(2 * np.maximum(log_opacities - np.log(ALPHA_THRESHOLD), 0))
+            drawn = log_opacities >= np.log(ALPHA_THRESHOLD)
+            held = (
+                (distances, self.mean_radii),
+                (distances + SIGMAS * scales, self.radii),
+                (np.where(drawn, distances + reach * scales, 0), self.footprint_radii),
+            )
+            # NaN, which is never drawn, is above nothing; 1e-6 is the rounding of float32.
+            return not any(np.any(needed > (1 + 1e-6) * radii.astype(np.float64)) for needed, radii in held)
 
 
 @dataclass(frozen=True, eq=False)
 class Assignment:
-    """The nearest centre of each point."""
+    """A step of K-means: the nearest centre of each point."""
 
     labels: Int32[Array, "n"]
     """Index of the centre; of equally near ones the first."""
@@ -24,4 +87,62 @@ class Assignment:
     @property
     def inertia(self) -> float:
         """Sum of the squared distances, which K-means makes small."""
-        return float(self.squared_distances.sum(dtype="float64"))
+        return float(self.squared_distances.sum(dtype=np.float64))
+
+
+@dataclass(frozen=True, eq=False)
+class Sides:
+    """The borders of a view as planes in the world: a sphere that lies beyond one of them is out of view.
+
+    Sphere (c, R) lies beyond side s if ``n_s · c + d_s > reach_s R'`` with R' = scale R + slack |c − eye|₁ + margin.
+    """
+
+    planes: Float64[Array, "5 4"]
+    """(n, d) of right, left, bottom, top and near side, pointing outwards."""
+    reaches: Float64[Array, "5"]
+    """How far a unit of radius reaches over each plane."""
+    eye: Float64[Array, "3"]
+    """The eye in the world."""
+    scale: float = 1.0
+    """Factor on radii, for what float32 loses of them."""
+    slack: float = 0.0
+    """Radius added for each unit of distance from the eye, for what float32 loses of positions."""
+    margin: float = 0.0
+    """Radius added, for what float32 loses of the view's own translation."""
+    guard: bool = False
+    """Whether spheres that reach the plane of the eye are kept whatever the sides say."""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+
+@dataclass(frozen=True, eq=False)
+class Culling:
+    """What is left of a scene's clusters in a view."""
+
+    kept: Bool[Array, "c"]
+    """Whether each cluster is kept."""
+    runs: Int32[Array, "r 2"]
+    """First row and end of each run of kept rows, ascending, with gaps between them: nothing is copied or packed."""
+    rule: str
+    """Rule that decided (docs/algorithms/clusters.md)."""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+    @property
+    def num_rows(self) -> int:
+        """Rows of the kept clusters."""
+        return int((self.runs[:, 1] - self.runs[:, 0]).sum(dtype=np.int64))
+
+    @property
+    def rows(self) -> Int32[Array, "v"]:
+        """The kept rows, one by one (computed)."""
+        begins, ends = self.runs.T
+        sizes = ends - begins
+        if not len(sizes):
+            return np.zeros(0, np.int32)
+        steps = np.ones(int(sizes.sum(dtype=np.int64)), np.int32)
+        steps[0] = begins[0]
+        steps[np.cumsum(sizes[:-1], dtype=np.int64)] = begins[1:] - ends[:-1] + 1
+        return np.cumsum(steps, dtype=np.int32)

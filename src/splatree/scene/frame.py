@@ -1,4 +1,4 @@
-"""What each stage of a frame leaves behind: selection, splats, tile bins, picture.
+"""What each stage of a frame leaves behind: culling, selection, splats, tile bins, picture.
 
 `render` drops the intermediates, `trace` keeps them in a `Frame`; tests, overlays, evaluation and simulators read these.
 """
@@ -9,6 +9,7 @@ import numpy as np
 
 from splatree.constants import TILE_PX
 from splatree.scene.cameras import Camera
+from splatree.scene.clusters import Culling
 from splatree.shapes import Array, Float32, Int32, Int64, check_fields
 
 
@@ -206,6 +207,8 @@ class Frame:
 
     camera: Camera
     """The view."""
+    culling: Culling | None
+    """Clusters left out; None if none were asked."""
     selection: Selection
     """Rows chosen."""
     splats: Splats

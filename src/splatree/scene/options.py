@@ -16,6 +16,9 @@ Profile = Literal["exact", "3dgs", "ref", "sphere"]
 Visibility = Literal["footprint", "centre", "none"]
 """Named tests that drop nodes of the cut which cannot be seen."""
 
+Cull = Literal["none", "exact", "exact-inria", "exact-gsplat", "planes", "paper", "paper-guard", "paper-distance"]
+"""Named rules that leave out clusters (clusters/cull.py; docs/algorithms/clusters.md)."""
+
 Extent = Literal["ellipse", "tau", "3sigma"]
 """Named rules for the tiles that a splat is listed in (docs/algorithms/shrinking.md)."""
 
@@ -39,6 +42,8 @@ class SelectOptions:
     """What is dropped as out of view: splats that miss the image, centres outside of it, or nothing."""
     max_radius: float | None = None
     """Also drop nodes of a larger radius, px, leaves too (700 in the code of FilterGS); None: draw them."""
+    cull: Cull | None = None
+    """Clusters left out before their rows are read; `exact` changes no bit of the picture. None: `exact` if it has clusters."""
 
     def __post_init__(self) -> None:
         if not self.pixel_error >= 0:
@@ -48,6 +53,8 @@ class SelectOptions:
         if self.max_radius is not None and not self.max_radius > 0:
             raise InputError(f"max_radius: found {self.max_radius}, wanted more than 0 px")
         _check_names(self, rule=Rule, profile=Profile, visibility=Visibility)
+        if self.cull is not None:
+            _check_names(self, cull=Cull)
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ import numpy as np
 
 from splatree.constants import ALPHA_THRESHOLD
 from splatree.errors import InputError, ShapeError
+from splatree.scene.clusters import ClusterIndex
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.tree import BlockIndex, GaussianTree
 from splatree.shapes import Array, UInt32, check_fields
@@ -42,6 +43,8 @@ class Scene:
     """Identity of each row, kept by permutations: equal depths are blended in its order. None: the row number."""
     blocks: BlockIndex | None = None
     """Index of the tree for the selection; None: it is made at each selection (`lod.blocks.with_blocks` keeps it)."""
+    clusters: ClusterIndex | None = None
+    """Clusters of rows with spheres around them, which culling leaves out whole (`clusters.build.build_clusters`)."""
     mode: Mode = "classic"
     """How the scene is drawn."""
     threshold: float = ALPHA_THRESHOLD
@@ -57,6 +60,11 @@ class Scene:
             raise ShapeError(
                 "Scene.blocks: found the index of other Gaussians or another tree; replace it too, by None or with "
                 "lod.blocks.with_blocks"
+            )
+        if self.clusters is not None and not self.clusters.fits(self.gaussians):
+            raise ShapeError(
+                "Scene.clusters: found the clusters of other Gaussians; replace them too, by None or with "
+                "clusters.build.build_clusters"
             )
         if self.mode not in ("classic", "antialiased"):
             raise InputError(f"Scene.mode: found {self.mode!r}, wanted 'classic' or 'antialiased'")

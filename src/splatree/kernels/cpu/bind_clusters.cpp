@@ -1,6 +1,11 @@
-// Glue of the clusters: K-means. Sizes are checked by the callers in kernels/cpu/*.py.
+// Glue of the clusters: K-means, spheres, culling. Sizes are checked by the callers in kernels/cpu/*.py.
+#include <algorithm>
+
 #include "cpu/arrays.h"
+#include "cpu/clusters.h"
+#include "cpu/isa.h"
 #include "cpu/kmeans.h"
+#include "cpu/pool.h"
 
 namespace splatree {
 namespace {
@@ -13,10 +18,39 @@ void kmeans(In<float> points, In<float> centers, Out<int32_t> labels, Out<float>
   kmeans_step(job);
 }
 
+void bound_clusters(In<float> means, In<float> log_scales, In<float> logit_opacities, In<int32_t> start, In<float> centers,
+                    Out<float> radii, Out<float> mean_radii, Out<float> footprint_radii, int threads) {
+  const SpheresJob job{means.data(), log_scales.data(), logit_opacities.data(), start.data(),
+                       centers.data(), radii.data(), mean_radii.data(), footprint_radii.data()};
+  const int64_t num_clusters = int64_t(centers.shape(0));
+  nb::gil_scoped_release release;
+  parallel_ranges(num_clusters, 64, threads,
+                  [&](int64_t begin, int64_t end) { kernels().bound_spheres(job, begin, end); });
+}
+
+void cull_clusters(In<float> centers, In<float> radii, In<float> near_radii, In<double> planes, In<double> reaches,
+                   In<double> eye, In<double> margins, Out<bool> kept, int threads) {
+  CullJob job{};
+  job.centers = centers.data(), job.radii = radii.data(), job.near_radii = near_radii.data();
+  std::copy_n(planes.data(), 4 * CULL_SIDES, &job.plane[0][0]);
+  std::copy_n(reaches.data(), CULL_SIDES, job.reach);
+  std::copy_n(eye.data(), 3, job.eye);
+  job.scale = margins.data()[0], job.slack = margins.data()[1], job.margin = margins.data()[2];
+  job.guard = margins.data()[3] != 0;
+  job.kept = reinterpret_cast<uint8_t*>(kept.data());
+  const int64_t num_clusters = int64_t(centers.shape(0));
+  nb::gil_scoped_release release;
+  // Fewer are done before another thread has woken up.
+  parallel_ranges(num_clusters, 16384, threads,
+                  [&](int64_t begin, int64_t end) { kernels().cull_spheres(job, begin, end); });
+}
+
 }  // namespace
 
 void bind_clusters(nb::module_& m) {
   m.def("kmeans", &kmeans, "Fill the nearest centre of each point, and the sum and number of each centre's points.");
+  m.def("bound_spheres", &bound_clusters, "Fill the radii of clusters around their centres.");
+  m.def("cull_spheres", &cull_clusters, "Fill whether each sphere can be seen.");
 }
 
 }  // namespace splatree

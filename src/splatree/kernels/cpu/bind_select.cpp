@@ -1,9 +1,11 @@
 // Glue of the selection and of its block index. Sizes are checked by the structs that arrive here; numbers are packed by
 // kernels/cpu/select.py.
+#include <nanobind/stl/optional.h>
 #include <nanobind/stl/pair.h>
 
 #include <cstring>
 #include <memory>
+#include <optional>
 #include <utility>
 #include <vector>
 
@@ -65,11 +67,13 @@ BlockColumns blocks_of(nb::handle blocks) {
 }
 
 std::pair<Vector32, int64_t> select_cut(nb::handle gaussians, nb::handle tree, nb::handle blocks, In<double> view,
-                                        double threshold, In<double> rule, int visibility, bool cull, In<double> planes,
-                                        In<double> reach, int threads) {
+                                        double threshold, In<double> rule, int visibility, bool cull, std::optional<In<int32_t>> runs,
+                                        In<double> planes, In<double> reach, int threads) {
   SelectJob job = job_of(gaussians, tree, view, threshold, rule, visibility);
   job.index = blocks_of(blocks);
   job.cull = cull;
+  job.runs = runs ? runs->data() : nullptr;
+  job.num_runs = runs ? int64_t(runs->shape(0)) : 0;
   job.planes = planes_of(planes.data(), int(planes.shape(0)));
   for (int i = 0; i < NUM_SIDES; ++i) job.reach[i] = reach.data()[i];
 
@@ -171,7 +175,9 @@ void block_bounds(nb::handle gaussians, In<int32_t> subtree_end, int rows_per_bl
 void bind_select(nb::module_& m) {
   m.attr("BLOCKS_PER_GROUP") = BLOCKS_PER_GROUP;
   m.attr("MAX_BLOCK_ROWS") = MAX_BLOCK_ROWS;
-  m.def("select_cut", &select_cut, "Rows of the visible cut, ascending, and the number of rows visited.");
+  m.def("select_cut", &select_cut, nb::arg("gaussians"), nb::arg("tree"), nb::arg("blocks"), nb::arg("view"),
+        nb::arg("threshold"), nb::arg("rule"), nb::arg("visibility"), nb::arg("cull"), nb::arg("runs").none(),
+        nb::arg("planes"), nb::arg("reach"), nb::arg("threads"), "Rows of the visible cut, ascending, and the number of rows visited.");
   m.def("select_ancestors", &select_ancestors, "Rows drawn by FilterGS's ancestor table, ascending.");
   m.def("ancestor_table", &ancestor_table, "Fill the table of ancestors, parent first.");
   m.def("small_rows", &small_of, "Whether each of the given rows is small.");

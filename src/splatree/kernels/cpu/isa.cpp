@@ -26,11 +26,14 @@
   void onto_axes(const AxesJob&, int64_t, int64_t);                       \
   void pack_chunk(const PackedJob&, int64_t);                             \
   void unpack_chunk(const PackedJob&, int64_t);                           \
+  void bound_spheres(const SpheresJob&, int64_t, int64_t);                \
+  void cull_spheres(const CullJob&, int64_t, int64_t);                    \
   }
 #define SPLATREE_TABLE(name, isa)                                                                                  \
   {name, isa::project, isa::list_spans, isa::blend, isa::largest_bits, isa::select_group, isa::cheapest_pair, isa::small_rows, isa::visible_rows, \
    isa::label_nearest, isa::quantize, isa::dequantize, isa::bytes_from_logits, isa::pack_fixed, isa::unpack_fixed, \
-   isa::pack_quats, isa::unpack_quats, isa::nearest_lanes, isa::onto_axes, isa::pack_chunk, isa::unpack_chunk}
+   isa::pack_quats, isa::unpack_quats, isa::nearest_lanes, isa::onto_axes, isa::pack_chunk, isa::unpack_chunk,\
+   isa::bound_spheres, isa::cull_spheres}
 
 #if defined(__x86_64__)
 SPLATREE_DECLARE(isa_v4)

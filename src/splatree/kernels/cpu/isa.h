@@ -28,6 +28,8 @@ enum class QuatCode : int;
 struct Centres;
 struct LaneMinima;
 struct AxesJob;
+struct SpheresJob;
+struct CullJob;
 
 struct Kernels {
   const char* isa;
@@ -51,6 +53,8 @@ struct Kernels {
   void (*onto_axes)(const AxesJob& job, int64_t begin, int64_t end);
   void (*pack_chunk)(const PackedJob& job, int64_t chunk);
   void (*unpack_chunk)(const PackedJob& job, int64_t chunk);
+  void (*bound_spheres)(const SpheresJob& job, int64_t begin, int64_t end);
+  void (*cull_spheres)(const CullJob& job, int64_t begin, int64_t end);
 };
 
 // The table of the best level that the processor runs, or of the level set by use_isa().

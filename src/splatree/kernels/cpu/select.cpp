@@ -5,7 +5,7 @@
 // from a block that was decided, the shadow is known without asking; where it covers whole blocks they are jumped over.
 //
 // In a block, only what is needed is computed, and in this order:
-//   1. nothing, if its bound is out of the image or it lies in a shadow;
+//   1. nothing, if its clusters were left out, its bound is out of the image or it lies in a shadow;
 //   2. from one byte a row, its size class: which rows are leaves, and which inner rows could be small at all;
 //   3. for these few, in order and outside of shadows, the radius;
 //   4. for rows kept, visibility: nothing if the block is well inside the image, else from bounds, else from the covariance.
@@ -227,9 +227,30 @@ int64_t shadow_before(const SelectJob& job, int64_t block) {
   return shadow;
 }
 
-// The rows drawn of [begin, end), a part of a block that starts outside of any shadow; moves `shadow` on.
-int select_rows(const SelectJob& job, int64_t block, const Placement& placement, int64_t begin, int64_t end, int64_t& shadow,
-                int32_t* out) {
+// The first run that ends behind a row, num_runs if there is none.
+int64_t run_behind(const SelectJob& job, int64_t row) {
+  int64_t low = 0, high = job.num_runs;
+  while (low < high) {
+    const int64_t middle = (low + high) / 2;
+    if (job.runs[2 * middle + 1] > row) high = middle;
+    else low = middle + 1;
+  }
+  return low;
+}
+
+// Clears the flags of the rows of [begin, end) that are in no run; `run` is the first that ends behind begin.
+void keep_runs(const SelectJob& job, int64_t run, int64_t begin, int64_t end, uint8_t* kept) {
+  for (int64_t row = begin; row < end; ++run) {
+    const int64_t next = run < job.num_runs && job.runs[2 * run] < end ? job.runs[2 * run] : end;
+    for (; row < next; ++row) kept[row - begin] = 0;
+    if (next < end && job.runs[2 * run + 1] > row) row = job.runs[2 * run + 1];
+  }
+}
+
+// The rows drawn of [begin, end), a part of a block that starts outside of any shadow; moves `shadow` on. With runs of rows,
+// `run` is the first that ends behind the block's first row.
+int select_rows(const SelectJob& job, int64_t block, const Placement& placement, int64_t begin, int64_t end, int64_t run,
+                int64_t& shadow, int32_t* out) {
   const int count = int(end - begin);
   const uint8_t* size_class = job.index.size_classes + begin;
   alignas(64) uint8_t kept[MAX_BLOCK_ROWS + LANES];
@@ -248,6 +269,12 @@ int select_rows(const SelectJob& job, int64_t block, const Placement& placement,
       const int64_t last = shadow < end ? shadow : end;
       for (int64_t r = row + 1; r < last; ++r) kept[r - begin] = 0;
     });
+  }
+
+  if (job.runs) {
+    while (run < job.num_runs && job.runs[2 * run + 1] <= begin) ++run;
+    if (run == job.num_runs || job.runs[2 * run] > begin || job.runs[2 * run + 1] < end)
+      keep_runs(job, run, begin, end, kept);
   }
 
   if (placement.inside) {
@@ -274,8 +301,12 @@ int select_rows(const SelectJob& job, int64_t block, const Placement& placement,
 
 RunResult select_group(const SelectJob& job, int64_t group, int32_t* out) {
   RunResult result = {0, 0};
-  if (place(job, job.index.groups, group).outside) return result;
   const int64_t rows_per_block = job.index.rows_per_block;
+  const int64_t first_row = group * BLOCKS_PER_GROUP * rows_per_block;
+  int64_t run = job.runs ? run_behind(job, first_row) : 0;
+  const int64_t group_end = first_row + BLOCKS_PER_GROUP * rows_per_block;
+  if (job.runs && (run == job.num_runs || job.runs[2 * run] >= group_end)) return result;
+  if (place(job, job.index.groups, group).outside) return result;
   const int64_t num_blocks = (job.num_rows + rows_per_block - 1) / rows_per_block;
   int64_t block = group * BLOCKS_PER_GROUP;
   const int64_t last = block + BLOCKS_PER_GROUP < num_blocks ? block + BLOCKS_PER_GROUP : num_blocks;
@@ -283,6 +314,15 @@ RunResult select_group(const SelectJob& job, int64_t group, int32_t* out) {
   while (block < last) {
     int64_t begin = block * rows_per_block;
     const int64_t end = begin + rows_per_block < job.num_rows ? begin + rows_per_block : job.num_rows;
+    if (job.runs) {
+      while (run < job.num_runs && job.runs[2 * run + 1] <= begin) ++run;
+      if (run == job.num_runs) break;
+      if (job.runs[2 * run] >= end) {
+        shadow = -1;
+        block = job.runs[2 * run] / rows_per_block;
+        continue;
+      }
+    }
     const Placement placement = place(job, job.index.blocks, block);
     if (placement.outside) {
       shadow = -1;
@@ -292,7 +332,7 @@ RunResult select_group(const SelectJob& job, int64_t group, int32_t* out) {
     if (shadow < 0) shadow = shadow_before(job, block);
     if (shadow > begin) begin = shadow < end ? shadow : end;
     if (begin < end) {
-      result.num_selected += select_rows(job, block, placement, begin, end, shadow, out + result.num_selected);
+      result.num_selected += select_rows(job, block, placement, begin, end, run, shadow, out + result.num_selected);
       result.num_visited += end - begin;
     }
     const int64_t next = shadow / rows_per_block;

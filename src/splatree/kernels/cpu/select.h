@@ -33,6 +33,9 @@ struct SelectJob {
   bool all_small;  // τ_R is infinite
   bool cull;       // whether blocks are tested against the image
   BlockColumns index;
+  // Runs of rows that may be drawn, begin and end, ascending; null: all rows.
+  const int32_t* runs;
+  int64_t num_runs;
   ViewPlanes planes;
   double reach[NUM_SIDES];
   double eye[3];

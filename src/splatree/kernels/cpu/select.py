@@ -42,9 +42,13 @@ def select(
     *,
     dilation_px2: float,
     threshold: float,
+    runs: Int32[Array, "r 2"] | None = None,
     threads: int = 0,
 ) -> tuple[Int32[Array, "v"], int]:
-    """Rows drawn by the rule `cut`, ascending, and how many rows were looked at."""
+    """Rows drawn by the rule `cut`, ascending, and how many rows were looked at.
+
+    With ``runs``, ascending first rows and ends, only rows in one of them are drawn; all others shadow as ever.
+    """
     if options.rule != "cut":
         raise InputError(f"select: found rule {options.rule!r}, wanted 'cut'; the others are in NumPy only")
     rows, num_visited = _core.select_cut(
@@ -56,6 +60,7 @@ def select(
         pack_rule(camera, options, dilation_px2, threshold),
         VISIBILITIES.index(options.visibility),
         is_culled(options),
+        runs,
         *view_planes(camera, options, dilation_px2, threshold),
         threads,
     )

@@ -1,0 +1,24 @@
+// Jobs of the clusters' spheres (spheres.cpp) and of culling them (cull.cpp).
+#pragma once
+#include <cstdint>
+
+namespace splatree {
+
+struct SpheresJob {
+  const float *means, *log_scales, *logit_opacities;  // n rows
+  const int32_t* start;                               // c + 1
+  const float* centers;                               // c 3
+  float *radii, *mean_radii, *footprint_radii;        // c
+};
+
+constexpr int CULL_SIDES = 5;  // right, left, bottom, top, near
+
+// The view as in scene/clusters.py: Sides.
+struct CullJob {
+  const float *centers, *radii, *near_radii;  // c
+  double plane[CULL_SIDES][4], reach[CULL_SIDES], eye[3], scale, slack, margin;
+  bool guard;
+  uint8_t* kept;  // c
+};
+
+}  // namespace splatree

@@ -1,0 +1,24 @@
+"""Which spheres can be seen: glue over cull.cpp; kernels/reference/cull.py is the definition."""
+
+import numpy as np
+
+from splatree.kernels.cpu import _core
+from splatree.scene.clusters import Sides
+from splatree.shapes import Array, Bool, Float32
+
+__all__ = ["cull"]
+
+
+def cull(
+    centers: Float32[Array, "c 3"],
+    radii: Float32[Array, "c"],
+    near_radii: Float32[Array, "c"],
+    sides: Sides,
+    *,
+    threads: int = 0,
+) -> Bool[Array, "c"]:
+    """Whether each sphere is on none of the outer sides; the near side, the last, takes ``near_radii``."""
+    kept = np.empty(len(centers), bool)
+    margins = np.array([sides.scale, sides.slack, sides.margin, sides.guard], np.float64)
+    _core.cull_spheres(centers, radii, near_radii, sides.planes, sides.reaches, sides.eye, margins, kept, threads)
+    return kept

@@ -1,0 +1,20 @@
+"""Radii of clusters: glue over spheres.cpp; kernels/reference/spheres.py is the definition."""
+
+import numpy as np
+
+from splatree.kernels.cpu import _core
+from splatree.scene.clusters import ClusterIndex
+from splatree.scene.gaussians import Gaussians
+from splatree.shapes import Array, Float32, Int32
+
+__all__ = ["bound_clusters"]
+
+
+def bound_clusters(
+    gaussians: Gaussians, start: Int32[Array, "c+1"], centers: Float32[Array, "c 3"], *, threads: int = 0
+) -> ClusterIndex:
+    """Spheres around the rows of each cluster; ``start`` ends with the number of rows."""
+    radii = [np.empty(len(centers), np.float32) for _ in range(3)]
+    columns = gaussians.means, gaussians.log_scales, gaussians.logit_opacities
+    _core.bound_spheres(*columns, start, centers, *radii, threads)
+    return ClusterIndex(start, centers, *radii)

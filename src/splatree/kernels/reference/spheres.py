@@ -1,0 +1,32 @@
+"""Radii of clusters around given centres, by definition (scene/clusters.py: `ClusterIndex`)."""
+
+import numpy as np
+
+from splatree.constants import ALPHA_THRESHOLD, SIGMAS
+from splatree.scene.clusters import ClusterIndex
+from splatree.scene.gaussians import Gaussians
+from splatree.shapes import Array, Float32, Int32
+
+__all__ = ["bound_clusters"]
+
+
+def bound_clusters(
+    gaussians: Gaussians, start: Int32[Array, "c+1"], centers: Float32[Array, "c 3"], *, threads: int = 0
+) -> ClusterIndex:
+    """Spheres around the rows of each cluster; ``threads`` is not used."""
+    of_row = np.repeat(np.arange(len(centers)), np.diff(start))
+    with np.errstate(invalid="ignore", over="ignore"):
+        distances = np.linalg.norm(gaussians.means.astype(np.float64) - centers[of_row].astype(np.float64), axis=1)
+        sigmas = np.exp(gaussians.log_scales.astype(np.float64).max(axis=1))
+        opacities = 0.5 * (1 + np.tanh(0.5 * gaussians.logit_opacities.astype(np.float64)))
+        reach = np.sqrt(2 * np.log(np.maximum(opacities / ALPHA_THRESHOLD, 1)))
+        footprints = np.where(opacities >= ALPHA_THRESHOLD, distances + reach * sigmas, 0.0)
+        columns = (distances + SIGMAS * sigmas, distances, footprints)
+        largest = (np.fmax.reduceat(values, start[:-1]) for values in columns)  # NaN is never drawn and passed over
+        radii = [_rounded_up(values) for values in largest]
+    return ClusterIndex(start, centers, *radii)
+
+
+def _rounded_up(values: Array) -> Float32[Array, "c"]:
+    nearest = values.astype(np.float32)
+    return np.where(nearest < values, np.nextafter(nearest, np.float32(np.inf)), nearest)

@@ -1,0 +1,3 @@
+from ..kernels.conftest import isa, view
+
+__all__ = ["isa", "view"]
