@@ -28,6 +28,7 @@ from .test_hier import DEPTHS, forest
 
 EXAMPLES = settings(max_examples=60)
 BUNDLED = Path(splatree.__file__).parent / "data" / "semarang_5_9.sog"
+GLTF = ("a.glb", "packed.glb")
 LEVELS = ["0.ksplat", "2.ksplat", "0.hier", "1.hier", "0.rad", "2.rad"]
 """Files of a tree, or of its leaves; the number is the level of compression."""
 WRITTEN = [f.suffixes[0] for f in formats() if f.is_written and f.suffixes]
@@ -45,6 +46,8 @@ def originals(tmp_path_factory):
     write_sog(root / "v1", n=9, version=1)
     write_sog(root / "v2", n=9, version=2)
     bundle(root / "v2", root / "a.sog")
+    splatree.write(scene, root / "a.glb")
+    splatree.write(scene, root / "packed.glb", options=WriteOptions(packing="spz"))
     for version in (2, 3, 4):
         splatree.write(scene, root / f"v{version}.spz", options=WriteOptions(format_version=version))
     for name in LEVELS:
@@ -170,7 +173,8 @@ def test_changed_files_of_other_writers_are_refused_or_valid_within_memory(tmp_p
 
 
 @pytest.mark.parametrize(
-    "name", ["a.ply", "a.compressed.ply", "a.splat", "a.splatree", "a.sog", "v2.spz", "v3.spz", "v4.spz", *LEVELS]
+    "name",
+    ["a.ply", "a.compressed.ply", "a.splat", "a.splatree", "a.sog", "v2.spz", "v3.spz", "v4.spz", *GLTF, *LEVELS],
 )
 @given(edits=changes(), repair=st.booleans())
 @EXAMPLES

@@ -10,6 +10,10 @@ Repair = bool | Literal["drop"]
 """What is done with values that cannot be used: False raises; True fixes or drops; "drop" drops all rows that have any."""
 
 
+Packing = Literal["spz"]
+"""What a .glb may hold in place of plain values."""
+
+
 @dataclass(frozen=True)
 class ReadOptions:
     """How a file is read."""
@@ -40,6 +44,9 @@ class WriteOptions:
     """Level of compression, where the format defines levels."""
     axes: AxesName | None = None
     """Where x, y and z shall point in the file, where the format leaves that open; None: as in the scene, RDF."""
+
+    packing: Packing | None = None
+    """How values are packed, in a format that leaves it open; None: not at all."""
 
     def given(self) -> dict[str, int | str]:
         """The options that are not None."""

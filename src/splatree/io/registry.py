@@ -13,7 +13,21 @@ from pathlib import Path
 import numpy as np
 
 from splatree.errors import InputError, SplatreeError
-from splatree.io import compressed_ply, hier, ksplat, ply, rad, sog, sog_writer, splat, spz, store, streamed_sog
+from splatree.io import (
+    compressed_ply,
+    glb_writer,
+    gltf,
+    hier,
+    ksplat,
+    ply,
+    rad,
+    sog,
+    sog_writer,
+    splat,
+    spz,
+    store,
+    streamed_sog,
+)
 from splatree.io.chunks import Chunks, chunks_of
 from splatree.io.holds import Holds, losses
 from splatree.io.inputs import find_inputs
@@ -114,6 +128,17 @@ FORMATS: tuple[Format, ...] = (
         read=spz.read,
         write_chunks=spz.write_chunks,
         options=("format_version", "sh_bits", "compression", "axes"),
+    ),
+    Format(
+        name="gltf",
+        description="KHR_gaussian_splatting, plain or SPZ",
+        suffixes=(".glb",),
+        versions="2.0; SPZ 1-4 (written: 2-4)",
+        holds=Holds(axes="LUF"),
+        sniff=gltf.sniff,
+        read=gltf.read,
+        write_chunks=glb_writer.write_chunks,
+        options=("packing", "format_version", "sh_bits", "compression"),
     ),
     Format(
         name="sog",
