@@ -6,7 +6,8 @@ import pytest
 import splatree
 from splatree import FormatError, InputError, Scene, WriteOptions
 from splatree.constants import SH_C0
-from splatree.io import rad
+from splatree.io.rad_container import open_rad, values_of
+from splatree.io.rad_properties import decode, encode_rotations
 from splatree.maths.rotations import matrices_from_quats
 
 from .conftest import random_gaussians, same_bits
@@ -42,7 +43,7 @@ def test_the_tree_is_kept_and_values_within_their_quantum(tmp_path, name, compre
         np.testing.assert_allclose(0.5 + SH_C0 * b.sh[:, 0], 0.5 + SH_C0 * g.sh[:, 0], rtol=2**-11, atol=1e-6)
         np.testing.assert_allclose(b.log_scales, g.log_scales, **half)
     else:  # half a step of the range that the chunk's header says
-        found = rad._open(tmp_path / "a.rad").chunks[0].properties
+        found = open_rad(tmp_path / "a.rad").chunks[0].properties
         half_step = {name: (p["max"] - p["min"]) / 2 + 1e-5 for name, p in found.items() if "max" in p}
         assert np.abs(b.log_scales - g.log_scales).max() <= half_step["scales"] / 254
         assert np.abs(b.sh[:, 0] - g.sh[:, 0]).max() * SH_C0 <= half_step["rgb"] / 255
@@ -68,9 +69,9 @@ def test_chunks_hold_65536_nodes_breadth_first(tmp_path):
     end[::3] += 2
     scene = Scene(g, splatree.GaussianTree(end, depth, np.ones(len(depth), np.float32)))
     splatree.write(scene, tmp_path / "a.rad", options=WriteOptions(compression=0))
-    file = rad._open(tmp_path / "a.rad")
+    file = open_rad(tmp_path / "a.rad")
     assert [c.count for c in file.chunks] == [65536, 90001 - 65536]
-    centres = np.concatenate([rad._values(c, "center") for c in file.chunks])
+    centres = np.concatenate([values_of(c, "center") for c in file.chunks])
     order = np.append(np.arange(0, 90_000, 3), np.flatnonzero(depth))
     assert same_bits(centres[1:], g.means[order])
     back = splatree.read(tmp_path / "a.rad")
@@ -83,8 +84,8 @@ def test_rotations_are_close_everywhere():
     quats[:4] = np.eye(4)
     quats[4:8] = -np.eye(4)
     quats[8:200, 1:] *= 1e-4  # small angles
-    data = rad.encode_rotations(quats)
-    back = rad.decode("orientation", "oct88r8", data, len(quats), {}, "")
+    data = encode_rotations(quats)
+    back = decode("orientation", "oct88r8", data, len(quats), {}, "")
     found = angles(quats, back)
     # The diagonal of a cell of the grid, 2/255 across, is 0.9 degrees where the octahedron's faces are stretched most.
     assert found.max() < 1.3 and np.median(found) < 0.6
@@ -116,7 +117,7 @@ def read_values(tmp_path, name, data, encoding, **entry):
         count=FIVE,
         maxSh=3 if name.startswith("sh") else 0,
     )
-    return rad._values(rad._open(file).chunks[0], name)
+    return values_of(open_rad(file).chunks[0], name)
 
 
 PLANES = np.arange(15, dtype=np.uint8).reshape(3, 5)

@@ -21,6 +21,7 @@ from splatree.io import (
     ksplat,
     ply,
     rad,
+    rad_writer,
     sog,
     sog_writer,
     splat,
@@ -190,7 +191,7 @@ FORMATS: tuple[Format, ...] = (
         holds=Holds(levels="tree"),
         sniff=rad.sniff,
         read=rad.read,
-        write=rad.write,
+        write=rad_writer.write,
         options=("compression",),
     ),
 )
