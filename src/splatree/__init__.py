@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from splatree.io.images import read_image, write_image
     from splatree.io.options import ReadOptions, WriteOptions
     from splatree.io.registry import read, write
+    from splatree.lod.baselines import Baseline, BaselineOptions, baseline
     from splatree.lod.build import BuildOptions, build_lod
     from splatree.lod.select import select
     from splatree.metrics.psnr import psnr
@@ -32,8 +33,9 @@ if TYPE_CHECKING:
         tile_contributions,
     )
     from splatree.render.evaluate import Evaluation, evaluate
-    from splatree.render.paths import PathOptions, flyout, orbit
+    from splatree.render.paths import PathOptions, flyout, orbit, through
     from splatree.render.pipeline import render, trace
+    from splatree.render.timing import Timing, time_frames
     from splatree.render.video import open_video
     from splatree.scene.cameras import Camera, Cameras
     from splatree.scene.clusters import ClusterIndex, Culling
@@ -47,6 +49,8 @@ if TYPE_CHECKING:
     from splatree.simplify.thin import Thinned, thin
 
 __all__ = [
+    "Baseline",
+    "BaselineOptions",
     "BuildOptions",
     "CalibrateOptions",
     "Calibration",
@@ -81,7 +85,9 @@ __all__ = [
     "ThinOptions",
     "Thinned",
     "TileContributions",
+    "Timing",
     "WriteOptions",
+    "baseline",
     "build_clusters",
     "build_lod",
     "calibrate",
@@ -104,7 +110,9 @@ __all__ = [
     "select",
     "ssim",
     "thin",
+    "through",
     "tile_contributions",
+    "time_frames",
     "trace",
     "trace_batch",
     "write",
@@ -113,6 +121,8 @@ __all__ = [
 ]
 
 _HOME = {
+    "Baseline": "splatree.lod.baselines",
+    "BaselineOptions": "splatree.lod.baselines",
     "BuildOptions": "splatree.lod.build",
     "CalibrateOptions": "splatree.render.calibrate",
     "Calibration": "splatree.render.calibrate",
@@ -147,7 +157,9 @@ _HOME = {
     "ThinOptions": "splatree.scene.thinning",
     "Thinned": "splatree.simplify.thin",
     "TileContributions": "splatree.render.contribution",
+    "Timing": "splatree.render.timing",
     "WriteOptions": "splatree.io.options",
+    "baseline": "splatree.lod.baselines",
     "build_clusters": "splatree.clusters.build",
     "build_lod": "splatree.lod.build",
     "calibrate": "splatree.render.calibrate",
@@ -170,7 +182,9 @@ _HOME = {
     "select": "splatree.lod.select",
     "ssim": "splatree.metrics.ssim",
     "thin": "splatree.simplify.thin",
+    "through": "splatree.render.paths",
     "tile_contributions": "splatree.render.contribution",
+    "time_frames": "splatree.render.timing",
     "trace": "splatree.render.pipeline",
     "trace_batch": "splatree.render.batch",
     "write": "splatree.io.registry",

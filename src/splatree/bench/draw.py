@@ -1,5 +1,6 @@
 """Figures of a report as PNG; the only module that needs matplotlib (extra `bench`)."""
 
+import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,8 @@ DPI = 120
 """Dots an inch of every figure."""
 PANEL_INCHES = 3.2
 """Width of a picture in a grid."""
+LETTERS_PER_INCH = 24
+"""Letters of the footer in an inch."""
 
 
 def check_drawable() -> None:
@@ -39,7 +42,8 @@ def draw(figure: Plot | Grid, path: Path, *, footer: str) -> None:
     else:
         _draw_grid(figure, canvas)
     canvas.suptitle(figure.title, fontsize=10)
-    canvas.supxlabel(footer, fontsize=5, color="0.4")
+    letters = int(LETTERS_PER_INCH * canvas.get_size_inches()[0])
+    canvas.supxlabel(textwrap.fill(footer, letters), fontsize=5, color="0.4")
     canvas.savefig(path, format="png")
 
 
@@ -52,7 +56,7 @@ def _draw_plot(plot: Plot, canvas: Any) -> None:
     axes.set_ylabel(plot.y_label, fontsize=8)
     axes.set_xscale("log" if plot.log_x else "linear")
     axes.set_yscale("log" if plot.log_y else "linear")
-    axes.tick_params(labelsize=7)
+    axes.tick_params(which="both", labelsize=7)
     axes.grid(visible=True, linewidth=0.3)
     axes.legend(fontsize=7)
 

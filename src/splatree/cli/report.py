@@ -7,18 +7,17 @@ import platform
 from collections.abc import Sequence
 from dataclasses import replace
 from importlib.resources import files
-from pathlib import Path
 from string import Template
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from splatree.bench.provenance import machine
 from splatree.cli.chart import quality_chart
 from splatree.cli.console import program_version
 from splatree.constants import SH_C0
 from splatree.io.images import write_image
 from splatree.io.replacing import replacing
-from splatree.kernels.cpu import _core
 from splatree.render.evaluate import Evaluation
 from splatree.render.pipeline import trace
 from splatree.scene.scene import Scene
@@ -80,7 +79,7 @@ def write_report(demo: "Demo", scene: Scene, evaluations: Sequence[Evaluation]) 
         chart=quality_chart(demo.views),
         legend=_legend(scene),
         depths=" · ".join(f"{n:,}" for n in demo.nodes_per_depth),
-        machine=html.escape(_machine()),
+        machine=html.escape(f"splatree {program_version()} · {machine()} · Python {platform.python_version()}"),
         credit=html.escape(demo.credit),
     )
     with replacing(demo.report, force=True) as temporary:
@@ -201,15 +200,3 @@ def _legend(scene: Scene) -> str:
         f'<span class="key" style="background: rgb({grey} {grey} {grey})"></span> a leaf &nbsp; 2 leaves '
         f'<span class="key ramp" style="background: linear-gradient(to right, {stops})"></span> {top:,} leaves'
     )
-
-
-def _machine() -> str:
-    processor = platform.processor() or platform.machine()
-    info = Path("/proc/cpuinfo")
-    if info.exists():
-        models = [
-            line.split(":", 1)[1].strip() for line in info.read_text().splitlines() if line.startswith("model name")
-        ]
-        processor = models[0] if models else processor
-    threads = f"{_core.hardware_threads()} threads, instruction set {_core.isa()}"
-    return f"splatree {program_version()} · {processor}, {threads} · Python {platform.python_version()}"
