@@ -10,15 +10,16 @@ offset  type  value
 ======  ====  ==========================================================
 
 Rows go by descending opacity × volume, so that a viewer that loads them one after the other shows the scene early. It is a
-counting sort over quarters of an octave: one pass counts, a second puts each row in its place in the file, so a file larger than
-memory is sorted in a few chunks of it. Nothing in the file says what it is: it is known by its suffix and a size that is a
-multiple of 32. docs/formats/splat.md.
+counting sort over quarters of an octave: records go to a temporary file and are counted by rank, then each is put in its place;
+so a scene larger than memory takes a few MB of it. Nothing in the file says what it is: it is known by its suffix and a size
+that is a multiple of 32. docs/formats/splat.md.
 """
 
 import json
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from tempfile import SpooledTemporaryFile
 
 import numpy as np
 
@@ -30,13 +31,15 @@ from splatree.kernels.cpu import splat
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Scene, Source
-from splatree.shapes import Array, Int64
 
 _RECORD_BYTES = 32
 _NUM_RANKS = 4096
 
-_ROWS_PER_SORT = 1 << 17
-"""4 MB of records."""
+_ROWS_AT_ONCE = 1 << 17
+"""4 MB of records are put in order at a time: the larger, the longer the runs of one rank, each a call of the system."""
+
+_SPOOL_BYTES = 1 << 23
+"""What is written to a temporary file beside the target if it is more than this."""
 
 
 def sniff(path: Path, head: bytes) -> bool:
@@ -71,50 +74,40 @@ def read_chunks(path: Path, options: ReadOptions) -> Chunks:
 def write_chunks(chunks: Chunks, path: Path, options: WriteOptions) -> tuple[str, ...]:
     """Write all rows by descending opacity × volume, equal ones in their order."""
     counts = np.zeros(_NUM_RANKS, np.int64)
-    with path.open("wb") as file, task(f"write {path.name}", 2 * len(chunks)) as advance:
-        begin = 0
-        for g in chunks:  # what cannot be used has no code either
-            checked_rows(g.with_sh_degree(0), "scene to write", repair=False, first_row=begin)
-            counts += np.bincount(splat.ranks(g), minlength=_NUM_RANKS)
-            begin += len(g)
-            advance(len(g))
-        sorter = _Sorter(file.fileno(), counts)
-        for g in chunks:
-            sorter.put(g)
-            advance(len(g))
-        sorter.flush()
+    records, ranks = np.empty((_ROWS_AT_ONCE, _RECORD_BYTES), np.uint8), np.empty(_ROWS_AT_ONCE, np.uint16)
+    with (
+        SpooledTemporaryFile(_SPOOL_BYTES, dir=str(path.parent)) as all_records,
+        SpooledTemporaryFile(_SPOOL_BYTES, dir=str(path.parent)) as all_ranks,
+        path.open("wb") as file,
+        task(f"write {path.name}", 2 * len(chunks)) as advance,
+    ):
+        first_row = 0
+        for chunk in chunks:
+            for begin in range(0, len(chunk), _ROWS_AT_ONCE):
+                g = chunk.rows(begin, begin + _ROWS_AT_ONCE)
+                # What cannot be used has no code either.
+                checked_rows(g.with_sh_degree(0), "scene to write", repair=False, first_row=first_row)
+                splat.encode(g, records[: len(g)])
+                splat.ranks(g, ranks[: len(g)])
+                counts += np.bincount(ranks[: len(g)], minlength=_NUM_RANKS)
+                all_records.write(records[: len(g)].data)
+                all_ranks.write(ranks[: len(g)].data)
+                first_row += len(g)
+                advance(len(g))
+        places = np.cumsum(counts) - counts  # of the next row of each rank
+        all_records.seek(0)
+        all_ranks.seek(0)
+        while num_bytes := all_ranks.readinto(ranks.data):
+            count = num_bytes // ranks.itemsize
+            all_records.readinto(records[:count].data)
+            in_order = np.take(records, np.argsort(ranks[:count], kind="stable"), axis=0)
+            sizes = np.bincount(ranks[:count], minlength=_NUM_RANKS)
+            found = np.flatnonzero(sizes)
+            for rank, end in zip(found, np.cumsum(sizes[found]), strict=True):
+                _write_at(file.fileno(), in_order[end - sizes[rank] : end].data, _RECORD_BYTES * int(places[rank]))
+            places += sizes
+            advance(count)
     return ()
-
-
-class _Sorter:
-    """Puts records in their places in a file, some at a time: larger runs of one rank are fewer calls of the system."""
-
-    def __init__(self, file: int, counts: Int64[Array, "r"]) -> None:
-        self._file = file
-        self._places = np.cumsum(counts) - counts  # of the next row of each rank
-        self._records = np.empty((_ROWS_PER_SORT, _RECORD_BYTES), np.uint8)
-        self._ranks = np.empty(_ROWS_PER_SORT, np.uint16)
-        self._count = 0
-
-    def put(self, g: Gaussians) -> None:
-        for begin in range(0, len(g), _ROWS_PER_SORT):
-            part = g.rows(begin, begin + _ROWS_PER_SORT)
-            if self._count + len(part) > _ROWS_PER_SORT:
-                self.flush()
-            rows = slice(self._count, self._count + len(part))
-            splat.encode(part, self._records[rows])
-            self._ranks[rows] = splat.ranks(part)
-            self._count += len(part)
-
-    def flush(self) -> None:
-        ranks = self._ranks[: self._count]
-        in_order = np.take(self._records, np.argsort(ranks, kind="stable"), axis=0)
-        sizes = np.bincount(ranks, minlength=_NUM_RANKS)
-        found = np.flatnonzero(sizes)
-        for rank, end in zip(found, np.cumsum(sizes[found]), strict=True):
-            _write_at(self._file, in_order[end - sizes[rank] : end].data, _RECORD_BYTES * int(self._places[rank]))
-        self._places += sizes
-        self._count = 0
 
 
 def _write_at(file: int, data: memoryview, offset: int) -> None:

@@ -20,7 +20,7 @@ float inverse_opacity(float logit) { return 1.f + exp_of(-least(greatest(logit, 
 
 uint8_t code(float value, float largest) {
   const float held = value < 0.f ? 0.f : value > largest ? largest : value;
-  return static_cast<uint8_t>(std::rint(held));
+  return static_cast<uint8_t>(std::lrint(held));
 }
 
 // q and −q are one rotation: −1 has a code and +1 has none, so the largest component is made negative.

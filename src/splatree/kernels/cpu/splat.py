@@ -1,7 +1,5 @@
 """Records of a .splat from columns, and back: glue over splat.cpp; kernels/reference/splat.py is the definition."""
 
-import numpy as np
-
 from splatree.kernels.cpu import _core
 from splatree.scene.gaussians import Gaussians
 from splatree.shapes import Array
@@ -19,8 +17,6 @@ def decode(records: Array, gaussians: Gaussians, *, threads: int = 0) -> None:
     _core.decode_splats(records, gaussians, threads)
 
 
-def ranks(gaussians: Gaussians, *, threads: int = 0) -> Array:
-    """Place of each row in the file, uint16 below 4096: by descending opacity × volume in quarters of an octave."""
-    out = np.empty(len(gaussians), np.uint16)
+def ranks(gaussians: Gaussians, out: Array, *, threads: int = 0) -> None:
+    """Fill ``out``, uint16, with the place of each row in the file: by descending opacity × volume in quarters of an octave."""
     _core.rank_splats(gaussians, out, threads)
-    return out

@@ -42,10 +42,10 @@ def decode(records: Array, gaussians: Gaussians) -> None:
     gaussians.quats[:] = (rows["quat"].astype(np.float64) - 128) / 128
 
 
-def ranks(gaussians: Gaussians) -> Array:
-    """Place of each row in the file: by descending opacity × volume in quarters of an octave."""
+def ranks(gaussians: Gaussians, out: Array) -> None:
+    """Fill ``out`` with the place of each row in the file: by descending opacity × volume in quarters of an octave."""
     octaves = (_log_opacities(gaussians) + gaussians.log_scales.sum(axis=1, dtype=np.float64)) / np.log(2)
-    return np.asarray(np.clip(2048 - 4 * octaves, 0, 4095), np.uint16)
+    out[:] = np.clip(2048 - 4 * octaves, 0, 4095).astype(np.uint16)
 
 
 def _log_opacities(gaussians: Gaussians) -> Array:
