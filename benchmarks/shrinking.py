@@ -1,7 +1,8 @@
 """What shrinking costs and saves: PSNR against the pairs of splat and tile, for every rule, on real scenes in one run.
 
 Rules: the squares of 3DGS (`3sigma`) and of FilterGS (`tau`, with τ by its paper's formula, by its code's, and over a range), and
-our ellipses with pixels drawn whole (`hard`) or tapered off, over the same range, and with the τ found by `calibrate` for 0.1 dB.
+our ellipses, of one τ or balanced by area, with pixels drawn whole (`hard`) or tapered off, over the same range, and with the τ
+found by `calibrate` for 0.1 dB.
 PSNR is that of the mean squared error against the lossless picture; pairs are relative to `3sigma`. Then the cost of measuring
 contributions, and the CPU time of each stage, on one thread.
 
@@ -13,7 +14,7 @@ import math
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -138,26 +139,30 @@ def frontier_rows(subject: Subject) -> list[dict[str, Any]]:
         asked = st.CalibrateOptions(policy=policy, lambda_g=LAMBDA_G, lists="3sigma")
         tau = st.calibrate(subject.scene, subject.views, asked, RenderOptions(extent="tau"), subject.select).threshold
         add("tau", RenderOptions(extent="tau", threshold=tau), f"{policy}, λ_G {LAMBDA_G}")
-    for pixels in ("hard", "taper"):
+    ours = [
+        RenderOptions(extent=extent, pixels=pixels)
+        for extent in ("ellipse", "balanced")
+        for pixels in ("hard", "taper")
+    ]
+    for options in ours:
         asked = st.CalibrateOptions(loss_db=BUDGET_DB)
-        options = RenderOptions(pixels=pixels)
         tau = st.calibrate(subject.scene, subject.views, asked, options, subject.select).threshold
-        add(f"ellipse {pixels}", RenderOptions(threshold=tau, pixels=pixels), f"target, {BUDGET_DB} dB")
+        add(f"{options.extent} {options.pixels}", replace(options, threshold=tau), f"target, {BUDGET_DB} dB")
     for tau in THRESHOLDS:
         add("tau", RenderOptions(extent="tau", threshold=tau))
-        add("ellipse hard", RenderOptions(threshold=tau))
-        if tau > 1 / 255:
-            add("ellipse taper", RenderOptions(threshold=tau, pixels="taper"))
+        for options in ours:
+            if tau > 1 / 255 or options.pixels == "hard":
+                add(f"{options.extent} {options.pixels}", replace(options, threshold=tau))
     return rows
 
 
 def goal_rows(subject: Subject, rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """The figures that the frontier was drawn for, each with its goal."""
     by = {(row["rule"], row["policy"], row["τ"]): row for row in rows}
-    lossless = by["ellipse hard", "range", 1 / 255]
+    lossless = by["balanced hard", "range", 1 / 255]
     squares = next(row for row in rows if row["rule"] == "3sigma")
-    target = next(row for row in rows if row["rule"] == "ellipse hard" and row["policy"].startswith("target"))
-    ours = sorted((row["PSNR"], row["of 3sigma"]) for row in rows if row["rule"] == "ellipse hard")
+    target = next(row for row in rows if row["rule"] == "balanced hard" and row["policy"].startswith("target"))
+    ours = sorted((row["PSNR"], row["of 3sigma"]) for row in rows if row["rule"] == "balanced hard")
     finite = [point for point in ours if point[0] < math.inf]
     top = max(squares["PSNR"], *(row["PSNR"] for row in rows if row["rule"] == "tau")) + 10
     psnrs, pairs = np.array([*finite, (top, lossless["of 3sigma"])]).T  # what is above the last is the lossless list
@@ -201,8 +206,10 @@ def stage_rows(subject: Subject) -> list[dict[str, Any]]:
     rules = {
         "3sigma": RenderOptions(extent="3sigma"),
         "ellipse, 1/255": RenderOptions(threshold=1 / 255),
-        f"ellipse hard, {BUDGET_DB} dB": RenderOptions(threshold=view_target.threshold),
-        f"ellipse taper, τ of hard at {BUDGET_DB} dB": RenderOptions(threshold=view_target.threshold, pixels="taper"),
+        f"balanced hard, {BUDGET_DB} dB": RenderOptions(threshold=view_target.threshold, extent="balanced"),
+        f"balanced taper, τ of hard at {BUDGET_DB} dB": RenderOptions(
+            threshold=view_target.threshold, extent="balanced", pixels="taper"
+        ),
     }
     rows = []
     for name, options in rules.items():

@@ -39,6 +39,13 @@ SIGMAS: Final = 3.0
 TAPER_SLOPE: Final = 2.0
 """Slope of a tapered opacity above the splat's floor: twice the floor is where the splat is drawn as it is."""
 
+SHRINK_AREA_POWER: Final = 0.4
+"""In the extent `balanced` τ falls with this power of a splat's area √det Σ': between ½, at which a lost tile costs all splats
+the same squared error while they are smaller than a tile, and less for those that are larger."""
+
+SHRINK_AREA_PX2: Final = 0.3
+"""Area √det Σ', px², at which the extent `balanced` has τ itself: the smallest that there is with the usual dilation."""
+
 SHRINK_ENERGY_MIN: Final = 0.01
 """Floor of ln(α/τ) in the extent `tau`; never in force beside SHRINK_RATIO_MIN (code of FilterGS)."""
 

@@ -24,8 +24,10 @@ def everywhere(splats: Splats, bins: TileBins) -> TileBins:
     return TileBins(start, np.tile(listed, num_tiles), bins.num_tiles_x, bins.num_tiles_y, bins.floors)
 
 
-def drawn(scene: st.Scene, seen_by: st.Camera, pixels: str, threshold: float = TAU) -> tuple[Splats, TileBins, Picture]:
-    named = options(pixels=pixels, threshold=threshold)
+def drawn(
+    scene: st.Scene, seen_by: st.Camera, pixels: str, threshold: float = TAU, extent: str = "ellipse"
+) -> tuple[Splats, TileBins, Picture]:
+    named = options(pixels=pixels, threshold=threshold, extent=extent)
     splats = cpu.project.project(scene.gaussians, None, all_rows(scene), seen_by, named)
     bins = cpu.bin.bin(splats, seen_by, named)
     return splats, bins, cpu.blend.blend(splats, bins, seen_by, named)
@@ -73,9 +75,10 @@ def test_picture_of_the_same_lists_is_that_of_the_reference(
     assert difference.max() <= brightest * 1.5 / 255
 
 
-def test_tapered_picture_does_not_depend_on_the_tiles(view: tuple[st.Scene, st.Camera]) -> None:
+@pytest.mark.parametrize("extent", ["ellipse", "balanced"])
+def test_tapered_picture_does_not_depend_on_the_tiles(view: tuple[st.Scene, st.Camera], extent: str) -> None:
     scene, seen_by = view
-    splats, bins, picture = drawn(scene, seen_by, "taper")
+    splats, bins, picture = drawn(scene, seen_by, "taper", extent=extent)
     whole = cpu.blend.blend(
         splats, everywhere(splats, bins), seen_by, options(pixels="taper", threshold=TAU), whole_tile=True
     )
@@ -103,6 +106,45 @@ def test_shrinking_to_the_blend_threshold_changes_no_bit(view: tuple[st.Scene, s
     for other in (every, tapered):
         assert other.image.tobytes() == lossless.image.tobytes()
         assert other.alpha.tobytes() == lossless.alpha.tobytes()
+
+
+def test_balanced_pairs_are_those_of_the_reference(view: tuple[st.Scene, st.Camera], isa: str) -> None:
+    scene, seen_by = view
+    named = options(extent="balanced", threshold=0.2)
+    splats = cpu.project.project(scene.gaussians, None, all_rows(scene), seen_by, named)
+    fast, slow = (pairs_of(stage.bin.bin(splats, seen_by, named)) for stage in (cpu, reference))
+    # One splat in a hundred may end within the margin for rounding of a tile, or have the opacity at which it ends.
+    assert len(slow - fast) <= 0.002 * len(slow) and len(fast - slow) <= 0.01 * len(slow) + 1
+
+
+def test_balanced_lets_large_splats_end_lower() -> None:
+    # The same opacity; areas √det Σ' of about 0.3, 7 and 700 px²: τ, τ (0.3 / 7)^0.4 = 0.28 τ, and 1/255, more than 0.045 τ.
+    sigmas = np.array([1e-3, 2.6, 26.5])
+    seen_by = st.Camera.look_at((0, 0, 0), (0, 0, 1), width=640, height=480)
+    g = st.Gaussians(
+        np.tile(np.array([[0, 0, 4]], np.float32), (3, 1)),
+        np.tile(np.array([[1, 0, 0, 0]], np.float32), (3, 1)),
+        np.log(np.tile(sigmas[:, None] * 4 / seen_by.K[0, 0], 3)).astype(np.float32),
+        np.full(3, 3, np.float32),
+        np.zeros((3, 1, 3), np.float32),
+    )
+    counts = {}
+    for extent, threshold in (("balanced", 0.08), ("ellipse", 0.08), ("ellipse", 0.0225), ("ellipse", 1 / 255)):
+        named = options(extent=extent, threshold=threshold)
+        splats = cpu.project.project(g, None, np.arange(3, dtype=np.int32), seen_by, named)
+        counts[extent, threshold] = np.bincount(cpu.bin.bin(splats, seen_by, named).splat_from_pair, minlength=3)
+    small, medium, large = counts["balanced", 0.08]
+    assert small == counts["ellipse", 0.08][0]
+    assert medium == counts["ellipse", 0.0225][1]
+    assert large == counts["ellipse", 1 / 255][2] > counts["ellipse", 0.08][2]
+
+
+def test_balanced_at_the_blend_threshold_is_the_ellipse(view: tuple[st.Scene, st.Camera]) -> None:
+    scene, seen_by = view
+    splats = cpu.project.project(scene.gaussians, None, all_rows(scene), seen_by, options(extent="balanced"))
+    balanced, ellipse = (cpu.bin.bin(splats, seen_by, options(extent=extent)) for extent in ("balanced", "ellipse"))
+    assert balanced.splat_from_pair.tobytes() == ellipse.splat_from_pair.tobytes()
+    assert balanced.tile_start.tobytes() == ellipse.tile_start.tobytes()
 
 
 def test_a_larger_threshold_lists_fewer_tiles() -> None:

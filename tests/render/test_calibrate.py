@@ -16,13 +16,12 @@ SIZE = {"width": 64, "height": 48}
 VIEWS = [replace(st.Camera.look_at((x, -0.5, -5), (0, 0, 0), **SIZE), name=f"v{x}") for x in (-1, 0, 2)]
 
 
-def loss_of(threshold: float, scene_psnr: float = 30) -> float:
+def loss_of(threshold: float, extent: str = "ellipse", scene_psnr: float = 30) -> float:
     """The mean loss as the module's head defines it, written out."""
     losses = []
     for view in VIEWS:
-        lossless, shrunk = (
-            np.clip(st.render(SCENE, view, st.RenderOptions(threshold=tau)).image, 0, 1) for tau in (1 / 255, threshold)
-        )
+        each = [st.RenderOptions(threshold=tau, extent=extent) for tau in (1 / 255, threshold)]  # type: ignore[arg-type]
+        lossless, shrunk = (np.clip(st.render(SCENE, view, options).image, 0, 1) for options in each)
         ratio = np.mean((lossless.astype(float) - shrunk) ** 2) / 10 ** (-scene_psnr / 10)
         losses.append(10 * math.log10(1 + ratio))
     return float(np.mean(losses))
@@ -31,10 +30,24 @@ def loss_of(threshold: float, scene_psnr: float = 30) -> float:
 def test_target_is_the_largest_threshold_within_the_budget() -> None:
     found = st.calibrate(SCENE, VIEWS, st.CalibrateOptions(loss_db=0.1))
     assert 1 / 255 < found.threshold < THRESHOLD_MAX
-    assert np.isclose(found.loss_db, loss_of(found.threshold)) and found.loss_db <= 0.1
-    assert loss_of(1.03 * found.threshold) > 0.1  # found to 2 %
+    assert found.extent == "balanced"
+    assert np.isclose(found.loss_db, loss_of(found.threshold, "balanced")) and found.loss_db <= 0.1
+    assert loss_of(1.03 * found.threshold, "balanced") > 0.1  # found to 2 %
     assert found.num_pairs < found.num_pairs_lossless
     assert found.psnr is not None and 44 < found.psnr < 49  # 46.3 dB in each view would lose 0.1 dB
+
+
+def test_balanced_draws_fewer_pairs_than_equal_thresholds_for_the_same_loss() -> None:
+    balanced, equal = (
+        st.calibrate(SCENE, VIEWS, render=st.RenderOptions(extent=extent)) for extent in ("balanced", "ellipse")
+    )
+    assert balanced.num_pairs < equal.num_pairs
+
+
+def test_a_calibrated_scene_is_drawn_as_it_was_calibrated() -> None:
+    found = st.calibrate(SCENE, VIEWS)
+    drawn = [st.trace(st.calibrated(SCENE, found), view).bins.num_pairs for view in VIEWS]
+    assert sum(drawn) == found.num_pairs
 
 
 def test_a_larger_budget_gives_fewer_pairs() -> None:
@@ -91,7 +104,8 @@ def test_photographs_replace_the_assumed_truth() -> None:
     assert found.photographs and found.views == ("v-1", "v0")  # the third has no photograph
     losses = []
     for view in VIEWS[:2]:
-        shrunk = np.clip(st.render(SCENE, view, st.RenderOptions(threshold=found.threshold)).image, 0, 1)
+        options = st.RenderOptions(threshold=found.threshold, extent=found.extent)
+        shrunk = np.clip(st.render(SCENE, view, options).image, 0, 1)
         losses.append(st.psnr(pictures[view.name], photos[view.name]) - st.psnr(shrunk, photos[view.name]))
     assert np.isclose(found.loss_db, np.mean(losses)) and found.loss_db <= 0.1
     # 20 dB of noise hide more than the 30 dB that are assumed without photographs.
@@ -108,7 +122,7 @@ def test_scene_keeps_threshold_and_provenance(tmp_path) -> None:
     path = tmp_path / "scene.splatree"
     st.write(st.calibrated(SCENE, found, held_out="every 8th"), path)
     scene = st.read(path)
-    assert scene.threshold == 0.07
+    assert scene.threshold == 0.07 and scene.extent == "ellipse"
     record = json.loads(scene.source.metadata["calibration"])
     assert record["policy"] == "fixed" and record["held_out"] == "every 8th" and record["views"] == ["v-1", "v0", "v2"]
     assert record["options"]["loss_db"] == 0.1 and record["pixels"] == "hard" and record["pixel_error"] == 3.0

@@ -11,7 +11,7 @@ from splatree.constants import ALPHA_THRESHOLD
 from splatree.render.calibrate import CalibrateOptions, Policy, calibrate
 from splatree.scene.options import RenderOptions, SelectOptions
 
-__all__ = ["ABOUT_LOSS", "EXACT", "SQUARE", "THREE_SIGMA", "Way", "calibrated_options", "ways"]
+__all__ = ["ABOUT_LOSS", "BALANCED", "EXACT", "SQUARE", "THREE_SIGMA", "Way", "calibrated_options", "ways"]
 
 THREE_SIGMA = RenderOptions(extent="3sigma", threshold=ALPHA_THRESHOLD)
 """Squares of 3 σ (Kerbl 2023)."""
@@ -19,6 +19,8 @@ SQUARE = RenderOptions(extent="tau", threshold=ALPHA_THRESHOLD)
 """Squares that end at τ, at most 3 σ (FilterGS; it takes τ = 1/255 for the rule of FlashGS)."""
 EXACT = RenderOptions(extent="ellipse", threshold=ALPHA_THRESHOLD)
 """Exact test of tiles at 1/255: draws what evaluating every pixel draws. So does FlashGS's own code, at 1/256."""
+BALANCED = RenderOptions(extent="balanced", threshold=ALPHA_THRESHOLD)
+"""Exact test, at less than τ for large splats."""
 
 ABOUT_LOSS = (
     "A loss of x dB without photographs is that of a scene which is itself 30 dB from the truth (render/calibrate.py)."
@@ -50,9 +52,9 @@ def ways(subject: Subject, select: SelectOptions, *, lambda_g: float, loss_db: f
 def calibrated_options(
     subject: Subject, select: SelectOptions, policy: Policy, *, lambda_g: float = 0.2, loss_db: float = 0.1
 ) -> RenderOptions:
-    """τ by a policy: squares, and G over the lists of 3σ squares, for the paper's two; the exact test for ours."""
+    """τ by a policy: squares, and G over the lists of 3σ squares, for the paper's two; for ours the exact test, balanced."""
     theirs = policy in ("paper", "release")
-    drawn = SQUARE if theirs else EXACT
+    drawn = SQUARE if theirs else BALANCED
     rules = CalibrateOptions(policy, loss_db=loss_db, lambda_g=lambda_g, lists="3sigma" if theirs else "ellipse")
     found = calibrate(subject.scene, subject.training, rules, drawn, select, photos=subject.training_photos)
     return replace(drawn, threshold=found.threshold)

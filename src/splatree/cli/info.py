@@ -50,6 +50,8 @@ class Info:
     """How it is meant to be drawn."""
     threshold: float
     """τ: opacity below which a splat ends."""
+    extent: str
+    """Rule for the tiles of a splat."""
     file_bytes: int
     """Size of the files read, those in folders included; a meta.json that is named alone counts alone."""
     bytes: int
@@ -92,6 +94,7 @@ def describe(scene: Scene) -> Info:
         sh_degree=scene.gaussians.sh_degree,
         mode=scene.mode,
         threshold=scene.threshold,
+        extent=scene.extent or "ellipse",
         file_bytes=sum(_size(Path(path)) for path in scene.source.paths),
         bytes=scene.gaussians.nbytes,
         box_min=tuple(float(x) for x in box.min(axis=0)),
@@ -122,7 +125,7 @@ def show(info: Info) -> str:
         ("nodes per depth", " ".join(f"{n:,}" for n in info.nodes_per_depth)),
         *([("clusters", _cluster_words(info.clusters))] if info.clusters else []),
         ("harmonics", f"degree {info.sh_degree}"),
-        ("drawn", f"{info.mode}, τ = {info.threshold:.4g}"),
+        ("drawn", f"{info.mode}, τ = {info.threshold:.4g}, {info.extent}"),
         ("file", f"{info.file_bytes / 2**20:.1f} MiB, {info.file_bytes / max(1, info.num_nodes):.1f} bytes a row"),
         ("memory", f"{info.bytes / 2**20:.1f} MiB"),
         ("box", f"{point(*info.box_min)} to {point(*info.box_max)}"),

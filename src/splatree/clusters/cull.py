@@ -40,7 +40,8 @@ from splatree.errors import InputError
 from splatree.kernels.cpu import cull as kernel
 from splatree.scene.cameras import Camera
 from splatree.scene.clusters import ClusterIndex, Culling, Sides
-from splatree.scene.options import Cull, Extent
+from splatree.scene.options import Cull
+from splatree.scene.scene import Extent
 from splatree.shapes import Array, Float32, Int32
 
 __all__ = ["cull", "sides_of"]
@@ -113,7 +114,7 @@ def sides_of(camera: Camera, rule: Cull, *, dilation_px2: float, threshold: floa
     if rule == "planes":
         return _sides(camera, axes, [Margins(0, size, 0, 0) for _, _, size in axes])
     k = _reach_of_opaque(min(threshold, ALPHA_THRESHOLD))
-    if rule == "exact" and extent != "ellipse":
+    if rule == "exact" and extent in ("tau", "3sigma"):
         margins = [_margins_of_square(axes, size, dilation_px2, SHRINK_PAD_PX) for _, _, size in axes]
     elif rule == "exact":
         margins = [_margins_of_box(*axis, k, dilation_px2) for axis in axes]
@@ -136,7 +137,7 @@ def _radii(
     """Radii for the four borders, and for the near plane, which drops Gaussians by their centres."""
     if rule == "paper-distance":
         return clusters.mean_radii, clusters.mean_radii
-    if not (rule == "exact-gsplat" or (rule == "exact" and extent == "ellipse")):
+    if not (rule == "exact-gsplat" or (rule == "exact" and extent in ("ellipse", "balanced"))):
         return clusters.radii, clusters.mean_radii
     if threshold >= ALPHA_THRESHOLD:
         return clusters.footprint_radii, clusters.mean_radii

@@ -72,7 +72,7 @@ def checked(scene: Scene, where: str, *, repair: Repair, magnitudes: Magnitudes 
     source = scene.source
     metadata = {**source.metadata, "repairs": json.dumps(add_counts(source.metadata.get("repairs"), repairs))}
     flat = Scene.flat(gaussians, mode=scene.mode, source=replace(source, metadata=metadata))
-    return replace(flat, threshold=scene.threshold)
+    return replace(flat, threshold=scene.threshold, extent=scene.extent)
 
 
 def checked_rows(

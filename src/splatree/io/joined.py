@@ -22,7 +22,7 @@ def joined(scenes: Iterable[Scene]) -> Scene:
     """All rows of ``scenes`` in order; their trees side by side; harmonics at the highest degree among them.
 
     Raises:
-        InputError: the scenes are drawn in different modes or with different thresholds, or are too many rows together.
+        InputError: the scenes are drawn in different modes, with different thresholds or extents, or are too many rows together.
     """
     remaining = iter(scenes)
     first = next(remaining)
@@ -32,11 +32,12 @@ def joined(scenes: Iterable[Scene]) -> Scene:
 
     gaussians = _empty(Gaussians.empty(first.gaussians.sh_degree))
     tree = _empty(GaussianTree(np.zeros(0, np.int32), np.zeros(0, np.uint8), np.zeros(0, np.float32)))
-    mode, threshold, has_ids, sources, start = first.mode, first.threshold, False, [], 0
+    drawn = {name: getattr(first, name) for name in ("mode", "threshold", "extent")}
+    has_ids, sources, start = False, [], 0
     for scene in chain((first, second), remaining):
         first = second = None  # type: ignore[assignment]  # let go of what is appended
-        for name, found, wanted in (("mode", scene.mode, mode), ("threshold", scene.threshold, threshold)):
-            if found != wanted:
+        for name, wanted in drawn.items():
+            if (found := getattr(scene, name)) != wanted:
                 raise InputError(
                     f"inputs differ in their {name}: {' '.join(scene.source.paths)} has {found}, those before it {wanted}; "
                     "wanted scenes of one training, read them one by one"
@@ -56,8 +57,7 @@ def joined(scenes: Iterable[Scene]) -> Scene:
         Gaussians(**gaussians),
         GaussianTree(**tree),
         ids=np.arange(start, dtype=np.uint32) if has_ids else None,
-        mode=mode,
-        threshold=threshold,
+        **drawn,
         source=joined_source(sources),
     )
 

@@ -354,4 +354,4 @@ def _cut(scene: Scene, depth: int | None) -> Scene:
     if drawn.all():
         return scene
     flat = Scene.flat(scene.gaussians.take(np.flatnonzero(drawn)), mode=scene.mode, source=scene.source)
-    return replace(flat, threshold=scene.threshold)
+    return replace(flat, threshold=scene.threshold, extent=scene.extent)

@@ -27,8 +27,8 @@ from splatree.lod.serial import select_serial
 from splatree.scene.cameras import Camera
 from splatree.scene.clusters import Culling
 from splatree.scene.frame import Selection
-from splatree.scene.options import Extent, Profile, SelectOptions
-from splatree.scene.scene import Scene
+from splatree.scene.options import Profile, SelectOptions
+from splatree.scene.scene import Extent, Scene
 from splatree.scene.tree import GaussianTree
 from splatree.shapes import Array, Bool, Int32
 

@@ -7,7 +7,8 @@ Policies (FilterGS 2026, §3.3, Eq. 8; G is the mean contribution of a pair, ren
 - ``release``: τ = λ_G · G, as the code of FilterGS computes: crowded scenes are shrunk less;
 - ``fixed``: the render option ``threshold``, or 1/255.
 
-None goes below 1/255, down to which the blend draws anyway, nor above 0.5.
+Unless another extent is asked for, ``target`` takes `balanced`, the other policies the same τ for all splats, `ellipse`. No τ
+goes below 1/255, down to which the blend draws anyway, nor above 0.5.
 
 What a loss of x dB means. With photographs: the mean over the views of PSNR(lossless, photo) − PSNR(shrunk, photo). Without: the
 lossless picture is taken to be Q dB from the truth (``scene_psnr``), and the error of shrinking independent of that one, so that
@@ -38,8 +39,8 @@ from splatree.render.contribution import Tiles, Unit, tile_contributions
 from splatree.render.pipeline import trace
 from splatree.scene.cameras import Camera
 from splatree.scene.frame import Frame
-from splatree.scene.options import Extent, RenderOptions, SelectOptions
-from splatree.scene.scene import Scene
+from splatree.scene.options import RenderOptions, SelectOptions
+from splatree.scene.scene import Extent, Scene
 from splatree.shapes import Array
 
 __all__ = ["CalibrateOptions", "Calibration", "Policy", "Trial", "calibrate", "calibrated"]
@@ -130,7 +131,7 @@ class Calibration:
     options: CalibrateOptions
     """How it was asked for."""
     extent: Extent
-    """Extent of the splats."""
+    """Extent of the splats; `target` takes `balanced` unless another is asked for, the other policies `ellipse`."""
     pixels: str
     """Treatment of the pixels."""
     pixel_error: float | None
@@ -159,7 +160,9 @@ def calibrate(
     """
     options, render, select = options or CalibrateOptions(), render or RenderOptions(), select or SelectOptions()
     if render.extent == "3sigma":
-        raise InputError("extent: found '3sigma', which does not depend on τ; wanted 'ellipse' or 'tau'")
+        raise InputError("extent: found '3sigma', which does not depend on τ; wanted another")
+    extent: Extent = render.extent or ("balanced" if options.policy == "target" else "ellipse")
+    render = replace(render, extent=extent)
     with_photo = [camera for camera in cameras if camera.name in photos] if photos else list(cameras)
     if not with_photo:
         found = f"{len(cameras)} views, none with a photograph" if cameras else "no view"
@@ -182,7 +185,7 @@ def calibrate(
         views=tuple(view.name or str(number) for number, view in zip(chosen, views, strict=True)),
         size_px=(views[0].width, views[0].height),
         options=options,
-        extent=render.extent,
+        extent=extent,
         pixels=render.pixels,
         pixel_error=select.pixel_error,
         trials=tuple(trials),
@@ -193,7 +196,12 @@ def calibrated(scene: Scene, calibration: Calibration, **provenance: str) -> Sce
     """The scene with the τ of a calibration, and in its metadata how it was chosen; ``provenance`` is added to that."""
     record = {name: value for name, value in asdict(calibration).items() if name != "trials"} | provenance
     metadata = {**scene.source.metadata, METADATA_KEY: json.dumps(record)}
-    return replace(scene, threshold=calibration.threshold, source=replace(scene.source, metadata=metadata))
+    return replace(
+        scene,
+        threshold=calibration.threshold,
+        extent=calibration.extent,
+        source=replace(scene.source, metadata=metadata),
+    )
 
 
 class _Studio:
@@ -253,7 +261,7 @@ class _Studio:
 
     def _largest_within_budget(self) -> tuple[Trial, list[Trial]]:
         best = Trial(ALPHA_THRESHOLD, 0.0, None, self.num_pairs_lossless)
-        if self.render.extent != "ellipse":  # not what was drawn as lossless
+        if self.render.extent == "tau":  # not what was drawn as lossless
             best = self.attempt(ALPHA_THRESHOLD)
         above = self.attempt(THRESHOLD_MAX)
         trials = [best, above]

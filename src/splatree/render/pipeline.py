@@ -63,7 +63,7 @@ def trace(
     options, select = options or RenderOptions(), select or SelectOptions()
     resolved = options.resolved(scene)
     kernels = backend_for(backend)
-    if isinstance(select, SelectOptions) and select.visibility == "footprint" and resolved.extent != "ellipse":
+    if isinstance(select, SelectOptions) and select.visibility == "footprint" and resolved.is_square:
         # Footprints are ellipses; the projection drops what squares do not show.
         select = replace(select, visibility="none")
     milliseconds: dict[str, float] = {}
@@ -96,7 +96,7 @@ def trace(
         choose = select
     selection = timed(
         "select",
-        lambda: choose(camera, dilation_px2=resolved.dilation_px2, threshold=resolved.threshold, threads=threads),
+        lambda: choose(camera, dilation_px2=resolved.dilation_px2, threshold=resolved.least_threshold, threads=threads),
     )
     splats = timed(
         "project",

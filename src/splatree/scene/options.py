@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from splatree.constants import ALPHA_THRESHOLD, DILATION_PX2, PIXEL_ERROR
+from splatree.constants import ALPHA_THRESHOLD, DILATION_PX2, PIXEL_ERROR, SHRINK_AREA_POWER
 from splatree.errors import InputError
-from splatree.scene.scene import Mode, Scene
+from splatree.scene.scene import Extent, Mode, Scene
 
 Rule = Literal["cut", "paper-strict", "release", "log-serial"]
 """Named rule sets of the selection (FilterGS §3.2 and its code; docs/algorithms/select.md)."""
@@ -18,9 +18,6 @@ Visibility = Literal["footprint", "centre", "none"]
 
 Cull = Literal["none", "exact", "exact-inria", "exact-gsplat", "planes", "paper", "paper-guard", "paper-distance"]
 """Named rules that leave out clusters (clusters/cull.py; docs/algorithms/clusters.md)."""
-
-Extent = Literal["ellipse", "tau", "3sigma"]
-"""Named rules for the tiles that a splat is listed in (docs/algorithms/shrinking.md)."""
 
 Pixels = Literal["taper", "hard"]
 """Named treatments of the pixels in these tiles where τ is above 1/255."""
@@ -69,9 +66,9 @@ class RenderOptions:
     """Variance added to both axes of each splat, px²."""
     threshold: float | None = None
     """τ: opacity below which a splat ends; None: as the scene says (1/255 is lossless)."""
-    extent: Extent = "ellipse"
-    """Tiles of a splat: `ellipse` those that it reaches with opacity τ; `tau` and `3sigma` squares as the code of FilterGS and
-    of 3DGS, the latter whatever τ is."""
+    extent: Extent | None = None
+    """Tiles of a splat: `ellipse` those that it reaches with opacity τ, `balanced` with less for large splats; `tau` and `3sigma`
+    squares as the code of FilterGS and of 3DGS; None: as the scene says, else `ellipse`."""
     pixels: Pixels = "hard"
     """Pixels of these tiles: `hard` draws opacities down to 1/255, so that a large τ shows edges of tiles; `taper` lets each
     splat end smoothly before the first tile that it is not listed in."""
@@ -83,8 +80,10 @@ class RenderOptions:
             raise InputError(f"dilation_px2: found {self.dilation_px2}, wanted 0 px² or more")
         if self.threshold is not None and not 0 < self.threshold < 1:
             raise InputError(f"threshold: found {self.threshold}, wanted between 0 and 1")
-        _check_names(self, extent=Extent, pixels=Pixels)
-        if self.pixels == "taper" and self.extent != "ellipse":
+        _check_names(self, pixels=Pixels)
+        if self.extent is not None:
+            _check_names(self, extent=Extent)
+        if self.pixels == "taper" and self.extent in ("tau", "3sigma"):
             raise InputError(f"pixels: found 'taper' with extent {self.extent!r}, wanted 'hard', or extent 'ellipse'")
         if self.sh_degree is not None and not 0 <= self.sh_degree <= 3:
             raise InputError(f"sh_degree: found {self.sh_degree}, wanted 0 to 3")
@@ -97,7 +96,7 @@ class RenderOptions:
             dilation_px2=self.dilation_px2,
             threshold=self.threshold if self.threshold is not None else scene.threshold,
             sh_degree=self.sh_degree if self.sh_degree is not None else scene.gaussians.sh_degree,
-            extent=self.extent,
+            extent=self.extent or scene.extent or "ellipse",
             pixels=self.pixels,
         )
 
@@ -122,9 +121,24 @@ class ResolvedOptions:
     """What happens to the pixels of these tiles."""
 
     @property
+    def is_square(self) -> bool:
+        """Whether the extents are squares."""
+        return self.extent in ("tau", "3sigma")
+
+    @property
+    def area_power(self) -> float:
+        """The power of its area with which a splat's τ falls."""
+        return SHRINK_AREA_POWER if self.extent == "balanced" else 0.0
+
+    @property
+    def least_threshold(self) -> float:
+        """Smallest opacity at which any splat ends, for tests that do not know its area."""
+        return min(self.threshold, ALPHA_THRESHOLD) if self.area_power else self.threshold
+
+    @property
     def least_opacity(self) -> float:
         """Splats of a smaller opacity are not drawn at all; squares list splats of any opacity, as their codes do."""
-        return self.threshold if self.extent == "ellipse" else 0.0
+        return 0.0 if self.is_square else self.least_threshold
 
     @property
     def pixel_threshold(self) -> float:

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -16,6 +16,9 @@ from splatree.shapes import Array, UInt32, check_fields
 Mode = Literal["classic", "antialiased"]
 """How a scene was trained and is drawn: `classic` adds 0.3 px² to each splat (Kerbl 2023); `antialiased` also lowers its
 opacity so that its mass is kept (Yu 2024, Mip-Splatting, Eq. 9 without the 3D filter, as in gsplat)."""
+
+Extent = Literal["ellipse", "balanced", "tau", "3sigma"]
+"""Named rules for the tiles that a splat is listed in (docs/algorithms/shrinking.md)."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +52,8 @@ class Scene:
     """How the scene is drawn."""
     threshold: float = ALPHA_THRESHOLD
     """τ: a splat ends where its opacity falls below this."""
+    extent: Extent | None = None
+    """Rule for the tiles of a splat that τ was chosen for; None: `ellipse`."""
     source: Source = Source()
     """Where it came from."""
 
@@ -68,6 +73,8 @@ class Scene:
             )
         if self.mode not in ("classic", "antialiased"):
             raise InputError(f"Scene.mode: found {self.mode!r}, wanted 'classic' or 'antialiased'")
+        if self.extent is not None and self.extent not in get_args(Extent):
+            raise InputError(f"Scene.extent: found {self.extent!r}, wanted one of {', '.join(get_args(Extent))}")
         if not 0 < self.threshold < 1:
             raise InputError(f"Scene.threshold: found {self.threshold}, wanted between 0 and 1")
 

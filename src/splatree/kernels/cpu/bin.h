@@ -31,7 +31,7 @@ struct BinJob {
   const float* records;  // v splats
   const int32_t* order;  // v
   int64_t num_splats;
-  float log2_threshold;
+  float log2_threshold, area_power;  // of τ; how it falls with a splat's area
   int width, height;  // px
   int num_tiles_x, num_tiles_y;
   Extent extent;

@@ -35,6 +35,7 @@ def bin(
         splats.records,
         splats.order,
         options.threshold,
+        options.area_power,
         camera.width,
         camera.height,
         tile_start,

@@ -11,11 +11,11 @@
 namespace splatree {
 namespace {
 
-nb::bytes frame_numbers(In<double> view, double threshold, double least_opacity, double pixel_threshold, bool antialiased,
+nb::bytes frame_numbers(In<double> view, double threshold, double area_power, double least_threshold, double least_opacity, double pixel_threshold, bool antialiased,
                         In<double> rule, int visibility, bool cull, In<double> planes, In<double> reach, int degree,
                         int width, int height, In<double> background, std::optional<In<double>> square, bool whole_box) {
   FrameNumbers n{};
-  n.view = view_of(view.data(), threshold, antialiased);
+  n.view = view_of(view.data(), least_threshold, antialiased);
   n.view.least_opacity = float(least_opacity);
   n.rule = rule_of(rule.data());
   n.planes = planes_of(planes.data(), int(planes.shape(0)));
@@ -28,6 +28,7 @@ nb::bytes frame_numbers(In<double> view, double threshold, double least_opacity,
   n.width = width, n.height = height;
   n.num_tiles_x = (width + 15) / 16, n.num_tiles_y = (height + 15) / 16;
   for (int i = 0; i < 3; ++i) n.background[i] = float(background.data()[i]);
+  n.log2_threshold = float(std::log2(threshold)), n.area_power = float(area_power);
   n.log2_pixel_threshold = float(std::log2(pixel_threshold));
   n.extent = int(square ? Extent::SQUARE : whole_box ? Extent::BOX : Extent::ELLIPSE);
   if (square) n.square = square_of(square->data());
@@ -37,7 +38,7 @@ nb::bytes frame_numbers(In<double> view, double threshold, double least_opacity,
 }  // namespace
 
 void bind_cuda(nb::module_& m) {
-  m.def("frame_numbers", &frame_numbers, nb::arg("view"), nb::arg("threshold"), nb::arg("least_opacity"),
+  m.def("frame_numbers", &frame_numbers, nb::arg("view"), nb::arg("threshold"), nb::arg("area_power"), nb::arg("least_threshold"), nb::arg("least_opacity"),
         nb::arg("pixel_threshold"), nb::arg("antialiased"), nb::arg("rule"), nb::arg("visibility"), nb::arg("cull"),
         nb::arg("planes"), nb::arg("reach"), nb::arg("degree"), nb::arg("width"), nb::arg("height"), nb::arg("background"),
         nb::arg("square").none(), nb::arg("whole_box"), "The struct FrameNumbers of kernels/cuda/job.h as bytes.");

@@ -44,11 +44,12 @@ void order_splats(In<float> depths, In<int32_t> rows, std::optional<In<uint32_t>
   order_by_depth(depths.data(), rows.data(), id, int64_t(order.shape(0)), threads, order.data());
 }
 
-nb::ndarray<nb::numpy, int32_t, nb::ndim<1>> bin_splats(In<float> records, In<int32_t> order, double threshold, int width,
+nb::ndarray<nb::numpy, int32_t, nb::ndim<1>> bin_splats(In<float> records, In<int32_t> order, double threshold,
+                                                        double area_power, int width,
                                           int height, Out<int64_t> tile_start, int num_tiles_x, int num_tiles_y,
                                           std::optional<In<double>> square, bool whole_box,
                                           std::optional<Out<float>> floors, int threads) {
-  const BinJob job{records.data(), order.data(), int64_t(order.shape(0)), float(std::log2(threshold)), width, height,
+  const BinJob job{records.data(), order.data(), int64_t(order.shape(0)), float(std::log2(threshold)), float(area_power), width, height,
                    num_tiles_x, num_tiles_y,
                    square ? Extent::SQUARE : whole_box ? Extent::BOX : Extent::ELLIPSE,
                    square ? square_of(square->data()) : Square{}, threads,
@@ -87,7 +88,7 @@ void bind_render(nb::module_& m) {
         nb::arg("out_depths"), nb::arg("threads"), "Project rows; returns the number of records written.");
   m.def("order_splats", &order_splats, nb::arg("depths"), nb::arg("rows"), nb::arg("ids").none(), nb::arg("order"),
         nb::arg("threads"), "Indices of the splats by depth, equal depths by id.");
-  m.def("bin_splats", &bin_splats, nb::arg("records"), nb::arg("order"), nb::arg("threshold"), nb::arg("width"),
+  m.def("bin_splats", &bin_splats, nb::arg("records"), nb::arg("order"), nb::arg("threshold"), nb::arg("area_power"), nb::arg("width"),
         nb::arg("height"), nb::arg("tile_start"), nb::arg("num_tiles_x"), nb::arg("num_tiles_y"), nb::arg("square").none(),
         nb::arg("whole_box"), nb::arg("floors").none(), nb::arg("threads"), "Fill tile_start and return the splats of all tiles.");
   m.def("blend_tiles", &blend_tiles, nb::arg("records"), nb::arg("tile_start"), nb::arg("splat_from_pair"),

@@ -19,6 +19,7 @@ struct alignas(64) Planes {
   // Of the Ellipse.
   float k_squared[BATCH], c_squared[BATCH], skew[BATCH], inverse_a[BATCH], height[BATCH], dy_of_right[BATCH], margin[BATCH];
   int32_t first_row[BATCH], end_row[BATCH], first[BATCH], end[BATCH];
+  float log2_threshold[BATCH];
   float nearest[BATCH];  // smallest |L d|² in a tile that the splat is not listed in
 };
 
@@ -81,9 +82,12 @@ void repeat_span(Span span, int num_rows, Spans& spans) {
 template <Extent EXTENT, bool FLOORS>
 SPLATREE_FN void cover_ellipse(const BinJob& job, int i, Planes& p) {
   const float width = job.width, height = job.height;
+  const float log2_threshold =
+      log2_threshold_of(job.log2_threshold, job.area_power, p.column[FACTOR_A][i], p.column[FACTOR_C][i]);
   const Ellipse e = ellipse_of(p.column[X][i], p.column[Y][i], p.column[FACTOR_A][i], p.column[FACTOR_B][i],
                                p.column[FACTOR_C][i], p.column[LOG2_OPACITY][i], p.column[EXTENT_X][i],
-                               p.column[EXTENT_Y][i], job.log2_threshold);
+                               p.column[EXTENT_Y][i], log2_threshold);
+  p.log2_threshold[i] = log2_threshold;
   p.k_squared[i] = e.k_squared, p.c_squared[i] = e.c_squared, p.skew[i] = e.skew;
   p.inverse_a[i] = e.inverse_a, p.height[i] = e.height, p.dy_of_right[i] = e.dy_of_right, p.margin[i] = e.margin;
   const Tiles rows = tiles_in({e.y - e.height - e.margin, e.y + e.height + e.margin}, height);
@@ -133,14 +137,14 @@ void list_all(const BinJob& job, int64_t begin, int64_t end, SplatTiles* tiles, 
       t.first_row = uint16_t(p.first_row[i]);
       t.num_rows = uint16_t(num_rows);
       t.span = {uint16_t(p.first[i]), uint16_t(p.end[i])};
-      if (FLOORS && num_rows <= 1) job.floors[batch + i] = floor_of(p.column[LOG2_OPACITY][i], p.nearest[i], job.log2_threshold);
+      if (FLOORS && num_rows <= 1) job.floors[batch + i] = floor_of(p.column[LOG2_OPACITY][i], p.nearest[i], p.log2_threshold[i]);
       if (num_rows <= 1) continue;
       t.first_span = spans.size;
       if (EXTENT == Extent::ELLIPSE) {
         const Ellipse ellipse = {p.column[X][i], p.column[Y][i], p.k_squared[i], p.c_squared[i], p.skew[i],
                                  p.inverse_a[i], p.height[i], p.dy_of_right[i], p.margin[i]};
         const float beside = list_rows<FLOORS>(job, ellipse, p.first_row[i], num_rows, spans);
-        if (FLOORS) job.floors[batch + i] = floor_of(p.column[LOG2_OPACITY][i], least(p.nearest[i], beside), job.log2_threshold);
+        if (FLOORS) job.floors[batch + i] = floor_of(p.column[LOG2_OPACITY][i], least(p.nearest[i], beside), p.log2_threshold[i]);
       } else {
         repeat_span({uint16_t(p.first[i]), uint16_t(p.end[i])}, num_rows, spans);
       }

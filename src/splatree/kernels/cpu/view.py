@@ -28,6 +28,6 @@ def pack_view(camera: Camera, dilation_px2: float) -> Float64[Array, "25"]:
 
 def pack_square(options: ResolvedOptions) -> Float64[Array, "5"] | None:
     """The numbers of the struct Square, in its order; None if the extent is no square."""
-    if options.extent == "ellipse":
+    if not options.is_square:
         return None
     return np.array(rule_of(options), np.float64)

@@ -31,7 +31,8 @@ SPLATREE_FN Cover load_cover(const FrameJob* job, long long splat) {
     cover.columns = {int(across.first), int(across.end)};
     return cover;
   }
-  const Ellipse e = ellipse_of(p.x, p.y, p.z, p.w, q.x, q.z, r.w, s.x, n.view.log2_threshold);
+  const Ellipse e = ellipse_of(p.x, p.y, p.z, p.w, q.x, q.z, r.w, s.x,
+                               log2_threshold_of(n.log2_threshold, n.area_power, p.z, q.x));
   cover.ellipse = e;
   cover.rows = tiles_in({e.y - e.height - e.margin, e.y + e.height + e.margin}, (float)n.height);
   const float box = r.w + e.margin;
@@ -75,8 +76,8 @@ SPLATREE_KERNEL(256) count_tiles(const FrameJob* job, int tapers) {
       }
     }
     if (tapers) {
-      const float4 q = job->records[4 * i + 1];
-      job->floors[i] = floor_of(q.z, nearest, n.view.log2_threshold);
+      const float4 p = job->records[4 * i], q = job->records[4 * i + 1];
+      job->floors[i] = floor_of(q.z, nearest, log2_threshold_of(n.log2_threshold, n.area_power, p.z, q.x));
     }
   }
   job->num_tiles[i] = count;

@@ -20,6 +20,7 @@ struct FrameNumbers {
   int degree;      // of harmonics evaluated
   int width, height, num_tiles_x, num_tiles_y;
   float background[3];
+  float log2_threshold, area_power;  // of τ; how it falls with a splat's area
   float log2_pixel_threshold;  // of the smallest opacity that is drawn at a pixel
   int extent;      // of enum Extent
   Square square;   // if that is what it is

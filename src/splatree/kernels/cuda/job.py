@@ -71,10 +71,12 @@ def pack_numbers(
         raise InputError(
             f"device 'cuda': found {found}, wanted rule 'cut' without max_radius; use device 'cpu' for others"
         )
-    dilation, threshold = options.dilation_px2, options.threshold
+    dilation, threshold = options.dilation_px2, options.least_threshold
     return bytes(
         _core.frame_numbers(
             pack_view(camera, dilation),
+            options.threshold,
+            options.area_power,
             threshold,
             options.least_opacity,
             options.pixel_threshold,

@@ -5,13 +5,16 @@ pixel centres. The smallest |L d| over a rectangle is 0 if the centre lies insid
 parabola along each side. Nothing is lost: a pair left out has opacity below τ at every pixel of the tile. The extents
 `tau` and `3sigma` list a square instead (square.py).
 
+In the extent `balanced` a splat ends at τ (0.3 px² / √det Σ')^0.4 instead, but at 1/255 at least: the error of a lost tile grows
+with the size of the splat, what a pair costs does not.
+
 With `taper` a splat gets a floor: its largest opacity in a tile of the picture that it is not listed in, held within 1/255
-and τ. A splat that is listed in all its tiles down to 1/255 has the floor 1/255, and is drawn as it is.
+and the opacity at which it ends. A splat that is listed in all its tiles down to 1/255 has the floor 1/255: it is drawn as it is.
 """
 
 import numpy as np
 
-from splatree.constants import ALPHA_THRESHOLD, TILE_PX
+from splatree.constants import ALPHA_THRESHOLD, SHRINK_AREA_PX2, TILE_PX
 from splatree.kernels.reference.square import half_sides, rule_of, tile_range
 from splatree.scene.cameras import Camera
 from splatree.scene.frame import Splats, TileBins, tiles_of
@@ -24,8 +27,9 @@ __all__ = ["bin", "smallest_distances"]
 def bin(splats: Splats, camera: Camera, options: ResolvedOptions, *, threads: int = 0) -> TileBins:
     """Pairs of splat and tile, tile by tile and nearest first; ``threads`` is not used."""
     num_x, num_y = tiles_of(camera)
-    k_squared = 2 * np.log(np.maximum(splats.opacities.astype(np.float64), 1e-37) / options.threshold)
-    if options.extent == "ellipse":
+    thresholds = _thresholds(splats, options)
+    k_squared = 2 * np.log(np.maximum(splats.opacities.astype(np.float64), 1e-37) / thresholds)
+    if not options.is_square:
         distances = smallest_distances(splats, camera)  # [v t]
         touches = distances**2 <= k_squared[:, None]
     else:
@@ -36,8 +40,15 @@ def bin(splats: Splats, camera: Camera, options: ResolvedOptions, *, threads: in
     if options.tapers:
         nearest = np.where(touches, np.inf, distances).min(axis=1, initial=np.inf)
         largest = splats.opacities * np.exp(-0.5 * nearest**2)
-        floors = np.clip(largest, ALPHA_THRESHOLD, options.threshold).astype(np.float32)
+        floors = np.clip(largest, ALPHA_THRESHOLD, thresholds).astype(np.float32)
     return TileBins(tile_start, np.concatenate(lists).astype(np.int32), num_x, num_y, floors)
+
+
+def _thresholds(splats: Splats, options: ResolvedOptions) -> Array:
+    """The opacity at which each splat ends."""
+    a, _, c = splats.factors.astype(np.float64).T
+    weighed = options.threshold * (SHRINK_AREA_PX2 * a * c) ** options.area_power  # √det Σ' = 1 / (a c)
+    return np.asarray(np.clip(weighed, min(options.threshold, ALPHA_THRESHOLD), options.threshold))
 
 
 def _squares_touch(splats: Splats, camera: Camera, options: ResolvedOptions) -> Array:

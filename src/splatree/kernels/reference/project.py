@@ -11,8 +11,8 @@ holds for an off-centre principal point). In mode `antialiased` the opacity is m
 so that the dilation does not add light (Yu 2024, Eq. 9).
 
 The splat is drawn down to an opacity θ, the smaller of τ and 1/255: |L d| ≤ k with k = √(2 ln(o/θ)), a box of half size
-k √Σ'_xx by k √Σ'_yy. A Gaussian is dropped if its centre is not farther than `near`, if o < τ, or if the box holds no pixel
-centre's row or column; one with a square extent (square.py) if the square is listed in no tile.
+k √Σ'_xx by k √Σ'_yy. A Gaussian is dropped if its centre is not farther than `near`, if o < τ (in the extent `balanced` if
+o < θ), or if the box holds no pixel centre's row or column; one with a square extent (square.py) if that is listed in no tile.
 """
 
 import numpy as np
@@ -77,7 +77,7 @@ def project(
     a = np.sqrt(yy / det)
     factors = np.stack([a, -a * xy / yy, np.sqrt(1 / yy)], axis=1)
     size = np.array([camera.width, camera.height])
-    if options.extent == "ellipse":
+    if not options.is_square:
         touches = ((means_px + extents_px >= 0.5) & (means_px - extents_px <= size - 0.5)).all(axis=1)
     else:
         sides = half_sides(xx, xy, yy, opacities, rule_of(options))

@@ -21,6 +21,15 @@ struct Ellipse {
   float margin;                // px
 };
 
+// log2 of the opacity at which a splat ends: of τ, times (0.3 px² / area)^power, area = √det Σ' = 1 / (a c); but at least of
+// 1/255, or of a smaller τ, and at most of τ. The power 0 gives τ.
+SPLATREE_FN float log2_threshold_of(float log2_threshold, float area_power, float a, float c) {
+  constexpr float LOG2_ALPHA_THRESHOLD = -7.99435344f;
+  const float weighed = log2_threshold + area_power * (log2_of(a * c) - 1.73696559f);
+  return greatest(least(weighed, log2_threshold), least(log2_threshold, LOG2_ALPHA_THRESHOLD));
+}
+
+// Empty if the splat's opacity is below the threshold.
 SPLATREE_FN Ellipse ellipse_of(float x, float y, float a, float b, float c, float log2_opacity, float extent_x,
                                float extent_y, float log2_threshold) {
   Ellipse e;
@@ -29,7 +38,7 @@ SPLATREE_FN Ellipse ellipse_of(float x, float y, float a, float b, float c, floa
   e.c_squared = c * c;
   e.inverse_a = 1.f / a;
   e.skew = -b * e.inverse_a;
-  e.height = __builtin_sqrtf(e.k_squared) / c;
+  e.height = log2_opacity >= log2_threshold ? __builtin_sqrtf(e.k_squared) / c : -FAR;
   // d/d(dy) of skew dy + √(k² - c² dy²) / a vanishes where c dy = k t / √(1 + t²) with t = skew a / c = -b / c.
   e.dy_of_right = e.height * -b / __builtin_sqrtf(b * b + e.c_squared);
   e.margin = 2e-3f + 2e-6f * (extent_x + extent_y);
