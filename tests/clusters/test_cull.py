@@ -98,9 +98,9 @@ def test_other_thresholds_and_dilations_keep_every_bit(threshold: float, dilatio
         assert same_picture(st.trace(scene, camera, options, NO_CULL), st.trace(scene, camera, options))
 
 
-@pytest.mark.parametrize("extent", ["3sigma", "tau"])
+@pytest.mark.parametrize("extent", ["3sigma", "tau", "balanced"])
 @pytest.mark.parametrize("threshold", [1 / 255, 0.3])
-def test_square_extents_keep_every_bit(extent: str, threshold: float) -> None:
+def test_other_extents_keep_every_bit(extent: str, threshold: float) -> None:
     scene = st.build_clusters(st.Scene.flat(gaussians(300, 5, log_scales=(-6, -1), spread=3.0)), 100)
     options = st.RenderOptions(threshold=threshold, extent=extent)  # type: ignore[arg-type]
     dropped = 0
