@@ -8,6 +8,7 @@ inside and packed again, because a change of the stream never gets past its chec
 import argparse
 import gzip
 import json
+import random
 import re
 import shutil
 import subprocess
@@ -158,12 +159,27 @@ def fuzz(target: Path, folder: Path, arguments: list[str]) -> None:
         assert peak <= MEMORY_ALWAYS + MEMORY_PER_BYTE * len(data), f"{peak} bytes of memory for a file of {len(data)}"
 
     def mutate(data: bytes, max_size: int, seed: int) -> bytes:
+        numbers = random.Random(seed)
+        if numbers.random() < 0.5:
+            return _through_compression(data, lambda raw: _with_odd_number(raw, numbers))[:max_size]
         return _through_compression(data, lambda raw: atheris.Mutate(raw, len(raw) + 64))[:max_size]
 
     options = [f"-timeout={SECONDS_MAX}", "-rss_limit_mb=4096", f"-dict={folder / 'words'}", "-print_final_stats=1"]
     options += ["-max_len=16384", *arguments, str(folder / "corpus")]
     atheris.Setup([sys.argv[0], *options], read_once, custom_mutator=mutate)
     atheris.Fuzz()
+
+
+def _with_odd_number(data: bytes, numbers: random.Random) -> bytes:
+    """Put a number at which code goes wrong where a byte other than 0 stands: headers are mostly zeros, counts are not."""
+    places = [i for i, byte in enumerate(data[:16384]) if byte] or [0]
+    width = numbers.choice((1, 2, 4, 8))
+    at = numbers.choice(places) // width * width
+    odd = (0, 1, 2, 255, -1, -2, 2**31 - 1, 2**31, 2**15, 2**24, 2**53, numbers.getrandbits(64))
+    value = (numbers.choice(odd) & (2 ** (8 * width) - 1)).to_bytes(width, "little")
+    if width >= 4 and numbers.random() < 0.3:
+        value = np.array(numbers.choice((np.nan, np.inf, -np.inf, 1e38, -1.0, 1e-40)), "<f4").tobytes()
+    return data[:at] + value + data[at + len(value) :]
 
 
 def _through_compression(data: bytes, change: Callable[[bytes], bytes]) -> bytes:

@@ -128,6 +128,8 @@ def test_older_files_have_colors_from_0_to_1(tmp_path):
         (b"property uchar f_rest_8\n", b"", "found 8 properties f_rest"),
         (b"property uchar f_rest_8", b"property short f_rest_8", "found 9 properties f_rest_*"),
         (b"float min_x", b"float mini_x", "element 'chunk': found min_x missing"),
+        (b"float min_g", b"float mini_g", "element 'chunk': found min_g missing"),
+        (b"float max_b", b"double max_b", "cut off"),
         (b"uint packed_scale", b"float packed_scale", "found packed_scale of type f4, wanted it of type u4"),
         (b"element chunk 2", b"element chunk 2\nproperty list uchar int faces", "found lists"),
         (b"binary_little_endian", b"ascii", "as text, wanted binary"),

@@ -195,7 +195,7 @@ def _open(path: Path, options: ReadOptions) -> _Packed:
         bounds[:, 15:] = 1  # colours of older files lie within 0 to 1
         file.seek(starts["chunk"])
         records = np.fromfile(file, types["chunk"], len(bounds))
-        has_colors = "min_r" in (types["chunk"].names or ())
+        has_colors = _BOUNDS[12] in (types["chunk"].names or ())
         names = _BOUNDS if has_colors else _BOUNDS[:12]
         bounds[:, : len(names)] = _matrix(records, names, np.float32)
     if text.comments:
@@ -215,6 +215,8 @@ def _check_elements(path: Path, text: Text, elements: dict[str, Element]) -> int
         raise FormatError(f"{path}: found lists, wanted scalars only; this is no compressed .ply")
     for name, (wanted, kinds) in _WANTED.items():
         found = {n: kind[1:] for n, kind in elements[name].properties} if name in elements else {}
+        if name == "chunk" and not found.keys().isdisjoint(_BOUNDS[12:]):
+            wanted = _BOUNDS  # newer files have ranges of colours, all six
         for field in wanted:
             if found.get(field) not in kinds:
                 raise FormatError(
