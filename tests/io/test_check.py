@@ -106,3 +106,13 @@ def test_repairs_of_reading_and_of_values_are_added_up(tmp_path):
     (tmp_path / "a.ply").write_bytes((tmp_path / "a.ply").read_bytes()[:-10])
     scene = splatree.read([tmp_path / "a.ply", tmp_path / "a.ply"], repair=True)
     assert json.loads(scene.source.metadata["repairs"]) == {"missing_rows": 2, "dropped_rows": 2}
+
+
+@pytest.mark.parametrize(("column", "index", "value", "message"), BAD)
+def test_dropping_takes_the_whole_row_whatever_is_wrong(tmp_path, column, index, value, message):
+    g = spoiled(column, index, value)
+    splatree.write(Scene.flat(g), tmp_path / "a.ply")
+    scene = splatree.read(tmp_path / "a.ply", repair="drop")
+    rest = g.take(np.delete(np.arange(9), 4))
+    assert all(same_bits(getattr(scene.gaussians, c), getattr(rest, c)) for c in COLUMNS)
+    assert json.loads(scene.source.metadata["repairs"]) == {"dropped_rows": 1}

@@ -33,7 +33,7 @@ from splatree.io.chunks import Chunks, chunks_of
 from splatree.io.holds import Holds, losses
 from splatree.io.inputs import find_inputs
 from splatree.io.joined import joined
-from splatree.io.options import ReadOptions, WriteOptions
+from splatree.io.options import ReadOptions, Repair, WriteOptions
 from splatree.io.replacing import replacing
 from splatree.maths.axes import AxesName
 from splatree.scene.scene import Scene
@@ -206,7 +206,7 @@ def read(
     path: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
     *,
     level: int | None = None,
-    repair: bool = False,
+    repair: Repair = False,
     axes: AxesName | None = None,
 ) -> Scene:
     """Read one scene from a file, a folder, or several of them.
@@ -218,7 +218,8 @@ def read(
     Args:
         path: one path or several.
         level: level of detail to take from a format that has several; 0, the default, is the finest.
-        repair: fix or drop values that cannot be used, and count them in ``source.metadata["repairs"]``, instead of raising.
+        repair: fix or drop values that cannot be used, and count them in ``source.metadata["repairs"]``, instead of raising;
+            "drop" drops all rows that have any.
         axes: where x, y, z point in an .spz that does not say it; None: RDF, as in a .ply.
 
     Raises:
