@@ -103,8 +103,8 @@ def test_mode_and_threshold_are_those_of_the_scene_unless_given() -> None:
 
 
 def test_unknown_backend_is_refused() -> None:
-    with pytest.raises(st.InputError, match="found 'cuda', wanted one of"):
-        st.render(st.Scene.flat(cloud(1, 0)), CAMERA, backend="cuda")  # type: ignore[arg-type]
+    with pytest.raises(st.InputError, match="found 'metal', wanted one of"):
+        st.render(st.Scene.flat(cloud(1, 0)), CAMERA, backend="metal")  # type: ignore[arg-type]
 
 
 def test_empty_scene_is_background() -> None:

@@ -24,7 +24,7 @@ from splatree.render.paths import PathOptions, flyout
 from splatree.render.timing import STAGES, Timing, peak_bytes, time_frames
 from splatree.scene.cameras import Camera
 from splatree.scene.options import RenderOptions, SelectOptions
-from splatree.scene.scene import Scene
+from splatree.scene.scene import DeviceName, Scene
 
 
 @dataclass(frozen=True)
@@ -55,6 +55,8 @@ class Command:
     """Weights of the classifier, from torchvision; None: where torch keeps them."""
     lpips_heads: Path | None = None
     """Weights of LPIPS version 0.1; None: from an installed package lpips or torchmetrics."""
+    device: DeviceName = "cpu"
+    """Where to select and draw: `cuda` is an NVIDIA GPU; `splatree doctor` says what it needs."""
     made: Annotated[PathOptions, arg(name="")] = PathOptions(views=8)
     select: Annotated[SelectOptions, arg(name="")] = SelectOptions()
     options: Annotated[RenderOptions, arg(name="")] = RenderOptions()
@@ -140,7 +142,7 @@ def run(command: Command) -> Evaluated:
         raise InputError(f"every, scale, frames: found {found}, wanted at least 1, more than 0, and at least 0")
     if command.training and command.data is None:
         raise InputError("training: found no --data, wanted photographs; without them no view is held out")
-    scene = with_blocks(read(command.paths))
+    scene = with_blocks(read(command.paths)).to(command.device)
     held_out, training, compared_with = _views(scene, command)
     photos = Photos(command.data, [*held_out, *training]) if command.data else None
     if photos is not None:

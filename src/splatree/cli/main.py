@@ -35,6 +35,7 @@ VERBS = {
     "eval": "compare the levels of detail with all leaves, or with photographs",
     "bench": "run a table or a figure of a paper again",
     "formats": "list the formats that are read and written",
+    "doctor": "say what is there to draw with: processor, GPU, driver, compiler",
 }
 
 GROUPS = ("bench",)

@@ -21,7 +21,7 @@ from splatree.render.video import open_video
 from splatree.scene.cameras import Camera, Cameras
 from splatree.scene.frame import Frame
 from splatree.scene.options import RenderOptions, SelectOptions
-from splatree.scene.scene import Scene
+from splatree.scene.scene import DeviceName, Scene
 
 
 @dataclass(frozen=True)
@@ -44,6 +44,8 @@ class Command:
     """Path to make without --cameras: around the scene, or away from it."""
     force: bool = False
     """Replace pictures and the video if they exist."""
+    device: DeviceName = "cpu"
+    """Where to select and draw: `cuda` is an NVIDIA GPU; `splatree doctor` says what it needs."""
     made: Annotated[PathOptions, arg(name="")] = PathOptions()
     select: Annotated[SelectOptions, arg(name="")] = SelectOptions()
     options: Annotated[RenderOptions, arg(name="")] = RenderOptions()
@@ -88,7 +90,7 @@ def run(command: Command) -> Rendered:
         raise InputError("found nothing to write, wanted -o FOLDER for pictures, --video FILE.mp4, or both")
     if not command.scale > 0:
         raise InputError(f"scale: found {command.scale}, wanted more than 0")
-    scene = read(command.paths)
+    scene = read(command.paths).to(command.device)
     cameras = [camera.scaled(command.scale) for camera in cameras_for(scene, command)]
     names = file_names(cameras)
     if command.output is not None:

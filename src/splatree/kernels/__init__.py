@@ -1,7 +1,8 @@
 """The hot stages: one contract, several implementations with the same file names.
 
 A stage ``x`` is a function of the same name and signature in ``kernels/reference/x.py`` (NumPy float64, the specification)
-and in ``kernels/cpu/x.py`` (glue) over ``kernels/cpu/x.cpp`` (loops) with the maths in ``kernels/shared/x.h``:
+and in ``kernels/cpu/x.py`` (glue) over ``kernels/cpu/x.cpp`` (loops) with the maths in ``kernels/shared/x.h``; on a GPU it is
+``kernels/cuda/x.cu``, launched by ``kernels/cuda/renderer.py``:
 
 ==========  =====================================================================================
 blocks      gaussians, tree                             → BlockIndex                     (per scene)
@@ -27,7 +28,7 @@ from splatree.scene.frame import Picture, Splats, TileBins
 
 __all__ = ["Backend", "FrameStages", "backend_for"]
 
-Backend = Literal["cpu", "reference"]
+Backend = Literal["cpu", "cuda", "reference"]
 """Named implementations of the stages of a frame."""
 
 
@@ -45,7 +46,13 @@ class FrameStages(NamedTuple):
 def backend_for(name: Backend) -> FrameStages:
     """The stages of the implementation ``name``."""
     modules = {"cpu": cpu, "reference": reference}
+    if name == "cuda":
+        from splatree.kernels.cuda.device import open_device
+        from splatree.kernels.cuda.stages import Stages
+
+        on_device = Stages(open_device())
+        return FrameStages(on_device.project, on_device.bin, on_device.blend)
     if name not in modules:
-        raise InputError(f"backend: found {name!r}, wanted one of {sorted(modules)}")
+        raise InputError(f"backend: found {name!r}, wanted one of {sorted([*modules, 'cuda'])}")
     stages = modules[name]
     return FrameStages(stages.project.project, stages.bin.bin, stages.blend.blend)

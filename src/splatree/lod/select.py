@@ -27,12 +27,21 @@ from splatree.lod.serial import select_serial
 from splatree.scene.cameras import Camera
 from splatree.scene.clusters import Culling
 from splatree.scene.frame import Selection
-from splatree.scene.options import Profile, SelectOptions
+from splatree.scene.options import Profile, ResolvedOptions, SelectOptions
 from splatree.scene.scene import Extent, Scene
 from splatree.scene.tree import GaussianTree
 from splatree.shapes import Array, Bool, Int32
 
-__all__ = ["Selector", "count_nested", "count_uncovered", "cull_scene", "select", "smallest_radius"]
+__all__ = [
+    "Selector",
+    "count_nested",
+    "count_uncovered",
+    "cull_scene",
+    "in_runs",
+    "notes_on",
+    "select",
+    "smallest_radius",
+]
 
 BUDGET_SHARE = 0.98
 """A selection that holds this share of its budget is not refined further."""
@@ -73,10 +82,11 @@ def select(
     if culling is None:
         culling = cull_scene(scene, camera, options, dilation_px2=dilation_px2, threshold=threshold, threads=threads)
     runs = None if culling is None or culling.kept.all() else culling.runs
-    blocks = scene.blocks
-    if blocks is None and options.rule == "cut":
-        blocks = index_blocks(scene.gaussians, scene.tree, threads=threads)
     threshold = scene.threshold if threshold is None else threshold
+    on_device = scene.device == "cuda" and options.rule == "cut"
+    blocks = scene.blocks
+    if blocks is None and options.rule == "cut" and not on_device:
+        blocks = index_blocks(scene.gaussians, scene.tree, threads=threads)
 
     choose: Callable[..., tuple[Array, int]] = reference.select
     if options.rule == "cut":
@@ -86,17 +96,20 @@ def select(
 
     def rows_at(pixel_error: float) -> tuple[Array, int]:
         at = replace(options, pixel_error=pixel_error)
-        rows, visited = choose(
-            scene.gaussians,
-            scene.tree,
-            blocks,
-            camera,
-            at,
-            dilation_px2=dilation_px2,
-            threshold=threshold,
-            threads=threads,
-        )
-        if runs is not None and options.rule != "cut":
+        if on_device:
+            rows, visited = _select_on_device(scene, camera, at, dilation_px2, threshold)
+        else:
+            rows, visited = choose(
+                scene.gaussians,
+                scene.tree,
+                blocks,
+                camera,
+                at,
+                dilation_px2=dilation_px2,
+                threshold=threshold,
+                threads=threads,
+            )
+        if runs is not None and (on_device or options.rule != "cut"):
             rows = rows[in_runs(rows, runs)]
         if at.max_radius is not None:
             largest = replace(at, pixel_error=at.max_radius)
@@ -113,13 +126,19 @@ def select(
         rows, visited, pixel_error = _meet_budget(
             rows_at, options.budget, max(pixel_error, smallest), len(rows), camera
         )
-    notes = []
-    if 0 < pixel_error < smallest:
-        notes.append(
-            f"pixel_error {pixel_error:g} px is below {smallest:.3g} px, the smallest radius that profile "
-            f"{options.profile!r} gives: all leaves are drawn"
-        )
-    return Selection(rows, options.rule, options.profile, pixel_error, visited, tuple(notes))
+    notes = notes_on(pixel_error, options.profile, dilation_px2)
+    return Selection(rows, options.rule, options.profile, pixel_error, visited, notes)
+
+
+def notes_on(pixel_error: float, profile: Profile, dilation_px2: float) -> tuple[str, ...]:
+    """What the caller should know of a selection."""
+    smallest = smallest_radius(profile, dilation_px2)
+    if not 0 < pixel_error < smallest:
+        return ()
+    return (
+        f"pixel_error {pixel_error:g} px is below {smallest:.3g} px, the smallest radius that profile {profile!r} gives: "
+        f"all leaves are drawn",
+    )
 
 
 def cull_scene(
@@ -183,6 +202,15 @@ def count_uncovered(tree: GaussianTree, rows: Array) -> int:
     change[rows] += 1
     np.subtract.at(change, tree.subtree_end[rows], 1)
     return int((tree.is_leaf & (np.cumsum(change[:-1]) == 0)).sum())
+
+
+def _select_on_device(
+    scene: Scene, camera: Camera, options: SelectOptions, dilation_px2: float, threshold: float
+) -> tuple[Array, int]:
+    from splatree.kernels.cuda.device import renderer_of
+
+    drawing = ResolvedOptions((0.0, 0.0, 0.0), scene.mode, dilation_px2, threshold, 0)
+    return renderer_of(scene).select(camera, drawing, replace(options, budget=None, max_radius=None))
 
 
 def _meet_budget(

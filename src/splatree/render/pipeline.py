@@ -20,7 +20,7 @@ from splatree.lod.select import Selector, cull_scene
 from splatree.lod.select import select as select_rows
 from splatree.scene.cameras import Camera
 from splatree.scene.frame import Counters, Frame, RenderResult
-from splatree.scene.options import RenderOptions, SelectOptions
+from splatree.scene.options import RenderOptions, ResolvedOptions, SelectOptions
 from splatree.scene.scene import Scene
 
 __all__ = ["render", "trace"]
@@ -35,14 +35,19 @@ def render(
     select: SelectOptions | Selector | None = None,
     *,
     threads: int = 0,
-    backend: Backend = "cpu",
+    backend: Backend | None = None,
 ) -> RenderResult:
     """Draw a view of a scene.
 
     The level of detail follows ``select``, options or a baseline (lod/baselines.py); all leaves are drawn with
     ``SelectOptions(pixel_error=0)``. ``threads`` 0 means
-    all there are. The backend `reference` is NumPy float64: slow, to compare with.
+    all there are. The backend is that of the scene's device; `reference` is NumPy float64: slow, to compare with.
     """
+    if (backend or scene.device) == "cuda":
+        from splatree.render.device import render_on_device
+
+        resolved = (options or RenderOptions()).resolved(scene)
+        return render_on_device(scene, camera, resolved, _for_extent(select or SelectOptions(), resolved))
     return trace(scene, camera, options, select, threads=threads, backend=backend).result
 
 
@@ -53,7 +58,7 @@ def trace(
     select: SelectOptions | Selector | None = None,
     *,
     threads: int = 0,
-    backend: Backend = "cpu",
+    backend: Backend | None = None,
     contributions: bool = False,
 ) -> Frame:
     """Draw a view like `render` and keep what each stage computed.
@@ -62,10 +67,12 @@ def trace(
     """
     options, select = options or RenderOptions(), select or SelectOptions()
     resolved = options.resolved(scene)
-    kernels = backend_for(backend)
-    if isinstance(select, SelectOptions) and select.visibility == "footprint" and resolved.is_square:
-        # Footprints are ellipses; the projection drops what squares do not show.
-        select = replace(select, visibility="none")
+    select = _for_extent(select, resolved)
+    if (backend or scene.device) == "cuda":
+        from splatree.render.device import trace_on_device
+
+        return trace_on_device(scene, camera, resolved, select, contributions=contributions)
+    kernels = backend_for(backend or scene.device)
     milliseconds: dict[str, float] = {}
     cpu_milliseconds: dict[str, float] = {}
 
@@ -116,3 +123,10 @@ def trace(
     )
     result = RenderResult(picture.image, picture.alpha, picture.depth, counters, milliseconds, cpu_milliseconds)
     return Frame(camera, culling, selection, splats, bins, picture.tiles, result, picture.contributions)
+
+
+def _for_extent(select: SelectOptions | Selector, options: ResolvedOptions) -> SelectOptions | Selector:
+    """Footprints are ellipses; the projection drops what squares do not show."""
+    if isinstance(select, SelectOptions) and select.visibility == "footprint" and options.is_square:
+        return replace(select, visibility="none")
+    return select

@@ -26,7 +26,7 @@ from splatree.lod.blocks import with_blocks
 from splatree.lod.select import Selector
 from splatree.progress import track
 from splatree.render.paths import through
-from splatree.render.pipeline import trace
+from splatree.render.pipeline import render, trace
 from splatree.scene.cameras import Camera
 from splatree.scene.options import RenderOptions, SelectOptions
 from splatree.scene.scene import Scene
@@ -117,8 +117,15 @@ def time_frames(
     seconds, counters, stages, cpu_stages = [], [], [], []
     for camera in track(path, "time frames"):
         start = time.perf_counter()
-        result = trace(scene, camera, options, select, threads=threads).result
-        seconds.append(time.perf_counter() - start)
+        if (
+            scene.device == "cuda"
+        ):  # a trace copies everything to the host: it has the stages, but not the time of a frame
+            render(scene, camera, options, select)
+            seconds.append(time.perf_counter() - start)
+            result = trace(scene, camera, options, select).result
+        else:
+            result = trace(scene, camera, options, select, threads=threads).result
+            seconds.append(time.perf_counter() - start)
         counters.append((result.counters.num_selected, result.counters.num_pairs))
         stages.append(result.milliseconds)
         cpu_stages.append(result.cpu_milliseconds)

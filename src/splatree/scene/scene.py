@@ -1,7 +1,7 @@
 """A scene: what one file holds."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -19,6 +19,9 @@ opacity so that its mass is kept (Yu 2024, Mip-Splatting, Eq. 9 without the 3D f
 
 Extent = Literal["ellipse", "balanced", "tau", "3sigma"]
 """Named rules for the tiles that a splat is listed in (docs/algorithms/shrinking.md)."""
+
+DeviceName = Literal["cpu", "cuda"]
+"""Where a scene is selected and drawn: on the processor, or on an NVIDIA GPU."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +59,8 @@ class Scene:
     """Rule for the tiles of a splat that τ was chosen for; None: `ellipse`."""
     source: Source = Source()
     """Where it came from."""
+    device: DeviceName = "cpu"
+    """Where it is selected and drawn; its columns are copied there when that is first asked for."""
 
     def __post_init__(self) -> None:
         if len(self.tree) != len(self.gaussians):
@@ -78,8 +83,15 @@ class Scene:
         if not 0 < self.threshold < 1:
             raise InputError(f"Scene.threshold: found {self.threshold}, wanted between 0 and 1")
 
+        if self.device not in get_args(DeviceName):
+            raise InputError(f"Scene.device: found {self.device!r}, wanted one of {', '.join(get_args(DeviceName))}")
+
     def __len__(self) -> int:
         return len(self.gaussians)
+
+    def to(self, device: DeviceName) -> "Scene":
+        """The same scene, selected and drawn on another device; it stays there as long as the result is kept."""
+        return replace(self, device=device)
 
     @staticmethod
     def flat(gaussians: Gaussians, *, mode: Mode = "classic", source: Source | None = None) -> "Scene":

@@ -23,7 +23,7 @@ from splatree.errors import DeviceError
 from splatree.kernels.cuda.sources import stage_of, threads_of
 from splatree.shapes import Array
 
-__all__ = ["Device", "DeviceArray", "Driver", "Event", "Graph", "load_driver"]
+__all__ = ["Device", "DeviceArray", "Driver", "Event", "Graph", "dotted", "load_driver"]
 
 DRIVER_NAMES = {"win32": ("nvcuda.dll",)}.get(sys.platform, ("libcuda.so.1", "libcuda.so"))
 OLDEST_DRIVER = 11040
@@ -88,7 +88,7 @@ def load_driver() -> Driver:
     version = driver.version()
     if version < OLDEST_DRIVER:
         raise DeviceError(
-            f"GPU driver: found CUDA {_dotted(version)}, wanted at least {_dotted(OLDEST_DRIVER)}; update it"
+            f"GPU driver: found CUDA {dotted(version)}, wanted at least {dotted(OLDEST_DRIVER)}; update it"
         )
     return driver
 
@@ -334,5 +334,6 @@ def _finally(owner: object, work: Callable[..., None], *arguments: Any) -> None:
     weakref.finalize(owner, work, *arguments).atexit = False
 
 
-def _dotted(version: int) -> str:
+def dotted(version: int) -> str:
+    """13000 as "13.0"."""
     return f"{version // 1000}.{version % 1000 // 10}"

@@ -9,7 +9,7 @@ namespace splatree {
 
 // What the selection and the drawing ask of a view.
 struct FrameNumbers {
-  View view;
+  View view;       // its log2_threshold is of the smallest opacity at which any splat ends
   SelectRule rule;
   ViewPlanes planes;
   double reach[NUM_SIDES];

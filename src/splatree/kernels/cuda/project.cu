@@ -64,9 +64,11 @@ SPLATREE_KERNEL(128) project(const FrameJob* job) {
     const Vector scale = scale_of(n.view, p.z, load_vector(job->log_scales, row));
     const Factor m = factor_of(image.tx, image.ty, quat.x, quat.y, quat.z, quat.w, scale);
     const float sigmoid = sigmoid_of(job->logit_opacities[row]);
+    View view = n.view;
+    view.log2_threshold = n.log2_pixel_threshold;  // the box holds every pixel that is drawn, the tiles those above τ
     const bool is_square = n.extent == int(Extent::SQUARE);
     const auto shape = [&](auto antialiased, auto square) {
-      return splat_of<antialiased.value, square.value>(n.view, n.square, image.x, image.y, p.z, m.x, m.y, sigmoid);
+      return splat_of<antialiased.value, square.value>(view, n.square, image.x, image.y, p.z, m.x, m.y, sigmoid);
     };
     const Splat s = n.view.antialiased ? is_square ? shape(Yes{}, Yes{}) : shape(Yes{}, No{})
                     : is_square        ? shape(No{}, Yes{})

@@ -10,9 +10,11 @@ Arrays have fixed sizes. If a view selects more rows or makes more pairs than th
 Of the two blend kernels the one is taken that is faster on this device at this size, measured once on the first view.
 """
 
+import time
 import weakref
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -80,6 +82,8 @@ class Traced:
     """The picture."""
     milliseconds: dict[str, float]
     """Time of each stage on the device."""
+    cpu_milliseconds: dict[str, float]
+    """Processor time of launching it."""
 
 
 class Pending:
@@ -155,10 +159,21 @@ class Renderer:
                 return np.ascontiguousarray(rows), counts["num_visited"]
 
     def trace(
-        self, camera: Camera, options: ResolvedOptions, select: SelectOptions, *, contributions: bool = False
+        self,
+        camera: Camera,
+        options: ResolvedOptions,
+        select: SelectOptions,
+        *,
+        rows: Int32[Array, "v"] | None = None,
+        contributions: bool = False,
     ) -> Traced:
-        """Draw a view stage by stage, with times, and copy everything to the host, on request with each pair's contribution."""
+        """Draw a view stage by stage, with times, and copy everything to the host, on request with each pair's contribution.
+
+        ``rows``, ascending, are drawn instead of selecting.
+        """
         self.device.make_current()
+        if rows is not None:
+            self._rows = max(self._rows, len(rows))
         while True:
             sizes = self._fit(camera, options)
             outputs = self._outputs(camera)
@@ -167,18 +182,20 @@ class Renderer:
             self._work.write_job(self._numbers(camera, options, select), outputs.arrays)
             blend = self._blend.get((camera.width, camera.height, sizes.tapers), self._named_blend or "blend_16")
             stages = _stages(sizes, blend) | {"blend": plan.blend(sizes, blend, contributions=contributions)}
+            if rows is not None:
+                del stages["select"]
             self.device.prepare([launch.kernel for stage in stages.values() for launch in stage])
-            milliseconds = self._timed(stages)
+            times = self._timed(stages, rows)
             counts = self._work.counts()
             if not self._grow(counts, sizes):
                 image, alpha, depth = (outputs.arrays[name].numpy() for name in ("image", "alpha", "depth"))
                 of_pairs = read_contributions(self._work, counts["num_pairs"]) if contributions else None
                 picture = Picture(image, alpha, depth, read_tile_work(self._work), of_pairs)
                 self._keep(outputs)
-                rows = np.ascontiguousarray(self._work.arrays["rows"].numpy(counts["num_selected"])[:, 0])
-                splats, slots = read_splats(self._work, rows)
-                bins = read_bins(self._work, camera, slots, len(rows))
-                return Traced(rows, counts["num_visited"], splats, bins, picture, milliseconds)
+                drawn = np.ascontiguousarray(self._work.arrays["rows"].numpy(counts["num_selected"])[:, 0])
+                splats, slots = read_splats(self._work, drawn)
+                bins = read_bins(self._work, camera, slots, len(drawn))
+                return Traced(drawn, counts["num_visited"], splats, bins, picture, *times)
 
     def tile_work(self) -> TileWork:
         """What the blend did in each tile of the view that was enqueued last; waits for it."""
@@ -268,18 +285,24 @@ class Renderer:
             times[kernel] = after.milliseconds_since(before)
         return min(times, key=lambda kernel: times[kernel])
 
-    def _timed(self, stages: dict[str, list[Launch]]) -> dict[str, float]:
+    def _timed(
+        self, stages: dict[str, list[Launch]], rows: Int32[Array, "v"] | None
+    ) -> tuple[dict[str, float], dict[str, float]]:
         events = [self.device.event() for _ in range(len(stages) + 1)]
         self._work.clear()
+        if rows is not None:
+            self._work.fill("rows", rows[:, None])
+            self._work.set_count("num_selected", len(rows))
         events[0].record()
+        cpu = [time.process_time()]
         for launches, event in zip(stages.values(), events[1:], strict=True):
             self._work.run(launches)
             event.record()
+            cpu.append(time.process_time())
         events[-1].wait()
-        return {
-            name: after.milliseconds_since(before)
-            for name, before, after in zip(stages, events, events[1:], strict=False)
-        }
+        on_device = [after.milliseconds_since(before) for before, after in pairwise(events)]
+        on_host = [1e3 * (after - before) for before, after in pairwise(cpu)]
+        return dict(zip(stages, on_device, strict=True)), dict(zip(stages, on_host, strict=True))
 
 
 def _stages(sizes: Sizes, blend: Blend) -> dict[str, list[Launch]]:
