@@ -13,7 +13,15 @@ if TYPE_CHECKING:
     from splatree.clusters.cull import cull
     from splatree.edit.edit import edit
     from splatree.edit.options import EditOptions
-    from splatree.errors import FormatError, InputError, MissingExtraError, OutputError, ShapeError, SplatreeError
+    from splatree.errors import (
+        DeviceError,
+        FormatError,
+        InputError,
+        MissingExtraError,
+        OutputError,
+        ShapeError,
+        SplatreeError,
+    )
     from splatree.io.cameras import read_cameras, write_cameras
     from splatree.io.convert import Converted, ConvertOptions, convert
     from splatree.io.images import read_image, write_image
@@ -62,6 +70,7 @@ __all__ = [
     "ConvertOptions",
     "Converted",
     "Culling",
+    "DeviceError",
     "EditOptions",
     "Evaluation",
     "FormatError",
@@ -134,6 +143,7 @@ _HOME = {
     "ConvertOptions": "splatree.io.convert",
     "Converted": "splatree.io.convert",
     "Culling": "splatree.scene.clusters",
+    "DeviceError": "splatree.errors",
     "EditOptions": "splatree.edit.options",
     "Evaluation": "splatree.render.evaluate",
     "FormatError": "splatree.errors",
