@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -54,11 +55,25 @@ def test_the_tree_is_kept_and_values_within_their_quantum(tmp_path, name, compre
     assert angles(g.quats, b.quats).max() <= (1.3 if compression == 2 else 0.05)
 
 
-def test_degree_and_mode_are_kept(tmp_path):
+def test_degree_mode_and_threshold_are_kept(tmp_path):
     for degree in range(4):
-        splatree.write(Scene.flat(random_gaussians(5, degree), mode="antialiased"), tmp_path / f"{degree}.rad")
+        scene = replace(Scene.flat(random_gaussians(5, degree), mode="antialiased"), threshold=0.013)
+        lost = splatree.write(scene, tmp_path / f"{degree}.rad")
         back = splatree.read(tmp_path / f"{degree}.rad")
-        assert back.gaussians.sh_degree == degree and back.mode == "antialiased"
+        assert (back.gaussians.sh_degree, back.mode, back.threshold) == (degree, "antialiased", 0.013)
+        assert lost == ("precision: rad rounds values to steps of its own",)
+
+
+def test_values_are_checked(tmp_path):
+    centres = np.zeros((3, 5), "<f4")
+    centres[1, 3] = np.nan
+    path = write_rad(
+        tmp_path / "a.rad", [chunk(minimal(center=made("center", "f32", centres.tobytes())), count=5)], count=5
+    )
+    with pytest.raises(FormatError, match=r"row 3, means\[1\]: found nan"):
+        splatree.read(path)
+    scene = splatree.read(path, repair=True)
+    assert len(scene) == 4 and scene.source.metadata["repairs"] == '{"dropped_rows": 1}'
 
 
 def test_chunks_hold_65536_nodes_breadth_first(tmp_path):
@@ -270,6 +285,7 @@ def test_properties_that_make_no_sense_are_refused(tmp_path, change, message):
         ({"chunks": [{"offset": 0, "bytes": 10**9}]}, "found bytes .* in a file of"),
         ({"chunks": [{"offset": 1, "bytes": 20}]}, "wanted b'RADC'"),
         ({"splatree": {"mode": "x"}}, "splatree.mode: found 'x'"),
+        ({"splatree": {"threshold": 1.5}}, "splatree.threshold: found 1.5"),
     ],
 )
 def test_headers_that_make_no_sense_are_refused(tmp_path, extra, message):

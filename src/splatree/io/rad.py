@@ -75,7 +75,7 @@ def read(path: Path, options: ReadOptions) -> Scene:
     metadata = dict(scene.source.metadata)
     if file.comment:
         metadata["comment"] = file.comment
-    return replace(scene, source=replace(scene.source, metadata=metadata))
+    return replace(scene, threshold=file.threshold, source=replace(scene.source, metadata=metadata))
 
 
 def _tree(file: RadFile) -> tuple[Array, Array, Array]:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, cast
 
+from splatree.constants import ALPHA_THRESHOLD
 from splatree.errors import FormatError
 from splatree.io import untrusted
 from splatree.io.rad_properties import check_encoding, decode, raw_bytes
@@ -51,6 +52,7 @@ class RadFile:
     chunks: list[RadChunk]
     num_codes: int
     mode: Mode
+    threshold: float
     joins_roots: bool
     comment: str
 
@@ -71,6 +73,9 @@ def open_rad(path: Path) -> RadFile:
         mode = ours.get("mode", "classic")
         if mode not in ("classic", "antialiased"):
             raise FormatError(f"{where}: splatree.mode: found {str(mode)[:40]!r}, wanted 'classic' or 'antialiased'")
+        threshold = untrusted.number({"threshold": ALPHA_THRESHOLD, **ours}, "threshold", f"{where}: splatree")
+        if not 0 < threshold < 1:
+            raise FormatError(f"{where}: splatree.threshold: found {threshold}, wanted between 0 and 1")
         entries = untrusted.as_list(untrusted.field(meta, "chunks", where), f"{where}: chunks")
         chunks, base = [], 0
         for number, entry in enumerate(entries):
@@ -100,6 +105,7 @@ def open_rad(path: Path) -> RadFile:
         chunks=chunks,
         num_codes=num_codes,
         mode=cast(Mode, mode),
+        threshold=threshold,
         joins_roots=has_levels and count > 0 and ours.get("joinsRoots") is True,
         comment=str(meta.get("comment") or "")[:1000],
     )

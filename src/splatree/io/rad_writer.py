@@ -80,7 +80,7 @@ def write(scene: Scene, path: Path, options: WriteOptions) -> tuple[str, ...]:
         meta |= {"lodTree": True} if has_levels else {}
         meta |= {"chunkSize": _CHUNK_ROWS, "allChunkBytes": offset, "chunks": entries}
         meta |= {"splatEncoding": _display_ranges(g, has_levels), "comment": "written by splatree"}
-        meta |= {"splatree": {"mode": scene.mode, "joinsRoots": joins_roots}}
+        meta |= {"splatree": {"mode": scene.mode, "threshold": scene.threshold, "joinsRoots": joins_roots}}
         text = json.dumps(meta, separators=(",", ":")).encode()
         assert len(text) <= header_bytes
         file.seek(0)

@@ -188,7 +188,7 @@ FORMATS: tuple[Format, ...] = (
         description="Spark, with levels",
         suffixes=(".rad",),
         versions="1",
-        holds=Holds(levels="tree"),
+        holds=Holds(levels="tree", threshold=True),
         sniff=rad.sniff,
         read=rad.read,
         write=rad_writer.write,
