@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import splatree
-from splatree import Camera, Scene, WriteOptions, psnr, render
+from splatree import Camera, Scene, psnr, render
 from splatree.io.registry import formats
 
 
@@ -27,9 +27,7 @@ def picture(scene: Scene, block: Scene) -> np.ndarray:
 @pytest.mark.parametrize("f", [f for f in formats() if f.is_written], ids=lambda f: f.name)
 def test_the_picture_is_kept(tmp_path, block, f):
     path = tmp_path / f"a{f.suffixes[0]}"
-    # As many bits as 40 dB near by need: the 5 and 4 that the format's own writer keeps give 37.
-    options = WriteOptions(sh_bits=6) if f.name == "spz" else None
-    lost = splatree.write(block, path, options=options)
+    lost = splatree.write(block, path)
     back = splatree.read(path)
     degree = min(3, f.holds.sh_degree)
     wanted = picture(Scene.flat(block.gaussians.with_sh_degree(degree)), block)

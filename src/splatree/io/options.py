@@ -35,7 +35,7 @@ class WriteOptions:
     format_version: int | None = None
     """Version of the format to write, where there are several."""
     sh_bits: int | None = None
-    """Bits of a harmonic beyond the DC, where the format leaves them open."""
+    """Bits of a harmonic beyond the DC, where the format leaves them open (SPZ: of degree 2 and 3, degree 1 gets one more)."""
     sh_palette: int | None = None
     """Entries of the palette of harmonics, where the format has one: more are nearer to the scene, and slower to find."""
     iterations: int | None = None

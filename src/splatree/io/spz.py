@@ -8,7 +8,7 @@ alphas     1           255 opacity
 colors     3           127.5 + 0.15 · 255 dc
 scales     3           16 (log-scale + 10)
 rotations  4 (3 v1-2)  smallest three of x, y, z, w: place of the largest, then sign and 9 bits each (v1-2: x, y, z)
-harmonics  3 (k − 1)   128 + 128 sh, coefficient by coefficient with RGB inside, to multiples of 8 and 16 by default
+harmonics  3 (k − 1)   128 + 128 sh, coefficient by coefficient with RGB inside, to multiples of 4 and 8 by default
 =========  ==========  =====================================================================================
 
 A file is read plane by plane and written chunk by chunk; neither ever holds a plane as a whole, nor inflates more than the rows
@@ -51,8 +51,9 @@ _FRACTIONAL_BITS = 12
 """Of positions, where they fit: the choice of the format's own writer, a step of 0.24 mm in scenes measured in metres."""
 
 _COLOR_SCALE = 0.15 * 255
-_DEGREE_1_BITS, _REST_BITS = 5, 4
-"""Bits of harmonics that the format's own writer keeps."""
+_SH_BITS = 5
+"""Bits of harmonics above degree 1, which gets one more: 42 dB in a near view of a city. The format's own writer keeps 4 and 5:
+37 dB, and a file smaller by a tenth."""
 
 
 def sniff(path: Path, head: bytes) -> bool:
@@ -154,11 +155,11 @@ class _Encoder:
 
     def __init__(self, header: Header, signs: Array, sh_bits: int | None) -> None:
         self._header, self._signs = header, signs
-        bits = (_DEGREE_1_BITS, _REST_BITS) if sh_bits is None else (sh_bits, sh_bits)
-        if not 1 <= bits[0] <= 8:
-            raise InputError(f"spz: found {sh_bits} bits of harmonics, wanted 1 to 8")
+        bits = _SH_BITS if sh_bits is None else sh_bits
+        if not 1 <= bits <= 8:
+            raise InputError(f"spz: found {bits} bits of harmonics, wanted 1 to 8")
         k = (header.sh_degree + 1) ** 2
-        self._step = np.where(np.arange(3 * (k - 1)) < 9, 1 << 8 - bits[0], 1 << 8 - bits[1])
+        self._step = np.where(np.arange(3 * (k - 1)) < 9, 1 << 8 - min(8, bits + 1), 1 << 8 - bits)
         self._sh_signs = np.repeat(harmonic_signs(signs, header.sh_degree)[1:], 3)
         self._buffers = {name: np.empty((0, width), np.uint8) for name, width in header.planes().items()}
         self._clamped = dict.fromkeys(("scales", "colours", "harmonics"), 0)
