@@ -375,21 +375,19 @@ time. Bytes of alphas, colours, scales and rotations hardly repeat: looking for 
 def _zstd_compressor(name: str, size: int, level: int | None) -> "zstandard.ZstdCompressor":
     """The compressor of a plane: of a level of zstd, or as suits its bytes.
 
-    Harmonics are mostly few values, whose Huffman code is short already: only matches of six bytes and more gain over it, and
-    looking for no shorter ones gives the size of level 9 at a third of its time. The high bytes of positions match in threes.
+    Harmonics are mostly few values, whose Huffman code is short already: only matches of seven bytes and more gain over it. The
+    high bytes of positions match in threes, which the levels up to 12 do not look for. On a city a file is 5 % smaller than
+    with level 3 at less of its time, and 10 % larger than with level 12 at an eighth.
     """
     import zstandard
 
     if level is not None:
         parameters = zstandard.ZstdCompressionParameters.from_level(level, source_size=size)
-    elif name == "harmonics":
-        parameters = zstandard.ZstdCompressionParameters(
-            window_log=21, chain_log=17, hash_log=18, search_log=3, min_match=6, target_length=32,
-            strategy=zstandard.STRATEGY_LAZY,
-        )  # fmt: skip
     else:
+        # Small tables stay in the first caches, and the matches that are worth it are near.
+        tables, min_match = ((16, 17), 7) if name == "harmonics" else ((14, 14), 3)
         parameters = zstandard.ZstdCompressionParameters(
-            window_log=20, chain_log=16, hash_log=17, search_log=1, min_match=3, target_length=8,
+            window_log=21, chain_log=tables[0], hash_log=tables[1], search_log=1, min_match=min_match, target_length=8,
             strategy=zstandard.STRATEGY_DFAST,
         )  # fmt: skip
     return zstandard.ZstdCompressor(compression_params=parameters)
