@@ -23,6 +23,7 @@
   void pack_quats(const Triples&, QuatCode, int64_t, int64_t);            \
   void unpack_quats(const Triples&, QuatCode, int64_t, int64_t);          \
   void nearest_lanes(const Centres&, const float* const*, LaneMinima*);   \
+  void nearest_centres(const Centres&, const float* const*, NearestCentres*); \
   void onto_axes(const AxesJob&, int64_t, int64_t);                       \
   void pack_chunk(const PackedJob&, int64_t);                             \
   void unpack_chunk(const PackedJob&, int64_t);                           \
@@ -32,7 +33,7 @@
 #define SPLATREE_TABLE(name, isa)                                                                                  \
   {name, isa::project, isa::list_spans, isa::blend, isa::largest_bits, isa::select_group, isa::cheapest_pair, isa::small_rows, isa::visible_rows, \
    isa::label_nearest, isa::quantize, isa::dequantize, isa::bytes_from_logits, isa::pack_fixed, isa::unpack_fixed, \
-   isa::pack_quats, isa::unpack_quats, isa::nearest_lanes, isa::onto_axes, isa::pack_chunk, isa::unpack_chunk,\
+   isa::pack_quats, isa::unpack_quats, isa::nearest_lanes, isa::nearest_centres, isa::onto_axes, isa::pack_chunk, isa::unpack_chunk,\
    isa::bound_spheres, isa::cull_spheres}
 
 #if defined(__x86_64__)

@@ -27,6 +27,7 @@ struct PackedJob;
 enum class QuatCode : int;
 struct Centres;
 struct LaneMinima;
+struct NearestCentres;
 struct AxesJob;
 struct SpheresJob;
 struct CullJob;
@@ -50,6 +51,7 @@ struct Kernels {
   void (*pack_quats)(const Triples& job, QuatCode kind, int64_t begin, int64_t end);
   void (*unpack_quats)(const Triples& job, QuatCode kind, int64_t begin, int64_t end);
   void (*nearest_lanes)(const Centres& centres, const float* const* points, LaneMinima* minima);
+  void (*nearest_centres)(const Centres& centres, const float* const* points, NearestCentres* nearest);
   void (*onto_axes)(const AxesJob& job, int64_t begin, int64_t end);
   void (*pack_chunk)(const PackedJob& job, int64_t chunk);
   void (*unpack_chunk)(const PackedJob& job, int64_t chunk);

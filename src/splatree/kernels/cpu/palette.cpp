@@ -36,40 +36,42 @@ Centres arrange(const float* centres, int64_t count, int64_t dims, float* blocks
   return {blocks, blocks_for(count), dims};
 }
 
-struct Nearest {
-  float score;
-  int32_t centre;
-
-  bool operator<(const Nearest& other) const {
-    return score < other.score || (score == other.score && centre < other.centre);
-  }
-};
-
-// The best of the lanes of point p.
-Nearest best_lane(const LaneMinima& minima, int64_t p) {
-  Nearest best{minima.score[p][0], int32_t(minima.block[p][0] * kLanes)};
-  for (int64_t l = 1; l < kLanes; ++l) {
-    const Nearest found{minima.score[p][l], int32_t(minima.block[p][l] * kLanes + l)};
-    if (found < best) best = found;
-  }
-  return best;
-}
-
-// Calls visit(k, minima, p) for k in [0, count): the minima of the point at(k) are number p of `minima`. The last four are
-// filled up with the last point: a point's result does not depend on its companions.
-template <class At, class Visit>
-void each_nearest(const Centres& centres, int64_t count, const At& at, const Visit& visit) {
+// Calls search(points, k) for each four of the `count` points at(k), from number k on. The last four are filled up with the last
+// point: a point's result does not depend on its companions.
+template <class At, class Search>
+void each_four(int64_t count, const At& at, const Search& search) {
   constexpr int64_t kAhead = 4 * kPointsAtOnce;  // points between the fetch of one and its use
-  LaneMinima minima;
   for (int64_t k = 0; k < count; k += kPointsAtOnce) {
     const float* points[kPointsAtOnce];
     for (int64_t p = 0; p < kPointsAtOnce; ++p) {
       points[p] = at(std::min(k + p, count - 1));
       __builtin_prefetch(at(std::min(k + p + kAhead, count - 1)));
     }
-    kernels().nearest_lanes(centres, points, &minima);
-    for (int64_t p = 0; p < kPointsAtOnce && k + p < count; ++p) visit(k + p, minima, p);
+    search(points, k);
   }
+}
+
+// Calls visit(k, score, centre) with the centre nearest to each point at(k), k in [0, count).
+template <class At, class Visit>
+void each_nearest(const Centres& centres, int64_t count, const At& at, const Visit& visit) {
+  each_four(count, at, [&](const float* const* points, int64_t k) {
+    NearestCentres nearest;
+    kernels().nearest_centres(centres, points, &nearest);
+    for (int64_t p = 0; p < kPointsAtOnce && k + p < count; ++p) visit(k + p, nearest.score[p], nearest.centre[p]);
+  });
+}
+
+// The lane with the lowest score, of equal ones that of the centre with the lowest number. Scores are compared as whole numbers
+// without branches, which could not be foretold: a float's bits order as an integer's do, once those below zero are turned.
+int64_t best_lane(const float* scores, const int32_t* blocks) {
+  int64_t best = std::numeric_limits<int64_t>::max();
+  for (int64_t l = 0; l < kLanes; ++l) {
+    int32_t bits;
+    std::memcpy(&bits, scores + l, sizeof bits);
+    bits ^= (bits >> 31) & 0x7fffffff;
+    best = std::min(best, int64_t(bits) * (int64_t(1) << 32) + blocks[l] * kLanes + l);
+  }
+  return best & (kLanes - 1);
 }
 
 // K-means of `count` points: starts from points evenly spread along the running sum of their weights.
@@ -94,8 +96,8 @@ void split_group(const float* points, const float* weights, int64_t count, int64
     std::fill(sums.begin(), sums.end(), 0.0);
     each_nearest(
         arranged, count, [&](int64_t k) { return points + k * dims; },
-        [&](int64_t k, const LaneMinima& minima, int64_t p) {
-          double* row = &sums[best_lane(minima, p).centre * (dims + 1)];
+        [&](int64_t k, float, int64_t centre) {
+          double* row = &sums[centre * (dims + 1)];
           const double w = weights[k];
           for (int64_t d = 0; d < dims; ++d) row[d] += w * points[k * dims + d];
           row[dims] += w;
@@ -115,15 +117,19 @@ void nearest_few(const Points& points, const float* centres, int64_t num_centres
   Scratch<float> blocks = allocate<float>(floats_for(num_centres, points.dims));
   const Centres arranged = arrange(centres, num_centres, points.dims, blocks.get());
   parallel_ranges(points.count, kPointsPerChunk, threads, [&](int64_t begin, int64_t end) {
-    each_nearest(
-        arranged, end - begin, [&](int64_t k) { return points.values + (begin + k) * points.dims; },
-        [&](int64_t k, LaneMinima& minima, int64_t p) {
-          for (int64_t j = 0; j < num_near; ++j) {
-            const Nearest found = best_lane(minima, p);
-            near[(begin + k) * num_near + j] = found.centre;
-            minima.score[p][found.centre % kLanes] = std::numeric_limits<float>::infinity();
-          }
-        });
+    const auto at = [&](int64_t k) { return points.values + (begin + k) * points.dims; };
+    each_four(end - begin, at, [&](const float* const* four, int64_t first) {
+      LaneMinima minima;
+      kernels().nearest_lanes(arranged, four, &minima);
+      for (int64_t p = 0; p < kPointsAtOnce && begin + first + p < end; ++p) {
+        int32_t* out = near + (begin + first + p) * num_near;
+        for (int64_t j = 0; j < num_near; ++j) {
+          const int64_t lane = best_lane(minima.score[p], minima.block[p]);
+          out[j] = int32_t(minima.block[p][lane] * kLanes + lane);
+          minima.score[p][lane] = std::numeric_limits<float>::infinity();
+        }
+      }
+    });
   });
 }
 
@@ -173,11 +179,10 @@ void nearest_in_groups(const Points& points, const float* centres, const int64_t
       each_nearest(
           Centres{blocks.get() + first_float[g], blocks_for(num_centres), dims}, start[g + 1] - start[g],
           [&](int64_t k) { return points.values + int64_t(own[k]) * dims; },
-          [&](int64_t k, const LaneMinima& minima, int64_t p) {
-            const Nearest found = best_lane(minima, p);
-            if (found.score < best[own[k]]) {
-              best[own[k]] = found.score;
-              label[own[k]] = int32_t(first_centre[g]) + found.centre;
+          [&](int64_t k, float score, int64_t centre) {
+            if (score < best[own[k]]) {
+              best[own[k]] = score;
+              label[own[k]] = int32_t(first_centre[g] + centre);
             }
           });
     });

@@ -23,6 +23,12 @@ struct LaneMinima {
   alignas(64) int32_t block[kPointsAtOnce][kLanes];
 };
 
+// For each of four points the nearest centre and its score.
+struct NearestCentres {
+  float score[kPointsAtOnce];
+  int32_t centre[kPointsAtOnce];
+};
+
 // out[i × dims + d] = Σ_j (vectors[i × stride + j] − origin[j]) axes[j × padded + d], j < width; `padded` is the next multiple
 // of 16 from `dims` on, and the columns of `axes` beyond `dims` are zero.
 struct AxesJob {
