@@ -26,9 +26,10 @@ if TYPE_CHECKING:
     from splatree.io.convert import Converted, ConvertOptions, convert
     from splatree.io.images import read_image, write_image
     from splatree.io.options import ReadOptions, WriteOptions
-    from splatree.io.registry import read, write
+    from splatree.io.registry import read, read_levels, write
     from splatree.lod.baselines import Baseline, BaselineOptions, baseline
     from splatree.lod.build import BuildOptions, build_lod
+    from splatree.lod.link import link_levels
     from splatree.lod.select import select
     from splatree.metrics.psnr import psnr
     from splatree.metrics.ssim import ssim
@@ -107,6 +108,7 @@ __all__ = [
     "edit",
     "evaluate",
     "flyout",
+    "link_levels",
     "merge",
     "open_video",
     "orbit",
@@ -114,6 +116,7 @@ __all__ = [
     "read",
     "read_cameras",
     "read_image",
+    "read_levels",
     "render",
     "render_batch",
     "select",
@@ -180,12 +183,14 @@ _HOME = {
     "edit": "splatree.edit.edit",
     "evaluate": "splatree.render.evaluate",
     "flyout": "splatree.render.paths",
+    "link_levels": "splatree.lod.link",
     "merge": "splatree.simplify.merge",
     "open_video": "splatree.render.video",
     "orbit": "splatree.render.paths",
     "psnr": "splatree.metrics.psnr",
     "read": "splatree.io.registry",
     "read_cameras": "splatree.io.cameras",
+    "read_levels": "splatree.io.registry",
     "read_image": "splatree.io.images",
     "render": "splatree.render.pipeline",
     "render_batch": "splatree.render.batch",

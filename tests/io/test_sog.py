@@ -215,6 +215,16 @@ def test_a_level_is_its_ranges_in_the_order_of_the_tree(tmp_path):
     assert same_bits(coarse.sh, units[1].sh[2:7].copy())
 
 
+def test_all_levels_are_read_and_counted(tmp_path):
+    streamed(tmp_path)
+    levels = splatree.read_levels(tmp_path)
+    assert [len(level) for level in levels] == [30, 5]
+    assert json.loads(levels[0].source.metadata["level_counts"]) == [30, 5]
+    assert splatree.link_levels(levels).tree.num_leaves == 30
+    with pytest.raises(InputError, match="no levels to choose from"):
+        splatree.read_levels(tmp_path / "unit0")
+
+
 def test_the_environment_belongs_to_every_level(tmp_path):
     streamed(tmp_path, environment=True)
     far = splatree.read(tmp_path / "unit2").gaussians

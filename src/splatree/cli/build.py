@@ -1,6 +1,7 @@
 """``splatree build``: the levels of detail of a scene, and its clusters."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -13,8 +14,9 @@ from splatree.cli.console import Console, table
 from splatree.cli.files import Files, inputs_and_output
 from splatree.clusters.build import ClusterOptions, build_clusters
 from splatree.errors import InputError
-from splatree.io.registry import read, write
+from splatree.io.registry import read, read_levels, write
 from splatree.lod.build import BuildOptions, build_lod
+from splatree.lod.link import link_levels
 from splatree.render.calibrate import CalibrateOptions, Calibration, calibrated
 from splatree.scene.options import RenderOptions, SelectOptions
 from splatree.scene.scene import Mode, Scene
@@ -27,6 +29,8 @@ class Command:
     """Build levels of detail, clusters or both, and write one file: in.ply out.splatree, or chunk_*/ -o city.splatree."""
 
     files: Annotated[Files, arg(name="")]
+    levels: Literal["grow", "file"] = "grow"
+    """`grow`: merge the Gaussians, by the options below; `file`: link the levels that the input has, those of a streamed SOG."""
     mode: Mode | None = None
     """How the scene was trained and will be drawn; merged nodes depend on it. None: as the file says, else `classic`."""
     clusters: int | Literal["auto"] | None = None
@@ -73,11 +77,9 @@ def run(command: Command) -> Built:
     inputs, output = inputs_and_output(command.files, keeps_tree=True)
     if command.flat and command.clusters is None:
         raise InputError("found --flat without --clusters, which leaves nothing to build; wanted --clusters auto too")
-    scene = read(inputs, repair=command.files.repair)
-    if command.mode is not None:
-        scene = replace(scene, mode=command.mode)
-    if not command.flat:
-        scene = build_lod(scene, command.options)
+    if command.flat and command.levels == "file":
+        raise InputError("found --flat and --levels file, which contradict each other; wanted one of them")
+    scene = _linked(command, inputs) if command.levels == "file" else _read(command, inputs)
     if command.clusters is not None:
         scene = build_clusters(scene, command.clusters, command.clustering)
     calibration = None
@@ -104,6 +106,21 @@ def run(command: Command) -> Built:
     )
 
 
+def _read(command: Command, inputs: Sequence[Path]) -> Scene:
+    scene = _in_mode(read(inputs, repair=command.files.repair), command.mode)
+    return scene if command.flat else build_lod(scene, command.options)
+
+
+def _linked(command: Command, inputs: Sequence[Path]) -> Scene:
+    if len(inputs) != 1:
+        raise InputError(f"--levels file: found {len(inputs)} inputs, wanted one, a folder with lod-meta.json")
+    return link_levels([_in_mode(scene, command.mode) for scene in read_levels(inputs[0], repair=command.files.repair)])
+
+
+def _in_mode(scene: Scene, mode: Mode | None) -> Scene:
+    return scene if mode is None else replace(scene, mode=mode)
+
+
 def _metadata(scene: Scene, key: str) -> dict[str, Any] | None:
     return json.loads(scene.source.metadata[key]) if key in scene.source.metadata else None
 
@@ -123,8 +140,10 @@ def show(built: Built) -> str:
     """The result in words."""
     levels = ""
     if built.rules is not None:
-        steps = zip(built.rules["radii"], built.rules["nodes"][1:], strict=True)
-        rows = [{"level": i + 1, "radius": f"{r:.4g}", "nodes left": n} for i, (r, n) in enumerate(steps)]
+        nodes = built.rules["nodes"][1:]
+        radii = [f"{radius:.4g}" for radius in built.rules.get("radii", [])] or ["linked"] * len(nodes)
+        steps = enumerate(zip(radii, nodes, strict=True))
+        rows = [{"level": i + 1, "radius": radius, "nodes left": n} for i, (radius, n) in steps]
         levels = f"{table(rows)}\n"
     clusters = f"{built.clusters['clusters']:,} clusters, " if built.clusters else ""
     return (

@@ -5,6 +5,7 @@ and, if it is written, ``write`` or ``write_chunks``, and an entry in `FORMATS`;
 same file. What a format cannot hold follows from its `Holds`; a writer returns what else it had to change, in plain words.
 """
 
+import json
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -230,6 +231,22 @@ def read(
     paths = [path] if isinstance(path, str | os.PathLike) else list(path)
     inputs = find_inputs([Path(p) for p in paths], lambda p: detect(p) is not None)
     return joined(read_one(p, options) for p in inputs)
+
+
+def read_levels(path: str | os.PathLike[str], *, repair: bool = False) -> tuple[Scene, ...]:
+    """Read all levels of a format that has several, the finest first, each as a flat scene; `link_levels` makes one tree of them.
+
+    Raises:
+        FormatError: as `read`.
+        InputError: the path is of a format without levels to choose from.
+    """
+    found = detect(Path(path))
+    if found is None or found.holds.levels != "one of":
+        name = "no known format" if found is None else f"format {found.name}"
+        raise InputError(f"{path}: of {name}, which has no levels to choose from; wanted a folder with lod-meta.json")
+    finest = read(path, repair=repair)
+    num_levels = len(json.loads(finest.source.metadata["level_counts"]))
+    return (finest, *(read(path, level=i, repair=repair) for i in range(1, num_levels)))
 
 
 def write(

@@ -1,4 +1,5 @@
-"""Streamed SOG (PlayCanvas): ``lod-meta.json`` and one SOG folder for each unit of a level. Reads any one level.
+"""Streamed SOG (PlayCanvas): ``lod-meta.json`` and one SOG folder for each unit of a level. Reads any one level;
+`splatree.lod.link` makes a tree of all.
 
 The manifest holds a binary tree of boxes; each leaf names, for each level, a range of rows of one of ``filenames``. A level
 is all of its ranges in the order of the tree, so its rows lie close together in space; level 0 is the finest. An
@@ -77,7 +78,11 @@ def read(path: Path, options: ReadOptions) -> Scene:
     modes = {scene.mode for scene in scenes} or {"classic"}
     if len(modes) > 1:
         raise FormatError(f"{where}: found units trained in different modes {sorted(modes)}, wanted one")
-    metadata = {"level": str(level), "levels": str(num_levels), "units": json.dumps([names[i] for i in units])}
+    metadata = {
+        "level": str(level),
+        "level_counts": json.dumps([_num_rows(tree, i, len(names), where) for i in range(num_levels)]),
+        "units": json.dumps([names[i] for i in units]),
+    }
     scene = Scene.flat(Gaussians.concatenate(parts), mode=modes.pop(), source=Source(metadata=metadata))
     return checked(scene, where, repair=options.repair)
 
@@ -115,6 +120,10 @@ def _ranges(root: dict[str, Any], level: str, num_files: int, where: str) -> Ite
                 untrusted.integer(entry, "offset", f"{where}: lods.{level}"),
                 untrusted.integer(entry, "count", f"{where}: lods.{level}"),
             )
+
+
+def _num_rows(root: dict[str, Any], level: int, num_files: int, where: str) -> int:
+    return sum(count for _, _, count in _ranges(root, str(level), num_files, where))
 
 
 def _check_counts(meta: dict[str, Any], level: int, num_levels: int, found: int, where: str) -> None:

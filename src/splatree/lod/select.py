@@ -127,6 +127,8 @@ def select(
             rows_at, options.budget, max(pixel_error, smallest), len(rows), camera
         )
     notes = notes_on(pixel_error, options.profile, dilation_px2)
+    if options.profile != "sphere" and pixel_error > 0 and '"linked"' in scene.source.metadata.get("levels", ""):
+        notes += ("the levels of this scene are linked, not merged: profile 'sphere' changes them region by region",)
     return Selection(rows, options.rule, options.profile, pixel_error, visited, notes)
 
 

@@ -1,0 +1,172 @@
+"""Levels that another tool made as one tree: each Gaussian of a level hangs below its nearest one of the next coarser level.
+
+A streamed SOG, or any series of ever coarser files, says nothing of which Gaussians stand for which. The nearest coarser
+centre is taken as parent. A cut of the tree then passes from level to level anywhere in space, as the selection asks for it.
+
+But a parent is not the merge of its children, only its level is that of theirs: where single nodes change their level, some of
+the surface is drawn twice and some not at all. So the nodes of a level should change together. Their extents are raised to
+what 99 of 100 of the level need, and the profile `sphere` of the selection, which asks the extents, then changes whole regions
+at a distance: with as many nodes it is as good as the file's levels where all is equally far, and 10 dB better where it is not.
+
+Each inner node must stand for something, or it would be a leaf that is drawn among the finer ones. A coarse Gaussian that is
+nobody's nearest takes the nearest finer one whose parent has others to spare; one for which there is none in the end is left out.
+Where the only child of a node is the same Gaussian bit for bit (surroundings that are part of every level), it is left out too.
+
+Cost: one search of nearest centres a level, some more for what is nobody's nearest, and the sorting into preorder.
+"""
+
+import dataclasses
+import json
+from collections.abc import Sequence
+
+import numpy as np
+
+from splatree.constants import SIGMAS
+from splatree.errors import InputError
+from splatree.kernels.cpu.blocks import index_blocks
+from splatree.kernels.cpu.kmeans import assign
+from splatree.lod.order import Level, preorder
+from splatree.maths.morton import morton_codes
+from splatree.progress import task
+from splatree.scene.gaussians import Gaussians
+from splatree.scene.scene import Scene
+from splatree.shapes import Array, Float32, Float64, Int32
+
+__all__ = ["link_levels"]
+
+_SHARE_IN_STEP = 0.99
+"""Share of the nodes of a level that have the same extent, about: with less their number is lower and the picture patchy."""
+
+_ROUNDS = 32
+"""Rounds in which childless nodes look for a child; each serves at least half of what is left unless many share a place."""
+
+
+def link_levels(levels: Sequence[Scene], *, threads: int = 0) -> Scene:
+    """One scene with the tree over ``levels``, the finest first: its leaves are the Gaussians of the first, bit for bit.
+
+    Select with the profile `sphere`: the extents are made so that the nodes of a level then change together.
+    Counts, and how many nodes had to take another's child or were left out, are written to ``source.metadata["levels"]``.
+
+    Raises:
+        InputError: there are no levels, one has levels of its own, one is larger than the finer one before it, or they are drawn
+            in different modes.
+    """
+    _check(levels)
+    finest = levels[0]
+    leaf_from_node = _along_curve(finest.gaussians)
+    present = finest.gaussians.take(leaf_from_node)
+    nodes, num_nodes = np.arange(len(present), dtype=np.int32), len(present)  # numbers of the level at hand
+    columns, families = [present], list[Level]()
+    num_moved = num_dropped = 0
+    with task("link levels", float(len(levels))) as advance:
+        advance(1.0)
+        for scene in levels[1:]:
+            coarse = scene.gaussians.take(_along_curve(scene.gaussians))
+            parents, moved = parents_of(present.means, coarse.means, threads=threads)
+            kept, parents = np.unique(parents, return_inverse=True)
+            num_moved, num_dropped = num_moved + moved, num_dropped + len(coarse) - len(kept)
+            coarse = coarse.take(kept)
+
+            children = np.argsort(parents, kind="stable")
+            counts = np.bincount(parents, minlength=len(kept))
+            start = np.cumsum(counts) - counts
+            is_new = (counts > 1) | ~_same_rows(present, children[start], coarse)
+            numbers = nodes[children[start]]  # a node that is its only child moves up itself
+            numbers[is_new] = np.arange(num_nodes, num_nodes + is_new.sum(), dtype=np.int32)
+            in_family = np.repeat(is_new, counts)
+            first_child = np.cumsum(counts[is_new]) - counts[is_new]
+            families.append(Level(num_nodes, nodes[children[in_family]], first_child.astype(np.int64)))
+            columns.append(coarse.take(is_new))
+            nodes, num_nodes, present = numbers, num_nodes + int(is_new.sum()), coarse
+            advance(1.0)
+
+    gaussians = Gaussians.concatenate(columns)
+    reach = np.concatenate([_reach(column, in_step=i > 0) for i, column in enumerate(columns)])
+    order = preorder([level for level in families if len(level.start)], nodes, gaussians.means, reach)
+    row = order.row_from_node
+    node_from_row = np.empty(len(row), np.intp)
+    node_from_row[row] = np.arange(len(row))
+    ids = np.arange(len(row), dtype=np.uint32)
+    ids[: len(leaf_from_node)] = leaf_from_node
+    gaussians = gaussians.take(node_from_row)
+    report = {
+        "rule": "linked",
+        "nodes": [len(scene) for scene in levels],
+        "moved": num_moved,
+        "dropped": num_dropped,
+    }
+    metadata = {key: value for key, value in finest.source.metadata.items() if key != "level"}
+    return dataclasses.replace(
+        finest,
+        gaussians=gaussians,
+        tree=order.tree,
+        ids=np.take(ids, node_from_row),
+        blocks=index_blocks(gaussians, order.tree, threads=threads),
+        source=dataclasses.replace(finest.source, metadata={**metadata, "levels": json.dumps(report)}),
+    )
+
+
+def parents_of(
+    fine: Float32[Array, "n 3"], coarse: Float32[Array, "m 3"], *, threads: int = 0
+) -> tuple[Int32[Array, "n"], int]:
+    """The nearest coarse centre of each fine one, but for as many as it takes to leave few coarse ones without a child.
+
+    Also returns how many fine ones were moved to a parent that is not their nearest.
+    """
+    parents = assign(fine, coarse, threads=threads).labels.astype(np.int32)
+    num_moved = 0
+    for _ in range(_ROUNDS):
+        counts = np.bincount(parents, minlength=len(coarse))
+        lonely = np.flatnonzero(counts == 0)
+        spare = np.flatnonzero(counts[parents] > 1)
+        if not len(lonely) or not len(spare):
+            break
+        found = assign(coarse[lonely], fine[spare], threads=threads)
+        child = spare[found.labels]
+        # Of those that want the same child, or children of the same parent, the nearest is served: no parent loses two a round.
+        by_distance = np.lexsort((lonely, found.squared_distances))
+        _, first = np.unique(parents[child[by_distance]], return_index=True)
+        served = by_distance[first]
+        parents[child[served]] = lonely[served]
+        num_moved += len(served)
+    return parents, num_moved
+
+
+def _check(levels: Sequence[Scene]) -> None:
+    if not levels:
+        raise InputError("link_levels: found no levels, wanted at least one")
+    for i, scene in enumerate(levels):
+        if scene.tree.num_leaves != len(scene):
+            raise InputError(f"link_levels: level {i} has levels of its own, wanted a flat scene")
+        if scene.mode != levels[0].mode:
+            raise InputError(
+                f"link_levels: level {i} is {scene.mode}, those before it are {levels[0].mode}; wanted one mode"
+            )
+        if i and len(scene) > len(levels[i - 1]):
+            raise InputError(
+                f"link_levels: found {len(scene)} Gaussians in level {i} after {len(levels[i - 1])} in the level before, "
+                "wanted ever fewer; give the finest level first"
+            )
+        if i and len(levels[i - 1]) and not len(scene):
+            raise InputError(f"link_levels: level {i} is empty, wanted at least one Gaussian; leave it out")
+
+
+def _along_curve(g: Gaussians) -> Array:
+    return np.argsort(morton_codes(g.means), kind="stable")
+
+
+def _reach(g: Gaussians, *, in_step: bool) -> Float64[Array, "n"]:
+    """3σ of each row; in step with its level if it is not a leaf."""
+    reach = SIGMAS * np.exp(g.log_scales.max(axis=1, initial=-np.inf).astype(np.float64))
+    return np.asarray(np.maximum(reach, np.quantile(reach, _SHARE_IN_STEP)) if in_step and len(g) else reach)
+
+
+def _same_rows(a: Gaussians, rows: Array, b: Gaussians) -> Array:
+    """Whether each of the rows of ``a`` has the bits of the row of ``b``."""
+    same = np.ones(len(b), bool)
+    for column in dataclasses.fields(Gaussians):
+        x, y = (getattr(g, column.name).reshape(len(g), -1) for g in (a, b))
+        if x.shape[1] != y.shape[1]:
+            return np.zeros(len(b), bool)
+        same &= (x[rows] == y).all(axis=1)
+    return same
