@@ -1,0 +1,130 @@
+"""Writing and reading SOG: cost, size and quality; the palette of harmonics against exact K-means.
+
+``python benchmarks/sog.py [--count 1000000] [--peer splat-transform]`` needs the shared city. Its harmonics come from palettes of
+others; so that they are like those of a training, noise of a third of their size is added to every coefficient. The peer writes
+the same rows without harmonics (degree 0): with them its processor path takes hours. Quality is PSNR against what was written,
+mean and least of eight views.
+"""
+
+import argparse
+import shutil
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import splatree
+from harness import DATA, measure, save, table
+from splatree import Scene
+from splatree.io.palette import find_palette
+
+CITY = DATA / "trained" / "semarang_city"
+CHUNKS = ("5_1", "5_4", "5_7", "5_9")
+NOISE = 0.03
+SUBSET, ENTRIES, ROUNDS = 30_000, 2048, 8
+
+
+def scene_of(count: int) -> Scene:
+    """``count`` rows of the city, with noise on the harmonics beyond the DC."""
+    scene = splatree.read([CITY / chunk for chunk in CHUNKS])
+    rng = np.random.default_rng(0)
+    g = scene.gaussians.take(np.sort(rng.permutation(len(scene))[:count]))
+    g.sh[:, 1:] += rng.normal(0, NOISE, g.sh[:, 1:].shape).astype(np.float32)
+    return Scene.flat(g, mode=scene.mode)
+
+
+def quality(scene: Scene, written: Scene) -> np.ndarray:
+    """PSNR of each view."""
+    paths = splatree.PathOptions(views=4)
+    cameras = [camera.scaled(0.5) for path in (splatree.orbit, splatree.flyout) for camera in path(scene, paths)]
+    pictures = ([np.clip(splatree.render(s, c).image, 0, 1) for c in cameras] for s in (scene, written))
+    return np.array([splatree.psnr(a, b) for a, b in zip(*pictures, strict=True)])
+
+
+def exact_kmeans_error(x: np.ndarray) -> float:
+    """Mean squared error of Lloyd's rounds with a full search."""
+    centres = x[np.random.default_rng(0).choice(len(x), ENTRIES, replace=False)]
+    for _ in range(ROUNDS + 1):
+        scores = (centres**2).sum(axis=1) - 2 * x @ centres.T
+        labels = scores.argmin(axis=1)
+        error = float(np.mean(scores[np.arange(len(x)), labels] + (x**2).sum(axis=1)))
+        counts = np.bincount(labels, minlength=ENTRIES)
+        sums = np.zeros_like(centres)
+        np.add.at(sums, labels, x)
+        centres = np.where(counts[:, None] > 0, sums / np.maximum(counts, 1)[:, None], centres)
+    return error
+
+
+def palette_rows(scene: Scene) -> list[dict[str, Any]]:
+    """Cost and error of the palette and of exact K-means on a subset, without weights."""
+    sh = scene.gaussians.sh[: SUBSET * (len(scene) // SUBSET) : len(scene) // SUBSET].copy()
+    x = sh[:, 1:].reshape(len(sh), -1)
+    spread = float(np.mean(((x - x.mean(axis=0)) ** 2).sum(axis=1)))
+    ours = measure(lambda: find_palette(sh, np.ones(len(sh), np.float32), ENTRIES))
+    exact = measure(lambda: exact_kmeans_error(x))
+    error = float(np.mean(((sh[:, 1:] - ours.value.entries[ours.value.labels]) ** 2).sum(axis=(1, 2))))
+    about = f"{SUBSET:,} rows, {ENTRIES:,} entries"
+    return [
+        {"work": f"palette, {about}", "CPU s": ours.cpu_s, "error / variance": error / spread},
+        {"work": f"exact K-means, {about}", "CPU s": exact.cpu_s, "error / variance": exact.value / spread},
+    ]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--count", type=int, default=1_000_000)
+    parser.add_argument("--peer", default="splat-transform", help="command of the peer; left out if it is not there")
+    arguments = parser.parse_args()
+    if not CITY.is_dir():
+        raise SystemExit(f"needs the city at {CITY}")
+    scene = scene_of(arguments.count)
+    flat_colour = Scene.flat(scene.gaussians.with_sh_degree(0), mode=scene.mode)
+    rows: list[dict[str, Any]] = []
+    with tempfile.TemporaryDirectory() as folder:
+        for degree, s in ((3, scene), (0, flat_colour)):
+            path = Path(folder) / f"{degree}.sog"
+            wrote = measure(lambda s=s, path=path: splatree.write(s, path))
+            read = measure(lambda path=path: splatree.read(path))
+            db = quality(s, read.value)
+            rows.append(
+                {
+                    "work": f"splatree, degree {degree}",
+                    "Gaussians": len(s),
+                    "CPU s": wrote.cpu_s,
+                    "wall s": wrote.wall_s,
+                    "peak MB": round(wrote.peak_bytes / 1e6),
+                    "read CPU s": read.cpu_s,
+                    "MB": path.stat().st_size / 1e6,
+                    "PSNR mean": float(db.mean()),
+                    "PSNR least": float(db.min()),
+                }
+            )
+        if tool := shutil.which(arguments.peer):
+            ply, out = Path(folder) / "0.ply", Path(folder) / "peer.sog"
+            splatree.write(flat_colour, ply)
+            cost = measure([tool, "-q", "-g", "cpu", ply, out])
+            db = quality(flat_colour, splatree.read(out))
+            rows.append(
+                {
+                    "work": "splat-transform, degree 0, from .ply",
+                    "Gaussians": len(scene),
+                    "CPU s": cost.cpu_s,
+                    "wall s": cost.wall_s,
+                    "peak MB": round(cost.peak_bytes / 1e6),
+                    "MB": out.stat().st_size / 1e6,
+                    "PSNR mean": float(db.mean()),
+                    "PSNR least": float(db.min()),
+                }
+            )
+    rows += palette_rows(scene)
+    print(table(rows))
+    save(
+        "sog",
+        rows,
+        about="Writing SOG: cost, size, quality of the picture; the palette of harmonics against exact K-means.",
+    )
+
+
+if __name__ == "__main__":
+    main()
