@@ -15,6 +15,8 @@ DPI = 120
 """Dots an inch of every figure."""
 PANEL_INCHES = 3.2
 """Width of a picture in a grid."""
+MARKERS = "os^vD<>P*Xph"
+"""Of the curves in turn: colours repeat after ten."""
 LETTERS_PER_INCH = 24
 """Letters of the footer in an inch."""
 
@@ -50,8 +52,9 @@ def draw(figure: Plot | Grid, path: Path, *, footer: str) -> None:
 def _draw_plot(plot: Plot, canvas: Any) -> None:
     canvas.set_size_inches(7, 4.6)
     axes = canvas.add_subplot()
-    for curve in plot.curves:
-        axes.plot(curve.x, curve.y, "--s" if curve.theirs else "-o", label=curve.label, markersize=3, linewidth=1.2)
+    for i, curve in enumerate(plot.curves):
+        style = ("--" if curve.theirs else "-") + MARKERS[i % len(MARKERS)]
+        axes.plot(curve.x, curve.y, style, label=curve.label, markersize=4, linewidth=1.2)
     axes.set_xlabel(plot.x_label, fontsize=8)
     axes.set_ylabel(plot.y_label, fontsize=8)
     axes.set_xscale("log" if plot.log_x else "linear")

@@ -124,5 +124,7 @@ def _row(judge: Judge, name: str, select: SelectOptions | Selector, num_bytes: i
 
 
 def _frontier(rows: list[Row]) -> Plot:
+    """The methods that adapt to the view; all leaves and single depths lie far from these."""
+    rows = [row for row in rows if row["method"] not in (LABELS["3dgs"], LABELS["roots"], LABELS["depth"])]
     curves = [Curve(str(row["method"]), [number(row, "N_P")], [number(row, "PSNR")]) for row in rows]
-    return Plot("table1_frontier", "Quality over pairs", "N_P", "PSNR, dB", curves, log_x=True)
+    return Plot("table1_frontier", "Quality over pairs", "N_P", "PSNR, dB", curves)
