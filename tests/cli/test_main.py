@@ -87,7 +87,7 @@ def test_verbose_shows_steps_and_the_origin_of_an_error(splatree, small_ply, tmp
     code, out, err = splatree("thin", small_ply, tmp_path / "out.ply", "--keep", "0.5", "--verbose", "--json")
     assert code == 0
     assert json.loads(out)["num_gaussians"] > 0
-    assert "thin: " in err
+    assert "read small.ply: " in err
     code, _, err = splatree("info", tmp_path / "nothing.ply", "-v")
     assert code == 1
     assert "Traceback" in err
