@@ -158,6 +158,14 @@ class Renderer:
                 rows = self._work.arrays["rows"].numpy(counts["num_selected"])[:, 0]
                 return np.ascontiguousarray(rows), counts["num_visited"]
 
+    def enqueue_selection(self, camera: Camera, options: ResolvedOptions, select: SelectOptions) -> None:
+        """Select the rows of a view without waiting for them, nor for whether there was room: to be measured."""
+        self.device.make_current()
+        sizes = self._fit(camera, options)
+        self._work.write_job(self._numbers(camera, options, select))
+        self._work.clear()
+        self._work.run(plan.select(sizes))
+
     def trace(
         self,
         camera: Camera,
