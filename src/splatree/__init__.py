@@ -41,6 +41,7 @@ if TYPE_CHECKING:
         contribution_histogram,
         tile_contributions,
     )
+    from splatree.render.counters import FrameCounters, frame_counters, write_counters
     from splatree.render.evaluate import Evaluation, evaluate
     from splatree.render.paths import PathOptions, flyout, orbit, through
     from splatree.render.pipeline import render, trace
@@ -76,6 +77,7 @@ __all__ = [
     "Evaluation",
     "FormatError",
     "Frame",
+    "FrameCounters",
     "GaussianTree",
     "Gaussians",
     "Groups",
@@ -108,6 +110,7 @@ __all__ = [
     "edit",
     "evaluate",
     "flyout",
+    "frame_counters",
     "link_levels",
     "merge",
     "open_video",
@@ -129,6 +132,7 @@ __all__ = [
     "trace_batch",
     "write",
     "write_cameras",
+    "write_counters",
     "write_image",
 ]
 
@@ -151,6 +155,7 @@ _HOME = {
     "Evaluation": "splatree.render.evaluate",
     "FormatError": "splatree.errors",
     "Frame": "splatree.scene.frame",
+    "FrameCounters": "splatree.render.counters",
     "GaussianTree": "splatree.scene.tree",
     "Gaussians": "splatree.scene.gaussians",
     "Groups": "splatree.scene.thinning",
@@ -183,6 +188,7 @@ _HOME = {
     "edit": "splatree.edit.edit",
     "evaluate": "splatree.render.evaluate",
     "flyout": "splatree.render.paths",
+    "frame_counters": "splatree.render.counters",
     "link_levels": "splatree.lod.link",
     "merge": "splatree.simplify.merge",
     "open_video": "splatree.render.video",
@@ -190,8 +196,8 @@ _HOME = {
     "psnr": "splatree.metrics.psnr",
     "read": "splatree.io.registry",
     "read_cameras": "splatree.io.cameras",
-    "read_levels": "splatree.io.registry",
     "read_image": "splatree.io.images",
+    "read_levels": "splatree.io.registry",
     "render": "splatree.render.pipeline",
     "render_batch": "splatree.render.batch",
     "select": "splatree.lod.select",
@@ -204,6 +210,7 @@ _HOME = {
     "trace_batch": "splatree.render.batch",
     "write": "splatree.io.registry",
     "write_cameras": "splatree.io.cameras",
+    "write_counters": "splatree.render.counters",
     "write_image": "splatree.io.images",
 }
 

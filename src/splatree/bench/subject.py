@@ -67,9 +67,9 @@ class Subject:
     """Scene, cameras, size, comparison, machine and version, in words."""
 
 
-def subject_of(options: SubjectOptions) -> Subject:
-    """Read the scene, build its levels if it has none, and choose the views."""
-    scene = _read_scene(options.scene)
+def subject_of(options: SubjectOptions, *, levels: bool = True) -> Subject:
+    """Read the scene, build its levels if it has none and ``levels`` are wanted, and choose the views."""
+    scene = _read_scene(options.scene, levels)
     views, training, named = _views(scene, options)
     photos, training_photos = (
         Photos(options.data, of) if options.data is not None else None for of in (views, training)
@@ -106,13 +106,13 @@ def _views(scene: Scene, options: SubjectOptions) -> tuple[tuple[Camera, ...], t
     return chosen(split.held_out), chosen(split.training), f"{source.name}, {split.rule}"
 
 
-def _read_scene(paths: tuple[Path, ...]) -> Scene:
+def _read_scene(paths: tuple[Path, ...], levels: bool) -> Scene:
     if paths:
         scene = read(paths)
     else:
         with as_file(files("splatree") / "data" / BUNDLED) as bundled:
             scene = read(bundled)
-    return with_blocks(scene if scene.tree.num_levels > 1 else build_lod(scene))
+    return with_blocks(build_lod(scene) if levels and scene.tree.num_levels <= 1 else scene)
 
 
 def _name(paths: tuple[Path, ...]) -> str:

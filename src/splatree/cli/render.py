@@ -16,6 +16,7 @@ from splatree.io.cameras import read_cameras
 from splatree.io.images import write_image
 from splatree.io.registry import read
 from splatree.render.batch import trace_batch
+from splatree.render.counters import frame_counters, write_counters
 from splatree.render.paths import PathOptions, flyout, orbit
 from splatree.render.video import open_video
 from splatree.scene.cameras import Camera, Cameras
@@ -34,6 +35,8 @@ class Command:
     """Folder for the pictures, one PNG a view."""
     video: Path | None = None
     """Video to write (.mp4), of cameras that all have one size; needs the extra `video`."""
+    counters: Path | None = None
+    """Folder for the work of each cluster and tile, one .npz a view (render/counters.py says what is in it)."""
     fps: float = 30.0
     """Pictures a second in the video."""
     cameras: Path | None = None
@@ -80,14 +83,16 @@ class Rendered:
     """Folder of the pictures."""
     video: Path | None
     """The video."""
+    counters: Path | None
+    """Folder of the counters."""
     views: tuple[View, ...]
     """One entry a picture."""
 
 
 def run(command: Command) -> Rendered:
     """Draw each view and write it before the next is drawn."""
-    if command.output is None and command.video is None:
-        raise InputError("found nothing to write, wanted -o FOLDER for pictures, --video FILE.mp4, or both")
+    if command.output is None and command.video is None and command.counters is None:
+        raise InputError("found nothing to write, wanted -o FOLDER for pictures, --video FILE.mp4 or --counters FOLDER")
     if not command.scale > 0:
         raise InputError(f"scale: found {command.scale}, wanted more than 0")
     scene = read(command.paths).to(command.device)
@@ -100,6 +105,8 @@ def run(command: Command) -> Rendered:
             raise OutputError(
                 f"{command.output / existing[0]}.png: exists already; choose another folder or use --force"
             )
+    if command.counters is not None:
+        _make_folder(command.counters)
     views = []
     with ExitStack() as stack:
         add = (
@@ -113,10 +120,13 @@ def run(command: Command) -> Rendered:
             if command.output is not None:
                 file = command.output / f"{name}.png"
                 write_image(frame.result.image, file, force=command.force)
+            if command.counters is not None:
+                counters = frame_counters(scene, frame)
+                write_counters(counters, command.counters / f"{name}.npz", force=command.force)
             if add is not None:
                 add(frame.result.image)
             views.append(_view(frame, file))
-    return Rendered(command.output, command.video, tuple(views))
+    return Rendered(command.output, command.video, command.counters, tuple(views))
 
 
 def show(rendered: Rendered) -> str:
@@ -126,7 +136,8 @@ def show(rendered: Rendered) -> str:
         | {f"{stage} ms": ms for stage, ms in view.ms.items()}
         for view in rendered.views
     ]
-    targets = " and ".join(str(target) for target in (rendered.output, rendered.video) if target)
+    written = (rendered.output, rendered.video, rendered.counters)
+    targets = " and ".join(str(target) for target in written if target)
     return f"{table(rows)}\nwrote {targets}"
 
 
@@ -161,4 +172,4 @@ def _make_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise OutputError(f"{folder}: cannot be made a folder for pictures ({error.strerror})") from error
+        raise OutputError(f"{folder}: cannot be made a folder ({error.strerror})") from error
