@@ -82,7 +82,7 @@ def test_culling_composes_with_the_cut(select: dict[str, object]) -> None:
     dropped = 0
     for camera in views(6, 4):
         one = st.trace(tree, camera, select=st.SelectOptions(cull="none", **select))  # type: ignore[arg-type]
-        other = st.trace(tree, camera, select=st.SelectOptions(**select))  # type: ignore[arg-type]
+        other = st.trace(tree, camera, select=st.SelectOptions(cull="exact", **select))  # type: ignore[arg-type]
         np.testing.assert_array_equal(one.selection.rows, other.selection.rows)
         assert same_picture(one, other)
         dropped += len(tree) - other.culling.num_rows  # type: ignore[union-attr]
@@ -110,6 +110,13 @@ def test_other_extents_keep_every_bit(extent: str, threshold: float) -> None:
         np.testing.assert_array_equal(one.splats.rows, other.splats.rows)
         dropped += len(scene) - other.culling.num_rows  # type: ignore[union-attr]
     assert dropped > 300
+
+
+def test_a_tree_is_culled_by_its_blocks_unless_clusters_are_asked_for() -> None:
+    tree = st.build_clusters(st.build_lod(st.Scene.flat(gaussians(2000, 3))), 40)
+    camera = views(1, 4)[0]
+    assert st.trace(tree, camera).culling is None
+    assert st.trace(tree, camera, select=st.SelectOptions(cull="exact")).culling is not None
 
 
 def around(camera: st.Camera, n: int, seed: int) -> st.Gaussians:

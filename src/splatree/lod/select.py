@@ -163,13 +163,17 @@ def cull_scene(
         raise InputError(
             f"cull: found rule {rule!r} for a scene without clusters; make them with splatree build --clusters auto"
         )
+    if rule is None:
+        # In a tree the selection's blocks leave out as much: they know that drawn inner nodes are small.
+        has_levels = scene.blocks is not None and len(scene.blocks.ancestors) > 0
+        rule = "none" if has_levels else "exact"
     if scene.clusters is None or rule == "none":
         return None
     threshold = scene.threshold if threshold is None else threshold
     return cull(
         scene.clusters,
         camera,
-        rule or "exact",
+        rule,
         dilation_px2=dilation_px2,
         threshold=threshold,
         extent=extent,

@@ -40,7 +40,8 @@ class SelectOptions:
     max_radius: float | None = None
     """Also drop nodes of a larger radius, px, leaves too (700 in the code of FilterGS); None: draw them."""
     cull: Cull | None = None
-    """Clusters left out before their rows are read; `exact` changes no bit of the picture. None: `exact` if it has clusters."""
+    """Clusters left out before their rows are read; `exact` changes no bit of the picture. None: `exact` for scenes with clusters
+    and no levels; in a tree, none, as the test of blocks leaves out as much."""
 
     def __post_init__(self) -> None:
         if not self.pixel_error >= 0:
