@@ -27,7 +27,7 @@ from splatree.lod.serial import select_serial
 from splatree.scene.cameras import Camera
 from splatree.scene.clusters import Culling
 from splatree.scene.frame import Selection
-from splatree.scene.options import Profile, ResolvedOptions, SelectOptions
+from splatree.scene.options import Profile, RenderOptions, ResolvedOptions, SelectOptions
 from splatree.scene.scene import Extent, Scene
 from splatree.scene.tree import GaussianTree
 from splatree.shapes import Array, Bool, Int32
@@ -82,7 +82,7 @@ def select(
     if culling is None:
         culling = cull_scene(scene, camera, options, dilation_px2=dilation_px2, threshold=threshold, threads=threads)
     runs = None if culling is None or culling.kept.all() else culling.runs
-    threshold = scene.threshold if threshold is None else threshold
+    threshold = RenderOptions().resolved(scene).least_threshold if threshold is None else threshold
     on_device = scene.device == "cuda" and options.rule == "cut"
     blocks = scene.blocks
     if blocks is None and options.rule == "cut" and not on_device:
