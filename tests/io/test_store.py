@@ -35,6 +35,14 @@ def test_round_trip_keeps_every_bit_and_field(tmp_path):
     assert b"someone" not in (tmp_path / "a.splatree").read_bytes()
 
 
+def test_where_a_scene_is_drawn_is_not_stored(tmp_path):
+    # Files written before there were devices are read, and a file says nothing of the machine that wrote it.
+    splatree.write(tree_scene(), tmp_path / "a.splatree")
+    content = (tmp_path / "a.splatree").read_bytes()
+    assert b'"device"' not in content and b'"threshold"' in content
+    assert splatree.read(tmp_path / "a.splatree").device == "cpu"
+
+
 @pytest.mark.parametrize("n", [0, 1])
 def test_tiny_scenes_round_trip(tmp_path, n):
     splatree.write(Scene.flat(random_gaussians(n, 1)), tmp_path / "a.splatree")

@@ -56,6 +56,10 @@ _DTYPES = {
 _NAMES = {dtype: name for name, dtype in _DTYPES.items()}
 
 
+NOT_STORED = ("blocks", "device")
+"""Fields of a scene that are of this run: an index that is made anew, and where it is drawn."""
+
+
 def sniff(path: Path, head: bytes) -> bool:
     """Whether the file is a safetensors file that says it is ours in its metadata, which we write first."""
     return head[8:].startswith(b'{"__metadata__":{"format":"splatree"')
@@ -65,6 +69,8 @@ def write(scene: Scene, path: Path, options: WriteOptions) -> tuple[str, ...]:
     """Write every column and field; reading gives the same bits."""
     kept = replace(scene, blocks=None)
     columns, values = dict(_columns(kept, "")), dict(_values(kept, ""))
+    for name in NOT_STORED:
+        values.pop(name, None)
     # Wide types first: then each column is aligned, as its predecessors' sizes are multiples of its own width.
     columns = dict(sorted(columns.items(), key=lambda item: -item[1].itemsize))
     header: dict[str, Any] = {"__metadata__": {"format": "splatree", "version": str(VERSION), **values}}
@@ -168,7 +174,7 @@ def _build(kind: type, prefix: str, columns: dict[str, Array], values: Mapping[s
     arguments: dict[str, Any] = {}
     for name, hint in get_type_hints(kind, include_extras=True).items():
         key = prefix + name
-        if key == "blocks":
+        if key in NOT_STORED:
             continue
         inner, optional = _unwrap(hint)
         if inner is Source:
