@@ -82,6 +82,7 @@ def test_all_options_of_the_selection_can_be_drawn(scene: st.Scene, at_hand: Dev
     [
         st.RenderOptions(threshold=0.05, pixels="taper"),
         st.RenderOptions(threshold=0.05),
+        st.RenderOptions(threshold=0.05, extent="balanced", pixels="taper"),
         st.RenderOptions(extent="3sigma"),
         st.RenderOptions(mode="antialiased", sh_degree=0, background=(1.0, 0.5, 0.0)),
     ],
