@@ -64,6 +64,32 @@ def test_rows_of_a_sog_are_written_without_loss(tmp_path):
     np.testing.assert_allclose(a.means, b.means, atol=1e-3)
 
 
+def test_a_folder_holds_what_a_bundle_holds(tmp_path):
+    scene = Scene.flat(random_gaussians(300, degree=2))
+    splatree.write(scene, tmp_path / "s.sog")
+    splatree.write(scene, tmp_path / "folder" / "meta.json")
+    bundle, folder = splatree.read(tmp_path / "s.sog"), splatree.read(tmp_path / "folder")
+    assert folder.source.format == "sog"
+    assert all(same_bits(getattr(folder.gaussians, c), getattr(bundle.gaussians, c)) for c in COLUMNS)
+
+
+def test_another_scene_in_the_folder_is_whole_until_it_is_replaced(tmp_path, monkeypatch):
+    target = tmp_path / "folder" / "meta.json"
+    splatree.write(Scene.flat(random_gaussians(20)), target)
+    before = splatree.read(target.parent)
+    other = Scene.flat(random_gaussians(30))
+    with pytest.raises(splatree.OutputError, match="exists already"):
+        splatree.write(other, target)
+    monkeypatch.setattr("splatree.io.sog_writer.json.dumps", lambda meta: 1 / 0)  # fails when all pictures are written
+    with pytest.raises(ZeroDivisionError):
+        splatree.write(other, target, force=True)
+    monkeypatch.undo()
+    after = splatree.read(target.parent)
+    assert all(same_bits(getattr(after.gaussians, c), getattr(before.gaussians, c)) for c in COLUMNS)
+    splatree.write(other, target, force=True)
+    assert len(splatree.read(target.parent)) == 30
+
+
 def test_equal_scenes_give_equal_files(tmp_path):
     for name in ("a.sog", "b.sog"):
         written(tmp_path, random_gaussians(300, 1), name)

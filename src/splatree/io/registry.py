@@ -154,6 +154,17 @@ FORMATS: tuple[Format, ...] = (
         options=("sh_palette", "iterations"),
     ),
     Format(
+        name="sog-folder",
+        description="the same, pictures in a folder",
+        suffixes=("meta.json",),
+        versions="1, 2 (2)",
+        holds=Holds(),
+        sniff=lambda path, head: False,  # `sog` recognises both
+        read=sog.read,
+        write=sog_writer.write_folder,
+        options=("sh_palette", "iterations"),
+    ),
+    Format(
         name="streamed-sog",
         description="PlayCanvas streamed SOG",
         suffixes=(),
@@ -293,6 +304,8 @@ def write(
     )
     if chosen.write is None:
         return (*lost, *_written(chosen, chunks_of(scene), target, force, options))
+    if target.name.lower() in chosen.suffixes and target.parent.parent.is_dir():
+        target.parent.mkdir(exist_ok=True)  # the whole folder is the scene
     with replacing(target, force=force) as temporary:
         return (*lost, *chosen.write(scene, temporary, options))
 
@@ -323,7 +336,8 @@ def format_to_write(target: Path) -> Format:
     """
     written = [f for f in FORMATS if f.is_written]
     # The longest suffix wins: .compressed.ply is not .ply.
-    named = [(len(suffix), f) for f in written for suffix in f.suffixes if target.name.lower().endswith(suffix)]
+    name = target.name.lower()
+    named = [(len(s), f) for f in written for s in f.suffixes if name == s or (s.startswith(".") and name.endswith(s))]
     if not named:
         known = " ".join(suffix for f in written for suffix in f.suffixes)
         raise InputError(f"{target}: cannot be written, its suffix is {target.suffix!r}; wanted one of {known}")

@@ -1,4 +1,4 @@
-"""Writes SOG version 2, as a ``.sog`` bundle.
+"""Writes SOG version 2, as a ``.sog`` bundle or as a folder of pictures with ``meta.json``.
 
 Rows go along a Morton curve, so that neighbouring pixels are neighbours in space. Scales and DC colours get a codebook each
 (`splatree.io.codebook`), harmonics a palette (`splatree.io.palette`) whose values get a codebook of their own. What was read
@@ -9,6 +9,7 @@ Pictures are written at the WebP method that packs a million Gaussians within 1 
 (benchmarks/sog.py), on all processors.
 """
 
+import hashlib
 import io
 import json
 import math
@@ -23,6 +24,7 @@ from splatree.io.check import checked
 from splatree.io.codebook import Codebook, find_codebook
 from splatree.io.options import WriteOptions
 from splatree.io.palette import find_palette
+from splatree.io.replacing import replacing
 from splatree.kernels.cpu import _core
 from splatree.kernels.cpu import sog as kernel
 from splatree.maths.morton import morton_codes
@@ -51,6 +53,26 @@ def write(scene: Scene, path: Path, options: WriteOptions) -> tuple[str, ...]:
     with zipfile.ZipFile(path, "w", zipfile.ZIP_STORED) as bundle:
         for name, data in {"meta.json": json.dumps(meta).encode(), **pictures}.items():
             bundle.writestr(zipfile.ZipInfo(name), data)  # with a fixed date: equal scenes give equal files
+    return ()
+
+
+def write_folder(scene: Scene, path: Path, options: WriteOptions) -> tuple[str, ...]:
+    """Write meta.json, and its pictures beside it.
+
+    Pictures are named by a digest of the scene and meta.json comes last, so that an older scene in the folder is whole until it
+    is replaced. Its pictures stay.
+    """
+    checked(scene, "scene to write", repair=False)
+    pictures, meta = encode(scene.gaussians, scene.mode, options)
+    digest = hashlib.sha256(b"".join(pictures.values())).hexdigest()[:8]
+    for part in meta.values():
+        if isinstance(part, dict) and "files" in part:
+            part["files"] = [name.replace(".webp", f".{digest}.webp") for name in part["files"]]
+    for name, data in pictures.items():
+        target = path.parent / name.replace(".webp", f".{digest}.webp")
+        with replacing(target, force=True) as temporary:
+            temporary.write_bytes(data)
+    path.write_text(json.dumps(meta))
     return ()
 
 
