@@ -278,7 +278,7 @@ def _levels_table(subject: Subject, numbers: list[int]) -> Table:
             alone, both = (
                 _cheapest(partial(select, scene, camera, SelectOptions(cull=rule))) for rule in ("none", "exact")
             )
-            culling = cull_scene(scene, camera)
+            culling = cull_scene(scene, camera, SelectOptions(cull="exact"))
             assert culling is not None
             rows.append(
                 {

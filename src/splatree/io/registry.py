@@ -39,6 +39,9 @@ from splatree.io.replacing import replacing
 from splatree.maths.axes import AxesName
 from splatree.scene.scene import Scene
 
+FOLDER_FILE = "meta.json"
+"""Name of a new file that asks for a folder of files."""
+
 _HEAD_BYTES = 4096
 """How much of a file `sniff` is given."""
 
@@ -63,6 +66,8 @@ class Format:
     """Read a path into a scene whose values were checked (`splatree.io.check.checked`)."""
     write: Callable[[Scene, Path, WriteOptions], tuple[str, ...]] | None = None
     """Write a file; return what was lost for other reasons than `holds`, a sentence each. None: see ``write_chunks``."""
+    write_folder: Callable[[Scene, Path, WriteOptions], tuple[str, ...]] | None = None
+    """Write the same as a folder, given the path of its meta.json; None: there is no such form."""
     write_chunks: Callable[[Chunks, Path, WriteOptions], tuple[str, ...]] | None = None
     """As ``write``, of chunks; takes its place. None too: the format is only read."""
     read_chunks: Callable[[Path, ReadOptions], Chunks] | None = None
@@ -151,17 +156,7 @@ FORMATS: tuple[Format, ...] = (
         sniff=sog.sniff,
         read=sog.read,
         write=sog_writer.write,
-        options=("sh_palette", "iterations"),
-    ),
-    Format(
-        name="sog-folder",
-        description="the same, pictures in a folder",
-        suffixes=("meta.json",),
-        versions="1, 2 (2)",
-        holds=Holds(),
-        sniff=lambda path, head: False,  # `sog` recognises both
-        read=sog.read,
-        write=sog_writer.write_folder,
+        write_folder=sog_writer.write_folder,
         options=("sh_palette", "iterations"),
     ),
     Format(
@@ -304,10 +299,13 @@ def write(
     )
     if chosen.write is None:
         return (*lost, *_written(chosen, chunks_of(scene), target, force, options))
-    if target.name.lower() in chosen.suffixes and target.parent.parent.is_dir():
-        target.parent.mkdir(exist_ok=True)  # the whole folder is the scene
+    write = chosen.write
+    if target.name == FOLDER_FILE and chosen.write_folder is not None:
+        write = chosen.write_folder
+        if target.parent.parent.is_dir():
+            target.parent.mkdir(exist_ok=True)  # the folder is the scene
     with replacing(target, force=force) as temporary:
-        return (*lost, *chosen.write(scene, temporary, options))
+        return (*lost, *write(scene, temporary, options))
 
 
 def write_chunks(
@@ -336,8 +334,9 @@ def format_to_write(target: Path) -> Format:
     """
     written = [f for f in FORMATS if f.is_written]
     # The longest suffix wins: .compressed.ply is not .ply.
-    name = target.name.lower()
-    named = [(len(s), f) for f in written for s in f.suffixes if name == s or (s.startswith(".") and name.endswith(s))]
+    named = [(len(suffix), f) for f in written for suffix in f.suffixes if target.name.lower().endswith(suffix)]
+    if target.name == FOLDER_FILE:
+        named = [(0, f) for f in written if f.write_folder is not None]
     if not named:
         known = " ".join(suffix for f in written for suffix in f.suffixes)
         raise InputError(f"{target}: cannot be written, its suffix is {target.suffix!r}; wanted one of {known}")
