@@ -50,7 +50,7 @@ def project_rows(scalar: ctypes.CDLL) -> list[dict[str, Any]]:
     columns = (g.means, g.quats, g.log_scales, g.logit_opacities, g.sh)
 
     def project(chosen: np.ndarray, threads: int = 1) -> int:
-        arguments = (chosen, view, threshold, False, 0, out_rows, records, depths, threads)
+        arguments = (chosen, view, threshold, threshold, None, False, 0, out_rows, records, depths, threads)
         return int(_core.project_rows(*columns, *arguments))
 
     num = project(rows)
