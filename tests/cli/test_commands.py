@@ -78,6 +78,16 @@ def test_convert_writes_the_same_gaussians(splatree, small_tree, tmp_path):
     assert converted["bytes"] == (tmp_path / "out.ply").stat().st_size
 
 
+def test_convert_writes_a_folder_of_sog(splatree, small_ply, tmp_path):
+    converted = result_of(splatree("convert", small_ply, tmp_path / "folder" / "meta.json", "--json"))
+    assert converted["num_gaussians"] == len(read(tmp_path / "folder")) == NUM_GAUSSIANS
+
+
+def test_a_tree_needs_a_format_with_levels(splatree, small_ply, tmp_path):
+    code, _, err = splatree("build", small_ply, tmp_path / "tree.ply")
+    assert code == 1 and "format ply has no levels of detail, wanted .splatree" in err
+
+
 @pytest.mark.parametrize(
     ("options", "count"),
     [(("--keep", "0.25"), NUM_GAUSSIANS / 4), (("--count", "500"), 500), (("--radius", "20"), None)],

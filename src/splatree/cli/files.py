@@ -7,7 +7,7 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from splatree.errors import InputError, OutputError
-from splatree.io.registry import formats
+from splatree.io.registry import format_to_write, formats
 
 
 @dataclass(frozen=True)
@@ -46,15 +46,10 @@ def inputs_and_output(named: Files, *, keeps_tree: bool = False) -> tuple[tuple[
         raise InputError("found no input, wanted at least one: in.ply out.ply, or chunk_*/ -o out.ply")
     if any(path.exists() and output.exists() and path.samefile(output) for path in inputs):
         raise InputError(f"{output}: is an input too; choose another name for the output")
-    suffixes = [
-        suffix
-        for f in formats()
-        if f.is_written and (f.holds.levels == "tree" or not keeps_tree)
-        for suffix in f.suffixes
-    ]
-    if not output.name.lower().endswith(tuple(suffixes)):
-        purpose = "to keep the levels of detail" if keeps_tree else "of a format that is written"
-        raise InputError(f"{output}: found suffix {output.suffix!r}, wanted {' or '.join(suffixes)} {purpose}")
+    chosen = format_to_write(output)
+    if keeps_tree and chosen.holds.levels != "tree":
+        suffixes = [suffix for f in formats() if f.holds.levels == "tree" for suffix in f.suffixes]
+        raise InputError(f"{output}: format {chosen.name} has no levels of detail, wanted {' or '.join(suffixes)}")
     if output.exists() and not named.force:
         raise OutputError(f"{output}: exists already; choose another name or replace it with --force")
     return inputs, output

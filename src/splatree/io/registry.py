@@ -339,7 +339,10 @@ def format_to_write(target: Path) -> Format:
         named = [(0, f) for f in written if f.write_folder is not None]
     if not named:
         known = " ".join(suffix for f in written for suffix in f.suffixes)
-        raise InputError(f"{target}: cannot be written, its suffix is {target.suffix!r}; wanted one of {known}")
+        raise InputError(
+            f"{target}: cannot be written, its suffix is {target.suffix!r}; wanted one of {known}, or FOLDER/{FOLDER_FILE} for "
+            "a folder of SOG"
+        )
     return max(named, key=lambda item: item[0])[1]
 
 
