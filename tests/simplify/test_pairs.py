@@ -130,6 +130,23 @@ def test_enormous_scales_merge_to_finite_numbers(mode):
         assert np.isfinite(getattr(merged, name)).all(), name
 
 
+def test_gaussians_out_of_reach_are_refused():
+    g = random_gaussians(4, seed=10)
+    far = Gaussians(g.means * np.float32(1e25), g.quats, g.log_scales, g.logit_opacities, g.sh)
+    with pytest.raises(InputError, match="so far apart"):
+        thin(far, ThinOptions(count=1))
+
+
+def test_a_neighbour_whose_cost_float32_cannot_hold_is_passed_over():
+    """The nearest of the first is 10¹⁷ times as large; it takes the farther one of its own size."""
+    g = random_gaussians(3, seed=11)
+    means = np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0]], np.float32)
+    log_scales = np.repeat(np.array([[-20], [20], [-20]], np.float32), 3, axis=1)
+    g = Gaussians(means, g.quats, log_scales, g.logit_opacities, g.sh)
+    partner, costs, _ = pairs.best_partners(g, np.ones(3, np.float32), dilation=0.0)
+    assert partner[0] == 2 and partner[2] == 0 and np.isfinite(costs).all()
+
+
 def test_a_named_opacity_rule_is_kept():
     g = random_gaussians(60, seed=7)
     options = ThinOptions(count=59, merge=MergeOptions(opacity="union"))

@@ -17,6 +17,7 @@ import math
 import numpy as np
 
 from splatree.constants import DILATION_PX2
+from splatree.errors import InputError
 from splatree.kernels.cpu import merge as merge_kernel
 from splatree.kernels.cpu import pairs as kernel
 from splatree.kernels.cpu.thin import group
@@ -35,7 +36,11 @@ ROUND_SHARE = 0.25
 def merge_pairs(
     gaussians: Gaussians, count: int, options: ThinOptions, *, mode: Mode, threads: int = 0
 ) -> tuple[Gaussians, Groups]:
-    """``count`` Gaussians (at least 1), and the rows that each stands for."""
+    """``count`` Gaussians (at least 1), and the rows that each stands for.
+
+    Raises:
+        InputError: those that are left are too far apart to find neighbours.
+    """
     fitted = options.merge.opacity is None and mode == "classic"
     merge_options = options.merge.resolved(mode)
     dilation = 0.0
@@ -50,6 +55,11 @@ def merge_pairs(
             partner, costs, opacities = kernel.best_partners(gaussians, weights, dilation=dilation, threads=threads)
             most = min(num_left - count, int(ROUND_SHARE * num_left) + 1)
             pairs = group(kernel.match_pairs(partner, costs, most, threads=threads))
+            if len(pairs) == num_left:
+                raise InputError(
+                    f"count: found {num_left} Gaussians so far apart that float32 cannot hold their squared distances, "
+                    f"wanted {count}; move or scale the scene"
+                )
             gaussians = merge_kernel.merge(gaussians, pairs, weights, merge_options, threads=threads)
             if fitted:
                 is_pair = pairs.sizes == 2

@@ -74,7 +74,8 @@ PairCost cheapest_pair(const PairCandidates& pair) {
     const float of_one = (1.f + rm * rm + gm * gm + bm * bm) * mm;
     const float best = least(greatest(in_common / of_one, 1e-4f), 0.999f);
     opacities[l] = best;
-    costs[l] = (of_pair - 2.f * best * in_common + best * best * of_one) * (p.length * p.length);
+    // Sizes that differ more than the squares of float32 have no cost: they are merged last.
+    costs[l] = least((of_pair - 2.f * best * in_common + best * best * of_one) * (p.length * p.length), 3e38f);
   }
   PairCost cheapest{0, costs[0], opacities[0]};
   for (int l = 1; l < pair.count; ++l)

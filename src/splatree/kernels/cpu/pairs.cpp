@@ -259,9 +259,13 @@ void best_partners(const PairJob& job) {
       for (int64_t i = begin; i < end; ++i) {
         const Nearest& found = nearest[i - begin];
         PairCandidates pair{&records[i], {}, found.count};
+        const int32_t row = tree.rows[i];
+        if (found.count == 0) {  // all others are farther than float32 can square
+          job.partner_from_row[row] = -1, job.costs[row] = HUGE_VALF, job.opacities[row] = 0;
+          continue;
+        }
         for (int k = 0; k < kPairNeighbors; ++k) pair.others[k] = &records[found.places[k < found.count ? k : 0]];
         const PairCost cheapest = vector.cheapest_pair(pair);
-        const int32_t row = tree.rows[i];
         job.partner_from_row[row] = tree.rows[found.places[cheapest.best]];
         job.costs[row] = cheapest.cost;
         job.opacities[row] = cheapest.opacity;
