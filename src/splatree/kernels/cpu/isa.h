@@ -4,7 +4,7 @@
 //
 //   namespace splatree::SPLATREE_ISA { void project(const ProjectJob& job) { ... } }
 //
-// and listed in the table `Kernels` below; callers write `kernels().project(job)`. Such a source must not use std
+// and listed in SPLATREE_KERNELS below; callers write `kernels().project(job)`. Such a source must not use std
 // templates: their weak symbols would be shared between variants.
 #pragma once
 #include <cstdint>
@@ -32,31 +32,37 @@ struct AxesJob;
 struct SpheresJob;
 struct CullJob;
 
+// Every vector kernel: what it returns, its name, its arguments.
+#define SPLATREE_KERNELS(kernel)                                                                               \
+  kernel(int64_t, project, (const ProjectJob& job, int64_t* place))                                            \
+  kernel(void, list_spans, (const BinJob& job, int64_t begin, int64_t end, SplatTiles* tiles, Spans& spans))   \
+  kernel(void, blend, (const BlendJob& job))                                                                   \
+  kernel(int32_t, largest_bits, (const float* values, int64_t num_values))                                     \
+  kernel(RunResult, select_group, (const SelectJob& job, int64_t group, int32_t* out))                         \
+  kernel(PairCost, cheapest_pair, (const PairCandidates& pair))                                                \
+  kernel(void, small_rows, (const SelectJob& job, const int32_t* rows, int64_t count, uint8_t* small))         \
+  kernel(void, visible_rows, (const SelectJob& job, const int32_t* rows, int64_t count, uint8_t* visible))     \
+  kernel(void, label_nearest, (const NearestJob& job, int64_t begin, int64_t end))                             \
+  kernel(void, quantize, (const ByteColumn& column, int64_t begin, int64_t end))                               \
+  kernel(void, dequantize, (const ByteColumn& column, int64_t begin, int64_t end))                             \
+  kernel(void, bytes_from_logits, (const float* logits, int64_t begin, int64_t end, uint8_t* codes))           \
+  kernel(void, pack_fixed, (const Triples& job, int64_t begin, int64_t end))                                   \
+  kernel(void, unpack_fixed, (const Triples& job, int64_t begin, int64_t end))                                 \
+  kernel(void, pack_quats, (const Triples& job, QuatCode kind, int64_t begin, int64_t end))                    \
+  kernel(void, unpack_quats, (const Triples& job, QuatCode kind, int64_t begin, int64_t end))                  \
+  kernel(void, nearest_lanes, (const Centres& centres, const float* const* points, LaneMinima* minima))        \
+  kernel(void, nearest_centres, (const Centres& centres, const float* const* points, NearestCentres* nearest)) \
+  kernel(void, onto_axes, (const AxesJob& job, int64_t begin, int64_t end))                                    \
+  kernel(void, pack_chunk, (const PackedJob& job, int64_t chunk))                                              \
+  kernel(void, unpack_chunk, (const PackedJob& job, int64_t chunk))                                            \
+  kernel(void, bound_spheres, (const SpheresJob& job, int64_t begin, int64_t end))                             \
+  kernel(void, cull_spheres, (const CullJob& job, int64_t begin, int64_t end))
+
 struct Kernels {
   const char* isa;
-  int64_t (*project)(const ProjectJob& job, int64_t* place);
-  void (*list_spans)(const BinJob& job, int64_t begin, int64_t end, SplatTiles* tiles, Spans& spans);
-  void (*blend)(const BlendJob& job);
-  int32_t (*largest_bits)(const float* values, int64_t num_values);
-  RunResult (*select_group)(const SelectJob& job, int64_t group, int32_t* out);
-  PairCost (*cheapest_pair)(const PairCandidates& pair);
-  void (*small_rows)(const SelectJob& job, const int32_t* rows, int64_t count, uint8_t* small);
-  void (*visible_rows)(const SelectJob& job, const int32_t* rows, int64_t count, uint8_t* visible);
-  void (*label_nearest)(const NearestJob& job, int64_t begin, int64_t end);
-  void (*quantize)(const ByteColumn& column, int64_t begin, int64_t end);
-  void (*dequantize)(const ByteColumn& column, int64_t begin, int64_t end);
-  void (*bytes_from_logits)(const float* logits, int64_t begin, int64_t end, uint8_t* codes);
-  void (*pack_fixed)(const Triples& job, int64_t begin, int64_t end);
-  void (*unpack_fixed)(const Triples& job, int64_t begin, int64_t end);
-  void (*pack_quats)(const Triples& job, QuatCode kind, int64_t begin, int64_t end);
-  void (*unpack_quats)(const Triples& job, QuatCode kind, int64_t begin, int64_t end);
-  void (*nearest_lanes)(const Centres& centres, const float* const* points, LaneMinima* minima);
-  void (*nearest_centres)(const Centres& centres, const float* const* points, NearestCentres* nearest);
-  void (*onto_axes)(const AxesJob& job, int64_t begin, int64_t end);
-  void (*pack_chunk)(const PackedJob& job, int64_t chunk);
-  void (*unpack_chunk)(const PackedJob& job, int64_t chunk);
-  void (*bound_spheres)(const SpheresJob& job, int64_t begin, int64_t end);
-  void (*cull_spheres)(const CullJob& job, int64_t begin, int64_t end);
+#define SPLATREE_MEMBER(result, name, arguments) result(*name) arguments;
+  SPLATREE_KERNELS(SPLATREE_MEMBER)
+#undef SPLATREE_MEMBER
 };
 
 // The table of the best level that the processor runs, or of the level set by use_isa().
