@@ -6,6 +6,7 @@
 // time. A run with too many candidates, as where neighbours in the list are far apart, is halved.
 #include "cpu/kmeans.h"
 
+#include "cpu/box_tree.h"
 #include "cpu/isa.h"
 #include "shared/portable.h"
 
@@ -32,22 +33,16 @@ struct Candidates {
 
 SPLATREE_FN float squared(float x) { return x * x; }
 
-float least_squared_distance(const CenterBox& a, const CenterBox& b) {
-  float sum = 0;
-  for (int i = 0; i < 3; ++i) sum += squared(greatest(greatest(a.lower[i] - b.upper[i], b.lower[i] - a.upper[i]), 0.f));
-  return sum;
-}
-
 struct LeafDistances {
-  alignas(32) float least[LEAF_CENTERS];
+  alignas(32) float least[LEAF_POINTS];
   float smallest_largest;  // least, over the centres, of the largest squared distance to the box
 };
 
-LeafDistances distances_of(const CenterLeaf& leaf, const CenterBox& box) {
+LeafDistances distances_of(const BoxLeaf& leaf, const Box& box) {
   LeafDistances found;
-  float largest[LEAF_CENTERS];
+  float largest[LEAF_POINTS];
 #pragma omp simd
-  for (int i = 0; i < LEAF_CENTERS; ++i) {
+  for (int i = 0; i < LEAF_POINTS; ++i) {
     const float below_x = box.lower[0] - leaf.x[i], above_x = leaf.x[i] - box.upper[0];
     const float below_y = box.lower[1] - leaf.y[i], above_y = leaf.y[i] - box.upper[1];
     const float below_z = box.lower[2] - leaf.z[i], above_z = leaf.z[i] - box.upper[2];
@@ -59,16 +54,16 @@ LeafDistances distances_of(const CenterLeaf& leaf, const CenterBox& box) {
                  squared(box.upper[2] - box.lower[2] + greatest(below_z, above_z));
   }
   found.smallest_largest = largest[0];
-  for (int i = 1; i < LEAF_CENTERS; ++i) found.smallest_largest = least(largest[i], found.smallest_largest);
+  for (int i = 1; i < LEAF_POINTS; ++i) found.smallest_largest = least(largest[i], found.smallest_largest);
   return found;
 }
 
 // Calls visit(leaf, its distances, bound) for the leaves that may hold the nearest centre of a point of the box, near ones first.
 // `bound` is at least the largest squared distance to the nearest centre; visit returns one that is no larger.
 template <class Visit>
-SPLATREE_FN float each_leaf(const CenterTree& tree, const CenterBox& box, float bound, const Visit& visit) {
+SPLATREE_FN float each_leaf(const BoxTree& tree, const Box& box, float bound, const Visit& visit) {
   struct Entry {
-    int32_t node;
+    int64_t node;
     float distance;
   } stack[STACK];
   int size = 0;
@@ -76,11 +71,11 @@ SPLATREE_FN float each_leaf(const CenterTree& tree, const CenterBox& box, float 
   while (size) {
     const Entry entry = stack[--size];
     if (entry.distance > bound * SLACK) continue;
-    if (entry.node >= tree.num_leaves - 1) {
+    if (is_leaf(tree, entry.node)) {
       bound = visit(entry.node - (tree.num_leaves - 1), bound);
       continue;
     }
-    const int32_t left = 2 * entry.node + 1, right = left + 1;
+    const int64_t left = 2 * entry.node + 1, right = left + 1;
     const float to_left = least_squared_distance(tree.boxes[left], box);
     const float to_right = least_squared_distance(tree.boxes[right], box);
     const bool left_first = to_left <= to_right;
@@ -107,8 +102,8 @@ void compare(const Candidates& from, int begin, int end, Run& run) {
   }
 }
 
-CenterBox box_of(const Run& run, int begin, int end) {
-  CenterBox box = {{run.x[begin], run.y[begin], run.z[begin]}, {run.x[begin], run.y[begin], run.z[begin]}};
+Box box_of(const Run& run, int begin, int end) {
+  Box box = {{run.x[begin], run.y[begin], run.z[begin]}, {run.x[begin], run.y[begin], run.z[begin]}};
   for (int i = begin + 1; i < end; ++i) {
     const float point[3] = {run.x[i], run.y[i], run.z[i]};
     for (int axis = 0; axis < 3; ++axis) {
@@ -119,25 +114,25 @@ CenterBox box_of(const Run& run, int begin, int end) {
   return box;
 }
 
-void label_run(const CenterTree& tree, int begin, int end, Run& run) {
-  const CenterBox box = box_of(run, begin, end);
+void label_run(const BoxTree& tree, int begin, int end, Run& run) {
+  const Box box = box_of(run, begin, end);
   // First the bound, which falls while leaves are visited; then what lies within it.
-  const float bound = each_leaf(tree, box, float_of(0x7f800000), [&](int32_t leaf, float current) {
+  const float bound = each_leaf(tree, box, float_of(0x7f800000), [&](int64_t leaf, float current) {
     return least(distances_of(tree.leaves[leaf], box).smallest_largest, current);
   });
   Candidates candidates;
   candidates.size = 0;
-  each_leaf(tree, box, bound, [&](int32_t index, float current) {
-    const CenterLeaf& leaf = tree.leaves[index];
-    if (candidates.size > MAX_CANDIDATES - LEAF_CENTERS) {
+  each_leaf(tree, box, bound, [&](int64_t index, float current) {
+    const BoxLeaf& leaf = tree.leaves[index];
+    if (candidates.size > MAX_CANDIDATES - LEAF_POINTS) {
       compare(candidates, begin, end, run);
       candidates.size = 0;
     }
     const LeafDistances distances = distances_of(leaf, box);
-    for (int i = 0; i < LEAF_CENTERS; ++i) {
+    for (int i = 0; i < LEAF_POINTS; ++i) {
       const int place = candidates.size;
       candidates.x[place] = leaf.x[i], candidates.y[place] = leaf.y[i], candidates.z[place] = leaf.z[i];
-      candidates.label[place] = leaf.label[i];
+      candidates.label[place] = leaf.row[i];
       candidates.size += distances.least[i] <= current * SLACK;
     }
     return current;
@@ -164,7 +159,7 @@ void label_nearest(const NearestJob& job, int64_t begin, int64_t end) {
       run.best[i] = float_of(0x7f800000);
       run.label[i] = 0x7fffffff;
     }
-    label_run(job.tree, 0, filled, run);
+    label_run(*job.centers, 0, filled, run);
     for (int i = 0; i < used; ++i) job.labels[first + i] = run.label[i], job.squared_distances[first + i] = run.best[i];
   }
 }

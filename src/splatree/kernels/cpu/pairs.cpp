@@ -1,18 +1,16 @@
-// The nearest neighbours of all points by a balanced tree of boxes, and the matching of pairs.
+// The nearest neighbours of all points and the matching of pairs.
 //
-// Points are put in the order of a tree that halves the longest side of its box; a leaf holds eight. All points of a leaf look
-// for their neighbours in one walk from the root, the nearer child first, which passes over boxes farther than the farthest
-// neighbour that any of them has so far. Cost: O(n log n), about two microseconds a point.
+// All points of a leaf of the tree (box_tree.h) look for their neighbours in one walk from the root, the nearer child first,
+// which passes over boxes farther than the farthest neighbour that any of them has so far. Cost: O(n log n), about two
+// microseconds a point.
 // Not vectorised: the walk is branchy; the costs of the candidates are (pair_costs.cpp).
 #include "cpu/pairs.h"
 
 #include <algorithm>
 #include <cmath>
 #include <cstring>
-#include <limits>
-#include <numeric>
-#include <vector>
 
+#include "cpu/box_tree.h"
 #include "cpu/isa.h"
 #include "cpu/pool.h"
 #include "cpu/radix.h"
@@ -21,119 +19,18 @@
 namespace splatree {
 namespace {
 
-constexpr int kLeaf = 8;
 constexpr float kRoundness = 1.0f / 256;  // a splat thinner than this share of its length counts as that thick
 constexpr float kLogScaleMax = 20;  // beyond, float32 could not hold the square of an area
 constexpr float kShC0 = 0.28209479177387814f;
 
-struct Box {
-  float low[3], high[3];
-
-  float distance2(const Box& other) const {
-    float sum = 0;
-    for (int a = 0; a < 3; ++a) {
-      const float gap = std::max({low[a] - other.high[a], other.low[a] - high[a], 0.0f});
-      sum += gap * gap;
-    }
-    return sum;
-  }
-};
-
 float distance2(const float* p, const Box& box) {
   float sum = 0;
   for (int a = 0; a < 3; ++a) {
-    const float gap = std::max({box.low[a] - p[a], p[a] - box.high[a], 0.0f});
+    const float gap = std::max({box.lower[a] - p[a], p[a] - box.upper[a], 0.0f});
     sum += gap * gap;
   }
   return sum;
 }
-
-// Rows in the order of a tree of boxes. Node i has the children 2 i + 1 and 2 i + 2; all leaves are at one depth, and leaf l
-// holds the points [l n / leaves, (l + 1) n / leaves).
-class BoxTree {
- public:
-  Scratch<int32_t> rows;
-  std::vector<Box> boxes;
-  Scratch<float> planes;  // x, y and z of each leaf's points; infinity where it has fewer than kLeaf
-  int64_t num_leaves = 1;
-
-  BoxTree(int64_t n, const float* means, int threads) : rows(allocate<int32_t>(n)), n_(n), means_(means) {
-    while (num_leaves * kLeaf < n) num_leaves *= 2;
-    boxes.resize(2 * num_leaves - 1);
-    planes = allocate<float>(3 * kLeaf * num_leaves);
-    std::iota(rows.get(), rows.get() + n, 0);
-    const int64_t top = std::min<int64_t>(num_leaves, 16);  // subtrees that threads build on their own
-    for (int64_t node = 0; node < top - 1; ++node) split(node, bounds(node));
-    parallel_chunks(top, threads, [&](int64_t i) { build(top - 1 + i); });
-    for (int64_t node = top - 2; node >= 0; --node) join(node);
-  }
-
-  int64_t leaf_begin(int64_t leaf) const { return leaf * n_ / num_leaves; }
-
-  bool is_leaf(int64_t node) const { return node >= num_leaves - 1; }
-
- private:
-  // The leaves below a node are first to last of them; those of the leaf level, of all nodes to the left.
-  std::pair<int64_t, int64_t> range(int64_t node) const {
-    int64_t first = node, last = node;
-    while (!is_leaf(first)) first = 2 * first + 1, last = 2 * last + 2;
-    return {leaf_begin(first - (num_leaves - 1)), leaf_begin(last - (num_leaves - 1) + 1)};
-  }
-
-  Box bounds(int64_t node) const {
-    const auto [begin, end] = range(node);
-    Box box;
-    for (int a = 0; a < 3; ++a) box.low[a] = HUGE_VALF, box.high[a] = -HUGE_VALF;
-    for (int64_t i = begin; i < end; ++i)
-      for (int a = 0; a < 3; ++a) {
-        const float x = means_[3 * int64_t{rows[i]} + a];
-        box.low[a] = std::min(box.low[a], x);
-        box.high[a] = std::max(box.high[a], x);
-      }
-    return box;
-  }
-
-  void split(int64_t node, const Box& box) {
-    int axis = 0;
-    for (int a = 1; a < 3; ++a)
-      if (box.high[a] - box.low[a] > box.high[axis] - box.low[axis]) axis = a;
-    const auto [begin, end] = range(node);
-    const int64_t middle = range(2 * node + 2).first;
-    const float* x = means_ + axis;
-    std::nth_element(&rows[begin], &rows[middle], &rows[end], [x](int32_t p, int32_t q) {
-      const float a = x[3 * int64_t{p}], b = x[3 * int64_t{q}];
-      return a != b ? a < b : p < q;  // the same tree wherever equal coordinates stand
-    });
-  }
-
-  void build(int64_t node) {
-    if (is_leaf(node)) {
-      boxes[node] = bounds(node);
-      const auto [begin, end] = range(node);
-      std::sort(&rows[begin], &rows[end]);
-      for (int a = 0; a < 3; ++a)
-        for (int64_t l = 0; l < kLeaf; ++l)
-          planes[(3 * (node - (num_leaves - 1)) + a) * kLeaf + l] =
-              begin + l < end ? means_[3 * int64_t{rows[begin + l]} + a] : HUGE_VALF;
-      return;
-    }
-    split(node, bounds(node));
-    build(2 * node + 1);
-    build(2 * node + 2);
-    join(node);
-  }
-
-  void join(int64_t node) {
-    const Box &left = boxes[2 * node + 1], &right = boxes[2 * node + 2];
-    for (int a = 0; a < 3; ++a) {
-      boxes[node].low[a] = std::min(left.low[a], right.low[a]);
-      boxes[node].high[a] = std::max(left.high[a], right.high[a]);
-    }
-  }
-
-  int64_t n_;
-  const float* means_;
-};
 
 // The nearest points of one, by rising distance, ties by place.
 struct Nearest {
@@ -156,7 +53,7 @@ struct Nearest {
 };
 
 void find_nearest(const BoxTree& tree, const PairRecord* records, int64_t leaf, Nearest* nearest) {
-  const int64_t begin = tree.leaf_begin(leaf), end = tree.leaf_begin(leaf + 1);
+  const int64_t begin = first_of(tree, leaf), end = first_of(tree, leaf + 1);
   const Box& own = tree.boxes[tree.num_leaves - 1 + leaf];
   struct Entry {
     int64_t node;
@@ -168,18 +65,18 @@ void find_nearest(const BoxTree& tree, const PairRecord* records, int64_t leaf, 
   while (size > 0) {
     const Entry entry = stack[--size];
     if (entry.distance2 > bound) continue;
-    if (!tree.is_leaf(entry.node)) {
+    if (!is_leaf(tree, entry.node)) {
       const int64_t left = 2 * entry.node + 1;
-      Entry near{left, tree.boxes[left].distance2(own)}, far{left + 1, tree.boxes[left + 1].distance2(own)};
+      Entry near{left, least_squared_distance(tree.boxes[left], own)}, far{left + 1, least_squared_distance(tree.boxes[left + 1], own)};
       if (far.distance2 < near.distance2) std::swap(near, far);
       stack[size++] = far;
       stack[size++] = near;
       continue;
     }
     const int64_t other = entry.node - (tree.num_leaves - 1);
-    const int64_t first = tree.leaf_begin(other);
+    const int64_t first = first_of(tree, other);
     const Box& box = tree.boxes[entry.node];
-    const float* there = &tree.planes[3 * kLeaf * other];
+    const BoxLeaf& there = tree.leaves[other];
     bound = 0;
     for (int64_t i = begin; i < end; ++i) {
       Nearest& found = nearest[i - begin];
@@ -188,13 +85,13 @@ void find_nearest(const BoxTree& tree, const PairRecord* records, int64_t leaf, 
         bound = std::max(bound, found.bound());
         continue;
       }
-      float distances2[kLeaf];
+      float distances2[LEAF_POINTS];
 #pragma omp simd
-      for (int l = 0; l < kLeaf; ++l) {
-        const float x = p[0] - there[l], y = p[1] - there[kLeaf + l], z = p[2] - there[2 * kLeaf + l];
+      for (int l = 0; l < LEAF_POINTS; ++l) {
+        const float x = p[0] - there.x[l], y = p[1] - there.y[l], z = p[2] - there.z[l];
         distances2[l] = x * x + y * y + z * z;
       }
-      for (int l = 0; l < kLeaf; ++l)
+      for (int l = 0; l < LEAF_POINTS; ++l)
         if (distances2[l] < found.bound() && first + l != i) found.offer(distances2[l], static_cast<int32_t>(first + l));
       bound = std::max(bound, found.bound());
     }
@@ -253,9 +150,9 @@ void best_partners(const PairJob& job) {
   const Kernels& vector = kernels();
   parallel_ranges(tree.num_leaves, 256, job.threads, [&](int64_t first, int64_t last) {
     for (int64_t leaf = first; leaf < last; ++leaf) {
-      Nearest nearest[kLeaf];
+      Nearest nearest[LEAF_POINTS];
       find_nearest(tree, records.get(), leaf, nearest);
-      const int64_t begin = tree.leaf_begin(leaf), end = tree.leaf_begin(leaf + 1);
+      const int64_t begin = first_of(tree, leaf), end = first_of(tree, leaf + 1);
       for (int64_t i = begin; i < end; ++i) {
         const Nearest& found = nearest[i - begin];
         PairCandidates pair{&records[i], {}, found.count};

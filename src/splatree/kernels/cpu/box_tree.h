@@ -1,0 +1,53 @@
+// A balanced tree of boxes over points: what the searches for near points walk (pairs.cpp, nearest.cpp).
+//
+// Each node halves its points at the median of the longest side of their box; node i has the children 2 i + 1 and 2 i + 2, and
+// all leaves are at one depth. Cost: O(n log n), half a microsecond a point.
+#pragma once
+#include <cstdint>
+
+#include "shared/portable.h"
+
+namespace splatree {
+
+constexpr int LEAF_POINTS = 8;
+
+struct Box {
+  float lower[3], upper[3];
+};
+
+// Points as planes, in the order of their rows; where there are fewer, the rest is infinitely far away, with the largest row.
+struct BoxLeaf {
+  float x[LEAF_POINTS], y[LEAF_POINTS], z[LEAF_POINTS];
+  int32_t row[LEAF_POINTS];
+};
+
+// The same tree for any number of threads. It owns its arrays.
+struct BoxTree {
+  int64_t num_points;
+  int64_t num_leaves;  // a power of two
+  Box* boxes;          // 2 num_leaves − 1 nodes, the leaves last
+  BoxLeaf* leaves;
+  int32_t* rows;  // of the points of leaf 0, leaf 1 …
+
+  // `points` "n 3", at least one, without NaN.
+  BoxTree(int64_t num_points, const float* points, int threads);
+  ~BoxTree();
+  BoxTree(const BoxTree&) = delete;
+  BoxTree& operator=(const BoxTree&) = delete;
+};
+
+// Leaf l holds rows[first_of(l) : first_of(l + 1)], at least one.
+SPLATREE_FN int64_t first_of(const BoxTree& tree, int64_t leaf) { return leaf * tree.num_points / tree.num_leaves; }
+
+SPLATREE_FN bool is_leaf(const BoxTree& tree, int64_t node) { return node >= tree.num_leaves - 1; }
+
+SPLATREE_FN float least_squared_distance(const Box& a, const Box& b) {
+  float sum = 0;
+  for (int axis = 0; axis < 3; ++axis) {
+    const float gap = greatest(greatest(a.lower[axis] - b.upper[axis], b.lower[axis] - a.upper[axis]), 0.f);
+    sum += gap * gap;
+  }
+  return sum;
+}
+
+}  // namespace splatree
