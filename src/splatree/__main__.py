@@ -1,0 +1,8 @@
+"""``python -m splatree`` is the command ``splatree``."""
+
+import sys
+
+from splatree.cli.main import main
+
+if __name__ == "__main__":
+    sys.exit(main())
