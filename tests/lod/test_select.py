@@ -1,9 +1,12 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from splatree import Camera, Gaussians, GaussianTree, InputError, Scene, SelectOptions, select
 from splatree.lod.select import smallest_radius
 from splatree.lod.serial import select_serial
+from splatree.scene.scene import Source
 
 
 def quad_tree(levels: int) -> Scene:
@@ -136,3 +139,16 @@ def test_options_that_do_not_exist_are_refused_by_name():
         SelectOptions(profile="oval")
     with pytest.raises(InputError, match="max_radius: found 0"):
         SelectOptions(max_radius=0)
+
+
+def test_linked_levels_are_noted_by_their_record_alone():
+    scene, options = quad_tree(3), SelectOptions(pixel_error=3.0)
+    for record, noted in (
+        ('{"rule": "linked"}', True),
+        ('{"rule": "grow", "note": "not \\"linked\\""}', False),
+        ('["linked"]', False),
+        ('{"linked"', False),  # files of others may hold any text here
+    ):
+        source = Source(metadata={"levels": record})
+        notes = select(replace(scene, source=source), camera_at(2.0), options).notes
+        assert any("linked" in note for note in notes) == noted

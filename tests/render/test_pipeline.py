@@ -94,6 +94,24 @@ def test_trace_keeps_what_render_drops() -> None:
     np.testing.assert_array_equal(np.sort(frame.splats.order), np.arange(len(frame.splats)))
 
 
+def test_a_frame_has_the_stage_cull_where_clusters_are_left_out() -> None:
+    scene = st.Scene.flat(cloud(900, 11, degree=0))
+    flat, tree = st.build_clusters(scene, 20), st.build_clusters(st.build_lod(scene), 20)
+    exact, none = st.SelectOptions(cull="exact"), st.SelectOptions(cull="none")
+    for drawn, select, culled in (
+        (scene, None, False),
+        (flat, None, True),
+        (flat, none, False),
+        (tree, None, False),  # its blocks leave out as much
+        (tree, exact, True),
+    ):
+        frame = st.trace(drawn, CAMERA, OPTIONS, select)
+        assert ("cull" in frame.result.milliseconds) == ("cull" in frame.result.cpu_milliseconds) == culled
+        assert (frame.culling is not None) == culled
+    with pytest.raises(st.InputError, match="found rule 'exact' for a scene without clusters"):
+        st.trace(scene, CAMERA, OPTIONS, exact)
+
+
 def test_mode_and_threshold_are_those_of_the_scene_unless_given() -> None:
     scene = st.Scene.flat(cloud(300, 10), mode="antialiased")
     own = st.render(scene, CAMERA)

@@ -10,6 +10,7 @@ A budget is met by raising τ_R: coarser cuts are nested in finer ones, so the n
 the few at the border of the image), and interpolation between two values finds where it fits.
 """
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -27,7 +28,7 @@ from splatree.lod.serial import select_serial
 from splatree.scene.cameras import Camera
 from splatree.scene.clusters import Culling
 from splatree.scene.frame import Selection
-from splatree.scene.options import Profile, RenderOptions, ResolvedOptions, SelectOptions
+from splatree.scene.options import Cull, Profile, RenderOptions, ResolvedOptions, SelectOptions
 from splatree.scene.scene import Extent, Scene
 from splatree.scene.tree import GaussianTree
 from splatree.shapes import Array, Bool, Int32
@@ -36,6 +37,7 @@ __all__ = [
     "Selector",
     "count_nested",
     "count_uncovered",
+    "cull_rule",
     "cull_scene",
     "in_runs",
     "notes_on",
@@ -127,9 +129,18 @@ def select(
             rows_at, options.budget, max(pixel_error, smallest), len(rows), camera
         )
     notes = notes_on(pixel_error, options.profile, dilation_px2)
-    if options.profile != "sphere" and pixel_error > 0 and '"linked"' in scene.source.metadata.get("levels", ""):
+    if options.profile != "sphere" and pixel_error > 0 and _is_linked(scene):
         notes += ("the levels of this scene are linked, not merged: profile 'sphere' changes them region by region",)
     return Selection(rows, options.rule, options.profile, pixel_error, visited, notes)
+
+
+def _is_linked(scene: Scene) -> bool:
+    """Whether the levels were made by `link_levels`, as the record that it leaves says."""
+    try:
+        record = json.loads(scene.source.metadata.get("levels", "{}"))
+    except json.JSONDecodeError:  # a file may carry any text under this name
+        return False
+    return isinstance(record, dict) and record.get("rule") == "linked"
 
 
 def notes_on(pixel_error: float, profile: Profile, dilation_px2: float) -> tuple[str, ...]:
@@ -143,6 +154,26 @@ def notes_on(pixel_error: float, profile: Profile, dilation_px2: float) -> tuple
     )
 
 
+def cull_rule(scene: Scene, options: SelectOptions | None = None) -> Cull:
+    """The rule by which clusters of a scene are left out, from ``options.cull``; `none` if that is not to be done.
+
+    Raises:
+        InputError: a rule is named for a scene without clusters.
+    """
+    rule = (options or SelectOptions()).cull
+    if scene.clusters is None:
+        if rule not in (None, "none"):
+            raise InputError(
+                f"cull: found rule {rule!r} for a scene without clusters; make them with splatree build --clusters auto"
+            )
+        return "none"
+    if rule is None:
+        # In a tree the selection's blocks leave out as much: they know that drawn inner nodes are small.
+        has_levels = scene.blocks is not None and len(scene.blocks.ancestors) > 0
+        return "none" if has_levels else "exact"
+    return rule
+
+
 def cull_scene(
     scene: Scene,
     camera: Camera,
@@ -153,20 +184,12 @@ def cull_scene(
     extent: Extent = "ellipse",
     threads: int = 0,
 ) -> Culling | None:
-    """Decide which clusters of a scene are left out, by ``options.cull``; None if it is not to be done.
+    """Decide which clusters of a scene are left out, by its `cull_rule`; None if that is `none`.
 
     Raises:
         InputError: a rule is named for a scene without clusters.
     """
-    rule = (options or SelectOptions()).cull
-    if scene.clusters is None and rule not in (None, "none"):
-        raise InputError(
-            f"cull: found rule {rule!r} for a scene without clusters; make them with splatree build --clusters auto"
-        )
-    if rule is None:
-        # In a tree the selection's blocks leave out as much: they know that drawn inner nodes are small.
-        has_levels = scene.blocks is not None and len(scene.blocks.ancestors) > 0
-        rule = "none" if has_levels else "exact"
+    rule = cull_rule(scene, options)
     if scene.clusters is None or rule == "none":
         return None
     threshold = scene.threshold if threshold is None else threshold

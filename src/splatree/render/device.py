@@ -7,7 +7,7 @@ elsewhere, from a budget, a baseline or one of the other rules, they are brought
 import time
 
 from splatree.kernels.cuda.device import renderer_of
-from splatree.lod.select import Selector, cull_scene, notes_on
+from splatree.lod.select import Selector, cull_rule, cull_scene, notes_on
 from splatree.lod.select import select as select_rows
 from splatree.scene.cameras import Camera
 from splatree.scene.frame import Counters, Frame, Picture, RenderResult, Selection
@@ -21,7 +21,7 @@ def render_on_device(
     scene: Scene, camera: Camera, options: ResolvedOptions, select: SelectOptions | Selector
 ) -> RenderResult:
     """Draw a view; the time is that of the whole frame with the copy to the host."""
-    if not _is_one_piece(select):
+    if not _is_one_piece(scene, select):
         return trace_on_device(scene, camera, options, select).result
     assert isinstance(select, SelectOptions)
     start, cpu = time.perf_counter(), time.process_time()
@@ -50,7 +50,7 @@ def trace_on_device(
     """Draw a view and keep what each stage computed; times are those of the device."""
     renderer = renderer_of(scene)
     culling = None
-    if _is_one_piece(select):
+    if _is_one_piece(scene, select):
         assert isinstance(select, SelectOptions)
         traced = renderer.trace(camera, options, select, contributions=contributions)
         notes = notes_on(select.pixel_error, select.profile, options.dilation_px2)
@@ -74,14 +74,14 @@ def trace_on_device(
     return Frame(camera, culling, selection, traced.splats, traced.bins, picture.tiles, result, picture.contributions)
 
 
-def _is_one_piece(select: SelectOptions | Selector) -> bool:
+def _is_one_piece(scene: Scene, select: SelectOptions | Selector) -> bool:
     """Whether the device chooses the rows on its own; it leaves out blocks, so clusters left out exactly add nothing."""
     return (
         isinstance(select, SelectOptions)
         and select.rule == "cut"
         and select.budget is None
         and select.max_radius is None
-        and select.cull in (None, "none", "exact")
+        and cull_rule(scene, select) in ("none", "exact")
     )
 
 

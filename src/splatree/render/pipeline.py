@@ -16,7 +16,7 @@ from functools import partial
 from typing import TypeVar
 
 from splatree.kernels import Backend, backend_for
-from splatree.lod.select import Selector, cull_scene
+from splatree.lod.select import Selector, cull_rule, cull_scene
 from splatree.lod.select import select as select_rows
 from splatree.scene.cameras import Camera
 from splatree.scene.frame import Counters, Frame, RenderResult
@@ -40,8 +40,8 @@ def render(
     """Draw a view of a scene.
 
     The level of detail follows ``select``, options or a baseline (lod/baselines.py); all leaves are drawn with
-    ``SelectOptions(pixel_error=0)``. ``threads`` 0 means
-    all there are. The backend is that of the scene's device; `reference` is NumPy float64: slow, to compare with.
+    ``SelectOptions(pixel_error=0)``. ``threads`` 0 means all there are. The backend is that of the scene's device; `reference`
+    is NumPy float64: slow, to compare with.
     """
     if (backend or scene.device) == "cuda":
         from splatree.render.device import render_on_device
@@ -85,7 +85,7 @@ def trace(
 
     culling = None
     if isinstance(select, SelectOptions):
-        if scene.clusters is not None or select.cull is not None:
+        if cull_rule(scene, select) != "none":
             culling = timed(
                 "cull",
                 lambda: cull_scene(
