@@ -7,6 +7,7 @@ import pytest
 
 import splatree
 from splatree import FormatError, InputError
+from splatree.io.registry import stored_bytes
 
 from .conftest import COLUMNS, same_bits
 from .sog_files import bundle, webp, write_sog
@@ -231,6 +232,15 @@ def test_the_environment_belongs_to_every_level(tmp_path):
     for level, n in ((0, 30), (1, 5)):
         scene = splatree.read(tmp_path, level=level)
         assert len(scene) == n + 4 and same_bits(scene.gaussians.means[n:].copy(), far.means)
+
+
+def test_the_bytes_of_a_streamed_scene_are_those_of_the_files_it_names(tmp_path):
+    streamed(tmp_path, environment=True)
+    every_file = sum(path.stat().st_size for path in tmp_path.rglob("*") if path.is_file())
+    (tmp_path / "notes.txt").write_text("not of the scene")
+    assert stored_bytes(tmp_path) == stored_bytes(tmp_path / "lod-meta.json") == every_file
+    unit = tmp_path / "unit0"
+    assert stored_bytes(unit) == stored_bytes(unit / "meta.json") == sum(p.stat().st_size for p in unit.iterdir())
 
 
 @pytest.mark.parametrize(

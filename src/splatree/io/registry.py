@@ -72,6 +72,8 @@ class Format:
     """As ``write``, of chunks; takes its place. None too: the format is only read."""
     read_chunks: Callable[[Path, ReadOptions], Chunks] | None = None
     """Open a file to be read in chunks, with the values that ``read`` gives."""
+    files: Callable[[Path], list[Path]] | None = None
+    """The files that a path stands for, where they may be several; None: the file itself."""
     options: tuple[str, ...] = ()
     """Fields of `WriteOptions` that the writer takes."""
 
@@ -157,6 +159,7 @@ FORMATS: tuple[Format, ...] = (
         read=sog.read,
         write=sog_writer.write,
         write_folder=sog_writer.write_folder,
+        files=sog.files,
         options=("sh_palette", "iterations"),
     ),
     Format(
@@ -167,6 +170,7 @@ FORMATS: tuple[Format, ...] = (
         holds=Holds(levels="one of"),
         sniff=streamed_sog.sniff,
         read=streamed_sog.read,
+        files=streamed_sog.files,
     ),
     Format(
         name="ksplat",
@@ -358,6 +362,13 @@ def detect(path: Path) -> Format | None:
     if path.is_file():
         return next((f for f in FORMATS if f.suffixes and path.name.lower().endswith(f.suffixes)), None)
     return None
+
+
+def stored_bytes(path: Path) -> int:
+    """Bytes of the files that a path of a known format stands for: of a folder or its meta.json, all that it names."""
+    found = detect(path)
+    files = [path] if found is None or found.files is None else found.files(path)
+    return sum(file.stat().st_size for file in files)
 
 
 def read_one(path: Path, options: ReadOptions) -> Scene:

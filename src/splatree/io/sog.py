@@ -71,6 +71,15 @@ def read(path: Path, options: ReadOptions) -> Scene:
     return checked(read_unchecked(path, options), str(path), repair=options.repair)
 
 
+def files(path: Path) -> list[Path]:
+    """A bundle; or the meta.json of a folder, and the pictures that it names."""
+    if path.is_file() and path.name != "meta.json":
+        return [path]
+    folder = path if path.is_dir() else path.parent
+    meta = untrusted.as_object(untrusted.read_json(folder / "meta.json"), f"{folder}/meta.json")
+    return [folder / "meta.json", *(folder / name for name in _Meta(meta, f"{folder}/meta.json").file_names)]
+
+
 def read_unchecked(path: Path, options: ReadOptions) -> Scene:
     """Read all rows, whatever their values: a range of a streamed scene counts on their places."""
     if path.is_file() and path.name != "meta.json":

@@ -32,6 +32,16 @@ def sniff(path: Path, head: bytes) -> bool:
     return path.name == _NAME
 
 
+def files(path: Path) -> list[Path]:
+    """The manifest, and the files of all units, of every level."""
+    manifest = path / _NAME if path.is_dir() else path
+    meta = untrusted.as_object(untrusted.read_json(manifest), str(manifest))
+    units = [manifest.parent / name for name in _file_names(meta, str(manifest))]
+    if meta.get("environment") is not None:
+        units.append(manifest.parent / _environment(meta, str(manifest)))
+    return [manifest, *(file for unit in units if unit.exists() for file in sog.files(unit))]
+
+
 def read(path: Path, options: ReadOptions) -> Scene:
     """Read one level: all ranges of all units."""
     manifest = path / _NAME if path.is_dir() else path
@@ -43,10 +53,7 @@ def read(path: Path, options: ReadOptions) -> Scene:
     level = options.level or 0
     if not 0 <= level < num_levels:
         raise InputError(f"{where}: found level {level}, wanted 0 (finest) to {num_levels - 1}")
-    names = [
-        untrusted.inner_path(untrusted.as_text(name, f"{where}: filenames"), f"{where}: filenames")
-        for name in untrusted.as_list(untrusted.field(meta, "filenames", where), f"{where}: filenames")
-    ]
+    names = _file_names(meta, where)
     tree = untrusted.as_object(untrusted.field(meta, "tree", where), f"{where}: tree")
     ranges = [r for r in _ranges(tree, str(level), len(names), where) if r[2] > 0]
     _check_counts(meta, level, num_levels, sum(count for _, _, count in ranges), where)
@@ -72,8 +79,7 @@ def read(path: Path, options: ReadOptions) -> Scene:
 
     scenes = list(units.values())
     if meta.get("environment") is not None:
-        name = untrusted.inner_path(untrusted.text(meta, "environment", where), f"{where}: environment")
-        scenes.append(_read_unit(manifest.parent / name, options))
+        scenes.append(_read_unit(manifest.parent / _environment(meta, where), options))
         parts.append(scenes[-1].gaussians)
     modes = {scene.mode for scene in scenes} or {"classic"}
     if len(modes) > 1:
@@ -85,6 +91,17 @@ def read(path: Path, options: ReadOptions) -> Scene:
     }
     scene = Scene.flat(Gaussians.concatenate(parts), mode=modes.pop(), source=Source(metadata=metadata))
     return checked(scene, where, repair=options.repair)
+
+
+def _file_names(meta: dict[str, Any], where: str) -> list[str]:
+    return [
+        untrusted.inner_path(untrusted.as_text(name, f"{where}: filenames"), f"{where}: filenames")
+        for name in untrusted.as_list(untrusted.field(meta, "filenames", where), f"{where}: filenames")
+    ]
+
+
+def _environment(meta: dict[str, Any], where: str) -> str:
+    return untrusted.inner_path(untrusted.text(meta, "environment", where), f"{where}: environment")
 
 
 def _read_unit(path: Path, options: ReadOptions) -> Scene:
