@@ -10,7 +10,7 @@ import pytest
 
 from splatree.cli.main import VERBS
 
-COMMAND = [sys.executable, "-c", "import sys; from splatree.cli.main import main; sys.exit(main())"]
+COMMAND = [sys.executable, "-m", "splatree"]
 
 
 def test_help_names_every_verb(splatree):
@@ -36,9 +36,9 @@ def test_wrong_command_line_is_code_2(splatree, words):
     assert err
 
 
-def one_line(run):
+def one_line(run, *, wanted=1):
     code, out, err = run
-    assert code == 1
+    assert code == wanted
     assert out == ""
     assert err.count("\n") == 1 and "error: " in err and "Traceback" not in err
     return err
@@ -68,19 +68,46 @@ def test_existing_picture_is_replaced_only_by_force(splatree, small_ply, tmp_pat
     assert splatree(*words, "--force")[0] == 0
 
 
+def wrong_line(run):
+    return one_line(run, wanted=2)
+
+
+@pytest.mark.parametrize("verb", ["info", "convert", "thin", "build", "calibrate", "render", "eval"])
+def test_something_to_read_must_be_named(splatree, tmp_path, verb):
+    outputs = {"render": ["-o", tmp_path]}.get(verb, [])
+    assert "found no path, wanted a" in wrong_line(splatree(verb, *outputs))
+
+
 def test_output_must_be_named(splatree, small_ply, tmp_path):
-    assert "wanted an input and an output" in one_line(splatree("build", small_ply))
-    assert "is a folder" in one_line(splatree("build", small_ply, tmp_path))
-    assert "is an input too" in one_line(splatree("convert", small_ply, small_ply, "--force"))
-    assert "nothing to write" in one_line(splatree("render", small_ply))
+    assert "wanted an input and an output" in wrong_line(splatree("build", small_ply))
+    assert "is a folder" in wrong_line(splatree("build", small_ply, tmp_path))
+    assert "is an input too" in wrong_line(splatree("convert", small_ply, small_ply, "--force"))
+    assert "nothing to write" in wrong_line(splatree("render", small_ply))
 
 
 def test_unusable_output_is_refused_before_any_work(splatree, tmp_path):
     missing = tmp_path / "nothing.ply"  # an error about the output shows that nothing was read
-    assert ".xyz" in one_line(splatree("convert", missing, tmp_path / "out.xyz"))
-    assert "levels of detail" in one_line(splatree("build", missing, tmp_path / "out.ply"))
+    assert ".xyz" in wrong_line(splatree("convert", missing, tmp_path / "out.xyz"))
+    assert "sh_palette" in wrong_line(splatree("convert", missing, tmp_path / "out.glb", "--sh-palette", "64"))
+    assert "levels of detail" in wrong_line(splatree("build", missing, tmp_path / "out.ply"))
     (tmp_path / "old.splatree").write_bytes(b"old")
     assert "--force" in one_line(splatree("build", missing, tmp_path / "old.splatree"))
+
+
+@pytest.mark.parametrize("verb", ["build", "calibrate", "render", "eval"])
+def test_missing_cameras_are_told_before_any_work(splatree, tmp_path, verb):
+    words = {"render": ["-o", tmp_path / "frames"], "eval": []}.get(verb, ["-o", tmp_path / "out.splatree"])
+    missing = (tmp_path / "nothing.ply", *words, "--cameras", tmp_path / "cameras.json")
+    assert "cameras.json" in one_line(splatree(verb, *missing))
+
+
+def test_options_that_contradict_each_other_are_a_wrong_line(splatree, small_ply, tmp_path):
+    build = ("build", small_ply, tmp_path / "a.splatree")
+    assert "--flat without --clusters" in wrong_line(splatree(*build, "--flat"))
+    assert "contradict" in wrong_line(splatree(*build, "--flat", "--clusters", "9", "--levels", "file"))
+    assert "found 2 inputs" in wrong_line(splatree("build", small_ply, *build[1:], "--levels", "file"))
+    assert "found no --data" in wrong_line(splatree("eval", small_ply, "--training", "--frames", "0"))
+    assert "scale" in wrong_line(splatree("render", small_ply, "-o", tmp_path, "--scale", "0"))
 
 
 def test_verbose_shows_steps_and_the_origin_of_an_error(splatree, small_ply, tmp_path):
@@ -121,8 +148,8 @@ def test_reader_that_leaves_early_is_no_error(small_ply):
 def test_interrupt_leaves_no_half_files(small_ply, tmp_path):
     words = ["render", small_ply, "-o", tmp_path, "--views", "500", "--width", "40", "--height", "30"]
     # A process started in the background of a shell inherits an ignored SIGINT; a terminal's does not.
-    listening = COMMAND[2].replace("import sys;", "import signal, sys; signal.signal(2, signal.default_int_handler);")
-    command = [*COMMAND[:2], listening, *words]
+    listening = "import signal, sys; from splatree.cli.main import main; signal.signal(2, signal.default_int_handler); "
+    command = [sys.executable, "-c", listening + "sys.exit(main())", *words]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as run:
         try:
             while not list(tmp_path.glob("*.png")) and run.poll() is None:

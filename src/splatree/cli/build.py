@@ -9,16 +9,14 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from tyro.conf import arg
 
-from splatree.cli.calibrate import Views, calibrate_on, in_words
-from splatree.cli.console import Console, table
+from splatree.cli.calibrate import Views, in_words, training_views
+from splatree.cli.console import Console, UsageError, table
 from splatree.cli.files import Files, inputs_and_output
 from splatree.clusters.build import ClusterOptions, build_clusters
-from splatree.errors import InputError
-from splatree.io.registry import read, read_levels, write
+from splatree.io.registry import read, read_levels, stored_bytes, write
 from splatree.lod.build import BuildOptions, build_lod
 from splatree.lod.link import link_levels
-from splatree.render.calibrate import CalibrateOptions, Calibration, calibrated
-from splatree.scene.options import RenderOptions, SelectOptions
+from splatree.render.calibrate import CalibrateOptions, Calibration, calibrate, calibrated
 from splatree.scene.scene import Mode, Scene
 from splatree.scene.tree import GaussianTree
 from splatree.shapes import Array, Int64
@@ -76,18 +74,17 @@ def run(command: Command) -> Built:
     """Read, build, write."""
     inputs, output = inputs_and_output(command.files, keeps_tree=True)
     if command.flat and command.clusters is None:
-        raise InputError("found --flat without --clusters, which leaves nothing to build; wanted --clusters auto too")
+        raise UsageError("found --flat without --clusters, which leaves nothing to build; wanted --clusters auto too")
     if command.flat and command.levels == "file":
-        raise InputError("found --flat and --levels file, which contradict each other; wanted one of them")
+        raise UsageError("found --flat and --levels file, which contradict each other; wanted one of them")
+    views = training_views(command.views)
     scene = _linked(command, inputs) if command.levels == "file" else _read(command, inputs)
     if command.clusters is not None:
         scene = build_clusters(scene, command.clusters, command.clustering)
     calibration = None
-    if command.views.cameras or command.views.data:
-        calibration, held_out = calibrate_on(
-            scene, command.views, command.calibration, RenderOptions(), SelectOptions()
-        )
-        scene = calibrated(scene, calibration, held_out=held_out)
+    if views is not None:
+        calibration = calibrate(scene, views.cameras, command.calibration, photos=views.photos)
+        scene = calibrated(scene, calibration, held_out=views.rule)
     write(scene, output, force=command.files.force)
     tree = scene.tree
     counts, numbers = np.unique(children_per_node(tree)[~tree.is_leaf], return_counts=True)
@@ -101,7 +98,7 @@ def run(command: Command) -> Built:
         children={str(count): int(number) for count, number in zip(counts, numbers, strict=True)},
         rules=_metadata(scene, "levels"),
         clusters=_metadata(scene, "clusters"),
-        bytes=output.stat().st_size,
+        bytes=stored_bytes(output),
         calibration=calibration,
     )
 
@@ -113,7 +110,7 @@ def _read(command: Command, inputs: Sequence[Path]) -> Scene:
 
 def _linked(command: Command, inputs: Sequence[Path]) -> Scene:
     if len(inputs) != 1:
-        raise InputError(f"--levels file: found {len(inputs)} inputs, wanted one, a folder with lod-meta.json")
+        raise UsageError(f"--levels file: found {len(inputs)} inputs, wanted one, a folder with lod-meta.json")
     return link_levels([_in_mode(scene, command.mode) for scene in read_levels(inputs[0], repair=command.files.repair)])
 
 

@@ -18,7 +18,6 @@ from splatree.render.calibrate import CalibrateOptions, Calibration, calibrate, 
 from splatree.render.paths import PathOptions, flyout, orbit
 from splatree.scene.cameras import Camera
 from splatree.scene.options import RenderOptions, SelectOptions
-from splatree.scene.scene import Scene
 
 
 @dataclass(frozen=True)
@@ -33,6 +32,22 @@ class Views:
     """Leave out the views kept for scores: each n-th from the first, or a file of names, one a line."""
     scale: float = 1.0
     """Factor on the width and height of the cameras; photographs are resized likewise."""
+
+    def __post_init__(self) -> None:
+        if not self.scale > 0:
+            raise InputError(f"scale: found {self.scale}, wanted more than 0")
+
+
+@dataclass(frozen=True)
+class TrainingViews:
+    """What `Views` name."""
+
+    cameras: Sequence[Camera]
+    """The views that are not held out."""
+    photos: Photos | None
+    """Their photographs, if a folder was given."""
+    rule: str
+    """Which views were left out, and of how many."""
 
 
 @dataclass(frozen=True)
@@ -67,33 +82,34 @@ def run(command: Command) -> Calibrated:
     paths = command.files.paths
     in_place = command.files.output is None and len(paths) == 1 and paths[0].suffix.lower() == ".splatree"
     inputs, output = (paths, paths[0]) if in_place else inputs_and_output(command.files, keeps_tree=True)
+    views = training_views(command.views)
     scene = read(inputs, repair=command.files.repair)
-    if command.views.cameras or command.views.data:
-        calibration, held_out = calibrate_on(scene, command.views, command.calibration, command.options, command.select)
-    else:
+    if views is None:
         made = {"orbit": orbit, "flyout": flyout}[command.path](scene, command.made)
-        calibration = calibrate(scene, list(made), command.calibration, command.options, command.select)
-        held_out = ""
+        views = TrainingViews(list(made), None, "")
+    held_out = views.rule
+    calibration = calibrate(
+        scene, views.cameras, command.calibration, command.options, command.select, photos=views.photos
+    )
     kept = calibrated(scene, calibration, held_out=held_out or f"none: {command.path} made for the scene")
     write(kept, output, force=in_place or command.files.force)
     return Calibrated(output, held_out, calibration)
 
 
-def calibrate_on(
-    scene: Scene, views: Views, options: CalibrateOptions, render: RenderOptions, select: SelectOptions
-) -> tuple[Calibration, str]:
-    """Calibrate with the training views of a file or folder; also say which were left out."""
+def training_views(views: Views) -> TrainingViews | None:
+    """The views to calibrate with; None if neither cameras nor photographs are named.
+
+    Raises:
+        InputError: they cannot be read, or all of them are held out.
+    """
     source = views.cameras or views.data
-    if source is None or not views.scale > 0:
-        raise InputError(
-            f"cameras, data, scale: found {source}, {views.scale}, wanted a file or folder, and more than 0"
-        )
+    if source is None:
+        return None
     split = split_views(list(read_cameras(source)), views.held_out)
     if not split.training:
         raise InputError(f"held_out: found {views.held_out}, which leaves no view to calibrate with; wanted 2 or more")
-    training: Sequence[Camera] = [camera.scaled(views.scale) for camera in split.training]
-    photos = Photos(views.data, training) if views.data else None
-    return calibrate(scene, training, options, render, select, photos=photos), split.rule
+    training = [camera.scaled(views.scale) for camera in split.training]
+    return TrainingViews(training, Photos(views.data, training) if views.data else None, split.rule)
 
 
 def show(calibrated: Calibrated) -> str:

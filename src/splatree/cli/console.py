@@ -1,4 +1,4 @@
-"""What every verb shares: the flags of the output, progress on the terminal, and tables in plain text."""
+"""What every verb shares: the flags of the output, progress on the terminal, tables in plain text, the error of a wrong line."""
 
 import sys
 import time
@@ -9,10 +9,15 @@ from typing import Annotated, Any
 
 from tyro.conf import arg
 
+from splatree.errors import InputError
 from splatree.progress import Event, Sink, listen
 
 PATIENCE_S = 1.0
 """Bars appear once a task has taken this long."""
+
+
+class UsageError(InputError):
+    """A command line that lacks something or contradicts itself: exit code 2."""
 
 
 @dataclass(frozen=True)

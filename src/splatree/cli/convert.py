@@ -11,6 +11,7 @@ from splatree.cli.files import Files, inputs_and_output
 from splatree.edit.options import EditOptions
 from splatree.io.convert import ConvertOptions, convert
 from splatree.io.options import ReadOptions, WriteOptions
+from splatree.io.registry import stored_bytes
 from splatree.maths.axes import AxesName
 
 
@@ -47,7 +48,7 @@ class Result:
     num_gaussians: int
     """Gaussians written, without merged ones."""
     bytes: int
-    """Size of the file."""
+    """Size of the file; of a folder of SOG, of all files that its meta.json names."""
     repairs: dict[str, int]
     """How many values or rows each rule of repair touched."""
     lost: tuple[str, ...]
@@ -58,7 +59,7 @@ class Result:
 
 def run(command: Command) -> Result:
     """Read, edit, write."""
-    inputs, output = inputs_and_output(command.files)
+    inputs, output = inputs_and_output(command.files, options=command.options)
     read = ReadOptions(command.level, "drop" if command.drop_invalid else command.files.repair, command.input_axes)
     options = ConvertOptions(read, command.edit, command.options, command.depth)
     done = convert(inputs, output, options, force=command.files.force)
@@ -66,7 +67,7 @@ def run(command: Command) -> Result:
         output=output,
         num_read=done.num_read,
         num_gaussians=done.num_written,
-        bytes=output.stat().st_size,
+        bytes=stored_bytes(output),
         repairs=done.repairs,
         lost=done.lost,
         in_chunks=done.in_chunks,

@@ -9,7 +9,8 @@ from typing import Annotated
 import numpy as np
 from tyro.conf import Positional, arg
 
-from splatree.cli.console import Console, table
+from splatree.cli.console import Console, UsageError, table
+from splatree.cli.files import check_inputs
 from splatree.errors import InputError
 from splatree.io.cameras import read_cameras
 from splatree.io.photos import Photos
@@ -22,7 +23,7 @@ from splatree.render.calibrate import METADATA_KEY
 from splatree.render.evaluate import Evaluation, evaluate
 from splatree.render.paths import PathOptions, flyout
 from splatree.render.timing import STAGES, Timing, peak_bytes, time_frames
-from splatree.scene.cameras import Camera
+from splatree.scene.cameras import Camera, Cameras
 from splatree.scene.options import RenderOptions, SelectOptions
 from splatree.scene.scene import DeviceName, Scene
 
@@ -137,13 +138,16 @@ class Evaluated:
 
 def run(command: Command) -> Evaluated:
     """Draw and compare each view, then time frames."""
+    check_inputs(command.paths)
     if command.every < 1 or not command.scale > 0 or command.frames < 0:
         found = f"{command.every}, {command.scale}, {command.frames}"
-        raise InputError(f"every, scale, frames: found {found}, wanted at least 1, more than 0, and at least 0")
+        raise UsageError(f"every, scale, frames: found {found}, wanted at least 1, more than 0, and at least 0")
     if command.training and command.data is None:
-        raise InputError("training: found no --data, wanted photographs; without them no view is held out")
+        raise UsageError("training: found no --data, wanted photographs; without them no view is held out")
+    source = command.cameras or command.data
+    named = None if source is None else read_cameras(source)
     scene = with_blocks(read(command.paths)).to(command.device)
-    held_out, training, compared_with = _views(scene, command)
+    held_out, training, compared_with = _views(flyout(scene, command.made) if named is None else named, command)
     photos = Photos(command.data, [*held_out, *training]) if command.data else None
     if photos is not None:
         _check_calibration(scene, held_out)
@@ -182,17 +186,15 @@ def run(command: Command) -> Evaluated:
     )
 
 
-def _views(scene: Scene, command: Command) -> tuple[list[Camera], list[Camera], str]:
+def _views(cameras: Cameras, command: Command) -> tuple[list[Camera], list[Camera], str]:
     """Views to score, training views, and what their pictures are compared with."""
 
     def chosen(cameras: Sequence[Camera]) -> list[Camera]:
         return [camera.scaled(command.scale) for camera in cameras[:: command.every]]
 
-    source = command.cameras or command.data
-    cameras = (read_cameras(source) if source else flyout(scene, command.made)).views
     if command.data is None:
-        return chosen(cameras), [], "pictures of all leaves (no photographs were given)"
-    split = split_views(cameras, command.held_out)
+        return chosen(cameras.views), [], "pictures of all leaves (no photographs were given)"
+    split = split_views(cameras.views, command.held_out)
     return chosen(split.held_out), chosen(split.training), f"photographs of held-out views, {split.rule}"
 
 

@@ -6,7 +6,9 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
+from splatree.cli.console import UsageError
 from splatree.errors import InputError, OutputError
+from splatree.io.options import WriteOptions
 from splatree.io.registry import format_to_write, formats
 
 
@@ -24,32 +26,48 @@ class Files:
     """Replace the output if it exists."""
 
 
-def inputs_and_output(named: Files, *, keeps_tree: bool = False) -> tuple[tuple[Path, ...], Path]:
+def check_inputs(paths: tuple[Path, ...]) -> None:
+    """Refuse a verb that only reads, without anything to read.
+
+    Raises:
+        UsageError: there is no path.
+    """
+    if not paths:
+        raise UsageError("found no path, wanted a scene: a file or a folder, or several which are one scene")
+
+
+def inputs_and_output(
+    named: Files, *, keeps_tree: bool = False, options: WriteOptions | None = None
+) -> tuple[tuple[Path, ...], Path]:
     """The inputs, and the output: named with ``-o``, or else the last path; checked before any work is done.
 
     Raises:
-        InputError: there is no input, or no output, or an output that is also read; or its suffix is of no format that is
-            written, or, where the tree has to be kept, of one without levels.
+        UsageError: there is no input, or no output, or an output that is also read; or its suffix is of no format that is
+            written, or of one that does not take the options, or, where the tree has to be kept, of one without levels.
         OutputError: the output exists and ``--force`` is not given.
     """
     inputs, output = named.paths, named.output
     if output is None:
         if len(inputs) < 2:
             found = "one path" if inputs else "no path"
-            raise InputError(f"found {found}, wanted an input and an output: in.ply out.ply, or chunk_*/ -o out.ply")
+            raise UsageError(f"found {found}, wanted an input and an output: in.ply out.ply, or chunk_*/ -o out.ply")
         *sources, output = inputs
         inputs = tuple(sources)
         if output.is_dir():
             # `build chunk_*/` without -o: the last chunk is an input, surely.
-            raise InputError(f"{output}: is a folder, wanted a file to write; name the output with -o")
+            raise UsageError(f"{output}: is a folder, wanted a file to write; name the output with -o")
     if not inputs:
-        raise InputError("found no input, wanted at least one: in.ply out.ply, or chunk_*/ -o out.ply")
+        raise UsageError("found no input, wanted at least one: in.ply out.ply, or chunk_*/ -o out.ply")
     if any(path.exists() and output.exists() and path.samefile(output) for path in inputs):
-        raise InputError(f"{output}: is an input too; choose another name for the output")
-    chosen = format_to_write(output)
+        raise UsageError(f"{output}: is an input too; choose another name for the output")
+    try:
+        chosen = format_to_write(output)
+        (options or WriteOptions()).check_taken(chosen.options, f"{output} ({chosen.name})")
+    except InputError as error:
+        raise UsageError(str(error)) from error
     if keeps_tree and chosen.holds.levels != "tree":
         suffixes = [suffix for f in formats() if f.holds.levels == "tree" for suffix in f.suffixes]
-        raise InputError(f"{output}: format {chosen.name} has no levels of detail, wanted {' or '.join(suffixes)}")
+        raise UsageError(f"{output}: format {chosen.name} has no levels of detail, wanted {' or '.join(suffixes)}")
     if output.exists() and not named.force:
         raise OutputError(f"{output}: exists already; choose another name or replace it with --force")
     return inputs, output

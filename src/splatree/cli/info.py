@@ -8,7 +8,8 @@ import numpy as np
 from tyro.conf import Positional, arg
 
 from splatree.cli.console import Console, table
-from splatree.io.registry import read
+from splatree.cli.files import check_inputs
+from splatree.io.registry import read, stored_bytes
 from splatree.render.paths import bounds_of
 from splatree.scene.scene import Scene
 
@@ -53,7 +54,7 @@ class Info:
     extent: str
     """Rule for the tiles of a splat."""
     file_bytes: int
-    """Size of the files read, those in folders included; a meta.json that is named alone counts alone."""
+    """Size of the files that were named, and of those that a meta.json or lod-meta.json names, of every level."""
     bytes: int
     """Memory of the columns."""
     box_min: tuple[float, ...]
@@ -74,6 +75,7 @@ class Info:
 
 def run(command: Command) -> Info:
     """Read the scene and describe it."""
+    check_inputs(command.paths)
     return describe(read(command.paths, level=command.level, repair=command.repair))
 
 
@@ -95,7 +97,7 @@ def describe(scene: Scene) -> Info:
         mode=scene.mode,
         threshold=scene.threshold,
         extent=scene.extent or "ellipse",
-        file_bytes=sum(_size(Path(path)) for path in scene.source.paths),
+        file_bytes=sum(stored_bytes(Path(path)) for path in scene.source.paths),
         bytes=scene.gaussians.nbytes,
         box_min=tuple(float(x) for x in box.min(axis=0)),
         box_max=tuple(float(x) for x in box.max(axis=0)),
@@ -135,11 +137,6 @@ def show(info: Info) -> str:
         *((f"  {key}", value if len(value) < 200 else value[:197] + "...") for key, value in info.metadata.items()),
     ]
     return table([{"": name, " ": value} for name, value in rows]).strip("\n ")
-
-
-def _size(path: Path) -> int:
-    files = [path] if path.is_file() else [file for file in path.rglob("*") if file.is_file()]
-    return sum(file.stat().st_size for file in files)
 
 
 def _cluster_words(clusters: dict[str, float]) -> str:

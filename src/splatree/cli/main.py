@@ -105,7 +105,7 @@ def _purpose_of(command: Any) -> str:
 def _run(verb: str, words: list[str], module: Any, command_type: Any, description: str | None) -> int:
     import tyro
 
-    from splatree.cli.console import progress_shown
+    from splatree.cli.console import UsageError, progress_shown
 
     try:
         command = tyro.cli(
@@ -132,6 +132,9 @@ def _run(verb: str, words: list[str], module: Any, command_type: Any, descriptio
     except KeyboardInterrupt:
         print("splatree: interrupted", file=sys.stderr)
         return 130
+    except UsageError as error:
+        print(f"splatree {verb}: error: {error}", file=sys.stderr)
+        return 2
     except BrokenPipeError:  # the reader of our output has left, as `head` does
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0

@@ -10,8 +10,9 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from splatree.cli.console import Console, table
-from splatree.errors import InputError, OutputError
+from splatree.cli.console import Console, UsageError, table
+from splatree.cli.files import check_inputs
+from splatree.errors import OutputError
 from splatree.io.cameras import read_cameras
 from splatree.io.images import write_image
 from splatree.io.registry import read
@@ -91,12 +92,14 @@ class Rendered:
 
 def run(command: Command) -> Rendered:
     """Draw each view and write it before the next is drawn."""
+    check_inputs(command.paths)
     if command.output is None and command.video is None and command.counters is None:
-        raise InputError("found nothing to write, wanted -o FOLDER for pictures, --video FILE.mp4 or --counters FOLDER")
+        raise UsageError("found nothing to write, wanted -o FOLDER for pictures, --video FILE.mp4 or --counters FOLDER")
     if not command.scale > 0:
-        raise InputError(f"scale: found {command.scale}, wanted more than 0")
+        raise UsageError(f"scale: found {command.scale}, wanted more than 0")
+    named = None if command.cameras is None else read_cameras(command.cameras)
     scene = read(command.paths).to(command.device)
-    cameras = [camera.scaled(command.scale) for camera in cameras_for(scene, command)]
+    cameras = [camera.scaled(command.scale) for camera in (_made(scene, command) if named is None else named)]
     names = file_names(cameras)
     if command.output is not None:
         _make_folder(command.output)
@@ -154,10 +157,7 @@ def _view(frame: Frame, file: Path | None) -> View:
     )
 
 
-def cameras_for(scene: Scene, command: Command) -> Cameras:
-    """The cameras that were named, or a path made for the scene."""
-    if command.cameras is not None:
-        return read_cameras(command.cameras)
+def _made(scene: Scene, command: Command) -> Cameras:
     return (orbit if command.path == "orbit" else flyout)(scene, command.made)
 
 

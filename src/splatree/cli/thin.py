@@ -8,7 +8,7 @@ from tyro.conf import arg
 
 from splatree.cli.console import Console
 from splatree.cli.files import Files, inputs_and_output
-from splatree.io.registry import read, write
+from splatree.io.registry import read, stored_bytes, write
 from splatree.scene.scene import Scene
 from splatree.scene.thinning import ThinOptions
 from splatree.simplify.thin import thin
@@ -40,7 +40,7 @@ class Result:
     options: ThinOptions
     """The rules."""
     bytes: int
-    """Size of the file."""
+    """Size of the file; of a folder of SOG, of all files that its meta.json names."""
 
 
 def run(command: Command) -> Result:
@@ -58,7 +58,7 @@ def run(command: Command) -> Result:
         radius=thinned.radius,
         rounds=thinned.groups.rounds,
         options=thinned.options,
-        bytes=output.stat().st_size,
+        bytes=stored_bytes(output),
     )
 
 
