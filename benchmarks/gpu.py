@@ -32,7 +32,8 @@ from harness import ROOT, save, table
 from splatree.kernels.cuda.baselines import Baselines
 from splatree.kernels.cuda.compile import load_compiler
 from splatree.kernels.cuda.device import open_device
-from splatree.kernels.cuda.driver import Device, dotted
+from splatree.kernels.cuda.driver import Device
+from splatree.kernels.cuda.library import dotted
 from splatree.kernels.cuda.renderer import Renderer
 from splatree.lod.blocks import with_blocks
 from splatree.scene.tree import GaussianTree

@@ -13,7 +13,7 @@ from splatree.cli.main import main
 from splatree.errors import DeviceError
 from splatree.kernels import backend_for
 from splatree.kernels.cuda import device as cuda_device
-from splatree.kernels.cuda import driver as cuda_driver
+from splatree.kernels.cuda import library as cuda_library
 from splatree.kernels.cuda.driver import Device
 from splatree.kernels.cuda.renderer import Renderer
 from splatree.lod.baselines import baseline
@@ -120,7 +120,7 @@ def test_a_device_that_is_not_known_is_refused(scene: st.Scene) -> None:
 
 
 def test_without_a_driver_the_error_says_what_to_do(scene: st.Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cuda_driver, "DRIVER_NAMES", ("libno_such_driver.so",))
+    monkeypatch.setattr(cuda_library, "LIBRARY_NAMES", ("libno_such_driver.so",))
     cuda_device.open_device.cache_clear()
     with pytest.raises(
         DeviceError, match=r"no GPU driver: libno_such_driver\.so was not found; install the NVIDIA driver"
@@ -129,7 +129,7 @@ def test_without_a_driver_the_error_says_what_to_do(scene: st.Scene, monkeypatch
 
 
 def test_doctor_says_what_is_missing(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setattr(cuda_driver, "DRIVER_NAMES", ("libno_such_driver.so",))
+    monkeypatch.setattr(cuda_library, "LIBRARY_NAMES", ("libno_such_driver.so",))
     cuda_device.open_device.cache_clear()
     assert main(["doctor"]) == 0
     text = capsys.readouterr().out

@@ -14,7 +14,7 @@ from splatree.errors import DeviceError
 from splatree.kernels.cpu import _core
 from splatree.kernels.cuda.compile import CACHE, find_compilers, load_compiler
 from splatree.kernels.cuda.device import open_device
-from splatree.kernels.cuda.driver import dotted, load_driver
+from splatree.kernels.cuda.library import dotted, load_driver
 from splatree.metrics.psnr import psnr
 from splatree.render.pipeline import render
 from splatree.scene.cameras import Camera

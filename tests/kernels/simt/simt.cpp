@@ -1,25 +1,18 @@
-// The scheduler of simt.h, and the functions of the CUDA driver that the runtime calls (kernels/cuda/driver.py), played on a
-// processor: memory is the process's own, a module is the table of kernels linked into this library.
-//
-// As on a device, nothing runs before the host waits: copies from and to pinned memory, memsets and launches queue up until
-// then. So a host that overwrites what is still to be copied, or reads what has not arrived, gets what it deserves. Waits
-// are counted.
+// The scheduler of simt.h: fibers, barriers, and what every word remembers. driver.cpp plays the driver above it.
 #include "simt.h"
 
-#include <dlfcn.h>
 #include <setjmp.h>
 #include <ucontext.h>
 
 #include <algorithm>
-#include <chrono>
-#include <deque>
-#include <map>
 #include <memory>
 #include <random>
 
 namespace simt {
 
 Dim3 thread_index, block_index, block_size, grid_size;
+std::map<const char*, Memory> device_memory;
+std::string failure;
 
 namespace {
 
@@ -37,9 +30,6 @@ struct Fiber {
   uint64_t value;
 };
 
-using Kernel = void (*)(const void*, int);
-
-std::map<const char*, Memory> device_memory;  // by address
 std::vector<Memory*> shared_memory;
 std::vector<Fiber> fibers;
 std::vector<int> ready;
@@ -49,7 +39,6 @@ uint32_t launch, block_number, block_epoch;
 int current;
 jmp_buf scheduler;
 ucontext_t scheduler_context;
-std::string failure;
 std::mt19937 random_order;
 Kernel kernel;
 const void* kernel_job;
@@ -140,6 +129,16 @@ void run_block() {
   }
 }
 
+bool ordered(const Touch& before, const Touch& now) {
+  if (before.launch != now.launch || before.launch == 0) return true;
+  if (before.block != now.block) return false;
+  if (before.block_epoch != now.block_epoch) return true;
+  if (before.thread == now.thread) return true;
+  return before.warp == now.warp && before.warp_epoch != now.warp_epoch;
+}
+
+}  // namespace
+
 void run_grid(Kernel function, const void* job, int argument, unsigned blocks, unsigned threads, uint32_t seed) {
   ++launch;
   kernel = function, kernel_job = job, kernel_argument = argument;
@@ -160,16 +159,6 @@ void run_grid(Kernel function, const void* job, int argument, unsigned blocks, u
     if (!failure.empty()) return;
   }
 }
-
-bool ordered(const Touch& before, const Touch& now) {
-  if (before.launch != now.launch || before.launch == 0) return true;
-  if (before.block != now.block) return false;
-  if (before.block_epoch != now.block_epoch) return true;
-  if (before.thread == now.thread) return true;
-  return before.warp == now.warp && before.warp_epoch != now.warp_epoch;
-}
-
-}  // namespace
 
 void fail(const std::string& message) {
   if (failure.empty()) failure = message;
@@ -231,249 +220,3 @@ void touch(Memory& memory, size_t offset, size_t bytes, Access access) {
 }
 
 }  // namespace simt
-
-// The driver. Names, arguments and numbers are those of cuda.h.
-namespace {
-
-using simt::failure;
-using Work = std::function<void()>;
-using Handle = void*;
-using Address = unsigned long long;
-
-enum Result { SUCCESS = 0, INVALID_VALUE = 1, OUT_OF_MEMORY = 2, NOT_FOUND = 500, LAUNCH_FAILED = 719, CAPTURING = 900 };
-
-std::deque<Work> queue;
-std::vector<Work>* recording = nullptr;
-std::map<const char*, size_t> pinned;
-long long num_waits = 0, num_launches = 0;
-uint32_t seed = 1;
-size_t memory_limit = size_t(1) << 30, memory_used = 0;
-std::map<Handle, double> event_times;
-
-int add(Work work) {
-  if (!failure.empty()) return LAUNCH_FAILED;
-  if (recording)
-    recording->push_back(std::move(work));
-  else
-    queue.push_back(std::move(work));
-  return SUCCESS;
-}
-
-int finish() {
-  if (recording) return CAPTURING;
-  while (!queue.empty() && failure.empty()) {
-    Work work = std::move(queue.front());
-    queue.pop_front();
-    work();
-  }
-  return failure.empty() ? SUCCESS : LAUNCH_FAILED;
-}
-
-int wait_for_device() {
-  ++num_waits;
-  return finish();
-}
-
-bool is_pinned(const void* p) {
-  auto after = pinned.upper_bound(static_cast<const char*>(p));
-  if (after == pinned.begin()) return false;
-  --after;
-  return static_cast<const char*>(p) < after->first + after->second;
-}
-
-// The array that holds an address, and the place in it.
-simt::Memory* memory_around(Address address, size_t& offset) {
-  const char* p = reinterpret_cast<const char*>(address);
-  auto after = simt::device_memory.upper_bound(p);
-  if (after == simt::device_memory.begin()) return nullptr;
-  --after;
-  offset = size_t(p - after->first);
-  return offset < after->second.bytes ? &after->second : nullptr;
-}
-
-void define(simt::Memory& memory, size_t offset, size_t bytes) {
-  for (size_t i = offset / memory.grain; i < (offset + bytes + memory.grain - 1) / memory.grain; ++i) {
-    memory.words[i] = simt::Word{};
-    memory.words[i].defined = true;
-  }
-}
-
-}  // namespace
-
-#define API extern "C" __attribute__((visibility("default")))
-
-// For tests.
-API void simt_seed(uint32_t value) { seed = value; }
-API long long simt_waits() { return num_waits; }
-API long long simt_launches() { return num_launches; }
-API const char* simt_failure() { return failure.c_str(); }
-API void simt_forget_failure() {
-  failure.clear();
-  queue.clear();
-}
-API void simt_limit_memory(size_t bytes) { memory_limit = bytes; }
-API void simt_name(Address address, const char* name) {
-  size_t offset;
-  if (simt::Memory* memory = memory_around(address, offset)) memory->name = name;
-}
-
-API int cuInit(unsigned) { return SUCCESS; }
-API int cuDriverGetVersion(int* version) { return *version = 13000, SUCCESS; }
-API int cuDeviceGetCount(int* count) { return *count = 1, SUCCESS; }
-API int cuDeviceGet(int* device, int ordinal) { return *device = ordinal, ordinal ? 101 : SUCCESS; }
-API int cuDeviceGetName(char* name, int size, int) { return std::strncpy(name, "SIMT emulator", size), SUCCESS; }
-API int cuDeviceGetAttribute(int* value, int attribute, int) {
-  *value = attribute == 16 ? 2 : attribute == 75 ? 9 : 0;  // multiprocessors; compute capability
-  return SUCCESS;
-}
-API int cuDeviceTotalMem_v2(size_t* bytes, int) { return *bytes = memory_limit, SUCCESS; }
-API int cuMemGetInfo_v2(size_t* left, size_t* total) {
-  return *left = memory_limit - memory_used, *total = memory_limit, SUCCESS;
-}
-API int cuDevicePrimaryCtxRetain(Handle* context, int) { return *context = &queue, SUCCESS; }
-API int cuCtxSetCurrent(Handle) { return SUCCESS; }
-API int cuModuleLoadData(Handle* module, const void*) { return *module = &queue, SUCCESS; }
-API int cuModuleGetFunction(Handle* function, Handle, const char* name) {
-  Dl_info self;
-  dladdr(reinterpret_cast<void*>(&cuInit), &self);
-  Handle library = dlopen(self.dli_fname, RTLD_NOW | RTLD_NOLOAD);
-  *function = dlsym(library, name);
-  return *function ? SUCCESS : NOT_FOUND;
-}
-API int cuMemAlloc_v2(Address* address, size_t bytes) {
-  if (memory_used + bytes > memory_limit) return OUT_OF_MEMORY;
-  memory_used += bytes;
-  char* data = static_cast<char*>(std::aligned_alloc(256, (bytes + 511) / 256 * 256));
-  std::memset(data, 0xa5, bytes);
-  simt::Memory& memory = simt::device_memory[data];
-  memory.name = "array";
-  memory.data = data, memory.bytes = bytes;
-  memory.words.assign((bytes + 3) / 4, simt::Word{});
-  *address = reinterpret_cast<Address>(data);
-  return SUCCESS;
-}
-API int cuMemFree_v2(Address address) {
-  const int result = wait_for_device();
-  size_t offset;
-  simt::Memory* memory = memory_around(address, offset);
-  if (!memory || offset) return INVALID_VALUE;
-  memory_used -= memory->bytes;
-  char* data = memory->data;
-  simt::device_memory.erase(data);
-  std::free(data);
-  return result;
-}
-API int cuMemAllocHost_v2(void** address, size_t bytes) {
-  *address = std::calloc(1, bytes);
-  pinned[static_cast<char*>(*address)] = bytes;
-  return SUCCESS;
-}
-API int cuMemFreeHost(void* address) {
-  pinned.erase(static_cast<char*>(address));
-  std::free(address);
-  return SUCCESS;
-}
-API int cuMemcpyHtoDAsync_v2(Address to, const void* from, size_t bytes, Handle) {
-  size_t offset;
-  if (!memory_around(to, offset)) return INVALID_VALUE;
-  // What is not pinned is taken at once.
-  std::shared_ptr<std::vector<char>> taken;
-  if (!is_pinned(from))
-    taken = std::make_shared<std::vector<char>>(static_cast<const char*>(from), static_cast<const char*>(from) + bytes);
-  return add([=] {
-    size_t at;
-    simt::Memory* memory = memory_around(to, at);
-    if (!memory || at + bytes > memory->bytes) {
-      failure = "copy to the device: found an array that is too short";
-      return;
-    }
-    std::memcpy(memory->data + at, taken ? taken->data() : from, bytes);
-    define(*memory, at, bytes);
-  });
-}
-API int cuMemcpyDtoHAsync_v2(void* to, Address from, size_t bytes, Handle) {
-  const bool later = is_pinned(to);
-  const int result = add([=] {
-    size_t at;
-    simt::Memory* memory = memory_around(from, at);
-    if (!memory || at + bytes > memory->bytes)
-      failure = "copy from the device: found an array that is too short";
-    else
-      std::memcpy(to, memory->data + at, bytes);
-  });
-  return result || later ? result : wait_for_device();
-}
-API int cuMemsetD8Async(Address to, unsigned char value, size_t bytes, Handle) {
-  return add([=] {
-    size_t at;
-    simt::Memory* memory = memory_around(to, at);
-    if (!memory || at + bytes > memory->bytes) {
-      failure = "memset: found an array that is too short";
-      return;
-    }
-    std::memset(memory->data + at, value, bytes);
-    define(*memory, at, bytes);
-  });
-}
-API int cuLaunchKernel(Handle function, unsigned blocks, unsigned, unsigned, unsigned threads, unsigned, unsigned,
-                       unsigned, Handle, void** arguments, void**) {
-  if (!blocks || !threads || threads > 1024) return INVALID_VALUE;
-  const void* job = *static_cast<const void**>(arguments[0]);
-  const int argument = *static_cast<int*>(arguments[1]);
-  return add([=] {
-    ++num_launches;
-    simt::run_grid(reinterpret_cast<simt::Kernel>(function), job, argument, blocks, threads, seed);
-  });
-}
-API int cuStreamCreate(Handle* stream, unsigned) { return *stream = &queue, SUCCESS; }
-API int cuStreamSynchronize(Handle) { return wait_for_device(); }
-API int cuEventCreate(Handle* event, unsigned) {
-  *event = new char;
-  event_times[*event] = 0;
-  return SUCCESS;
-}
-API int cuEventRecord(Handle event, Handle) {
-  return add([=] { event_times[event] = std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count(); });
-}
-API int cuEventSynchronize(Handle) { return wait_for_device(); }
-API int cuEventElapsedTime(float* ms, Handle from, Handle to) {
-  return *ms = float(1e3 * (event_times[to] - event_times[from])), SUCCESS;
-}
-API int cuEventDestroy_v2(Handle event) {
-  event_times.erase(event);
-  delete static_cast<char*>(event);
-  return SUCCESS;
-}
-API int cuStreamBeginCapture_v2(Handle, int) {
-  if (recording) return CAPTURING;
-  recording = new std::vector<Work>;
-  return SUCCESS;
-}
-API int cuStreamEndCapture(Handle, Handle* graph) {
-  *graph = recording;
-  recording = nullptr;
-  return *graph ? SUCCESS : INVALID_VALUE;
-}
-API int cuGraphInstantiateWithFlags(Handle* exec, Handle graph, unsigned long long) {
-  *exec = new std::vector<Work>(*static_cast<std::vector<Work>*>(graph));
-  return SUCCESS;
-}
-API int cuGraphDestroy(Handle graph) { return delete static_cast<std::vector<Work>*>(graph), SUCCESS; }
-API int cuGraphExecDestroy(Handle exec) { return delete static_cast<std::vector<Work>*>(exec), SUCCESS; }
-API int cuGraphLaunch(Handle exec, Handle) {
-  for (const Work& work : *static_cast<std::vector<Work>*>(exec))
-    if (const int result = add(work)) return result;
-  return SUCCESS;
-}
-API int cuGetErrorName(int error, const char** name) {
-  *name = error == OUT_OF_MEMORY ? "CUDA_ERROR_OUT_OF_MEMORY"
-          : error == LAUNCH_FAILED ? "CUDA_ERROR_LAUNCH_FAILED"
-          : error == CAPTURING ? "CUDA_ERROR_STREAM_CAPTURE_UNSUPPORTED"
-          : error == NOT_FOUND ? "CUDA_ERROR_NOT_FOUND"
-                               : "CUDA_ERROR_INVALID_VALUE";
-  return SUCCESS;
-}
-API int cuGetErrorString(int error, const char** text) {
-  *text = error == LAUNCH_FAILED ? failure.c_str() : "refused by the emulator";
-  return SUCCESS;
-}

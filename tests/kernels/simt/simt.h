@@ -10,13 +10,14 @@
 //               __syncwarp order its own threads; atomics do not race with each other; blocks of one launch have no order)
 //   barriers    all threads of a block, all lanes of a mask, arrive at the same barrier
 //
-// What is wrong ends the launch with a message; simt.cpp hands it on as the error of a driver that it plays for the runtime.
+// What is wrong ends the launch with a message; driver.cpp hands it on as the error of the driver that it plays for the runtime.
 #pragma once
 
 #include <cmath>
 #include <cstdint>
 #include <cstring>
 #include <functional>
+#include <map>
 #include <string>
 #include <type_traits>
 #include <vector>
@@ -52,6 +53,14 @@ struct Memory {
   size_t grain = 4;  // bytes a word; 1 for arrays of bytes
   std::vector<Word> words;
 };
+
+// Arrays in device memory, by address.
+extern std::map<const char*, Memory> device_memory;
+// What went wrong first; empty if nothing did.
+extern std::string failure;
+// Runs a kernel, whose threads take turns in an order drawn from the seed.
+using Kernel = void (*)(const void*, int);
+void run_grid(Kernel kernel, const void* job, int argument, unsigned blocks, unsigned threads, uint32_t seed);
 
 enum Access { READ, WRITE, ATOMIC };
 // Checks the access to an element, and notes it.

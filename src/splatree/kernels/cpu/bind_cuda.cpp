@@ -1,8 +1,15 @@
-// The numbers of a frame as kernels on a GPU take them: laid out here, where the compiler knows the structs.
+// The numbers of a frame as kernels on a GPU take them, laid out here, where the compiler knows the structs; and arrays in the
+// memory of a GPU as other libraries give and take them (DLPack).
 #include <nanobind/stl/optional.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/tuple.h>
+#include <nanobind/stl/vector.h>
 
 #include <cmath>
 #include <optional>
+#include <string>
+#include <tuple>
+#include <vector>
 
 #include "cpu/arrays.h"
 #include "cpu/view.h"
@@ -35,6 +42,36 @@ nb::bytes frame_numbers(In<double> view, double threshold, double area_power, do
   return nb::bytes(reinterpret_cast<const char*>(&n), sizeof n);
 }
 
+// The capsule that consumers of DLPack take, which keeps `owner`.
+nb::object export_tensor(uint64_t pointer, const std::vector<size_t>& shape, const std::string& type,
+                         const std::tuple<int, int>& device, nb::object owner) {
+  const uint8_t bits = uint8_t(8 * std::stoi(type.substr(2)));
+  const nb::dlpack::dtype_code code = type[1] == 'f' ? nb::dlpack::dtype_code::Float
+                                      : type[1] == 'i' ? nb::dlpack::dtype_code::Int
+                                                       : nb::dlpack::dtype_code::UInt;
+  const nb::ndarray<> tensor(reinterpret_cast<void*>(pointer), shape.size(), shape.data(), owner, nullptr,
+                             nb::dlpack::dtype{uint8_t(code), bits, 1}, std::get<0>(device), std::get<1>(device));
+  return nb::cast(tensor);
+}
+
+// Address, shape, whether it is contiguous, type, ordinal of the GPU (-1: not in one's memory), and what keeps it, of a capsule.
+using Tensor = std::tuple<uint64_t, std::vector<size_t>, bool, std::string, int, nb::object>;
+Tensor import_tensor(nb::ndarray<nb::ro> tensor) {
+  std::vector<size_t> shape;
+  bool contiguous = true;
+  int64_t step = 1;
+  for (size_t i = tensor.ndim(); i-- > 0;) {
+    shape.insert(shape.begin(), tensor.shape(i));
+    contiguous &= tensor.shape(i) == 1 || tensor.stride(i) == step;
+    step *= int64_t(tensor.shape(i));
+  }
+  const nb::dlpack::dtype type = tensor.dtype();
+  const char* const names[] = {"int", "uint", "float", "opaque", "bfloat", "complex", "bool"};
+  const std::string name = (type.code < 7 ? names[type.code] : "code") + std::to_string(type.bits);
+  const bool on_gpu = tensor.device_type() == nb::device::cuda::value;
+  return {reinterpret_cast<uint64_t>(tensor.data()), shape, contiguous, name, on_gpu ? tensor.device_id() : -1, nb::cast(tensor)};
+}
+
 }  // namespace
 
 void bind_cuda(nb::module_& m) {
@@ -42,6 +79,10 @@ void bind_cuda(nb::module_& m) {
         nb::arg("pixel_threshold"), nb::arg("antialiased"), nb::arg("rule"), nb::arg("visibility"), nb::arg("cull"),
         nb::arg("planes"), nb::arg("reach"), nb::arg("degree"), nb::arg("width"), nb::arg("height"), nb::arg("background"),
         nb::arg("square").none(), nb::arg("whole_box"), "The struct FrameNumbers of kernels/cuda/job.h as bytes.");
+  m.def("export_tensor", &export_tensor, nb::arg("pointer"), nb::arg("shape"), nb::arg("type"), nb::arg("device"), nb::arg("owner"),
+        "A DLPack capsule of an array at an address; the device as DLPack has it.");
+  m.def("import_tensor", &import_tensor, nb::arg("capsule"),
+        "Address, shape, whether contiguous, type, ordinal of the GPU or -1, and the keeper of a DLPack capsule.");
 }
 
 }  // namespace splatree

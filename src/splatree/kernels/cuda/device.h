@@ -1,7 +1,7 @@
 // What all kernels use: their arrays, their threads, and sums over a warp or a block.
 //
 // Device code is compiled by NVRTC, which has no C++ library, and for tests by a C++ compiler with an emulation of the thread
-// model (tests/emulator/simt.h), which checks every access to the arrays and to shared memory.
+// model (tests/kernels/simt/simt.h), which checks every access to the arrays and to shared memory.
 #pragma once
 
 #define SPLATREE_DEVICE

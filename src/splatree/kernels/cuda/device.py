@@ -5,7 +5,8 @@ from weakref import WeakKeyDictionary
 
 from splatree.kernels.cpu.blocks import index_blocks
 from splatree.kernels.cuda.compile import load_compiler
-from splatree.kernels.cuda.driver import Device, load_driver
+from splatree.kernels.cuda.driver import Device
+from splatree.kernels.cuda.library import load_driver
 from splatree.kernels.cuda.renderer import Renderer
 from splatree.scene.scene import Scene
 

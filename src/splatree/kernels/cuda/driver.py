@@ -1,11 +1,12 @@
-"""The CUDA driver through ctypes: the two dozen functions that a frame needs.
+"""One GPU through its driver: memory, streams, kernels, recorded frames.
 
-The driver's library comes with every GPU driver and has had these functions, with these signatures, since CUDA 11.4. Nothing
-else is needed on the machine: no toolkit, no torch. The context is the device's primary one, the same that torch uses, so that
-arrays can be shared with it without a copy (``__cuda_array_interface__``).
+The context is the device's primary one, the same that torch uses, so that arrays are shared with it without a copy (DLPack,
+``__cuda_array_interface__``). It is made current for each call and whatever was current before is restored, so that any thread
+may call, and torch may be at work on another GPU.
 
-Work goes to torch's current stream if torch is in use in this process, else to a stream of our own. Nothing here waits for
-the device but `Device.wait` and `DeviceArray.numpy`.
+Work goes to torch's current stream if torch is in use in this process, else to a stream of our own; where that changes from one
+call to the next, the new stream waits for the old one, on the device. Nothing here makes the host wait but `Device.wait`,
+`Event.wait`, `DeviceArray.numpy` and freeing memory; a copy from memory that is not pinned may. One thread at a time.
 """
 
 import ctypes
@@ -20,86 +21,35 @@ import numpy as np
 import numpy.typing as npt
 
 from splatree.errors import DeviceError
+from splatree.kernels.cpu import _core
+from splatree.kernels.cuda.library import NUMBERS, Address, Driver, Handle
 from splatree.kernels.cuda.sources import stage_of, threads_of
 from splatree.shapes import Array
 
-__all__ = ["Device", "DeviceArray", "Driver", "Event", "Graph", "dotted", "load_driver"]
+__all__ = ["Device", "DeviceArray", "Event", "Graph", "PinnedArray"]
 
-DRIVER_NAMES = {"win32": ("nvcuda.dll",)}.get(sys.platform, ("libcuda.so.1", "libcuda.so"))
-OLDEST_DRIVER = 11040
-"""CUDA 11.4 (2021) is the first whose driver instantiates graphs by the function used here."""
 OLDEST_ARCHITECTURE = (7, 5)
 """Turing: the oldest that current NVRTC compiles for."""
-
-_SUCCESS, _OUT_OF_MEMORY = 0, 2
-_MULTIPROCESSORS, _MAJOR, _MINOR = 16, 75, 76  # of enum CUdevice_attribute
-_NON_BLOCKING, _THREAD_LOCAL = 1, 1
-
-Handle = ctypes.c_void_p
-Address = ctypes.c_uint64
-
-
-class Driver:
-    """The functions of the driver's library, with its errors as `DeviceError`."""
-
-    def __init__(self, library: ctypes.CDLL) -> None:
-        self._library = library
-
-    def __call__(self, name: str, *arguments: Any) -> None:
-        """Call a function; an error says what the driver says."""
-        code = getattr(self._library, name)(*arguments)
-        if code == _SUCCESS:
-            return
-        name_text, text = ctypes.c_char_p(), ctypes.c_char_p()
-        self._library.cuGetErrorName(code, ctypes.byref(name_text))
-        self._library.cuGetErrorString(code, ctypes.byref(text))
-        found = (name_text.value or b"unknown error").decode(), (text.value or b"").decode()
-        advice = "; draw with fewer or smaller arrays, or free GPU memory" if code == _OUT_OF_MEMORY else ""
-        raise DeviceError(f"GPU driver, {name}: {found[0]} ({code}): {found[1]}{advice}")
-
-    def give_back(self, name: str, *arguments: Any) -> None:
-        """Call a function that frees something; a context that has failed refuses, and its memory goes with it."""
-        getattr(self._library, name)(*arguments)
-
-    def version(self) -> int:
-        """1000 × major + 10 × minor of the CUDA version that the driver supports."""
-        found = ctypes.c_int()
-        self("cuDriverGetVersion", ctypes.byref(found))
-        return found.value
-
-
-def load_driver() -> Driver:
-    """The driver of this machine, initialised.
-
-    Raises:
-        DeviceError: there is none, it is too old, or it finds no GPU.
-    """
-    for name in DRIVER_NAMES:
-        try:
-            driver = Driver(ctypes.CDLL(name))
-            break
-        except OSError:
-            continue
-    else:
-        raise DeviceError(
-            f"no GPU driver: {DRIVER_NAMES[0]} was not found; install the NVIDIA driver, or use device 'cpu'"
-        )
-    driver("cuInit", 0)
-    version = driver.version()
-    if version < OLDEST_DRIVER:
-        raise DeviceError(
-            f"GPU driver: found CUDA {dotted(version)}, wanted at least {dotted(OLDEST_DRIVER)}; update it"
-        )
-    return driver
+DLPACK_CUDA = 2
+"""The kind of device of DLPack."""
 
 
 class DeviceArray:
-    """An array in device memory, freed with this object; torch and CuPy take it without a copy."""
+    """An array in device memory; torch, CuPy and JAX take it without a copy, and keep it as long as they need it."""
 
-    def __init__(self, device: "Device", shape: Sequence[int], dtype: npt.DTypeLike, *, name: str = "") -> None:
-        self.device, self.shape, self.dtype, self.name = device, tuple(shape), np.dtype(dtype), name
-        self.pointer = device._allocate(max(self.nbytes, 16), name)
-        _finally(self, device._give_back, "cuMemFree_v2", Address(self.pointer))
+    def __init__(
+        self,
+        device: "Device",
+        shape: Sequence[int],
+        dtype: npt.DTypeLike,
+        pointer: int,
+        *,
+        name: str = "",
+        owner: object = None,
+    ) -> None:
+        """``owner`` is kept as long as this object: what the memory belongs to."""
+        self.device, self.shape, self.dtype = device, tuple(shape), np.dtype(dtype)
+        self.pointer, self.name, self.owner = pointer, name, owner
 
     def __len__(self) -> int:
         return self.shape[0]
@@ -111,59 +61,76 @@ class DeviceArray:
 
     @property
     def __cuda_array_interface__(self) -> dict[str, Any]:
-        return {"shape": self.shape, "typestr": self.dtype.str, "data": (self.pointer, False), "version": 2}
+        stream = self.device.stream.value or 1  # 0 is not allowed: 1 is the default stream
+        return {
+            "shape": self.shape,
+            "typestr": self.dtype.str,
+            "data": (self.pointer, False),
+            "version": 3,
+            "stream": stream,
+        }
+
+    def __dlpack_device__(self) -> tuple[int, int]:
+        return DLPACK_CUDA, self.device.ordinal
+
+    def __dlpack__(self, *, stream: int | None = None, **_: Any) -> object:
+        if stream != -1:  # -1: the consumer sees to the order itself
+            self.device.let_wait(Handle(stream or 0))
+        return _core.export_tensor(self.pointer, self.shape, self.dtype.str, self.__dlpack_device__(), self)
+
+    def kept_with(self, owner: object) -> "DeviceArray":
+        """The same memory, which also keeps ``owner``."""
+        return DeviceArray(self.device, self.shape, self.dtype, self.pointer, name=self.name, owner=(self, owner))
 
     def numpy(self, count: int | None = None) -> Array:
         """A copy on the host, of the first ``count`` rows or all; waits for the device."""
         shape = self.shape if count is None else (count, *self.shape[1:])
         host = np.empty(shape, self.dtype)
         if host.nbytes:
-            pointer = ctypes.c_void_p(host.ctypes.data)
-            self.device.driver(
-                "cuMemcpyDtoHAsync_v2", pointer, Address(self.pointer), ctypes.c_size_t(host.nbytes), self.device.stream
-            )
+            self.device.call("cuMemcpyDtoHAsync_v2", host.ctypes.data, self.pointer, host.nbytes, self.device.stream)
             self.device.wait()
         return host
 
     def fill(self, host: Array) -> None:
         """Copy from the host, which may be changed as soon as this returns."""
         host = np.ascontiguousarray(host, self.dtype)
-        if host.nbytes > self.nbytes:
-            raise DeviceError(f"{self.name}: found {host.nbytes} bytes, wanted at most {self.nbytes}")
+        self._check_room(host.nbytes)
         if host.nbytes:
-            pointer = ctypes.c_void_p(host.ctypes.data)
-            self.device.driver(
-                "cuMemcpyHtoDAsync_v2", Address(self.pointer), pointer, ctypes.c_size_t(host.nbytes), self.device.stream
-            )
+            self.device.call("cuMemcpyHtoDAsync_v2", self.pointer, host.ctypes.data, host.nbytes, self.device.stream)
 
     def clear(self) -> None:
         """Set all bytes to zero."""
-        self.device.driver(
-            "cuMemsetD8Async",
-            Address(self.pointer),
-            ctypes.c_ubyte(0),
-            ctypes.c_size_t(self.nbytes),
-            self.device.stream,
-        )
+        if self.nbytes:
+            self.device.call("cuMemsetD8Async", self.pointer, 0, self.nbytes, self.device.stream)
+
+    def _check_room(self, num_bytes: int) -> None:
+        if num_bytes > self.nbytes:
+            raise DeviceError(f"{self.name}: found {num_bytes} bytes, wanted at most {self.nbytes}")
 
 
 class PinnedArray:
-    """A host array that the device writes without anybody waiting; read it behind an `Event`."""
+    """A host array that the device reads and writes without anybody waiting; touch it behind an `Event`."""
 
     def __init__(self, device: "Device", shape: Sequence[int], dtype: npt.DTypeLike) -> None:
         bytes_ = math.prod(shape) * np.dtype(dtype).itemsize
         pointer = ctypes.c_void_p()
-        device.driver("cuMemAllocHost_v2", ctypes.byref(pointer), ctypes.c_size_t(bytes_))
+        device.call("cuMemAllocHost_v2", ctypes.byref(pointer), bytes_)
         assert pointer.value is not None
         buffer = (ctypes.c_ubyte * bytes_).from_address(pointer.value)
         self.values: Array = np.ctypeslib.as_array(buffer).view(dtype).reshape(shape)
         self._pointer, self._device = pointer, device
-        _finally(self, device._give_back, "cuMemFreeHost", pointer)
+        _finally(self, device.give_back, "cuMemFreeHost", pointer)
 
     def fetch(self, array: DeviceArray) -> None:
         """Copy from the device once it gets there."""
-        size = ctypes.c_size_t(self.values.nbytes)
-        self._device.driver("cuMemcpyDtoHAsync_v2", self._pointer, Address(array.pointer), size, self._device.stream)
+        device = self._device
+        device.call("cuMemcpyDtoHAsync_v2", self._pointer, array.pointer, self.values.nbytes, device.stream)
+
+    def send(self, array: DeviceArray) -> None:
+        """Copy to the device once it gets there."""
+        array._check_room(self.values.nbytes)
+        device = self._device
+        device.call("cuMemcpyHtoDAsync_v2", array.pointer, self._pointer, self.values.nbytes, device.stream)
 
 
 class Event:
@@ -171,21 +138,25 @@ class Event:
 
     def __init__(self, device: "Device") -> None:
         self._device, self._handle = device, Handle()
-        device.driver("cuEventCreate", ctypes.byref(self._handle), ctypes.c_uint(0))
-        _finally(self, device._give_back, "cuEventDestroy_v2", self._handle)
+        device.call("cuEventCreate", ctypes.byref(self._handle), NUMBERS["CU_EVENT_DEFAULT"])
+        _finally(self, device.give_back, "cuEventDestroy_v2", self._handle)
 
     def record(self) -> None:
         """Put the point behind all work that was enqueued so far."""
-        self._device.driver("cuEventRecord", self._handle, self._device.stream)
+        self._device.call("cuEventRecord", self._handle, self._device.stream)
 
     def wait(self) -> None:
         """Return when the device has passed the point."""
-        self._device.driver("cuEventSynchronize", self._handle)
+        self._device.call("cuEventSynchronize", self._handle)
+
+    def has_passed(self) -> bool:
+        """Whether the device has passed the point; does not wait."""
+        return self._device.call("cuEventQuery", self._handle, allowed=("CUDA_ERROR_NOT_READY",)) == 0
 
     def milliseconds_since(self, earlier: "Event") -> float:
         """Time between two points that were passed."""
         found = ctypes.c_float()
-        self._device.driver("cuEventElapsedTime", ctypes.byref(found), earlier._handle, self._handle)
+        self._device.call("cuEventElapsedTime", ctypes.byref(found), earlier._handle, self._handle)
         return found.value
 
 
@@ -194,13 +165,15 @@ class Graph:
 
     def __init__(self, device: "Device", handle: Handle) -> None:
         self._device, self._handle = device, Handle()
-        device.driver("cuGraphInstantiateWithFlags", ctypes.byref(self._handle), handle, ctypes.c_uint64(0))
-        device.driver("cuGraphDestroy", handle)
-        _finally(self, device._give_back, "cuGraphExecDestroy", self._handle)
+        try:
+            device.call("cuGraphInstantiateWithFlags", ctypes.byref(self._handle), handle, 0)
+        finally:
+            device.call("cuGraphDestroy", handle)
+        _finally(self, device.give_back, "cuGraphExecDestroy", self._handle)
 
     def launch(self) -> None:
         """Enqueue all of it."""
-        self._device.driver("cuGraphLaunch", self._handle, self._device.stream)
+        self._device.call("cuGraphLaunch", self._handle, self._device.stream)
 
 
 class Device:
@@ -208,18 +181,19 @@ class Device:
 
     def __init__(self, driver: Driver, cubin_of: Callable[[str, str], bytes], *, ordinal: int = 0) -> None:
         """``cubin_of(stage, architecture)`` compiles a file of kernels (kernels/cuda/compile.py)."""
-        self.driver, self._cubin_of = driver, cubin_of
+        self.driver, self.ordinal, self._cubin_of = driver, ordinal, cubin_of
         device = ctypes.c_int()
         count = ctypes.c_int()
         driver("cuDeviceGetCount", ctypes.byref(count))
-        if not ordinal < count.value:
+        if not 0 <= ordinal < count.value:
             raise DeviceError(f"GPU {ordinal}: the driver found {count.value}; use device 'cpu', or attach one")
-        driver("cuDeviceGet", ctypes.byref(device), ctypes.c_int(ordinal))
+        driver("cuDeviceGet", ctypes.byref(device), ordinal)
         name = ctypes.create_string_buffer(128)
-        driver("cuDeviceGetName", name, ctypes.c_int(128), device)
+        driver("cuDeviceGetName", name, 128, device)
         self.name = name.value.decode()
         major, minor, self.num_multiprocessors = (
-            self._attribute(device, attribute) for attribute in (_MAJOR, _MINOR, _MULTIPROCESSORS)
+            self._attribute(device, attribute)
+            for attribute in ("COMPUTE_CAPABILITY_MAJOR", "COMPUTE_CAPABILITY_MINOR", "MULTIPROCESSOR_COUNT")
         )
         if (major, minor) < OLDEST_ARCHITECTURE:
             wanted = ".".join(map(str, OLDEST_ARCHITECTURE))
@@ -232,28 +206,58 @@ class Device:
         self.memory_bytes = total.value
         self._context = Handle()
         driver("cuDevicePrimaryCtxRetain", ctypes.byref(self._context), device)
-        driver("cuCtxSetCurrent", self._context)
         self._own_stream = Handle()
-        driver("cuStreamCreate", ctypes.byref(self._own_stream), ctypes.c_uint(_NON_BLOCKING))
+        self.call("cuStreamCreate", ctypes.byref(self._own_stream), NUMBERS["CU_STREAM_NON_BLOCKING"])
+        self._used_stream = self._own_stream
+        self._turn = Handle()
+        self.call("cuEventCreate", ctypes.byref(self._turn), NUMBERS["CU_EVENT_DISABLE_TIMING"])
         self._recording = False
         self._modules: dict[str, Handle] = {}
         self._kernels: dict[str, tuple[Handle, int]] = {}
 
+    def call(self, name: str, *arguments: Any, allowed: tuple[str, ...] = ()) -> int:
+        """Call a function of the driver in the device's context; what it returned, 0 or an error that is allowed."""
+        with self._current():
+            code = self.driver.result_of(name, *arguments)
+            if code and code not in [NUMBERS[error] for error in allowed]:
+                raise self.driver.error(name, code)
+            return code
+
+    def give_back(self, name: str, handle: Address | Handle) -> None:
+        """Call a function that frees something; a context that has failed refuses, and its memory goes with it."""
+        with self._current():
+            self.driver.result_of(name, handle)
+
     @property
     def stream(self) -> Handle:
         """Where work goes: torch's current stream if torch is in use, else our own, also while recording."""
-        torch = sys.modules.get("torch")
-        if torch is None or self._recording or not torch.cuda.is_initialized():
+        if self._recording:
             return self._own_stream
-        return Handle(torch.cuda.current_stream().cuda_stream)
+        torch = sys.modules.get("torch")
+        stream = self._own_stream
+        if torch is not None and torch.cuda.is_initialized():
+            stream = Handle(torch.cuda.current_stream(self.ordinal).cuda_stream)
+        if stream.value != self._used_stream.value:
+            self.let_wait(stream)
+            self._used_stream = stream
+        return stream
 
-    def make_current(self) -> None:
-        """Bind the context to this thread; each thread that uses the device has to."""
-        self.driver("cuCtxSetCurrent", self._context)
+    def let_wait(self, stream: Handle) -> None:
+        """Let what is enqueued to another stream from now on wait for all our work so far, on the device."""
+        self.call("cuEventRecord", self._turn, self._used_stream)
+        self.call("cuStreamWaitEvent", stream, self._turn, 0)
+
+    def wait_for(self, stream: Handle) -> None:
+        """Let our work from now on wait for what was enqueued to another stream so far, on the device."""
+        self.call("cuEventRecord", self._turn, stream)
+        self.call("cuStreamWaitEvent", self.stream, self._turn, 0)
 
     def empty(self, shape: Sequence[int], dtype: npt.DTypeLike, *, name: str = "") -> DeviceArray:
-        """Memory for an array."""
-        return DeviceArray(self, shape, dtype, name=name)
+        """Memory for an array, freed with it."""
+        num_bytes = math.prod(shape) * np.dtype(dtype).itemsize
+        array = DeviceArray(self, shape, dtype, self._allocate(max(num_bytes, 16), name), name=name)
+        _finally(array, self.give_back, "cuMemFree_v2", Address(array.pointer))
+        return array
 
     def upload(self, host: Array, *, name: str = "") -> DeviceArray:
         """A copy of a host array."""
@@ -262,7 +266,7 @@ class Device:
         return array
 
     def pinned(self, shape: Sequence[int], dtype: npt.DTypeLike) -> PinnedArray:
-        """Host memory for what the device reports."""
+        """Host memory for what the device reads or reports."""
         return PinnedArray(self, shape, dtype)
 
     def event(self) -> Event:
@@ -275,36 +279,53 @@ class Device:
         pointer, number = Address(job.pointer), ctypes.c_int(argument)
         arguments = (ctypes.c_void_p * 2)(ctypes.addressof(pointer), ctypes.addressof(number))
         sizes = (max(num_blocks, 1), 1, 1, threads, 1, 1, 0)
-        self.driver("cuLaunchKernel", function, *map(ctypes.c_uint, sizes), self.stream, arguments, None)
+        self.call("cuLaunchKernel", function, *sizes, self.stream, arguments, None)
 
     def prepare(self, kernels: Sequence[str]) -> None:
-        """Load kernels before they are used: loading is not allowed while work is recorded."""
+        """Load kernels before they are used: loading makes the host wait."""
         for kernel in kernels:
             self._kernel(kernel)
 
     @contextmanager
     def recorded(self) -> Iterator[list[Graph]]:
-        """Record what is enqueued within; the list then holds the graph."""
+        """Record what is enqueued within; the list then holds the graph.
+
+        In the relaxed mode, because the garbage collector may free memory of others meanwhile, which other modes forbid.
+        """
         graphs: list[Graph] = []
+        handle = Handle()
         self._recording = True
         try:
-            self.driver("cuStreamBeginCapture_v2", self._own_stream, ctypes.c_int(_THREAD_LOCAL))
+            self.call("cuStreamBeginCapture_v2", self._own_stream, NUMBERS["CU_STREAM_CAPTURE_MODE_RELAXED"])
             try:
                 yield graphs
             finally:
-                handle = Handle()
-                self.driver("cuStreamEndCapture", self._own_stream, ctypes.byref(handle))
+                self.call("cuStreamEndCapture", self._own_stream, ctypes.byref(handle))
         finally:
             self._recording = False
         graphs.append(Graph(self, handle))
 
     def wait(self) -> None:
         """Return when the device has done all that was enqueued."""
-        self.driver("cuStreamSynchronize", self.stream)
+        self.call("cuStreamSynchronize", self.stream)
 
-    def _attribute(self, device: ctypes.c_int, attribute: int) -> int:
+    @contextmanager
+    def _current(self) -> Iterator[None]:
+        """With the context current in this thread, and what was current before afterwards."""
+        before = Handle()
+        self.driver("cuCtxGetCurrent", ctypes.byref(before))
+        if before.value == self._context.value:
+            yield
+            return
+        self.driver("cuCtxSetCurrent", self._context)
+        try:
+            yield
+        finally:
+            self.driver("cuCtxSetCurrent", before)
+
+    def _attribute(self, device: ctypes.c_int, attribute: str) -> int:
         found = ctypes.c_int()
-        self.driver("cuDeviceGetAttribute", ctypes.byref(found), ctypes.c_int(attribute), device)
+        self.driver("cuDeviceGetAttribute", ctypes.byref(found), NUMBERS[f"CU_DEVICE_ATTRIBUTE_{attribute}"], device)
         return found.value
 
     def _kernel(self, name: str) -> tuple[Handle, int]:
@@ -312,28 +333,19 @@ class Device:
             stage = stage_of(name)
             if stage not in self._modules:
                 module = Handle()
-                self.driver("cuModuleLoadData", ctypes.byref(module), self._cubin_of(stage, self.architecture))
+                self.call("cuModuleLoadData", ctypes.byref(module), self._cubin_of(stage, self.architecture))
                 self._modules[stage] = module
             function = Handle()
-            self.driver("cuModuleGetFunction", ctypes.byref(function), self._modules[stage], name.encode())
+            self.call("cuModuleGetFunction", ctypes.byref(function), self._modules[stage], name.encode())
             self._kernels[name] = function, threads_of(name)
         return self._kernels[name]
 
     def _allocate(self, num_bytes: int, name: str) -> int:
         pointer = Address()
-        self.driver("cuMemAlloc_v2", ctypes.byref(pointer), ctypes.c_size_t(num_bytes))
+        self.call("cuMemAlloc_v2", ctypes.byref(pointer), num_bytes)
         return pointer.value
-
-    def _give_back(self, function: str, what: Address | Handle) -> None:
-        self.driver.give_back("cuCtxSetCurrent", self._context)
-        self.driver.give_back(function, what)
 
 
 def _finally(owner: object, work: Callable[..., None], *arguments: Any) -> None:
     """Give something back when its owner goes; what is left at the end of the process goes with it."""
     weakref.finalize(owner, work, *arguments).atexit = False
-
-
-def dotted(version: int) -> str:
-    """13000 as "13.0"."""
-    return f"{version // 1000}.{version % 1000 // 10}"

@@ -38,7 +38,7 @@ FIRST_ROWS, FIRST_PAIRS = 1 << 20, 1 << 22
 GROWTH = 1.5
 
 
-class _Outputs:
+class _Canvas:
     """Where one picture goes, with what the device reports of it."""
 
     def __init__(self, device: Device, width: int, height: int) -> None:
@@ -51,19 +51,27 @@ class _Outputs:
         self.done = device.event()
 
 
-class DevicePicture:
-    """A picture in device memory; its arrays are free for another one when this object goes."""
+class _Loan:
+    """A canvas that is in use; when this object goes, it is free for the next picture, which the device draws after this one."""
 
-    def __init__(self, outputs: _Outputs, counters: dict[str, int], keep: Callable[[_Outputs], None]) -> None:
-        self.image: DeviceArray = outputs.arrays["image"]
+    def __init__(self, canvas: _Canvas, free: list[_Canvas]) -> None:
+        self.canvas = canvas
+        weakref.finalize(self, free.append, canvas).atexit = False
+
+
+class DevicePicture:
+    """A picture in device memory, its own as long as any of its arrays is kept, here or in what they were shared with."""
+
+    def __init__(self, loan: _Loan, counters: dict[str, int]) -> None:
+        arrays = {name: array.kept_with(loan) for name, array in loan.canvas.arrays.items()}
+        self.image: DeviceArray = arrays["image"]
         """Colour over the background, float32 (h w 3)."""
-        self.alpha: DeviceArray = outputs.arrays["alpha"]
+        self.alpha: DeviceArray = arrays["alpha"]
         """Share of light that the splats stop, float32 (h w)."""
-        self.depth: DeviceArray = outputs.arrays["depth"]
+        self.depth: DeviceArray = arrays["depth"]
         """Blended view depth over alpha, world units, float32 (h w)."""
         self.counters = counters
         """Rows selected and visited, splats visible, pairs."""
-        weakref.finalize(self, keep, outputs).atexit = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,18 +97,18 @@ class Traced:
 class Pending:
     """A view that was enqueued."""
 
-    def __init__(self, renderer: "Renderer", outputs: _Outputs, sizes: Sizes, again: Callable[[], "Pending"]) -> None:
-        self._renderer, self._outputs, self._sizes, self._again = renderer, outputs, sizes, again
+    def __init__(self, renderer: "Renderer", loan: _Loan, sizes: Sizes, again: Callable[[], "Pending"]) -> None:
+        self._renderer, self._loan, self._sizes, self._again = renderer, loan, sizes, again
 
     def finish(self) -> DevicePicture:
         """Wait for the picture; if the arrays were too small for it, make room and draw it again."""
         pending: Pending = self
         while True:
-            pending._outputs.done.wait()
-            counts = dict(zip(COUNTERS, pending._outputs.counters.values.tolist(), strict=False))
+            canvas = pending._loan.canvas
+            canvas.done.wait()
+            counts = dict(zip(COUNTERS, canvas.counters.values.tolist(), strict=False))
             if not pending._renderer._grow(counts, pending._sizes):
-                return DevicePicture(pending._outputs, counts, pending._renderer._keep)
-            pending._renderer._keep(pending._outputs)
+                return DevicePicture(pending._loan, counts)
             pending = pending._again()
 
 
@@ -120,7 +128,6 @@ class Renderer:
         pairs: int = FIRST_PAIRS,
     ) -> None:
         """``blend`` names a kernel instead of measuring; ``rows`` and ``pairs`` are what there is room for at first."""
-        device.make_current()
         self.device = device
         self.scene = DeviceScene(device, gaussians, ids, tree, blocks)
         self._work = Workspace(device, self.scene)
@@ -128,18 +135,17 @@ class Renderer:
         self._named_blend = blend
         self._blend: dict[tuple[int, int, bool], Blend] = {}
         self._graphs: dict[tuple[Sizes, Blend], Graph | None] = {}
-        self._free: dict[tuple[int, int], list[_Outputs]] = {}
+        self._free: dict[tuple[int, int], list[_Canvas]] = {}
 
     def enqueue(self, camera: Camera, options: ResolvedOptions, select: SelectOptions) -> Pending:
         """Draw a view without waiting for it."""
-        self.device.make_current()
         sizes = self._fit(camera, options)
-        outputs = self._outputs(camera)
-        self._work.write_job(self._numbers(camera, options, select), outputs.arrays)
+        loan = self._canvas(camera)
+        self._work.write_job(self._numbers(camera, options, select), loan.canvas.arrays)
         self._launch_frame(sizes, (camera.width, camera.height, sizes.tapers))
-        outputs.counters.fetch(self._work.arrays["counters"])
-        outputs.done.record()
-        return Pending(self, outputs, sizes, lambda: self.enqueue(camera, options, select))
+        loan.canvas.counters.fetch(self._work.arrays["counters"])
+        loan.canvas.done.record()
+        return Pending(self, loan, sizes, lambda: self.enqueue(camera, options, select))
 
     def draw(self, camera: Camera, options: ResolvedOptions, select: SelectOptions) -> DevicePicture:
         """Draw a view and wait for it."""
@@ -147,7 +153,6 @@ class Renderer:
 
     def select(self, camera: Camera, options: ResolvedOptions, select: SelectOptions) -> tuple[Int32[Array, "v"], int]:
         """Rows of the visible cut, ascending, and how many were looked at."""
-        self.device.make_current()
         while True:
             sizes = self._fit(camera, options)
             self._work.write_job(self._numbers(camera, options, select))
@@ -160,7 +165,6 @@ class Renderer:
 
     def enqueue_selection(self, camera: Camera, options: ResolvedOptions, select: SelectOptions) -> None:
         """Select the rows of a view without waiting for them, nor for whether there was room: to be measured."""
-        self.device.make_current()
         sizes = self._fit(camera, options)
         self._work.write_job(self._numbers(camera, options, select))
         self._work.clear()
@@ -179,15 +183,14 @@ class Renderer:
 
         ``rows``, ascending, are drawn instead of selecting.
         """
-        self.device.make_current()
         if rows is not None:
             self._rows = max(self._rows, len(rows))
         while True:
             sizes = self._fit(camera, options)
-            outputs = self._outputs(camera)
+            loan = self._canvas(camera)
             if contributions:
                 self._work.ensure("contributions", sizes.pairs).clear()
-            self._work.write_job(self._numbers(camera, options, select), outputs.arrays)
+            self._work.write_job(self._numbers(camera, options, select), loan.canvas.arrays)
             blend = self._blend.get((camera.width, camera.height, sizes.tapers), self._named_blend or "blend_16")
             stages = _stages(sizes, blend) | {"blend": plan.blend(sizes, blend, contributions=contributions)}
             if rows is not None:
@@ -196,10 +199,9 @@ class Renderer:
             times = self._timed(stages, rows)
             counts = self._work.counts()
             if not self._grow(counts, sizes):
-                image, alpha, depth = (outputs.arrays[name].numpy() for name in ("image", "alpha", "depth"))
+                image, alpha, depth = (loan.canvas.arrays[name].numpy() for name in ("image", "alpha", "depth"))
                 of_pairs = read_contributions(self._work, counts["num_pairs"]) if contributions else None
                 picture = Picture(image, alpha, depth, read_tile_work(self._work), of_pairs)
-                self._keep(outputs)
                 drawn = np.ascontiguousarray(self._work.arrays["rows"].numpy(counts["num_selected"])[:, 0])
                 splats, slots = read_splats(self._work, drawn)
                 bins = read_bins(self._work, camera, slots, len(drawn))
@@ -243,13 +245,9 @@ class Renderer:
             self._pairs = max(self._pairs, int(pairs * GROWTH))
         return rows > sizes.rows or pairs > sizes.pairs
 
-    def _outputs(self, camera: Camera) -> _Outputs:
+    def _canvas(self, camera: Camera) -> _Loan:
         free = self._free.setdefault((camera.width, camera.height), [])
-        return free.pop() if free else _Outputs(self.device, camera.width, camera.height)
-
-    def _keep(self, outputs: _Outputs) -> None:
-        height, width = outputs.arrays["alpha"].shape
-        self._free.setdefault((width, height), []).append(outputs)
+        return _Loan(free.pop() if free else _Canvas(self.device, camera.width, camera.height), free)
 
     def _launch_frame(self, sizes: Sizes, size: tuple[int, int, bool]) -> None:
         if size not in self._blend:

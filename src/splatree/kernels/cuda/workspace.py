@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from splatree.errors import DeviceError
-from splatree.kernels.cuda.driver import Device, DeviceArray
+from splatree.kernels.cuda.driver import Device, DeviceArray, Event, PinnedArray
 from splatree.kernels.cuda.job import COUNTERS, array_dtypes, pack_job
 from splatree.kernels.cuda.plan import DIGITS, NUM_SCANS, SORT_TILE, Launch, Sizes
 from splatree.scene.gaussians import Gaussians
@@ -61,6 +61,7 @@ class Workspace:
         self.arrays: dict[str, DeviceArray] = {}
         self.sizes: Sizes | None = None
         self._job: DeviceArray | None = None
+        self._staged: list[tuple[PinnedArray, Event]] = []
 
     def fit(self, sizes: Sizes) -> bool:
         """Make room; whether memory that a recorded frame clears has moved."""
@@ -121,7 +122,18 @@ class Workspace:
         packed = pack_job(numbers, pointers, {**(self.scene.sizes if self.scene else {}), **own, **sizes})
         if self._job is None:
             self._job = self.device.empty((len(packed),), np.uint8, name="job")
-        self._job.fill(packed)
+        pinned, passed = self._staging(len(packed))
+        pinned.values[:] = packed
+        pinned.send(self._job)
+        passed.record()
+
+    def _staging(self, num_bytes: int) -> tuple[PinnedArray, Event]:
+        """Pinned memory that no copy under way reads: as many as there are frames under way, and nobody waits."""
+        for staged in self._staged:
+            if staged[1].has_passed():
+                return staged
+        self._staged.append((self.device.pinned((num_bytes,), np.uint8), self.device.event()))
+        return self._staged[-1]
 
     def clear(self) -> None:
         """Set counters and chains to zero, as each frame begins."""
