@@ -1,10 +1,12 @@
 """Errors, exit codes and what is printed where."""
 
 import json
+import shlex
 import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
@@ -142,6 +144,41 @@ def test_reader_that_leaves_early_is_no_error(small_ply):
         run.stdout.close()
         assert run.stderr.read() == b""
         assert run.wait() == 0
+
+
+@pytest.mark.parametrize("words", [("--help",), ("info", "--help"), ("bench", "--help"), ("formats", "--json")])
+def test_help_may_be_left_early_too(words):
+    with subprocess.Popen([*COMMAND, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as run:
+        run.stdout.close()
+        assert run.stderr.read() == b""
+        assert run.wait() == 0
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+@pytest.mark.parametrize("words", [("--version",), ("info", "--help"), ("formats",)])
+def test_output_that_cannot_be_written_is_an_error_in_one_line(words):
+    with Path("/dev/full").open("w") as full:
+        run = subprocess.run([*COMMAND, *words], stdout=full, stderr=subprocess.PIPE, text=True)
+    assert run.returncode == 1
+    assert run.stderr == "splatree: error: standard output: could not be written (No space left on device)\n"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="closes descriptors as a shell does")
+def test_nothing_to_print_to_is_no_error(small_ply):
+    line = f"{shlex.join(COMMAND)} info {small_ply} >&-"
+    run = subprocess.run(["sh", "-c", line], stderr=subprocess.PIPE, text=True)
+    assert (run.returncode, run.stderr) == (0, "")
+    line = f"{shlex.join(COMMAND)} info nothing.ply 2>&-"
+    run = subprocess.run(["sh", "-c", line], stdout=subprocess.PIPE, text=True)
+    assert (run.returncode, run.stdout) == (1, "")
+
+
+def test_interrupt_while_a_verb_is_loaded_is_told_in_one_line(splatree, monkeypatch):
+    def interrupted(name):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("importlib.import_module", interrupted)
+    assert splatree("info", "x.ply") == (130, "", "splatree: interrupted\n")
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="sends SIGINT as a terminal does")

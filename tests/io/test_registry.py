@@ -2,6 +2,7 @@ import json
 import os
 import resource
 import shutil
+import sys
 import zipfile
 
 import numpy as np
@@ -206,6 +207,31 @@ def test_a_full_disk_leaves_the_old_file_whole_and_nothing_beside_it(tmp_path, s
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert path.read_bytes() == old and [p.name for p in tmp_path.iterdir()] == [path.name]
+
+
+@pytest.mark.parametrize("there", [True, False])
+def test_a_full_disk_leaves_no_pictures_of_a_folder(tmp_path, there):
+    if there:
+        write_scene(tmp_path / "sog" / "meta.json")
+    old = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (12_000, hard))  # enough for the first pictures alone
+    try:
+        with pytest.raises(OutputError, match="could not be written"):
+            splatree.write(Scene.flat(random_gaussians(3000)), tmp_path / "sog" / "meta.json", force=True)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == old
+    assert (tmp_path / "sog").exists() == there
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="looks for the message of Linux")
+def test_a_name_that_no_file_can_have_is_an_error_of_its_own(tmp_path):
+    name = "x" * 300 + ".ply"  # 255 bytes are the most, as for a file that may not be looked at: neither is "not found"
+    with pytest.raises(InputError, match=r"cannot be read \(File name too long\)"):
+        splatree.read(tmp_path / name)
+    with pytest.raises(OutputError, match="cannot be written"):
+        splatree.write(Scene.flat(random_gaussians(1)), tmp_path / name)
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError, MemoryError])

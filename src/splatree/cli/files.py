@@ -9,7 +9,8 @@ from tyro.conf import Positional, arg
 from splatree.cli.console import UsageError
 from splatree.errors import InputError, OutputError
 from splatree.io.options import WriteOptions
-from splatree.io.registry import format_to_write, formats
+from splatree.io.registry import FOLDER_FILE, format_to_write, formats
+from splatree.io.replacing import check_target
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,7 @@ def inputs_and_output(
     Raises:
         UsageError: there is no input, or no output, or an output that is also read; or its suffix is of no format that is
             written, or of one that does not take the options, or, where the tree has to be kept, of one without levels.
-        OutputError: the output exists and ``--force`` is not given.
+        OutputError: the output exists and ``--force`` is not given, or no file can be written there.
     """
     inputs, output = named.paths, named.output
     if output is None:
@@ -58,6 +59,8 @@ def inputs_and_output(
             raise UsageError(f"{output}: is a folder, wanted a file to write; name the output with -o")
     if not inputs:
         raise UsageError("found no input, wanted at least one: in.ply out.ply, or chunk_*/ -o out.ply")
+    # A folder of SOG is made, if only it has where to stand.
+    check_target(output.parent if output.name == FOLDER_FILE and not output.parent.is_dir() else output)
     if any(path.exists() and output.exists() and path.samefile(output) for path in inputs):
         raise UsageError(f"{output}: is an input too; choose another name for the output")
     try:

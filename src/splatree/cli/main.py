@@ -22,7 +22,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, get_args
 
-from splatree.errors import InputError, SplatreeError
+from splatree.errors import InputError, OutputError, SplatreeError
 
 VERBS = {
     "demo": "build, draw and judge a bundled piece of a real city",
@@ -56,19 +56,33 @@ splatree {verb} <command> --help says more; every command takes --json, --verbos
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; return its exit code."""
-    words = list(sys.argv[1:] if argv is None else argv)
+    try:
+        return _main(list(sys.argv[1:] if argv is None else argv))
+    except KeyboardInterrupt:
+        _complain("splatree: interrupted")
+        return 130
+    except BrokenPipeError:  # the reader of our output has left, as `head` does
+        _drop_output()
+        return 0
+    except OutputError as error:  # of the output itself
+        _drop_output()
+        _complain(f"splatree: error: {error}")
+        return 1
+
+
+def _main(words: list[str]) -> int:
     usage = USAGE.format(verbs="\n".join(f"  {verb:11}{purpose}" for verb, purpose in VERBS.items()))
     if words[:1] in (["-h"], ["--help"]):
-        print(usage)
+        _say(usage)
         return 0
     if words[:1] == ["--version"]:
         from splatree.cli.console import program_version
 
-        print(f"splatree {program_version()}")
+        _say(f"splatree {program_version()}")
         return 0
     if not words or words[0] not in VERBS:
         found = f"found {words[0]!r}, wanted one of {', '.join(VERBS)}" if words else "wanted a verb"
-        print(f"splatree: error: {found}\n\n{usage}", file=sys.stderr)
+        _complain(f"splatree: error: {found}\n\n{usage}")
         return 2
     module = importlib.import_module(f"splatree.cli.{words[0]}")
     if words[0] in GROUPS:
@@ -82,11 +96,11 @@ def _run_one_of(verb: str, words: list[str], module: Any) -> int:
     lines = "\n".join(f"  {name:9}{purpose.splitlines()[0]}" for name, purpose in purposes.items())
     usage = GROUP_USAGE.format(verb=verb, commands=lines)
     if words[:1] in (["-h"], ["--help"]):
-        print(usage)
+        _say(usage)
         return 0
     if not words or words[0] not in purposes:
         found = f"found {words[0]!r}, wanted one of {', '.join(purposes)}" if words else "wanted a command"
-        print(f"splatree {verb}: error: {found}\n\n{usage}", file=sys.stderr)
+        _complain(f"splatree {verb}: error: {found}\n\n{usage}")
         return 2
     return _run(f"{verb} {words[0]}", words[1:], module, module.COMMANDS[words[0]], purposes[words[0]])
 
@@ -118,37 +132,64 @@ def _run(verb: str, words: list[str], module: Any, command_type: Any, descriptio
     except SystemExit as stop:  # tyro has printed the help, or what is wrong
         return int(stop.code or 0)
     except InputError as error:  # a value that its option refuses
-        print(f"splatree {verb}: error: {error}", file=sys.stderr)
+        _complain(f"splatree {verb}: error: {error}")
         return 2
+    except BrokenPipeError:
+        raise
+    except OSError as error:  # the help could not be printed
+        raise _unwritable(error) from error
     console = command.console
+    text = ""
     try:
         with progress_shown(console):
             result = module.run(command)
         if console.json:
-            print(json.dumps(_plain(result), indent=2, ensure_ascii=False, allow_nan=False))
+            text = json.dumps(_plain(result), indent=2, ensure_ascii=False, allow_nan=False)
         elif not console.quiet:
-            print(module.show(result))
-        sys.stdout.flush()
-    except KeyboardInterrupt:
-        print("splatree: interrupted", file=sys.stderr)
-        return 130
+            text = module.show(result)
     except UsageError as error:
-        print(f"splatree {verb}: error: {error}", file=sys.stderr)
+        _complain(f"splatree {verb}: error: {error}")
         return 2
-    except BrokenPipeError:  # the reader of our output has left, as `head` does
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
     except Exception as error:
         if console.verbose:
             traceback.print_exc()
-        print(f"splatree {verb}: error: {_message(error)}", file=sys.stderr)
+        _complain(f"splatree {verb}: error: {_message(error)}")
         return 1
+    if text:
+        _say(text)
     return 0
 
 
+def _say(text: str) -> None:
+    """Print on stdout, if there is one."""
+    try:
+        print(text, flush=True)
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        raise _unwritable(error) from error
+
+
+def _complain(text: str) -> None:
+    """Print on stderr, if there is one."""
+    if sys.stderr is not None:  # None would print on stdout
+        print(text, file=sys.stderr)
+
+
+def _unwritable(error: OSError) -> OutputError:
+    return OutputError(f"standard output: could not be written ({error.strerror})")
+
+
+def _drop_output() -> None:
+    """Let what is left in the buffer of stdout go nowhere when the interpreter flushes it at its end."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
 def _message(error: Exception) -> str:
-    if isinstance(error, SplatreeError | OSError):
+    if isinstance(error, SplatreeError):
         return str(error)
+    if isinstance(error, OSError):
+        return f"{error.filename}: {error.strerror}" if error.filename and error.strerror else str(error)
     if isinstance(error, MemoryError):
         return f"out of memory ({error})" if str(error) else "out of memory"
     return f"unexpected {type(error).__name__}: {error}; this is a bug, please report it with the output of --verbose"

@@ -18,7 +18,11 @@ def find_inputs(paths: Sequence[Path], is_scene: Callable[[Path], bool]) -> list
 
 
 def _find(path: Path, is_scene: Callable[[Path], bool]) -> list[Path]:
-    if not path.exists():
+    try:
+        is_there = path.exists()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
+    if not is_there:
         return _match(path)
     if is_scene(path):
         return [path]

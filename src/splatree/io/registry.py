@@ -7,13 +7,14 @@ same file. What a format cannot hold follows from its `Holds`; a writer returns 
 
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from splatree.errors import InputError, SplatreeError
+from splatree.errors import InputError, OutputError, SplatreeError
 from splatree.io import (
     compressed_ply,
     glb_writer,
@@ -303,13 +304,29 @@ def write(
     )
     if chosen.write is None:
         return (*lost, *_written(chosen, chunks_of(scene), target, force, options))
-    write = chosen.write
     if target.name == FOLDER_FILE and chosen.write_folder is not None:
-        write = chosen.write_folder
-        if target.parent.parent.is_dir():
-            target.parent.mkdir(exist_ok=True)  # the folder is the scene
+        with _folder_of(target), replacing(target, force=force) as temporary:
+            return (*lost, *chosen.write_folder(scene, temporary, options))
     with replacing(target, force=force) as temporary:
-        return (*lost, *write(scene, temporary, options))
+        return (*lost, *chosen.write(scene, temporary, options))
+
+
+@contextmanager
+def _folder_of(target: Path) -> Iterator[None]:
+    """The folder is the scene: make it, if it is not there, and take it away if it stays empty."""
+    folder = target.parent
+    made = not folder.exists() and folder.parent.is_dir()
+    try:
+        if made:
+            folder.mkdir()
+        yield
+    except OSError as error:
+        if isinstance(error, SplatreeError):
+            raise
+        raise OutputError(f"{folder}: cannot be made a folder ({error.strerror or error})") from error
+    finally:
+        if made and folder.is_dir() and not any(folder.iterdir()):
+            folder.rmdir()
 
 
 def write_chunks(
@@ -351,16 +368,23 @@ def format_to_write(target: Path) -> Format:
 
 
 def detect(path: Path) -> Format | None:
-    """The format of a file or folder: by content, else by suffix."""
-    head = b""
-    if path.is_file():
-        with path.open("rb") as file:
-            head = file.read(_HEAD_BYTES)
-    for f in FORMATS:
-        if f.sniff(path, head):
-            return f
-    if path.is_file():
-        return next((f for f in FORMATS if f.suffixes and path.name.lower().endswith(f.suffixes)), None)
+    """The format of a file or folder: by content, else by suffix; None if it is of none.
+
+    Raises:
+        InputError: it is there but may not be read.
+    """
+    try:
+        head = b""
+        if path.is_file():
+            with path.open("rb") as file:
+                head = file.read(_HEAD_BYTES)
+        for f in FORMATS:
+            if f.sniff(path, head):
+                return f
+        if path.is_file():
+            return next((f for f in FORMATS if f.suffixes and path.name.lower().endswith(f.suffixes)), None)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
     return None
 
 

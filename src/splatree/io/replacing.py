@@ -20,12 +20,9 @@ def replacing(path: str | os.PathLike[str], *, force: bool = False) -> Iterator[
             full or otherwise fails.
     """
     target = Path(path).resolve()  # through a link, so that what it points to is replaced
-    if target.exists() and not target.is_file():
-        raise OutputError(f"{path}: cannot be written, it is not a plain file")
+    check_target(path)
     if target.exists() and not force:
         raise OutputError(f"{path}: exists already; choose another name or replace it with force")
-    if not target.parent.is_dir():
-        raise OutputError(f"{path}: cannot be written, there is no folder {target.parent}")
     temporary = target.parent / f".{target.name[:100]}.{secrets.token_hex(4)}.tmp"
     try:
         temporary.touch(exist_ok=False)
@@ -41,6 +38,24 @@ def replacing(path: str | os.PathLike[str], *, force: bool = False) -> Iterator[
         ) from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def check_target(path: str | os.PathLike[str]) -> None:
+    """Refuse what no file can be written to, before any work is done for it.
+
+    Raises:
+        OutputError: it is there and not a plain file, or its folder is missing or may not be looked into, or no file can have its name.
+    """
+    target = Path(path).resolve()
+    try:
+        is_other = target.exists() and not target.is_file()
+        has_folder = target.parent.is_dir()
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written ({error.strerror or error})") from error
+    if is_other:
+        raise OutputError(f"{path}: cannot be written, it is not a plain file")
+    if not has_folder:
+        raise OutputError(f"{path}: cannot be written, there is no folder {target.parent}")
 
 
 def _flush(path: Path, flags: int) -> None:

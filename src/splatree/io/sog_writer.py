@@ -68,11 +68,17 @@ def write_folder(scene: Scene, path: Path, options: WriteOptions) -> tuple[str, 
     for part in meta.values():
         if isinstance(part, dict) and "files" in part:
             part["files"] = [name.replace(".webp", f".{digest}.webp") for name in part["files"]]
-    for name, data in pictures.items():
-        target = path.parent / name.replace(".webp", f".{digest}.webp")
-        with replacing(target, force=True) as temporary:
-            temporary.write_bytes(data)
-    path.write_text(json.dumps(meta))
+    targets = {path.parent / name.replace(".webp", f".{digest}.webp"): data for name, data in pictures.items()}
+    new = [target for target in targets if not target.exists()]
+    try:
+        for target, data in targets.items():
+            with replacing(target, force=True) as temporary:
+                temporary.write_bytes(data)
+        path.write_text(json.dumps(meta))
+    except BaseException:  # a full disk, an interruption: no meta.json will name these
+        for target in new:
+            target.unlink(missing_ok=True)
+        raise
     return ()
 
 
