@@ -51,3 +51,13 @@ def test_thousands_of_candidates_are_compared_in_rounds() -> None:
     centers = (directions / np.linalg.norm(directions, axis=1, keepdims=True)).astype(np.float32)
     centers[2750] *= np.float32(0.9999)
     assert set(assign(points, centers).labels) == {2750}
+
+
+def test_points_that_are_spread_among_many_centres_look_for_themselves(isa: str) -> None:
+    rng = np.random.default_rng(6)
+    points = rng.uniform(-1, 1, (40, 3)).astype(np.float32)  # a run spans all leaves of the tree
+    centers = rng.uniform(-1, 1, (20_000, 3)).astype(np.float32)
+    found = assign(points, centers)
+    squared = np.sum((points[:, None].astype(np.float64) - centers) ** 2, axis=2)
+    # A run searched as a whole is the slow way to the same; nearer by less than float32 rounds is as near.
+    np.testing.assert_allclose(squared[np.arange(40), found.labels], squared.min(axis=1), rtol=1e-6)

@@ -3,7 +3,8 @@
 // No centre outside of the ball that is sure to hold one can be the nearest of any point of a run: if u is the least, over
 // centres, of the largest squared distance to the run's box, the candidates are the centres whose least squared distance to the
 // box is at most u. The tree finds them once for up to 64 points; then each point is compared with each candidate, 16 points at a
-// time. A run with too many candidates, as where neighbours in the list are far apart, is halved.
+// time. A run with too many candidates, as where neighbours in the list are far apart, is halved, and at last its points look for
+// themselves.
 #include "cpu/kmeans.h"
 
 #include "cpu/box_tree.h"
@@ -14,7 +15,8 @@ namespace splatree::SPLATREE_ISA {
 namespace {
 
 constexpr int RUN = 64, LANES = 16;
-constexpr int MAX_CANDIDATES = 1024;  // of a run of LANES points; more are compared in several rounds
+constexpr int MAX_CANDIDATES = 1024;  // of a run of points
+constexpr int MAX_VISITS = 512;       // leaves that are seen before a run counts as spread too far
 constexpr int FEW = 64;               // candidates that are not worth halving a run
 constexpr int STACK = 64;             // twice the depth of a tree of 2^31 centres
 constexpr float SLACK = 1.00001f;     // what float32 may lose of a squared distance
@@ -114,18 +116,28 @@ Box box_of(const Run& run, int begin, int end) {
   return box;
 }
 
-void label_run(const BoxTree& tree, int begin, int end, Run& run) {
-  const Box box = box_of(run, begin, end);
-  // First the bound, which falls while leaves are visited; then what lies within it.
+bool is_point(const Box& box) {
+  return (box.lower[0] == box.upper[0]) & (box.lower[1] == box.upper[1]) & (box.lower[2] == box.upper[2]);
+}
+
+// Points [begin, end) against the centres that can be the nearest of a point of the box, which is theirs or that of one of them.
+void label_run(const BoxTree& tree, const Box& box, int begin, int end, Run& run) {
+  // First the bound, which falls while leaves are visited; then what lies within it. A bound below zero ends a walk.
+  const int most_visits = is_point(box) ? 0x7fffffff : MAX_VISITS;
+  int visits = 0;
+  bool crowded = false;
   const float bound = each_leaf(tree, box, float_of(0x7f800000), [&](int64_t leaf, float current) {
-    return least(distances_of(tree.leaves[leaf], box).smallest_largest, current);
+    crowded = ++visits > most_visits;
+    return crowded ? -1.f : least(distances_of(tree.leaves[leaf], box).smallest_largest, current);
   });
   Candidates candidates;
   candidates.size = 0;
   each_leaf(tree, box, bound, [&](int64_t index, float current) {
     const BoxLeaf& leaf = tree.leaves[index];
     if (candidates.size > MAX_CANDIDATES - LEAF_POINTS) {
-      compare(candidates, begin, end, run);
+      crowded = !is_point(box);
+      if (crowded) return -1.f;
+      compare(candidates, begin, end, run);  // so many centres at one distance from a point
       candidates.size = 0;
     }
     const LeafDistances distances = distances_of(leaf, box);
@@ -137,13 +149,15 @@ void label_run(const BoxTree& tree, int begin, int end, Run& run) {
     }
     return current;
   });
-  if (candidates.size > FEW && end - begin > LANES) {
+  if (end - begin > LANES && (crowded || candidates.size > FEW)) {
     const int middle = begin + (end - begin) / 2 / LANES * LANES;
-    label_run(tree, begin, middle, run);
-    label_run(tree, middle, end, run);
-    return;
+    label_run(tree, box_of(run, begin, middle), begin, middle, run);
+    label_run(tree, box_of(run, middle, end), middle, end, run);
+  } else if (crowded) {
+    for (int i = begin; i < end; ++i) label_run(tree, box_of(run, i, i + 1), begin, end, run);
+  } else {
+    compare(candidates, begin, end, run);
   }
-  compare(candidates, begin, end, run);
 }
 
 }  // namespace
@@ -159,7 +173,7 @@ void label_nearest(const NearestJob& job, int64_t begin, int64_t end) {
       run.best[i] = float_of(0x7f800000);
       run.label[i] = 0x7fffffff;
     }
-    label_run(*job.centers, 0, filled, run);
+    label_run(*job.centers, box_of(run, 0, filled), 0, filled, run);
     for (int i = 0; i < used; ++i) job.labels[first + i] = run.label[i], job.squared_distances[first + i] = run.best[i];
   }
 }
