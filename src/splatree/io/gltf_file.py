@@ -13,7 +13,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
-from urllib.parse import unquote
 
 import numpy as np
 
@@ -212,6 +211,8 @@ class GltfFile:
             except binascii.Error as error:
                 raise FormatError(f"{where}: found base64 that cannot be read ({error})") from error
             return _Buffer(io.BytesIO(data), 0, len(data))
+        from urllib.parse import unquote
+
         path = self._path.parent / untrusted.inner_path(unquote(uri), where)
         if not path.resolve().is_relative_to(self._path.parent.resolve()):
             raise FormatError(f"{where}: found {uri!r}, which leads out of the folder, wanted a file inside it")

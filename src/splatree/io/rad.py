@@ -16,7 +16,6 @@ Reading goes over the file twice: the links say where each row belongs, so that 
 on all processors, into their places.
 """
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -47,6 +46,8 @@ def sniff(path: Path, head: bytes) -> bool:
 def read(path: Path, options: ReadOptions) -> Scene:
     """Read all chunks, those in files beside it too; a tree keeps its levels."""
     file = open_rad(path)
+    from concurrent.futures import ThreadPoolExecutor
+
     n = file.count
     gaussians = Gaussians(
         np.empty((n, 3), np.float32),

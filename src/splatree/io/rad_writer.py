@@ -7,7 +7,6 @@ Ranges of 8-bit codes are those of each chunk: nothing is clipped, and a chunk o
 import json
 import zlib
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -66,6 +65,8 @@ def write(scene: Scene, path: Path, options: WriteOptions) -> tuple[str, ...]:
     # Offsets are known when the chunks are; their list is padded with spaces to this size.
     header_bytes = padded(1000 + 44 * len(starts))
     entries: list[dict[str, int]] = []
+    from concurrent.futures import ThreadPoolExecutor
+
     with path.open("wb") as file, task(f"write {path.name}", n) as advance:
         file.seek(8 + header_bytes)
         with ThreadPoolExecutor(_core.hardware_threads()) as pool:

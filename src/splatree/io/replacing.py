@@ -1,7 +1,6 @@
 """Whole files or none: write beside the target, flush to the disk, rename."""
 
 import os
-import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -23,7 +22,7 @@ def replacing(path: str | os.PathLike[str], *, force: bool = False) -> Iterator[
     check_target(path)
     if target.exists() and not force:
         raise OutputError(f"{path}: exists already; choose another name or replace it with force")
-    temporary = target.parent / f".{target.name[:100]}.{secrets.token_hex(4)}.tmp"
+    temporary = target.parent / f".{target.name[:100]}.{os.urandom(4).hex()}.tmp"
     try:
         temporary.touch(exist_ok=False)
         yield temporary

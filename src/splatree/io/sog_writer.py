@@ -9,11 +9,9 @@ Pictures are written at the WebP method that packs a million Gaussians within 1 
 (benchmarks/sog.py), on all processors.
 """
 
-import hashlib
 import io
 import json
 import math
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +48,8 @@ def write(scene: Scene, path: Path, options: WriteOptions) -> tuple[str, ...]:
     """Write a bundle."""
     checked(scene, "scene to write", repair=False)
     pictures, meta = encode(scene.gaussians, scene.mode, options)
+    import zipfile
+
     with zipfile.ZipFile(path, "w", zipfile.ZIP_STORED) as bundle:
         for name, data in {"meta.json": json.dumps(meta).encode(), **pictures}.items():
             bundle.writestr(zipfile.ZipInfo(name), data)  # with a fixed date: equal scenes give equal files
@@ -64,6 +64,8 @@ def write_folder(scene: Scene, path: Path, options: WriteOptions) -> tuple[str, 
     """
     checked(scene, "scene to write", repair=False)
     pictures, meta = encode(scene.gaussians, scene.mode, options)
+    import hashlib
+
     digest = hashlib.sha256(b"".join(pictures.values())).hexdigest()[:8]
     for part in meta.values():
         if isinstance(part, dict) and "files" in part:

@@ -14,9 +14,7 @@ hand. A writer keeps what must come later in a temporary file beside the target.
 
 import gzip
 import io
-import shutil
 import struct
-import tempfile
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -285,6 +283,8 @@ class PlaneWriter:
         self._folder = folder
 
     def __enter__(self) -> Self:
+        import tempfile
+
         self._waiting: dict[str, IO[bytes]] = {}
         self._packers: dict[str, Any] = {}
         for name, width in self._header.planes().items():
@@ -322,6 +322,8 @@ class PlaneWriter:
         return struct.pack("<III", _AXES_RECORD, 4, AXES.index(self._header.axes) + 1)
 
     def _finish_zstd(self, file: BinaryIO) -> None:
+        import shutil
+
         table = []
         for name, waiting in self._waiting.items():
             waiting.write(self._packers[name].flush())

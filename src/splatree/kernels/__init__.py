@@ -20,11 +20,13 @@ computed in full vectors that never depend on their place, and equal keys are or
 """
 
 from collections.abc import Callable
-from typing import Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from splatree.errors import InputError
 from splatree.kernels import cpu, reference
-from splatree.scene.frame import Picture, Splats, TileBins
+
+if TYPE_CHECKING:
+    from splatree.scene.frame import Picture, Splats, TileBins
 
 __all__ = ["Backend", "FrameStages", "backend_for"]
 
@@ -35,11 +37,11 @@ Backend = Literal["cpu", "cuda", "reference"]
 class FrameStages(NamedTuple):
     """The stages of a frame after the selection, of one implementation."""
 
-    project: Callable[..., Splats]
+    project: Callable[..., "Splats"]
     """Gaussians of the selected rows to splats."""
-    bin: Callable[..., TileBins]
+    bin: Callable[..., "TileBins"]
     """Splats to tiles."""
-    blend: Callable[..., Picture]
+    blend: Callable[..., "Picture"]
     """Tiles to the picture."""
 
 
