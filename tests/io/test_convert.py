@@ -21,7 +21,7 @@ from splatree import (
     convert,
     edit,
 )
-from splatree.io import chunks, ply, splat
+from splatree.io import chunks, ply, rows, splat
 from splatree.io.registry import formats
 
 from .conftest import random_gaussians
@@ -38,7 +38,7 @@ EDITS = [
 @pytest.fixture
 def small_chunks(monkeypatch):
     """Chunks of 100 rows, so that small scenes have several."""
-    for module in (ply, splat, chunks):
+    for module in (ply, splat, chunks, rows):
         monkeypatch.setattr(module, "ROWS_PER_CHUNK", 100)
 
 

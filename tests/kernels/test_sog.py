@@ -52,3 +52,42 @@ def test_any_number_of_threads_gives_the_same_codes():
     ranges = np.array([[-3.0, -3, -3], [3, 3, 3]])
     one, many = (cpu.encode(g, order, ranges, bounds(-5, -1), bounds(-1, 1), threads=t) for t in (1, 4))
     assert all(one[name].tobytes() == many[name].tobytes() for name in one)
+
+
+def coded(n, degree, palette=300):
+    """Random pixels of every picture, and random tables."""
+    rng = np.random.default_rng(3)
+    pixels = {
+        name: rng.integers(0, 256, (n, c), np.uint8)
+        for name, c in {"means_l": 3, "means_u": 3, "quats": 4, "scales": 3, "sh0": 4, "labels": 3}.items()
+    }
+    pixels["quats"][:, 3] = rng.integers(252, 256, n)
+    pixels["labels"][:, 1] = 0  # labels below 256
+    num_rest = 3 * ((degree + 1) ** 2 - 1)
+    tables = reference.SogTables(
+        *(rng.normal(size=shape).astype(np.float32) for shape in ((3, 1 << 16), (3, 256), (3, 256), 256)),
+        rng.normal(size=256).astype(np.float32) if degree else None,
+        rng.integers(0, 256, (palette, num_rest), np.uint8) if degree else None,
+    )
+    return pixels, tables
+
+
+@pytest.mark.parametrize("degree", [0, 1, 3])
+@pytest.mark.parametrize("n", [0, 1, 3000])
+def test_decoded_values_are_those_of_the_reference(n, degree):
+    pixels, tables = coded(n, degree)
+    found, wanted = gaussians(n, 0, degree=degree), gaussians(n, 1, degree=degree)
+    assert cpu.decode(pixels, tables, found) == reference.decode(pixels, tables, wanted) == (-1, -1)
+    for column in ("means", "log_scales", "logit_opacities", "sh"):  # looked up
+        np.testing.assert_array_equal(getattr(found, column), getattr(wanted, column))
+    np.testing.assert_allclose(found.quats, wanted.quats, atol=1e-7)  # one rounding to float32 of numbers up to 1
+
+
+def test_codes_that_stand_for_nothing_give_zeros_and_the_first_such_row():
+    pixels, tables = coded(20_000, 1, palette=256)
+    pixels["quats"][[11_000, 19_000], 3] = 7
+    pixels["labels"][[9_001, 12_345], 1] = 1
+    found, wanted = gaussians(20_000, 0), gaussians(20_000, 1)
+    assert cpu.decode(pixels, tables, found) == reference.decode(pixels, tables, wanted) == (11_000, 9_001)
+    assert not found.quats[19_000].any() and not found.sh[12_345, 1:].any()
+    np.testing.assert_array_equal(found.sh, wanted.sh)

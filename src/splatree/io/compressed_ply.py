@@ -15,6 +15,7 @@ first (on a town, 3 mm of error in a position instead of 93 mm). All codes are m
 
 import json
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
@@ -22,15 +23,16 @@ from typing import BinaryIO
 import numpy as np
 
 from splatree.errors import FormatError
-from splatree.io.check import LOGIT_FROM_BYTE, checked, checked_rows
-from splatree.io.chunks import ROWS_PER_CHUNK, Chunks, repaired_chunks
+from splatree.io.check import LOGIT_FROM_BYTE, checked
+from splatree.io.chunks import ROWS_PER_CHUNK, Chunks
 from splatree.io.options import ReadOptions, WriteOptions
 from splatree.io.ply_header import HEADER_MAX, Element, Text, parse_text
+from splatree.io.rows import FileRows, Fill
 from splatree.kernels.cpu.packed import CHUNK, pack, unpack
 from splatree.maths.morton import morton_codes
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
-from splatree.scene.scene import Scene, Source
+from splatree.scene.scene import Scene
 from splatree.shapes import Array
 
 _BOUNDS = [
@@ -56,31 +58,23 @@ def sniff(path: Path, head: bytes) -> bool:
 
 def read(path: Path, options: ReadOptions) -> Scene:
     """Read all rows in the order of the file."""
-    packed = _open(path, options)
-    g = packed.empty(packed.num_rows)
-    with path.open("rb") as file, task(f"read {path.name}", packed.num_rows) as advance:
-        for begin in range(0, packed.num_rows, ROWS_PER_CHUNK):
-            part = g.rows(begin, begin + ROWS_PER_CHUNK)
-            packed.fill(file, begin, part)
-            advance(len(part))
-    scene = Scene.flat(g, mode=packed.text.mode, source=Source(metadata=packed.metadata))
-    return checked(scene, str(path), repair=options.repair)
+    return _rows(path, options).scene(options)
 
 
 def read_chunks(path: Path, options: ReadOptions) -> Chunks:
-    """Open a file to be read in chunks: the same values, in buffers that are used again."""
+    """Open a file to be read in chunks: the same values."""
+    return _rows(path, options).chunks(options)
+
+
+def _rows(path: Path, options: ReadOptions) -> FileRows:
     packed = _open(path, options)
 
-    def parts() -> Iterator[tuple[Gaussians, dict[str, int]]]:
-        buffers = packed.empty(min(ROWS_PER_CHUNK, packed.num_rows))
+    @contextmanager
+    def start() -> Iterator[Fill]:
         with path.open("rb") as file:
-            for begin in range(0, packed.num_rows, ROWS_PER_CHUNK):
-                part = buffers.rows(0, packed.num_rows - begin)
-                packed.fill(file, begin, part)
-                yield checked_rows(part, str(path), repair=options.repair, first_row=begin)
+            yield lambda begin, out: packed.fill(file, begin, out)
 
-    whole = Chunks(packed.num_rows, packed.degree, packed.text.mode, lambda: (p for p, _ in parts()), packed.metadata)
-    return repaired_chunks(whole, parts) if options.repair else whole
+    return FileRows(str(path), packed.num_rows, packed.degree, start, packed.text.mode, packed.metadata)
 
 
 def write(scene: Scene, path: Path, options: WriteOptions) -> tuple[str, ...]:
@@ -142,12 +136,6 @@ class _Packed:
     starts: dict[str, int]  # byte of each element
     types: dict[str, np.dtype[np.void]]  # a row of each element
     metadata: dict[str, str]
-
-    def empty(self, num_rows: int) -> Gaussians:
-        """Columns to be filled."""
-        k = (self.degree + 1) ** 2
-        shapes = ((num_rows, 3), (num_rows, 4), (num_rows, 3), (num_rows,), (num_rows, k, 3))
-        return Gaussians(*(np.empty(shape, np.float32) for shape in shapes))
 
     def fill(self, file: BinaryIO, begin: int, out: Gaussians) -> None:
         """Decode the rows from ``begin`` on, a multiple of 256, into the columns of ``out``."""

@@ -117,8 +117,9 @@ class _Part:
             view = untrusted.field(untrusted.as_object(packed, where), "bufferView", where)
             file, start, size, _ = self.gltf.view(view, where)
             file.seek(start)
-            gaussians, planes = spz.decode(BytesIO(file.read(size)), size, where, default_axes=SPZ_AXES)
-            return gaussians, "antialiased" if planes.header.antialiased else "classic"
+            data = file.read(size)
+            scene = spz.file_rows(lambda: BytesIO(data), size, where, default_axes=SPZ_AXES).unchecked_scene()
+            return scene.gaussians, scene.mode
         gaussians = _decoded(self.where, _attributes(self), path)
         mirror(gaussians, signs_between(GLTF_AXES, spz.SCENE_AXES))
         extras = self.primitive.get("extras")

@@ -137,6 +137,7 @@ FORMATS: tuple[Format, ...] = (
         sniff=spz.sniff,
         read=spz.read,
         write_chunks=spz.write_chunks,
+        read_chunks=spz.read_chunks,
         options=("format_version", "sh_bits", "compression", "axes"),
     ),
     Format(
@@ -161,6 +162,7 @@ FORMATS: tuple[Format, ...] = (
         write=sog_writer.write,
         write_folder=sog_writer.write_folder,
         files=sog.files,
+        read_chunks=sog.read_chunks,
         options=("sh_palette", "iterations"),
     ),
     Format(

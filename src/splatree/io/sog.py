@@ -8,11 +8,13 @@ A folder with ``meta.json`` and pictures, or the same as a ZIP bundle ``.sog``. 
 - opacity, the alpha of sh0: version 2 stores the opacity, version 1 its logit;
 - shN: each Gaussian has a 16-bit label into a palette of harmonics, a picture of 64 entries a row.
 
-Each step is a table of 256 or 65,536 entries computed in float64, so decoding is a handful of gathers; the WebP decoding
-costs most, and its pictures are decoded by all processors at once. Layout and deviations: docs/formats/sog.md.
+Each step is a table of 256 or 65,536 entries computed in float64, so decoding is a handful of look-ups in the native core, some
+rows at a time; the WebP decoding costs most, and its pictures are decoded by all processors at once. Layout and deviations:
+docs/formats/sog.md.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from contextlib import nullcontext
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,12 +23,14 @@ import numpy as np
 
 from splatree.errors import FormatError
 from splatree.io import untrusted
-from splatree.io.check import checked
+from splatree.io.chunks import Chunks
 from splatree.io.options import ReadOptions
+from splatree.io.rows import FileRows
 from splatree.kernels.cpu import _core
+from splatree.kernels.cpu.sog import SogTables, decode
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
-from splatree.scene.scene import Mode, Scene, Source
+from splatree.scene.scene import Mode, Scene
 from splatree.shapes import Array
 
 if TYPE_CHECKING:
@@ -45,8 +49,6 @@ _NUM_REST = {1: 3, 2: 8, 3: 15}
 """Harmonics beyond the DC of each degree."""
 
 _PALETTE_MAX = 1 << 16
-_ROWS_PER_GATHER = 1 << 12
-"""4096 rows of 180 bytes stay in the second-level cache between the look-up and the copy."""
 
 ReadBytes = Callable[[str], bytes]
 
@@ -68,7 +70,12 @@ def sniff(path: Path, head: bytes) -> bool:
 
 def read(path: Path, options: ReadOptions) -> Scene:
     """Read a folder, its meta.json, or a .sog bundle."""
-    return checked(read_unchecked(path, options), str(path), repair=options.repair)
+    return _open(path, options).scene(options)
+
+
+def read_chunks(path: Path, options: ReadOptions) -> Chunks:
+    """The same values in chunks; the pictures are decoded once and kept, 17 to 20 bytes a Gaussian."""
+    return _open(path, options).chunks(options)
 
 
 def files(path: Path) -> list[Path]:
@@ -82,21 +89,26 @@ def files(path: Path) -> list[Path]:
 
 def read_unchecked(path: Path, options: ReadOptions) -> Scene:
     """Read all rows, whatever their values: a range of a streamed scene counts on their places."""
+    return _open(path, options).unchecked_scene()
+
+
+def _open(path: Path, options: ReadOptions) -> FileRows:
     if path.is_file() and path.name != "meta.json":
         import zipfile
 
         try:
             with zipfile.ZipFile(path) as bundle:
-                return _read(str(path), lambda name: _zip_entry(path, bundle, name), options)
+                return _rows(path, str(path), lambda name: _zip_entry(path, bundle, name), options)
         except (zipfile.BadZipFile, EOFError, NotImplementedError, ValueError) as error:
             if isinstance(error, FormatError):
                 raise
             raise FormatError(f"{path}: not a whole ZIP bundle ({error}); fetch it again") from error
     folder = path if path.is_dir() else path.parent
-    return _read(str(folder), lambda name: _folder_file(folder, name), options)
+    return _rows(path, str(folder), lambda name: _folder_file(folder, name), options)
 
 
-def _read(where: str, read_bytes: ReadBytes, options: ReadOptions) -> Scene:
+def _rows(path: Path, where: str, read_bytes: ReadBytes, options: ReadOptions) -> FileRows:
+    """Read and decode all pictures."""
     meta = untrusted.as_object(
         untrusted.parse_json(read_bytes("meta.json"), f"{where}/meta.json"), f"{where}/meta.json"
     )
@@ -108,11 +120,31 @@ def _read(where: str, read_bytes: ReadBytes, options: ReadOptions) -> Scene:
             f"{where}/meta.json: found {sog.count} Gaussians in pictures of {num_bytes} bytes, wanted at most "
             f"{_GAUSSIANS_PER_BYTE} a byte; the count is wrong or the file is a decompression bomb"
         )
-    gaussians = _decode(sog, data, repair=bool(options.repair))
+    pixels, palette = _decode(sog, data)
+    degree, entries = (0, None) if palette is None else _palette(sog, palette)
+    tables = SogTables(sog.mean_tables, sog.scale_tables, sog.dc_tables, sog.logit_table, sog.rest_table, entries)
+
+    def fill(begin: int, out: Gaussians) -> None:
+        rows = slice(begin, begin + len(out))
+        damage = decode({name: codes[rows] for name, codes in pixels.items()}, tables, out)
+        if damage.tag >= 0 and not options.repair:  # the check of values counts and repairs it
+            row = begin + damage.tag
+            raise FormatError(
+                f"{sog.where}: row {row}, quats: found tag {pixels['quats'][row, 3]}, wanted 252 to 255 in alpha; "
+                "the picture is damaged, read it with repair to give such rows no rotation"
+            )
+        if damage.label >= 0 and entries is not None:
+            row = begin + damage.label
+            low, high = pixels["labels"][row, :2].tolist()
+            raise FormatError(
+                f"{sog.where}: row {row}, shN label: found {low + 256 * high}, wanted less than the {len(entries)} entries "
+                "of the palette"
+            )
+
     metadata = {"version": str(sog.version)}
     if isinstance(generator := meta.get("asset"), dict) and isinstance(generator.get("generator"), str):
         metadata["generator"] = generator["generator"]
-    return Scene.flat(gaussians, mode=sog.mode, source=Source(metadata=metadata))
+    return FileRows(str(path), sog.count, degree, lambda: nullcontext(fill), sog.mode, metadata)
 
 
 class _Meta:
@@ -125,15 +157,16 @@ class _Meta:
         means, scales, quats, sh0 = (self._section(meta, key) for key in ("means", "scales", "quats", "sh0"))
         if self.version == 2:
             self.count = untrusted.integer(meta, "count", where)
-            self.scale_tables = [self._codebook(scales, "scales")] * 3
-            self.dc_tables = [self._codebook(sh0, "sh0")] * 3
+            self.scale_tables = np.tile(self._codebook(scales, "scales"), (3, 1))
+            self.dc_tables = np.tile(self._codebook(sh0, "sh0"), (3, 1))
             share = np.clip(np.arange(256) / 255, 1e-6, 1 - 1e-6)  # 0 and 255 stand for opacities that have no logit
             self.logit_table = np.log(share / (1 - share)).astype(np.float32)
         else:
             shape = untrusted.as_list(untrusted.field(means, "shape", f"{where}: means"), f"{where}: means.shape")
             self.count = untrusted.as_integer(shape[0] if shape else None, f"{where}: means.shape[0]")
             self.scale_tables = self._ranges(scales, "scales", 3)
-            *self.dc_tables, self.logit_table = self._ranges(sh0, "sh0", 4)
+            colors = self._ranges(sh0, "sh0", 4)
+            self.dc_tables, self.logit_table = colors[:3], colors[3]
         self.mode = self._mode(meta)
 
         low, high = (untrusted.numbers(means, key, f"{where}: means", (3,)) for key in ("mins", "maxs"))
@@ -171,9 +204,9 @@ class _Meta:
     def _codebook(self, section: dict[str, Any], key: str) -> Array:
         return untrusted.numbers(section, "codebook", f"{self.where}: {key}", (256,)).astype(np.float32)
 
-    def _ranges(self, section: dict[str, Any], key: str, channels: int) -> list[Array]:
+    def _ranges(self, section: dict[str, Any], key: str, channels: int) -> Array:
         low, high = (untrusted.numbers(section, end, f"{self.where}: {key}", (channels,)) for end in ("mins", "maxs"))
-        return list((low[:, None] + (high - low)[:, None] * (np.arange(256) / 255)).astype(np.float32))
+        return (low[:, None] + (high - low)[:, None] * (np.arange(256) / 255)).astype(np.float32)
 
     def _files(self, section: dict[str, Any], key: str, count: int) -> list[str]:
         where = f"{self.where}: {key}.files"
@@ -194,82 +227,37 @@ class _Meta:
                 raise FormatError(f"{self.where}: found model {str(other)[:80]!r}, wanted 'default' or 'antialiased'")
 
 
-def _decode(sog: _Meta, data: dict[str, bytes], *, repair: bool) -> Gaussians:
-    """Decode the pictures, then fill the columns; both on all processors."""
+def _decode(sog: _Meta, data: dict[str, bytes]) -> tuple[dict[str, Array], Array | None]:
+    """The first ``count`` pixels "n c" of each picture, and the picture of the palette if there is one.
+
+    The pictures are decoded on all processors; ``data`` is let go of on the way.
+    """
     from concurrent.futures import ThreadPoolExecutor
 
-    n = sog.count
-    with task(f"decode {sog.where}", len(data) + 4) as advance, ThreadPoolExecutor(_core.hardware_threads()) as pool:
+    means_low, means_high = sog.files["means"]
+    wanted = {"means_l": (means_low, 3), "means_u": (means_high, 3), "quats": (sog.files["quats"][0], 4)}
+    wanted |= {"scales": (sog.files["scales"][0], 3), "sh0": (sog.files["sh0"][0], 4)}
+    if "shN" in sog.files:
+        centroids, labels = sog.files["shN"]
+        wanted |= {"centroids": (centroids, 3), "labels": (labels, 3)}
+    pixels: dict[str, Array] = {}
+    with task(f"decode {sog.where}", len(wanted)) as advance, ThreadPoolExecutor(_core.hardware_threads()) as pool:
 
-        def decode(name: str) -> Array:
-            image = _image(f"{sog.where}: {name}", data[name])
-            is_palette = "shN" in sog.files and name == sog.files["shN"][0]
-            return image if is_palette else _first_pixels(f"{sog.where}: {name}", image, n)
+        def decoded(part: str) -> Array:
+            name, channels = wanted[part]
+            image = _with_channels(_image(f"{sog.where}: {name}", data.pop(name)), channels)
+            return image if part == "centroids" else _first_pixels(f"{sog.where}: {name}", image, sog.count)
 
-        pixels: dict[str, Array] = {}  # [n 3] or [n 4] uint8
-        longest_first = sorted(data, key=lambda name: -len(data[name]))
-        for name, found in zip(longest_first, pool.map(decode, longest_first), strict=True):
-            pixels[name] = found
+        longest_first = sorted(wanted, key=lambda part: -len(data[wanted[part][0]]))
+        for part, found in zip(longest_first, pool.map(decoded, longest_first), strict=True):
+            pixels[part] = found
             advance(1)
-        means_low, means_high, scales, quats_pixels, sh0 = (
-            pixels[name] for key in ("means", "scales", "quats", "sh0") for name in sog.files[key]
-        )
-        degree, palette = _palette(sog, pixels[sog.files["shN"][0]]) if "shN" in sog.files else (0, None)
-
-        means, log_scales = np.empty((n, 3), np.float32), np.empty((n, 3), np.float32)
-        quats, sh = np.empty((n, 4), np.float32), np.empty((n, (degree + 1) ** 2, 3), np.float32)
-        jobs = [
-            pool.submit(_fill_quats, quats, sog, quats_pixels, repair),
-            pool.submit(_fill_means, means, sog, means_low, means_high),
-            pool.submit(_fill, log_scales, sog.scale_tables, scales),
-            pool.submit(_fill, sh[:, 0], sog.dc_tables, sh0),
-        ]
-        if palette is not None:
-            jobs.append(pool.submit(_fill_rest, sh, sog, palette, pixels[sog.files["shN"][1]]))
-        for job in jobs:
-            job.result()
-            advance(1)
-    return Gaussians(means, quats, log_scales, sog.logit_table[_alpha(sh0)], sh)
-
-
-def _fill(out: Array, tables: Sequence[Array], codes: Array) -> None:
-    """Look each channel up in its table."""
-    for channel in range(3):
-        out[:, channel] = tables[channel][codes[:, channel]]
-
-
-def _fill_means(means: Array, sog: _Meta, low: Array, high: Array) -> None:
-    """Means from their low and high bytes."""
-    for channel in range(3):
-        means[:, channel] = sog.mean_tables[channel][low[:, channel] | high[:, channel].astype(np.uint16) << 8]
-
-
-def _fill_quats(quats: Array, sog: _Meta, pixels: Array, repair: bool) -> None:
-    """Unit quaternions wxyz from the three smaller components and the index of the largest."""
-    largest = _alpha(pixels) - 252  # wraps for tags that are not 252 to 255
-    wrong = largest > 3
-    if wrong.any() and not repair:
-        row = int(np.argmax(wrong))
-        raise FormatError(
-            f"{sog.where}: row {row}, quats: found tag {pixels[row, -1]}, wanted 252 to 255 in alpha; "
-            "the picture is damaged, read it with repair to give such rows no rotation"
-        )
-    table = (np.arange(256) / 255 * 2 - 1) / np.sqrt(2)
-    for begin in range(0, len(pixels), _ROWS_PER_GATHER):
-        rows = slice(begin, begin + _ROWS_PER_GATHER)
-        at = largest[rows]
-        a, b, c = (table[pixels[rows, channel]] for channel in range(3))
-        top = np.sqrt(np.maximum(0, 1 - (a * a + b * b + c * c)))
-        quats[rows, 0] = np.where(at == 0, top, a)
-        quats[rows, 1] = np.where(at == 0, a, np.where(at == 1, top, b))
-        quats[rows, 2] = np.where(at <= 1, b, np.where(at == 2, top, c))
-        quats[rows, 3] = np.where(at == 3, top, c)
-    quats[wrong] = 0  # the check of values counts and repairs it
+    palette = pixels.pop("centroids", None)
+    return pixels, palette
 
 
 def _palette(sog: _Meta, image: Array) -> tuple[int, Array]:
-    """Degree of the harmonics, and the palette "p 3K" that the labels point into."""
-    assert sog.rest_table is not None
+    """Degree of the harmonics, and the codes "p 3K" of the palette that the labels point into."""
     height, width = image.shape[:2]
     degree = sog.rest_degree or {64 * k: d for d, k in _NUM_REST.items()}.get(width, 0)
     if degree == 0 or width != 64 * _NUM_REST[degree]:
@@ -282,22 +270,7 @@ def _palette(sog: _Meta, image: Array) -> tuple[int, Array]:
         raise FormatError(
             f"{sog.where}: shN.count: found {count}, wanted at most the {height * 64} entries of its picture"
         )
-    entries = image[..., :3].reshape(height * 64, -1)[:count]
-    return degree, sog.rest_table[entries]
-
-
-def _fill_rest(sh: Array, sog: _Meta, palette: Array, pixels: Array) -> None:
-    """Write each row's entry of the palette behind its DC."""
-    labels = pixels[:, 0] | pixels[:, 1].astype(np.uint16) << 8
-    if len(labels) and int(labels.max()) >= len(palette):
-        row = int(np.argmax(labels >= len(palette)))
-        raise FormatError(
-            f"{sog.where}: row {row}, shN label: found {labels[row]}, wanted less than the {len(palette)} entries of the palette"
-        )
-    entries = palette.reshape(len(palette), -1, 3)
-    for begin in range(0, len(labels), _ROWS_PER_GATHER):
-        rows = slice(begin, begin + _ROWS_PER_GATHER)
-        sh[rows, 1:] = entries[labels[rows]]
+    return degree, image.reshape(height * 64, -1)[:count]
 
 
 def _image(where: str, data: bytes) -> Array:
@@ -334,9 +307,12 @@ def _first_pixels(where: str, image: Array, count: int) -> Array:
     return image.reshape(-1, channels)[:count]
 
 
-def _alpha(pixels: Array) -> Array:
-    """The fourth channel; 255 where the picture has none, as WebP drops an alpha that is opaque everywhere."""
-    return pixels[:, 3] if pixels.shape[1] == 4 else np.full(len(pixels), 255, np.uint8)
+def _with_channels(image: Array, channels: int) -> Array:
+    """Three or four channels: WebP drops an alpha that is 255 everywhere, other writers keep one that stands for nothing."""
+    found = image.shape[2]
+    if found > channels:
+        return np.ascontiguousarray(image[..., :channels])
+    return image if found == channels else np.pad(image, ((0, 0), (0, 0), (0, 1)), constant_values=255)
 
 
 def _folder_file(folder: Path, name: str) -> bytes:

@@ -18,18 +18,20 @@ that is a multiple of 32. docs/formats/splat.md.
 import json
 import os
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 
 from splatree.errors import FormatError
-from splatree.io.check import checked, checked_rows
-from splatree.io.chunks import ROWS_PER_CHUNK, Chunks, repaired_chunks
+from splatree.io.check import checked_rows
+from splatree.io.chunks import ROWS_PER_CHUNK, Chunks
 from splatree.io.options import ReadOptions, WriteOptions
+from splatree.io.rows import FileRows, Fill
 from splatree.kernels.cpu import splat
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
-from splatree.scene.scene import Scene, Source
+from splatree.scene.scene import Scene
 
 _RECORD_BYTES = 32
 _NUM_RANKS = 4096
@@ -48,26 +50,12 @@ def sniff(path: Path, head: bytes) -> bool:
 
 def read(path: Path, options: ReadOptions) -> Scene:
     """Read all rows in the order of the file."""
-    num_rows, metadata = _open(path, options)
-    gaussians = _empty(num_rows)
-    with task(f"read {path.name}", num_rows) as advance:
-        for begin, part in _parts(path, num_rows, gaussians):
-            advance(len(part))
-            del begin
-    return checked(Scene.flat(gaussians, source=Source(metadata=metadata)), str(path), repair=options.repair)
+    return _open(path, options).scene(options)
 
 
 def read_chunks(path: Path, options: ReadOptions) -> Chunks:
-    """Open a file to be read in chunks, in buffers that are used again."""
-    num_rows, metadata = _open(path, options)
-
-    def parts() -> Iterator[tuple[Gaussians, dict[str, int]]]:
-        buffers = _empty(min(ROWS_PER_CHUNK, num_rows))
-        for begin, part in _parts(path, num_rows, buffers):
-            yield checked_rows(part, str(path), repair=options.repair, first_row=begin)
-
-    whole = Chunks(num_rows, 0, "classic", lambda: (part for part, _ in parts()), metadata)
-    return repaired_chunks(whole, parts) if options.repair else whole
+    """Open a file to be read in chunks: the same values."""
+    return _open(path, options).chunks(options)
 
 
 def write_chunks(chunks: Chunks, path: Path, options: WriteOptions) -> tuple[str, ...]:
@@ -119,8 +107,7 @@ def _write_at(file: int, data: memoryview, offset: int) -> None:
         data, offset = data[written:], offset + written
 
 
-def _open(path: Path, options: ReadOptions) -> tuple[int, dict[str, str]]:
-    """Rows, and metadata that tells of a repair."""
+def _open(path: Path, options: ReadOptions) -> FileRows:
     num_bytes = path.stat().st_size
     num_rows, rest = divmod(num_bytes, _RECORD_BYTES)
     if rest and not options.repair:
@@ -128,23 +115,18 @@ def _open(path: Path, options: ReadOptions) -> tuple[int, dict[str, str]]:
             f"{path}: found {num_bytes} bytes, wanted a multiple of {_RECORD_BYTES}; the file is cut off or no .splat: read "
             f"its {num_rows} whole rows with repair"
         )
-    return num_rows, {"repairs": json.dumps({"unexpected_bytes": rest})} if rest else {}
 
+    @contextmanager
+    def start() -> Iterator[Fill]:
+        records = np.empty((min(ROWS_PER_CHUNK, num_rows), _RECORD_BYTES), np.uint8)
+        with path.open("rb", buffering=0) as file:
 
-def _empty(num_rows: int) -> Gaussians:
-    shapes = ((num_rows, 3), (num_rows, 4), (num_rows, 3), (num_rows,), (num_rows, 1, 3))
-    return Gaussians(*(np.empty(shape, np.float32) for shape in shapes))
+            def fill(begin: int, out: Gaussians) -> None:
+                if file.readinto(records[: len(out)].data) != len(out) * _RECORD_BYTES:
+                    raise FormatError(f"{path}: cannot be read to its end; did it change meanwhile?")
+                splat.decode(records[: len(out)], out)
 
+            yield fill
 
-def _parts(path: Path, num_rows: int, out: Gaussians) -> Iterator[tuple[int, Gaussians]]:
-    """Each chunk with its first row, decoded into its place in ``out``, or into the start of it if it holds no more."""
-    records = np.empty((min(ROWS_PER_CHUNK, num_rows), _RECORD_BYTES), np.uint8)
-    with path.open("rb", buffering=0) as file:
-        for begin in range(0, num_rows, ROWS_PER_CHUNK):
-            count = min(ROWS_PER_CHUNK, num_rows - begin)
-            if file.readinto(records[:count].data) != count * _RECORD_BYTES:
-                raise FormatError(f"{path}: cannot be read to its end; did it change meanwhile?")
-            place = slice(begin, begin + count) if len(out) == num_rows else slice(0, count)
-            part = out.rows(place.start, place.stop)
-            splat.decode(records[:count], part)
-            yield begin, part
+    metadata = {"repairs": json.dumps({"unexpected_bytes": rest})} if rest else {}
+    return FileRows(str(path), num_rows, 0, start, metadata=metadata)

@@ -11,9 +11,8 @@ rotations  4 (3 v1-2)  smallest three of x, y, z, w: place of the largest, then 
 harmonics  3 (k − 1)   128 + 128 sh, coefficient by coefficient with RGB inside, to multiples of 4 and 8 by default
 =========  ==========  =====================================================================================
 
-A file is read plane by plane and written chunk by chunk; neither ever holds a plane as a whole, nor inflates more than the rows
-in hand (`splatree.io.spz_container`). zlib and zstandard do the compression, the native core the codes: for a million Gaussians
-of degree 3 the codes take 0.1 s, zstd 0.5 s of a processor.
+A file is read and written chunk by chunk (`splatree.io.spz_container`). zlib and zstandard do the compression, the native core
+the codes: for a million Gaussians of degree 3 the codes take 0.1 s, zstd 0.5 s of a processor.
 
 The axes of a file are RUB by the format's documents, but RDF, those of the .ply, in the files of nearly every converter. We
 write RDF and name it in the extension record that the format has for this, and take files without the record for RDF.
@@ -21,7 +20,8 @@ docs/formats/spz.md.
 """
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO, Final
 
@@ -29,16 +29,17 @@ import numpy as np
 
 from splatree.constants import SH_MAX_DEGREE
 from splatree.errors import InputError
-from splatree.io.check import LOGIT_FROM_BYTE, checked, checked_rows, magnitudes_of
-from splatree.io.chunks import ROWS_PER_CHUNK, Chunks
+from splatree.io.check import LOGIT_FROM_BYTE, checked_rows, magnitudes_of
+from splatree.io.chunks import Chunks
 from splatree.io.mirror import mirror
 from splatree.io.options import ReadOptions, WriteOptions
+from splatree.io.rows import FileRows, Fill
 from splatree.io.spz_container import GZIP_MAGIC, MAGIC, Header, Planes, PlaneWriter
 from splatree.kernels.cpu import quantize
 from splatree.maths.axes import harmonic_signs, quat_signs, signs_between
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
-from splatree.scene.scene import Mode, Scene, Source
+from splatree.scene.scene import Mode, Scene
 from splatree.shapes import Array
 
 SCENE_AXES: Final = "RDF"
@@ -70,52 +71,70 @@ def sniff(path: Path, head: bytes) -> bool:
 
 def read(path: Path, options: ReadOptions) -> Scene:
     """Read a file of version 1 to 4; harmonics of degree 4 are dropped."""
-    with path.open("rb") as file:
-        gaussians, planes = decode(file, path.stat().st_size, str(path), default_axes=options.axes or SCENE_AXES)
+    return _open(path, options).scene(options)
+
+
+def read_chunks(path: Path, options: ReadOptions) -> Chunks:
+    """The same values in chunks; of versions 1 to 3 all codes are kept (`splatree.io.spz_container`)."""
+    return _open(path, options).chunks(options)
+
+
+def _open(path: Path, options: ReadOptions) -> FileRows:
+    default = options.axes or SCENE_AXES
+    return file_rows(lambda: path.open("rb"), path.stat().st_size, str(path), default_axes=default)
+
+
+def file_rows(open_file: Callable[[], BinaryIO], num_bytes: int, where: str, *, default_axes: str) -> FileRows:
+    """The Gaussians of an .spz of ``num_bytes`` in a file that can be opened again, in the axes of our scenes.
+
+    ``default_axes`` are those of a file that names none.
+    """
+    with open_file() as file:
+        planes = Planes(file, num_bytes, where)
     header = planes.header
-    metadata = {"version": str(header.version), "axes": planes.axes or f"{options.axes or SCENE_AXES}, assumed"}
+    degree = min(header.sh_degree, SH_MAX_DEGREE)
+    signs = signs_between(planes.axes or default_axes, SCENE_AXES)
+
+    @contextmanager
+    def start() -> Iterator[Fill]:
+        with open_file() as file:
+            take = planes.open(file)
+
+            def fill(begin: int, out: Gaussians) -> None:
+                for name, data in take(len(out)):
+                    _decode(header, name, np.frombuffer(data, np.uint8).reshape(len(out), -1), out)
+                mirror(out, signs)
+
+            yield fill
+
+    metadata = {"version": str(header.version), "axes": planes.axes or f"{default_axes}, assumed"}
     if header.sh_degree > SH_MAX_DEGREE:
         metadata["lost"] = json.dumps(
             [f"the harmonics of degree {header.sh_degree}: a scene holds no more than {SH_MAX_DEGREE}"]
         )
     mode: Mode = "antialiased" if header.antialiased else "classic"
-    scene = Scene.flat(gaussians, mode=mode, source=Source(metadata=metadata))
-    return checked(scene, str(path), repair=options.repair)
+    return FileRows(where, header.num_gaussians, degree, start, mode, metadata)
 
 
-def decode(file: BinaryIO, num_bytes: int, where: str, *, default_axes: str) -> tuple[Gaussians, Planes]:
-    """The Gaussians of an .spz of ``num_bytes`` in an open file, in the axes of our scenes.
-
-    ``default_axes`` are those of a file that names none.
-    """
-    planes = Planes(file, num_bytes, where)
-    header = planes.header
-    n, degree = header.num_gaussians, min(header.sh_degree, SH_MAX_DEGREE)
-    widths = {"means": 3, "logits": 1, "scales": 3, "quats": 4, "sh": 3 * (degree + 1) ** 2}
-    means, logits, scales, quats, sh = (np.empty((n, width), np.float32) for width in widths.values())
-    with task(f"read {Path(where).name}", n * sum(header.planes().values())) as advance:
-        for name, rows, data in planes.rows(ROWS_PER_CHUNK):
-            codes = np.frombuffer(data, np.uint8).reshape(rows.stop - rows.start, -1)
-            match name:
-                case "positions" if header.version == 1:
-                    means[rows] = codes.view("<f2")
-                case "positions":
-                    quantize.means_from_fixed(codes, means[rows], scale=2.0**-header.fractional_bits)
-                case "alphas":
-                    np.take(LOGIT_FROM_BYTE, codes, out=logits[rows], mode="clip")  # all codes are in the table
-                case "colors":
-                    quantize.values_from_bytes(codes, sh[rows], scale=1 / _COLOR_SCALE, offset=-0.5 / 0.15)
-                case "scales":
-                    quantize.values_from_bytes(codes, scales[rows], scale=1 / 16, offset=-10)
-                case "rotations":
-                    quantize.quats_from_codes(codes, quats[rows])
-                case _:
-                    kept = np.ascontiguousarray(codes[:, : widths["sh"] - 3])  # degree 4 is cut off
-                    quantize.values_from_bytes(kept, sh[rows], scale=1 / 128, offset=-1, skip=3)
-            advance(codes.nbytes)
-    gaussians = Gaussians(means, quats, scales, logits.reshape(-1), sh.reshape(n, (degree + 1) ** 2, 3))
-    mirror(gaussians, signs_between(planes.axes or default_axes, SCENE_AXES))
-    return gaussians, planes
+def _decode(header: Header, plane: str, codes: Array, out: Gaussians) -> None:
+    """Fill the column that a plane is of."""
+    sh = out.sh.reshape(len(out), -1)
+    match plane:
+        case "positions" if header.version == 1:
+            out.means[:] = codes.view("<f2")
+        case "positions":
+            quantize.means_from_fixed(codes, out.means, scale=2.0**-header.fractional_bits)
+        case "alphas":
+            np.take(LOGIT_FROM_BYTE, codes[:, 0], out=out.logit_opacities, mode="clip")  # all codes are in the table
+        case "colors":
+            quantize.values_from_bytes(codes, sh, scale=1 / _COLOR_SCALE, offset=-0.5 / 0.15)
+        case "scales":
+            quantize.values_from_bytes(codes, out.log_scales, scale=1 / 16, offset=-10)
+        case "rotations":
+            quantize.quats_from_codes(codes, out.quats)
+        case _:
+            kept = np.ascontiguousarray(codes[:, : sh.shape[1] - 3])  # degree 4 is cut off
+            quantize.values_from_bytes(kept, sh, scale=1 / 128, offset=-1, skip=3)
 
 
 def write_chunks(chunks: Chunks, path: Path, options: WriteOptions) -> tuple[str, ...]:

@@ -8,8 +8,9 @@ bytes     header
 16        v4: byte at which the table of planes begins u4, 12 zeros; extension records lie before it
 ========  =================================================================================================
 
-A reader takes bytes of a plane as it needs them, so that no count in a header makes it inflate or keep more than the rows in
-hand. A writer keeps what must come later in a temporary file beside the target.
+The planes of version 4 are streams of their own: a reader takes bytes of each as it needs them, and keeps no more than the rows
+in hand. Those of versions 1 to 3 are one stream, plane after plane, which is inflated once and kept as it is, 20 to 65 bytes a
+Gaussian. A writer keeps what must come later in a temporary file beside the target.
 """
 
 import gzip
@@ -49,6 +50,8 @@ _WINDOW_MIN = 1 << 23
 """zstd frames may ask for a window of this size, or of their plane's if it is larger."""
 
 _COPY_BYTES = 1 << 20
+_INFLATE_BYTES = 1 << 18
+_READ_BYTES = 1 << 17
 
 
 @dataclass(frozen=True)
@@ -66,7 +69,7 @@ class Header:
     antialiased: bool
     """Whether the scene is drawn in the mode `antialiased`."""
     axes: str | None = None
-    """Frame that an extension record names; None: none does, or it comes behind the planes and is not read yet."""
+    """Frame that an extension record names; None: none does."""
 
     def planes(self) -> dict[str, int]:
         """Bytes a row of each plane, in the order of the file."""
@@ -104,20 +107,57 @@ class Planes:
                 f"{where}: found {count} Gaussians in {num_bytes} bytes, wanted at most {_GAUSSIANS_PER_BYTE} a byte; the "
                 "count is wrong or the file is a decompression bomb"
             )
-
-    def rows(self, rows_at_once: int) -> Iterator[tuple[str, slice, memoryview]]:
-        """Each plane's name, and bytes of so many rows at a time, valid until the next; then the axes are known."""
-        for name, width, stream in self._streams():
-            buffer = memoryview(bytearray(rows_at_once * width))
-            for begin in range(0, self.header.num_gaussians, rows_at_once):
-                end = min(begin + rows_at_once, self.header.num_gaussians)
-                codes = buffer[: (end - begin) * width]
-                self._fill(stream, codes, f"plane {name}")
-                yield name, slice(begin, end), codes
-            if self._gzip is None and stream.read(1):
-                raise FormatError(f"{self._where}: plane {name}: found more bytes than its rows take; it is damaged")
+        self._inflated: dict[str, bytearray] = {}
         if self._gzip is not None:
-            self._finish_gzip(self._gzip)
+            self._inflate(self._gzip)
+
+    def open(self, file: BinaryIO) -> Callable[[int], Iterator[tuple[str, memoryview]]]:
+        """Start a pass over the rows of the same file: what it returns gives each plane's name and the bytes of its next rows.
+
+        They are valid until the next call; the last rows end every plane.
+        """
+        if self._gzip is not None:
+            return self._open_inflated()
+        return self._open_streams(file)
+
+    def _open_inflated(self) -> Callable[[int], Iterator[tuple[str, memoryview]]]:
+        widths, begin = self.header.planes(), 0
+
+        def take(count: int) -> Iterator[tuple[str, memoryview]]:
+            nonlocal begin
+            for name, data in self._inflated.items():
+                yield name, memoryview(data)[begin * widths[name] : (begin + count) * widths[name]]
+            begin += count
+
+        return take
+
+    def _open_streams(self, file: BinaryIO) -> Callable[[int], Iterator[tuple[str, memoryview]]]:
+        import zstandard
+
+        streams = {}
+        for (name, width), (at, size) in zip(self.header.planes().items(), self._places, strict=True):
+            window = max(_WINDOW_MIN, 2 * width * self.header.num_gaussians)
+            decompressor = zstandard.ZstdDecompressor(max_window_size=min(window, 1 << 31))
+            part = cast(BinaryIO, _Part(file, at, size))
+            streams[name] = decompressor.stream_reader(part, read_size=_READ_BYTES, closefd=False)
+        buffers = {name: bytearray() for name in streams}
+        begin = 0
+
+        def take(count: int) -> Iterator[tuple[str, memoryview]]:
+            nonlocal begin
+            begin += count
+            for name, width in self.header.planes().items():
+                if len(buffers[name]) < count * width:
+                    buffers[name] = bytearray(count * width)
+                codes = memoryview(buffers[name])[: count * width]
+                self._fill(streams[name], codes, f"plane {name}")
+                yield name, codes
+                if begin == self.header.num_gaussians and streams[name].read(1):
+                    raise FormatError(
+                        f"{self._where}: plane {name}: found more bytes than its rows take; it is damaged"
+                    )
+
+        return take
 
     @property
     def axes(self) -> str | None:
@@ -181,18 +221,17 @@ class Planes:
                 f"{where}: found {self._num_bytes - at} bytes behind the last plane, wanted none; it is damaged"
             )
 
-    def _streams(self) -> Iterator[tuple[str, int, Any]]:
-        if self._gzip is not None:
-            for name, width in self.header.planes().items():
-                yield name, width, self._gzip
-            return
-        import zstandard
-
-        for (name, width), (at, size) in zip(self.header.planes().items(), self._places, strict=True):
-            window = max(_WINDOW_MIN, 2 * width * self.header.num_gaussians)
-            decompressor = zstandard.ZstdDecompressor(max_window_size=min(window, 1 << 31))
-            part = cast(BinaryIO, _Part(self._file, at, size))
-            yield name, width, decompressor.stream_reader(part, read_size=1 << 17, closefd=False)
+    def _inflate(self, stream: gzip.GzipFile) -> None:
+        """Inflate all planes, as far as there is something to inflate: no count in a header makes us keep more."""
+        for name, width in self.header.planes().items():
+            plane = self._inflated[name] = bytearray()
+            left = width * self.header.num_gaussians
+            while left:
+                block = bytearray(min(left, _INFLATE_BYTES))
+                self._fill(stream, memoryview(block), f"plane {name}")
+                plane += block
+                left -= len(block)
+        self._finish_gzip(stream)
 
     def _finish_gzip(self, stream: gzip.GzipFile) -> None:
         """Extension records behind the planes; and the check sum, which gzip compares at its end."""

@@ -1,4 +1,4 @@
-"""The stages on the processor: Python glue, one file a stage, over the compiled loops in ``_core``; loaded when first used."""
+"""The stages on the processor: Python glue, one file a stage, over the compiled loops in ``_core``. Loaded when used."""
 
 import importlib
 from types import ModuleType

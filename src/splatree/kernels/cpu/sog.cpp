@@ -1,5 +1,6 @@
 #include "cpu/sog.h"
 
+#include <atomic>
 #include <cmath>
 #include <limits>
 
@@ -46,6 +47,51 @@ void encode_quat(const float* quat, uint8_t* out) {
   out[3] = uint8_t(252 + largest);
 }
 
+// The least of the rows that threads find, or -1.
+class FirstRow {
+ public:
+  void found(int64_t row) {
+    int64_t least = row_.load();
+    while (row < least && !row_.compare_exchange_weak(least, row)) {
+    }
+  }
+  int64_t get() const { return row_ == kNone ? -1 : row_.load(); }
+
+ private:
+  static constexpr int64_t kNone = std::numeric_limits<int64_t>::max();
+  std::atomic<int64_t> row_{kNone};
+};
+
+// The three smaller components of a quaternion, byte by byte.
+class SmallComponents {
+ public:
+  SmallComponents() {
+    for (int i = 0; i < 256; ++i) values_[i] = (i / 255.0 * 2 - 1) / std::sqrt(2.0);
+  }
+  double operator[](uint8_t code) const { return values_[code]; }
+
+ private:
+  double values_[256];
+};
+
+bool decode_quat(const uint8_t* pixel, const SmallComponents& values, float* quat) {
+  const int largest = int(pixel[3]) - 252;
+  if (largest < 0) {
+    quat[0] = quat[1] = quat[2] = quat[3] = 0;
+    return false;
+  }
+  const double a = values[pixel[0]], b = values[pixel[1]], c = values[pixel[2]];
+  const double rest = 1 - (a * a + b * b + c * c);
+  quat[0] = float(a);  // each place but that of the largest: the others in their order
+  quat[1] = float(largest == 0 ? a : b);
+  quat[2] = float(largest <= 1 ? b : c);
+  quat[3] = float(c);
+  quat[largest] = float(std::sqrt(rest > 0 ? rest : 0));
+  return true;
+}
+
+int64_t label_of(const SogDecodeJob& job, int64_t row) { return job.labels[3 * row] | job.labels[3 * row + 1] << 8; }
+
 }  // namespace
 
 void encode_sog(const SogEncodeJob& job, int threads) {
@@ -77,6 +123,37 @@ void encode_sog(const SogEncodeJob& job, int threads) {
       encode_quat(job.quats + 4 * row, job.quats_pixels + 4 * i);
     }
   });
+}
+
+SogDamage decode_sog(const SogDecodeJob& job, int threads) {
+  const SmallComponents components;
+  const int64_t num_rest = job.sh_stride - 3;
+  FirstRow wrong_tag, wrong_label;
+  parallel_ranges(job.num_rows, kRowsPerChunk, threads, [&](int64_t begin, int64_t end) {
+    for (int64_t i = begin; i < end; ++i) {
+      float* sh = job.sh + job.sh_stride * i;
+      for (int axis = 0; axis < 3; ++axis) {
+        const int u = job.means_l[3 * i + axis] | job.means_u[3 * i + axis] << 8;
+        job.means[3 * i + axis] = job.mean_tables[axis << 16 | u];
+        job.log_scales[3 * i + axis] = job.scale_tables[axis << 8 | job.scales[3 * i + axis]];
+        sh[axis] = job.dc_tables[axis << 8 | job.sh0[4 * i + axis]];
+      }
+      job.logit_opacities[i] = job.logit_table[job.sh0[4 * i + 3]];
+      if (!decode_quat(job.quats_pixels + 4 * i, components, job.quats + 4 * i)) wrong_tag.found(i);
+      if (num_rest == 0) continue;
+      const int64_t ahead = i + kAhead < end ? i + kAhead : end - 1;
+      __builtin_prefetch(job.palette + num_rest * label_of(job, ahead));
+      const int64_t label = label_of(job, i);
+      if (label < job.palette_size) {
+        const uint8_t* codes = job.palette + num_rest * label;
+        for (int64_t j = 0; j < num_rest; ++j) sh[3 + j] = job.rest_table[codes[j]];
+      } else {
+        for (int64_t j = 0; j < num_rest; ++j) sh[3 + j] = 0;
+        wrong_label.found(i);
+      }
+    }
+  });
+  return {wrong_tag.get(), wrong_label.get()};
 }
 
 void find_codes(const float* values, int64_t count, const float* bounds, uint8_t* out, int threads) {

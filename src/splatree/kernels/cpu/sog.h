@@ -1,4 +1,4 @@
-// The pixels of SOG version 2; kernels/reference/sog.py says what they are.
+// The pixels of SOG; kernels/reference/sog.py says what they are.
 #pragma once
 #include <cstdint>
 
@@ -15,6 +15,25 @@ struct SogEncodeJob {
 };
 
 void encode_sog(const SogEncodeJob& job, int threads);
+
+struct SogDecodeJob {
+  int64_t num_rows, sh_stride;
+  const uint8_t *means_l, *means_u, *scales, *labels;  // n × 3
+  const uint8_t *quats_pixels, *sh0;                   // n × 4
+  const float* mean_tables;                            // 3 × 65536
+  const float *scale_tables, *dc_tables;               // 3 × 256
+  const float *logit_table, *rest_table;               // 256
+  const uint8_t* palette;                              // codes of sh_stride - 3 harmonics an entry
+  int64_t palette_size;
+  float *means, *quats, *log_scales, *logit_opacities, *sh;
+};
+
+// The first row whose code stands for nothing, or -1.
+struct SogDamage {
+  int64_t tag, label;
+};
+
+SogDamage decode_sog(const SogDecodeJob& job, int threads);
 
 // out[i] = the number of the 255 ascending bounds below values[i].
 void find_codes(const float* values, int64_t count, const float* bounds, uint8_t* out, int threads);

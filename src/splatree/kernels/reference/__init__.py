@@ -1,4 +1,4 @@
-"""The specification in NumPy float64: slow, short, obvious; no early exits but those of the definition; loaded when first used."""
+"""The specification in NumPy float64: slow, short, obvious; no early exits but those of the definition. Loaded when used."""
 
 import importlib
 from types import ModuleType

@@ -1,4 +1,6 @@
-"""The pixels of SOG version 2: what the fast kernels must give, up to values that lie between two codes."""
+"""The pixels of SOG: what the fast kernels must give, up to values that lie between two codes."""
+
+from typing import NamedTuple
 
 import numpy as np
 
@@ -37,3 +39,54 @@ def encode(
         "scales": np.searchsorted(scale_bounds, g.log_scales).astype(np.uint8),
         "sh0": np.hstack([np.searchsorted(dc_bounds, g.sh[:, 0]), np.rint(opacities * 255)[:, None]]).astype(np.uint8),
     }
+
+
+class SogTables(NamedTuple):
+    """What the codes of the pictures stand for."""
+
+    means: Float32[Array, "3 65536"]
+    """Coordinate of each code of 16 bits, axis by axis."""
+    log_scales: Float32[Array, "3 256"]
+    """Logarithm of the scale, axis by axis."""
+    dc: Float32[Array, "3 256"]
+    """DC of the harmonics, channel by channel."""
+    logits: Float32[Array, "256"]
+    """Opacity before the sigmoid."""
+    rest: Float32[Array, "256"] | None = None
+    """Harmonics beyond the DC; None: there are none."""
+    palette: UInt8[Array, "p 3j"] | None = None
+    """Codes of the harmonics that each label stands for."""
+
+
+class SogDamage(NamedTuple):
+    """The first rows with codes that stand for nothing; -1: there is none."""
+
+    tag: int
+    """Its alpha of quats is none of 252 to 255; its quaternion is zero."""
+    label: int
+    """Its label is beyond the palette; its harmonics beyond the DC are zero."""
+
+
+def decode(pixels: dict[str, UInt8[Array, "n c"]], tables: SogTables, out: Gaussians, *, threads: int = 0) -> SogDamage:
+    """Fill the columns of ``out`` from as many pixels of each picture (those of `encode`, and labels if there are any)."""
+    low, high = pixels["means_l"], pixels["means_u"].astype(np.uint16)
+    for channel in range(3):
+        out.means[:, channel] = tables.means[channel][low[:, channel] | high[:, channel] << 8]
+        out.log_scales[:, channel] = tables.log_scales[channel][pixels["scales"][:, channel]]
+        out.sh[:, 0, channel] = tables.dc[channel][pixels["sh0"][:, channel]]
+    out.logit_opacities[:] = tables.logits[pixels["sh0"][:, 3]]
+
+    others = (pixels["quats"][:, :3] / 255 * 2 - 1) / np.sqrt(2)
+    largest = pixels["quats"][:, 3].astype(np.int64) - 252
+    wrong_tag = largest < 0
+    top = np.sqrt(np.maximum(0, 1 - (others**2).sum(axis=1)))
+    for row in range(len(out)):
+        out.quats[row] = 0 if wrong_tag[row] else np.insert(others[row], largest[row], top[row])
+
+    wrong_label = np.zeros(len(out), bool)
+    if tables.rest is not None and tables.palette is not None:
+        labels = pixels["labels"][:, 0] | pixels["labels"][:, 1].astype(np.uint16) << 8
+        wrong_label = labels >= len(tables.palette)
+        rest = tables.rest[tables.palette[np.where(wrong_label, 0, labels)]]
+        out.sh[:, 1:] = np.where(wrong_label[:, None], 0, rest).reshape(out.sh[:, 1:].shape)
+    return SogDamage(*(int(np.argmax(wrong)) if wrong.any() else -1 for wrong in (wrong_tag, wrong_label)))

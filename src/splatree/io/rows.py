@@ -1,0 +1,76 @@
+"""Files whose rows are decoded some at a time: into a whole scene, or into chunks that are used again.
+
+A reader of such a format checks what frames the rows (`FileRows`) and says how some of them are decoded; the rest is here.
+Whole or in chunks, the values are the same.
+"""
+
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from splatree.io.check import checked, checked_rows
+from splatree.io.chunks import ROWS_PER_CHUNK, Chunks, Counts, repaired_chunks
+from splatree.io.options import ReadOptions
+from splatree.progress import task
+from splatree.scene.gaussians import Gaussians
+from splatree.scene.scene import Mode, Scene, Source
+
+__all__ = ["FileRows", "Fill"]
+
+Fill = Callable[[int, Gaussians], None]
+"""Decodes the rows from a number on into columns, as many as these hold."""
+
+
+@dataclass(frozen=True, eq=False)
+class FileRows:
+    """The Gaussians of one flat file."""
+
+    where: str
+    """The file, as errors name it."""
+    num_rows: int
+    """Gaussians in all."""
+    sh_degree: int
+    """Degree of the harmonics."""
+    open: Callable[[], AbstractContextManager[Fill]]
+    """Start a pass over the rows. Within it `ROWS_PER_CHUNK` of them are asked for at a time, in order and to the last one."""
+    mode: Mode = "classic"
+    """How the scene is drawn."""
+    metadata: dict[str, str] | None = None
+    """As that of `Source`."""
+
+    def scene(self, options: ReadOptions) -> Scene:
+        """All rows, their values checked."""
+        return checked(self.unchecked_scene(), self.where, repair=options.repair)
+
+    def unchecked_scene(self) -> Scene:
+        """All rows, whatever their values."""
+        gaussians = self._empty(self.num_rows)
+        with self.open() as fill, task(f"read {Path(self.where).name}", self.num_rows) as advance:
+            for begin in range(0, self.num_rows, ROWS_PER_CHUNK):
+                part = gaussians.rows(begin, begin + ROWS_PER_CHUNK)
+                fill(begin, part)
+                advance(len(part))
+        return Scene.flat(gaussians, mode=self.mode, source=Source(metadata=self.metadata or {}))
+
+    def chunks(self, options: ReadOptions) -> Chunks:
+        """The rows in chunks, in buffers that are used again."""
+
+        def parts() -> Iterator[tuple[Gaussians, Counts]]:
+            buffers = self._empty(min(ROWS_PER_CHUNK, self.num_rows))
+            with self.open() as fill:
+                for begin in range(0, self.num_rows, ROWS_PER_CHUNK):
+                    part = buffers.rows(0, self.num_rows - begin)
+                    fill(begin, part)
+                    yield checked_rows(part, self.where, repair=options.repair, first_row=begin)
+
+        metadata = self.metadata or {}
+        whole = Chunks(self.num_rows, self.sh_degree, self.mode, lambda: (part for part, _ in parts()), metadata)
+        return repaired_chunks(whole, parts) if options.repair else whole
+
+    def _empty(self, num_rows: int) -> Gaussians:
+        k = (self.sh_degree + 1) ** 2
+        shapes = ((num_rows, 3), (num_rows, 4), (num_rows, 3), (num_rows,), (num_rows, k, 3))
+        return Gaussians(*(np.empty(shape, np.float32) for shape in shapes))
