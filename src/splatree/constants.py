@@ -58,6 +58,9 @@ SHRINK_PAD_PX: Final = 1.0
 PIXEL_ERROR: Final = 3.0
 """Default τ_R: a node whose projected radius is at most this, px, stands for its subtree (FilterGS §3.2)."""
 
+DILATION_MAX_PX2: Final = 1e12
+"""Largest dilation, px²: a standard deviation of 10⁶ px, the largest side of a picture; its square is within float32's range."""
+
 EIGENVALUE_FLOOR_PX4: Final = 0.1
 """Floor, px⁴, under the root in the larger eigenvalue of a splat's covariance (Kerbl 2023, rasterizer)."""
 

@@ -16,6 +16,7 @@ from splatree.render.paths import PathOptions, flyout
 from splatree.render.pipeline import render
 from splatree.scene.cameras import Camera
 from splatree.scene.options import SelectOptions
+from splatree.scene.scene import Scene
 
 NUM_GAUSSIANS = 3161
 
@@ -131,6 +132,20 @@ def test_render_makes_an_orbit_or_follows_cameras(splatree, small_tree, tmp_path
     assert image.shape == (30, 40, 3)
     assert image.std() > 0.05  # something is drawn
     assert given["views"][0]["selected"] > 0
+
+
+def test_render_says_once_what_to_know_of_the_selection(splatree, small_tree, tmp_path):
+    words = ("render", small_tree, "-o", tmp_path, "--views", "2", *SIZE, "--pixel-error", "0.5")
+    code, out, _ = splatree(*words)
+    assert code == 0
+    assert out.count("note: pixel_error 0.5 px is below") == 1
+
+
+def test_what_has_nothing_to_merge_is_built_without_a_table(splatree, small_scene, tmp_path):
+    write(Scene.flat(small_scene.gaussians.take(np.arange(1))), tmp_path / "one.ply")
+    code, out, _ = splatree("build", tmp_path / "one.ply", tmp_path / "one.splatree")
+    assert code == 0
+    assert out.startswith("wrote ")
 
 
 def test_budget_bounds_the_nodes_of_each_view(splatree, small_tree, tmp_path):

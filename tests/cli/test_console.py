@@ -3,7 +3,7 @@ import io
 import pytest
 
 from splatree.cli import console
-from splatree.cli.console import Console, progress_shown, table
+from splatree.cli.console import Console, progress_shown, size, table
 from splatree.progress import task
 
 
@@ -42,3 +42,11 @@ def test_verbose_says_what_each_step_took(monkeypatch, stream):
 def test_table_aligns_numbers_right_and_words_left():
     rows = [{"name": "a", "n": 1234, "dB": 3.14159}, {"name": "long", "n": 5, "dB": None}]
     assert table(rows).splitlines() == ["name      n    dB", "a     1,234  3.14", "long      5"]
+
+
+@pytest.mark.parametrize(
+    ("num_bytes", "words"),
+    [(0, "0 bytes"), (1023, "1023 bytes"), (1024, "1.0 KiB"), (3 << 20, "3.0 MiB"), (5 << 40, "5,120.0 GiB")],
+)
+def test_sizes_are_said_in_the_largest_unit_that_fits(num_bytes, words):
+    assert size(num_bytes) == words

@@ -68,6 +68,9 @@ def test_existing_picture_is_replaced_only_by_force(splatree, small_ply, tmp_pat
     assert splatree(*words)[0] == 0
     assert "view_0000.png" in one_line(splatree(*words))
     assert splatree(*words, "--force")[0] == 0
+    counters = (*words[:2], "--counters", tmp_path, *words[4:])
+    assert splatree(*counters)[0] == 0
+    assert "view_0000.npz: exists already" in one_line(splatree(*counters))
 
 
 def wrong_line(run):
@@ -110,6 +113,8 @@ def test_options_that_contradict_each_other_are_a_wrong_line(splatree, small_ply
     assert "found 2 inputs" in wrong_line(splatree("build", small_ply, *build[1:], "--levels", "file"))
     assert "found no --data" in wrong_line(splatree("eval", small_ply, "--training", "--frames", "0"))
     assert "scale" in wrong_line(splatree("render", small_ply, "-o", tmp_path, "--scale", "0"))
+    assert "wanted .mp4" in wrong_line(splatree("render", small_ply, "--video", tmp_path / "a.avi"))
+    assert "frames a second" in wrong_line(splatree("render", small_ply, "--video", tmp_path / "a.mp4", "--fps", "0"))
 
 
 def test_verbose_shows_steps_and_the_origin_of_an_error(splatree, small_ply, tmp_path):

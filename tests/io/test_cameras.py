@@ -236,6 +236,7 @@ def test_bad_transforms_are_refused(tmp_path, extra, message):
     [
         ("a.json", FormatError, "found other JSON"),
         ("b.json", FormatError, "not valid JSON"),
+        ("c.json", FormatError, "c.json: found no camera in it"),
         ("gone", InputError, "not found"),
         (".", InputError, "found no cameras in this folder"),
         ("cameras.txt", InputError, "found no COLMAP model"),
@@ -244,6 +245,7 @@ def test_bad_transforms_are_refused(tmp_path, extra, message):
 def test_what_holds_no_cameras_is_refused(tmp_path, name, error, message):
     (tmp_path / "a.json").write_text("{}")
     (tmp_path / "b.json").write_text("{")
+    (tmp_path / "c.json").write_text("[]")
     (tmp_path / "cameras.txt").write_text("")
     with pytest.raises(error, match=message):
         splatree.read_cameras(tmp_path / name)

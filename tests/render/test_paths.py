@@ -62,6 +62,22 @@ def test_orbit_shows_the_whole_scene_upright(ball):
         assert camera.position[1] < centre[1]
 
 
+@pytest.mark.parametrize(("rim", "radii"), [(1.1, 1.1), (40.0, 1.25)])
+def test_an_orbit_shows_the_rim_of_an_object_but_not_far_floaters(ball, rim, radii):
+    """5 % of the points lie at ``rim`` radii: within the 99 % that are shown, beyond the 90 % of the radius."""
+    directions = ball[:200] - np.array([10, 20, 30])
+    _, radius = bounds_of(scene_of(ball))
+    directions *= rim * radius / np.linalg.norm(directions, axis=1, keepdims=True)
+    scene = scene_of(np.concatenate([ball, np.array([10, 20, 30]) + directions]))
+    centre, radius = bounds_of(scene)
+    shown = [
+        np.linalg.norm(camera.position - centre) * np.sin(np.radians(25)) / radius
+        for camera in orbit(scene, PathOptions(views=2, width=640, height=360))
+    ]
+    # The 200 points move the radius itself by a few hundredths.
+    assert shown == pytest.approx([radii] * 2, abs=0.06)
+
+
 @pytest.mark.parametrize("up", [(0, 0, 1), (0, 1, 0), (1, 2, -3)])
 def test_elevation_is_measured_from_the_given_up(ball, up):
     scene = scene_of(ball)

@@ -10,7 +10,7 @@ import numpy as np
 from tyro.conf import arg
 
 from splatree.cli.calibrate import Views, in_words, training_views
-from splatree.cli.console import Console, UsageError, table
+from splatree.cli.console import Console, UsageError, size, table
 from splatree.cli.files import Files, inputs_and_output
 from splatree.clusters.build import ClusterOptions, build_clusters
 from splatree.io.registry import read, read_levels, stored_bytes, write
@@ -141,10 +141,10 @@ def show(built: Built) -> str:
         radii = [f"{radius:.4g}" for radius in built.rules.get("radii", [])] or ["linked"] * len(nodes)
         steps = enumerate(zip(radii, nodes, strict=True))
         rows = [{"level": i + 1, "radius": radius, "nodes left": n} for i, (radius, n) in steps]
-        levels = f"{table(rows)}\n"
+        levels = f"{table(rows)}\n" if rows else ""
     clusters = f"{built.clusters['clusters']:,} clusters, " if built.clusters else ""
     return (
         f"{levels}wrote {built.output}: {built.num_gaussians:,} Gaussians, {built.num_nodes:,} nodes "
         f"({built.num_nodes / max(1, built.num_gaussians):.2f} ×), {built.levels} levels, {built.num_roots} roots, {clusters}"
-        f"{built.bytes / 2**20:.1f} MiB"
+        f"{size(built.bytes)}"
     ) + ("" if built.calibration is None else f"\n{in_words(built.calibration)}")

@@ -55,6 +55,14 @@ def program_version() -> str:
         return "of a source tree"
 
 
+def size(num_bytes: int) -> str:
+    """Bytes in words: of the largest unit of which it is at least one."""
+    for power, unit in ((3, "GiB"), (2, "MiB"), (1, "KiB")):
+        if num_bytes >= 1024**power:
+            return f"{num_bytes / 1024**power:,.1f} {unit}"
+    return f"{num_bytes} bytes"
+
+
 def table(rows: Sequence[Mapping[str, Any]]) -> str:
     """Rows as aligned columns; numbers to the right."""
     columns = list(dict.fromkeys(key for row in rows for key in row))

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from tyro.conf import arg
 
-from splatree.cli.console import Console
+from splatree.cli.console import Console, size
 from splatree.cli.files import Files, inputs_and_output
 from splatree.edit.options import EditOptions
 from splatree.io.convert import ConvertOptions, convert
@@ -77,7 +77,7 @@ def run(command: Command) -> Result:
 def show(result: Result) -> str:
     """The result in words."""
     of = f" of {result.num_read:,}" if result.num_read != result.num_gaussians else ""
-    lines = [f"wrote {result.output}: {result.num_gaussians:,}{of} Gaussians, {result.bytes / 2**20:.1f} MiB"]
+    lines = [f"wrote {result.output}: {result.num_gaussians:,}{of} Gaussians, {size(result.bytes)}"]
     if result.repairs:
         lines.append("repaired: " + ", ".join(f"{rule} {count:,}" for rule, count in result.repairs.items()))
     lines += [f"lost: {sentence}" for sentence in result.lost]

@@ -7,7 +7,7 @@ from typing import Annotated
 import numpy as np
 from tyro.conf import Positional, arg
 
-from splatree.cli.console import Console, table
+from splatree.cli.console import Console, size, table
 from splatree.cli.files import check_inputs
 from splatree.io.registry import read, stored_bytes
 from splatree.render.paths import bounds_of
@@ -128,8 +128,8 @@ def show(info: Info) -> str:
         *([("clusters", _cluster_words(info.clusters))] if info.clusters else []),
         ("harmonics", f"degree {info.sh_degree}"),
         ("drawn", f"{info.mode}, τ = {info.threshold:.4g}, {info.extent}"),
-        ("file", f"{info.file_bytes / 2**20:.1f} MiB, {info.file_bytes / max(1, info.num_nodes):.1f} bytes a row"),
-        ("memory", f"{info.bytes / 2**20:.1f} MiB"),
+        ("file", f"{size(info.file_bytes)}, {info.file_bytes / max(1, info.num_nodes):.1f} bytes a row"),
+        ("memory", f"{size(info.bytes)}"),
         ("box", f"{point(*info.box_min)} to {point(*info.box_max)}"),
         ("90 % within", f"{info.radius:.4g} of {point(*info.centre)}"),
         ("opacity", _in_words(info.opacity)),

@@ -12,14 +12,15 @@ from tyro.conf import Positional, arg
 
 from splatree.cli.console import Console, UsageError, table
 from splatree.cli.files import check_inputs
-from splatree.errors import OutputError
+from splatree.errors import InputError, OutputError
 from splatree.io.cameras import read_cameras
 from splatree.io.images import write_image
 from splatree.io.registry import read
+from splatree.io.replacing import check_target
 from splatree.render.batch import trace_batch
 from splatree.render.counters import frame_counters, write_counters
 from splatree.render.paths import PathOptions, flyout, orbit
-from splatree.render.video import open_video
+from splatree.render.video import check_video, open_video
 from splatree.scene.cameras import Camera, Cameras
 from splatree.scene.frame import Frame
 from splatree.scene.options import RenderOptions, SelectOptions
@@ -97,19 +98,24 @@ def run(command: Command) -> Rendered:
         raise UsageError("found nothing to write, wanted -o FOLDER for pictures, --video FILE.mp4 or --counters FOLDER")
     if not command.scale > 0:
         raise UsageError(f"scale: found {command.scale}, wanted more than 0")
+    if command.video is not None:
+        check_target(command.video)
+        try:
+            check_video(command.video, command.fps)
+        except InputError as error:
+            raise UsageError(str(error)) from error
     named = None if command.cameras is None else read_cameras(command.cameras)
     scene = read(command.paths).to(command.device)
     cameras = [camera.scaled(command.scale) for camera in (_made(scene, command) if named is None else named)]
     names = file_names(cameras)
-    if command.output is not None:
-        _make_folder(command.output)
-        existing = [name for name in names if (command.output / f"{name}.png").exists()]
-        if existing and not command.force:
-            raise OutputError(
-                f"{command.output / existing[0]}.png: exists already; choose another folder or use --force"
-            )
-    if command.counters is not None:
-        _make_folder(command.counters)
+    targets = [command.video] if command.video else []
+    for folder, suffix in ((command.output, "png"), (command.counters, "npz")):
+        if folder is not None:
+            _make_folder(folder)
+            targets += [folder / f"{name}.{suffix}" for name in names]
+    existing = [target for target in targets if target.exists()]
+    if existing and not command.force:
+        raise OutputError(f"{existing[0]}: exists already; choose another name or folder, or use --force")
     views = []
     with ExitStack() as stack:
         add = (
@@ -141,7 +147,8 @@ def show(rendered: Rendered) -> str:
     ]
     written = (rendered.output, rendered.video, rendered.counters)
     targets = " and ".join(str(target) for target in written if target)
-    return f"{table(rows)}\nwrote {targets}"
+    notes = [f"note: {note}" for note in dict.fromkeys(note for view in rendered.views for note in view.notes)]
+    return "\n".join([table(rows), *notes, f"wrote {targets}"])
 
 
 def _view(frame: Frame, file: Path | None) -> View:

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from tyro.conf import arg
 
-from splatree.cli.console import Console
+from splatree.cli.console import Console, size
 from splatree.cli.files import Files, inputs_and_output
 from splatree.io.registry import read, stored_bytes, write
 from splatree.scene.scene import Scene
@@ -68,5 +68,5 @@ def show(result: Result) -> str:
     how = f"{result.rounds} rounds of pairs" if result.radius is None else f"radius {result.radius:.4g}"
     return (
         f"wrote {result.output}: {result.num_gaussians:,} of {result.num_read:,} Gaussians ({share:.1f} %), "
-        f"{how}, {result.bytes / 2**20:.1f} MiB"
+        f"{how}, {size(result.bytes)}"
     )

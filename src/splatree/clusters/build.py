@@ -77,7 +77,7 @@ def build_clusters(
         raise InputError("clusters: found a scene without Gaussians, wanted at least one")
     count = _number_for(n) if num_clusters == "auto" else num_clusters
     if not 1 <= count <= n:
-        raise InputError(f"clusters: found {count} for {n} Gaussians, wanted 1 to one a Gaussian")
+        raise InputError(f"clusters: found {count} for {n} Gaussians, wanted 1 to {n}, one for each of them")
     is_flat = scene.tree.num_leaves == n
     if is_flat:
         scene, start, centers = _by_kmeans(scene, count, options, threads)

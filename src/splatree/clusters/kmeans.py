@@ -61,7 +61,7 @@ def kmeans(
         InputError: more clusters than points, or less than one, or points that are not finite.
     """
     if not 1 <= num_clusters <= len(points):
-        raise InputError(f"kmeans: found {num_clusters} clusters for {len(points)} points, wanted 1 to one a point")
+        raise InputError(f"kmeans: found {num_clusters} clusters for {len(points)} points, wanted 1 to {len(points)}")
     if not np.isfinite(points.sum(dtype=np.float64)):  # a single pass that makes no copy
         row = int(np.argmin(np.isfinite(points).all(axis=1)))
         raise InputError(f"kmeans: found {points[row]} at row {row}, wanted finite points")

@@ -32,17 +32,23 @@ def read_cameras(path: str | os.PathLike[str]) -> Cameras:
     A folder is searched for a COLMAP model, then transforms.json, then cameras.json.
 
     Raises:
-        FormatError: the file is damaged, or a camera has distortion or is no pinhole.
+        FormatError: the file is damaged or holds no camera, or a camera has distortion or is no pinhole.
         InputError: there is nothing of these kinds.
     """
-    root = Path(path)
+    cameras = _read(Path(path))
+    if not len(cameras):
+        raise FormatError(f"{path}: found no camera in it, wanted at least one")
+    return cameras
+
+
+def _read(root: Path) -> Cameras:
     if root.is_dir():
         for folder in _COLMAP_FOLDERS:
             if colmap.is_model(root / folder):
                 return colmap.read(root / folder)
         for name in ("transforms.json", "cameras.json"):
             if (root / name).is_file():
-                return read_cameras(root / name)
+                return _read(root / name)
         raise InputError(
             f"{root}: found no cameras in this folder; wanted a COLMAP model (cameras.bin and images.bin, or .txt) in it or in "
             "sparse/0, transforms.json or cameras.json"

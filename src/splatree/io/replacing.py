@@ -43,7 +43,8 @@ def check_target(path: str | os.PathLike[str]) -> None:
     """Refuse what no file can be written to, before any work is done for it.
 
     Raises:
-        OutputError: it is there and not a plain file, or its folder is missing or may not be looked into, or no file can have its name.
+        OutputError: it is there and not a plain file, or its folder is missing or may not be
+            looked into, or no file can have its name.
     """
     target = Path(path).resolve()
     try:

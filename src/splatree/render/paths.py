@@ -24,6 +24,12 @@ SAMPLE: Final = 200_000
 SHARE: Final = 0.9
 """Share of the opacity within the radius; the rest of a drone capture is its ragged far rim."""
 
+RIM_SHARE: Final = 0.99
+"""Share of the opacity that an orbit shows: the head of a figure belongs in its picture …"""
+
+RIM_MAX: Final = 1.25
+"""… as far as this many radii: farther out is a rim that would make the scene small."""
+
 NEAR_SHARE: Final = 0.01
 """The near plane is at most this share of the distance to the target: a scene in kilometres must not vanish in front of it."""
 
@@ -59,9 +65,16 @@ class PathOptions:
 
 
 def orbit(scene: Scene, options: PathOptions | None = None) -> Cameras:
-    """Views on a circle around the scene that look at its centre from where all of its radius is in the picture."""
+    """Views on a circle around the scene that look at its centre, with 99 % of its opacity in the picture.
+
+    What lies beyond 1.25 radii may be outside of it.
+    """
     options = options or PathOptions()
     centre, radius = bounds_of(scene)
+    means, weights = _sample(scene)
+    radius = min(
+        max(radius, _weighted_quantile(np.linalg.norm(means - centre, axis=1), weights, RIM_SHARE)), RIM_MAX * radius
+    )
     half_y = np.radians(options.fov_y_deg) / 2
     half_x = np.arctan(np.tan(half_y) * options.width / options.height)
     distance = radius / np.sin(min(half_x, half_y))
@@ -116,18 +129,22 @@ def _between(a: Array, b: Array, share: float) -> Array:
 
 def bounds_of(scene: Scene) -> tuple[Float64[Array, "3"], float]:
     """Centre and radius, world units, of what is seen of a scene: see the head of this module."""
+    means, weights = _sample(scene)
+    centre = np.array([_weighted_quantile(means[:, axis], weights, 0.5) for axis in range(3)])
+    radius = _weighted_quantile(np.linalg.norm(means - centre, axis=1), weights, SHARE)
+    if radius == 0:  # one Gaussian, or all at one place: its own size
+        radius = float(np.exp(scene.gaussians.log_scales[scene.tree.is_leaf].max())) * 3
+    return centre, radius
+
+
+def _sample(scene: Scene) -> tuple[Float64[Array, "s 3"], Float64[Array, "s"]]:
+    """Centres and opacities of leaves, evenly spread over the rows."""
     leaves = np.flatnonzero(scene.tree.is_leaf)
     if len(leaves) == 0:
         raise InputError("camera path: the scene is empty; name cameras instead")
     rows = leaves[:: -(-len(leaves) // SAMPLE)]
-    means = scene.gaussians.means[rows].astype(np.float64)
     logits = scene.gaussians.logit_opacities[rows].astype(np.float64)
-    weights = 1 / (1 + np.exp(-np.clip(logits, -30, 30)))
-    centre = np.array([_weighted_quantile(means[:, axis], weights, 0.5) for axis in range(3)])
-    radius = _weighted_quantile(np.linalg.norm(means - centre, axis=1), weights, SHARE)
-    if radius == 0:  # one Gaussian, or all at one place: its own size
-        radius = float(np.exp(scene.gaussians.log_scales[rows].max())) * 3
-    return centre, radius
+    return scene.gaussians.means[rows].astype(np.float64), 1 / (1 + np.exp(-np.clip(logits, -30, 30)))
 
 
 def _weighted_quantile(values: Array, weights: Array, share: float) -> float:

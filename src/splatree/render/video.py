@@ -28,10 +28,7 @@ def open_video(path: str | Path, *, fps: float = 30.0, force: bool = False) -> I
         OutputError: the file exists and ``force`` is not set, or it could not be written; an old file is then whole.
     """
     path = Path(path)
-    if path.suffix.lower() != ".mp4":
-        raise InputError(f"video {path}: found suffix {path.suffix!r}, wanted .mp4")
-    if not fps > 0:
-        raise InputError(f"video {path}: found {fps} frames a second, wanted more than 0")
+    check_video(path, fps)
     program = _find_ffmpeg()
     encoder: subprocess.Popen[bytes] | None = None
     shape: tuple[int, ...] = ()
@@ -65,6 +62,18 @@ def open_video(path: str | Path, *, fps: float = 30.0, force: bool = False) -> I
             if encoder is not None:
                 encoder.kill()
                 encoder.communicate()
+
+
+def check_video(path: Path, fps: float) -> None:
+    """Refuse a name or a rate that no video can have.
+
+    Raises:
+        InputError: the name does not end in .mp4, or there is less than one picture in 1000 s, or more than 1000 a second.
+    """
+    if path.suffix.lower() != ".mp4":
+        raise InputError(f"video {path}: found suffix {path.suffix!r}, wanted .mp4")
+    if not 1e-3 <= fps <= 1e3:
+        raise InputError(f"video {path}: found {fps:g} frames a second, wanted 0.001 to 1000")
 
 
 def _find_ffmpeg() -> str:

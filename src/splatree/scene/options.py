@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from splatree.constants import ALPHA_THRESHOLD, DILATION_PX2, PIXEL_ERROR, SHRINK_AREA_POWER
+from splatree.constants import ALPHA_THRESHOLD, DILATION_MAX_PX2, DILATION_PX2, PIXEL_ERROR, SHRINK_AREA_POWER
 from splatree.errors import InputError
 from splatree.scene.scene import Extent, Mode, Scene
 
@@ -77,8 +77,10 @@ class RenderOptions:
     """Highest degree of harmonics evaluated; None: all that the scene has."""
 
     def __post_init__(self) -> None:
-        if not self.dilation_px2 >= 0:
-            raise InputError(f"dilation_px2: found {self.dilation_px2}, wanted 0 px² or more")
+        if not all(0 <= channel <= 1 for channel in self.background):
+            raise InputError(f"background: found {self.background}, wanted red, green and blue from 0 to 1")
+        if not 0 <= self.dilation_px2 <= DILATION_MAX_PX2:
+            raise InputError(f"dilation_px2: found {self.dilation_px2:g}, wanted 0 to {DILATION_MAX_PX2:g} px²")
         if self.threshold is not None and not 0 < self.threshold < 1:
             raise InputError(f"threshold: found {self.threshold}, wanted between 0 and 1")
         _check_names(self, pixels=Pixels)

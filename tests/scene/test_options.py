@@ -1,0 +1,108 @@
+import numpy as np
+import pytest
+
+from splatree import InputError, RenderOptions, Scene, SelectOptions
+from splatree.constants import ALPHA_THRESHOLD
+from splatree.scene.gaussians import Gaussians
+
+NAN, INF = float("nan"), float("inf")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"background": (0, NAN, 0)}, "background: found"),
+        ({"background": (0, 0, 255)}, "from 0 to 1"),
+        ({"background": (-0.1, 0, 0)}, "from 0 to 1"),
+        ({"dilation_px2": -0.1}, "dilation_px2: found -0.1, wanted 0"),
+        ({"dilation_px2": INF}, "found inf"),
+        ({"dilation_px2": NAN}, "found nan"),
+        ({"threshold": 0.0}, "threshold: found 0.0, wanted between 0 and 1"),
+        ({"threshold": 1.0}, "threshold"),
+        ({"pixels": "soft"}, "pixels: found 'soft', wanted one of taper, hard"),
+        ({"extent": "box"}, "extent: found 'box', wanted one of"),
+        ({"pixels": "taper", "extent": "tau"}, "'taper' with extent 'tau'"),
+        ({"pixels": "taper", "extent": "3sigma"}, "'taper' with extent '3sigma'"),
+        ({"sh_degree": -1}, "sh_degree: found -1, wanted 0 to 3"),
+        ({"sh_degree": 4}, "sh_degree: found 4, wanted 0 to 3"),
+    ],
+)
+def test_render_options_that_cannot_be_drawn_are_refused(options, message):
+    with pytest.raises(InputError, match=message):
+        RenderOptions(**options)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"pixel_error": -1.0}, "pixel_error: found -1.0, wanted 0 px or more"),
+        ({"pixel_error": NAN}, "pixel_error"),
+        ({"budget": 0}, "budget: found 0, wanted at least 1 node"),
+        ({"max_radius": -1.0}, "max_radius"),
+        ({"rule": "best"}, "rule: found 'best', wanted one of cut"),
+        ({"visibility": "all"}, "visibility: found 'all', wanted one of footprint"),
+        ({"cull": "boxes"}, "cull: found 'boxes', wanted one of none"),
+    ],
+)
+def test_select_options_that_mean_nothing_are_refused(options, message):
+    with pytest.raises(InputError, match=message):
+        SelectOptions(**options)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"background": (0, 1, 0.5), "dilation_px2": 0.0, "sh_degree": 0},
+        {"dilation_px2": 1e12, "sh_degree": 3},
+        {"pixels": "taper", "extent": "balanced"},
+    ],
+)
+def test_the_ends_of_ranges_are_options(options):
+    assert {name: getattr(RenderOptions(**options), name) for name in options} == options
+
+
+def scene(**fields):
+    one = Gaussians(
+        np.zeros((1, 3), np.float32),
+        np.ones((1, 4), np.float32),
+        np.zeros((1, 3), np.float32),
+        np.zeros(1, np.float32),
+        np.zeros((1, 4, 3), np.float32),
+    )
+    flat = Scene.flat(one, mode="antialiased")
+    return Scene(**{**vars(flat), **fields})
+
+
+def test_what_options_leave_open_is_as_the_scene_says():
+    own = RenderOptions().resolved(scene(threshold=0.1, extent="balanced"))
+    assert (own.mode, own.threshold, own.extent, own.sh_degree) == ("antialiased", 0.1, "balanced", 1)
+    given = RenderOptions(mode="classic", threshold=0.2, extent="tau", sh_degree=0)
+    given = given.resolved(scene(threshold=0.1, extent="balanced"))
+    assert (given.mode, given.threshold, given.extent, given.sh_degree) == ("classic", 0.2, "tau", 0)
+    assert RenderOptions().resolved(scene()).extent == "ellipse"
+
+
+@pytest.mark.parametrize(
+    ("extent", "threshold", "least_threshold", "least_opacity", "area_power"),
+    [
+        ("ellipse", 0.1, 0.1, 0.1, 0.0),
+        ("balanced", 0.1, ALPHA_THRESHOLD, ALPHA_THRESHOLD, 0.4),  # large splats end lower, at 1/255 at the least
+        ("balanced", 0.001, 0.001, 0.001, 0.4),
+        ("tau", 0.1, 0.1, 0.0, 0.0),  # squares list splats of any opacity
+        ("3sigma", 0.1, 0.1, 0.0, 0.0),
+    ],
+)
+def test_what_follows_from_the_extent(extent, threshold, least_threshold, least_opacity, area_power):
+    resolved = RenderOptions(extent=extent, threshold=threshold).resolved(scene())
+    assert resolved.least_threshold == least_threshold
+    assert resolved.least_opacity == least_opacity
+    assert resolved.area_power == area_power
+    assert resolved.is_square == (extent in ("tau", "3sigma"))
+
+
+def test_pixels_are_drawn_down_to_the_lossless_threshold_and_tapered_only_above_it():
+    for threshold, pixel_threshold, tapers in ((0.1, ALPHA_THRESHOLD, True), (0.001, 0.001, False)):
+        resolved = RenderOptions(threshold=threshold, pixels="taper").resolved(scene())
+        assert (resolved.pixel_threshold, resolved.tapers) == (pixel_threshold, tapers)
+    assert not RenderOptions(threshold=0.1).resolved(scene()).tapers
+    assert not RenderOptions(threshold=ALPHA_THRESHOLD, pixels="taper").resolved(scene()).tapers
