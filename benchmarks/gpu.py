@@ -71,7 +71,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--dry", type=Path, metavar="FOLDER", help="run everything tiny on the emulator, keep nothing")
     dry = parser.parse_args().dry
-    device, plan = (emulator(dry), DRY) if dry else (open_device(), Plan())
+    device, plan = (emulator(dry), DRY) if dry else (open_device(0), Plan())
     if not dry:
         check_parity()
     rows = [*selection_rows(device, plan), *frame_rows(device, plan)]

@@ -40,6 +40,6 @@ def device(request: pytest.FixtureRequest) -> Device:
     if request.param == "emulator":
         return request.getfixturevalue("emulator")
     try:
-        return open_device()
+        return open_device(0)
     except DeviceError as error:
         pytest.skip(f"no GPU: {error}")

@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from splatree.render.evaluate import Evaluation, evaluate
     from splatree.render.paths import PathOptions, flyout, orbit, through
     from splatree.render.pipeline import render, trace
+    from splatree.render.tensors import draw, scene_from_tensors
     from splatree.render.timing import Timing, time_frames
     from splatree.render.video import open_video
     from splatree.scene.cameras import Camera, Cameras
@@ -107,6 +108,7 @@ __all__ = [
     "contribution_histogram",
     "convert",
     "cull",
+    "draw",
     "edit",
     "evaluate",
     "flyout",
@@ -122,6 +124,7 @@ __all__ = [
     "read_levels",
     "render",
     "render_batch",
+    "scene_from_tensors",
     "select",
     "ssim",
     "thin",
@@ -185,6 +188,7 @@ _HOME = {
     "contribution_histogram": "splatree.render.contribution",
     "convert": "splatree.io.convert",
     "cull": "splatree.clusters.cull",
+    "draw": "splatree.render.tensors",
     "edit": "splatree.edit.edit",
     "evaluate": "splatree.render.evaluate",
     "flyout": "splatree.render.paths",
@@ -200,6 +204,7 @@ _HOME = {
     "read_levels": "splatree.io.registry",
     "render": "splatree.render.pipeline",
     "render_batch": "splatree.render.batch",
+    "scene_from_tensors": "splatree.render.tensors",
     "select": "splatree.lod.select",
     "ssim": "splatree.metrics.ssim",
     "thin": "splatree.simplify.thin",

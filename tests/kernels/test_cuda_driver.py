@@ -2,6 +2,7 @@
 
 import ctypes
 import gc
+import json
 import subprocess
 import sys
 import threading
@@ -15,8 +16,11 @@ import numpy as np
 import pytest
 
 import splatree as st
+from splatree.cli.main import main
 from splatree.errors import DeviceError
+from splatree.kernels.cuda import device as cuda_device
 from splatree.kernels.cuda import library as cuda_library
+from splatree.kernels.cuda.compile import load_compiler
 from splatree.kernels.cuda.driver import Device
 from splatree.kernels.cuda.library import NUMBERS, Driver, Handle, load_driver, prototypes
 from splatree.kernels.cuda.sources import ROOT
@@ -204,6 +208,25 @@ def test_a_recording_that_fails_leaves_nothing(emulator: Emulator) -> None:
         emulator.wait()
     assert emulator.held == before
     emulator.wait()
+
+
+def test_users_meet_the_driver_from_end_to_end(
+    found_library: Emulator, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    try:
+        load_compiler()
+    except DeviceError as error:
+        pytest.skip(str(error))
+    monkeypatch.setenv("HOME", str(tmp_path))  # where compiled kernels are kept
+    cuda_device.open_device.cache_clear()
+    assert main(["doctor", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["cuda"], found
+    assert len(list((tmp_path / ".cache" / "splatree" / "cuda").iterdir())) == 5  # all that a frame needs
+    scene = tree_scene(60)
+    picture = st.render(scene.to("cuda"), camera(), DRAWING)
+    assert st.psnr(picture.image, st.render(scene, camera(), DRAWING).image) > 90
+    cuda_device.open_device.cache_clear()
 
 
 def launch_with_other_threads(emulator: Emulator) -> None:

@@ -24,7 +24,7 @@ from ..kernels.conftest import camera, gaussians
 @pytest.fixture
 def at_hand(device: Device, monkeypatch: pytest.MonkeyPatch) -> Iterator[Device]:
     """The device is what the library finds; with little room at first, as the emulator watches every word."""
-    monkeypatch.setattr(cuda_device, "open_device", lambda: device)
+    monkeypatch.setattr(cuda_device, "open_device", lambda ordinal: device)
     monkeypatch.setattr(cuda_device, "Renderer", partial(Renderer, rows=256, pairs=1024))
     yield device
     cuda_device._renderers.clear()

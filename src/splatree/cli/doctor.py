@@ -107,7 +107,7 @@ def _compiler() -> Finding:
 
 def _gpu() -> Finding:
     try:
-        device = open_device()
+        device = open_device(0)
     except DeviceError as error:
         return Finding("GPU", "", str(error))
     memory = f"{device.memory_bytes / 2**30:.0f} GiB"

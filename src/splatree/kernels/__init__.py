@@ -52,7 +52,7 @@ def backend_for(name: Backend) -> FrameStages:
         from splatree.kernels.cuda.device import open_device
         from splatree.kernels.cuda.stages import Stages
 
-        on_device = Stages(open_device())
+        on_device = Stages(open_device(0))
         return FrameStages(on_device.project, on_device.bin, on_device.blend)
     if name not in modules:
         raise InputError(f"backend: found {name!r}, wanted one of {sorted([*modules, 'cuda'])}")

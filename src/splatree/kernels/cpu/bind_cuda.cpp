@@ -69,7 +69,7 @@ Tensor import_tensor(nb::ndarray<nb::ro> tensor) {
   const char* const names[] = {"int", "uint", "float", "opaque", "bfloat", "complex", "bool"};
   const std::string name = (type.code < 7 ? names[type.code] : "code") + std::to_string(type.bits);
   const bool on_gpu = tensor.device_type() == nb::device::cuda::value;
-  return {reinterpret_cast<uint64_t>(tensor.data()), shape, contiguous, name, on_gpu ? tensor.device_id() : -1, nb::cast(tensor)};
+  return {reinterpret_cast<uint64_t>(tensor.data()), shape, contiguous, name, on_gpu ? tensor.device_id() : -1, nb::cast(tensor, nb::rv_policy::reference)};
 }
 
 }  // namespace

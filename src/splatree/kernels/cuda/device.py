@@ -1,20 +1,23 @@
 """The GPU of this process, and the scenes that lie on it."""
 
+from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from weakref import WeakKeyDictionary
 
 from splatree.kernels.cpu.blocks import index_blocks
 from splatree.kernels.cuda.compile import load_compiler
-from splatree.kernels.cuda.driver import Device
+from splatree.kernels.cuda.driver import Device, DeviceArray
 from splatree.kernels.cuda.library import load_driver
 from splatree.kernels.cuda.renderer import Renderer
-from splatree.scene.scene import Scene
+from splatree.scene.gaussians import Gaussians
+from splatree.scene.scene import Mode, Scene
 
-__all__ = ["open_device", "renderer_of"]
+__all__ = ["keep_on_device", "open_device", "renderer_of"]
 
 
 @cache
-def open_device(ordinal: int = 0) -> Device:
+def open_device(ordinal: int) -> Device:
     """The GPU of that number, opened once.
 
     Raises:
@@ -31,9 +34,20 @@ def renderer_of(scene: Scene) -> Renderer:
     renderer = _renderers.get(scene)
     if renderer is None:
         blocks = scene.blocks or index_blocks(scene.gaussians, scene.tree)
-        renderer = Renderer(open_device(), scene.gaussians, scene.tree, blocks, scene.ids)
+        renderer = Renderer(open_device(0), scene.gaussians, scene.tree, blocks, scene.ids)
         _renderers[scene] = renderer
     return renderer
+
+
+def keep_on_device(ordinal: int, mode: Mode, columns_on: Callable[[Device], dict[str, DeviceArray]]) -> Scene:
+    """A flat scene of columns that lie on the GPU of that number, drawn from where they lie."""
+    device = open_device(ordinal)
+    columns = columns_on(device)
+    scene = Scene.flat(Gaussians(**{name: column.numpy() for name, column in columns.items()}), mode=mode).to("cuda")
+    blocks = index_blocks(scene.gaussians, scene.tree)
+    scene = replace(scene, blocks=blocks)
+    _renderers[scene] = Renderer(device, scene.gaussians, scene.tree, blocks, columns=columns)
+    return scene
 
 
 _renderers: WeakKeyDictionary[Scene, Renderer] = WeakKeyDictionary()

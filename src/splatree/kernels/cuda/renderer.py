@@ -12,9 +12,10 @@ Of the two blend kernels the one is taken that is faster on this device at this 
 
 import time
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
+from types import MappingProxyType
 
 import numpy as np
 
@@ -126,10 +127,14 @@ class Renderer:
         blend: Blend | None = None,
         rows: int = FIRST_ROWS,
         pairs: int = FIRST_PAIRS,
+        columns: Mapping[str, DeviceArray] = MappingProxyType({}),
     ) -> None:
-        """``blend`` names a kernel instead of measuring; ``rows`` and ``pairs`` are what there is room for at first."""
+        """``blend`` names a kernel instead of measuring; ``rows`` and ``pairs`` are what there is room for at first.
+
+        ``columns`` of the Gaussians are on the device already.
+        """
         self.device = device
-        self.scene = DeviceScene(device, gaussians, ids, tree, blocks)
+        self.scene = DeviceScene(device, gaussians, ids, tree, blocks, columns)
         self._work = Workspace(device, self.scene)
         self._rows, self._pairs = min(rows, max(len(gaussians), 1)), pairs
         self._named_blend = blend

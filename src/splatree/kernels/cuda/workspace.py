@@ -5,6 +5,7 @@ Arrays only grow. What a frame needs at once: 64 + 36 bytes a row, 24 a pair (pa
 """
 
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 
@@ -32,12 +33,15 @@ class DeviceScene:
         ids: UInt32[Array, "n"] | None,
         tree: GaussianTree | None = None,
         blocks: BlockIndex | None = None,
+        on_device: Mapping[str, DeviceArray] = MappingProxyType({}),
     ) -> None:
-        """Without a tree the rows can be projected but not selected."""
+        """Without a tree the rows can be projected but not selected; columns that are ``on_device`` are not copied."""
         self.num_rows, self.sh_degree = len(gaussians), gaussians.sh_degree
         self.num_blocks = len(blocks) if blocks else 0
         self.id_bits = int(ids.max(initial=0)).bit_length() if ids is not None else 0
-        columns: dict[str, Array | None] = {name: getattr(gaussians, name) for name in GAUSSIAN_COLUMNS}
+        columns: dict[str, Array | None] = {
+            name: getattr(gaussians, name) for name in GAUSSIAN_COLUMNS if name not in on_device
+        }
         columns["ids"] = ids
         self.sizes = {"num_rows": self.num_rows, "num_coefficients": gaussians.sh.shape[1]}
         if tree is not None and blocks is not None:
@@ -46,7 +50,8 @@ class DeviceScene:
             columns |= {name: getattr(blocks, name) for name in BLOCK_COLUMNS}
             words = -(-blocks.rows_per_block // 32)
             self.sizes |= {"num_blocks": len(blocks), "rows_per_block": blocks.rows_per_block, "words_per_block": words}
-        self.arrays = {name: device.upload(host, name=name) for name, host in columns.items() if host is not None}
+        uploaded = {name: device.upload(host, name=name) for name, host in columns.items() if host is not None}
+        self.arrays = {**on_device, **uploaded}
 
 
 GAUSSIAN_COLUMNS = ("means", "quats", "log_scales", "logit_opacities", "sh")
