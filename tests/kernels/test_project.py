@@ -156,6 +156,42 @@ def test_a_subset_of_rows_gives_its_records_bit_for_bit(isa: str) -> None:
         np.testing.assert_array_equal(part.records.view(np.uint32), everything.records[both].view(np.uint32))
 
 
+@pytest.mark.parametrize("fov_y_deg", [3, 30, 60, 120])
+def test_the_first_look_drops_nothing_that_is_in_view(fov_y_deg: float, isa: str) -> None:
+    # Distances over six decades, aspects of 100 : 1, sizes from far below a pixel to far beyond the picture.
+    rng = np.random.default_rng(round(fov_y_deg))
+    n = 3000
+    directions = rng.normal(size=(n, 3))
+    means = directions / np.linalg.norm(directions, axis=1, keepdims=True) * 10.0 ** rng.uniform(-2, 4, (n, 1))
+    log_scales = np.log(10.0 ** (rng.uniform(-4, 2, (n, 1)) + rng.uniform(-2, 0, (n, 3))))
+    quats, logits, sh = rng.normal(size=(n, 4)), rng.normal(0, 4, n), np.zeros((n, 1, 3))
+    g = st.Gaussians(*(np.asarray(a, np.float32) for a in (means, quats, log_scales, logits, sh)))
+    straight = st.Camera.look_at((0, 0, 0), (0.3, -0.2, 1), width=75, height=41, fov_y_deg=fov_y_deg)
+    for off_centre in (0.0, 60.0, -900.0):
+        K = straight.K.copy()
+        K[:2, 2] += off_centre
+        seen_by = st.Camera(straight.camera_from_world, K, straight.width, straight.height)
+        fast = cpu.project.project(g, None, all_rows(st.Scene.flat(g)), seen_by, options())
+        slow = reference.project.project(g, None, all_rows(st.Scene.flat(g)), seen_by, options())
+        assert 10 < len(slow) < n / 2
+        assert_at_a_step(fast, np.setdiff1d(fast.rows, slow.rows), seen_by, 1 / 255)
+        assert_at_a_step(slow, np.setdiff1d(slow.rows, fast.rows), seen_by, 1 / 255)
+
+
+def test_very_many_rows_are_the_same_as_few() -> None:
+    # From 2^19 rows on, records are written past the caches.
+    g = gaussians(1000, 9, spread=3)
+    rows = np.resize(np.arange(1000, dtype=np.int32), 2**19 + 100)
+    few = cpu.project.project(g, None, rows[:1000], camera(), options())
+    many = cpu.project.project(g, None, rows, camera(), options())
+    assert 100 < len(few) < 900
+    wanted = np.resize(few.rows, len(many))
+    np.testing.assert_array_equal(many.rows, wanted)
+    record_of_row = np.zeros((1000, 16), np.float32)
+    record_of_row[few.rows] = few.records
+    np.testing.assert_array_equal(many.records, record_of_row[wanted])
+
+
 def test_rows_outside_of_the_scene_are_refused() -> None:
     g = gaussians(5, 1)
     for row in (-1, 5):

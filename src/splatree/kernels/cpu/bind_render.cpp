@@ -21,14 +21,10 @@ int64_t project_rows(In<float> means, In<float> quats, In<float> log_scales, In<
                      std::optional<In<double>> square, bool antialiased, int degree,
                      Out<int32_t> out_rows, Out<float> out_records, Out<float> out_depths, int threads) {
   const int64_t num_rows = int64_t(rows.shape(0));
-  const int32_t last = int32_t(means.shape(0)) - 1;
-  float last_mean[4] = {}, last_log_scale[4] = {};
-  if (last >= 0) std::copy_n(means.data() + 3 * int64_t(last), 3, last_mean);
-  if (last >= 0) std::copy_n(log_scales.data() + 3 * int64_t(last), 3, last_log_scale);
   View seen = view_of(view.data(), threshold, antialiased);
   seen.least_opacity = float(least_opacity);
   const ProjectJob job{means.data(), quats.data(), log_scales.data(), logit_opacities.data(), sh.data(),
-                       last, last_mean, last_log_scale, int(sh.shape(1)), degree,
+                       int(sh.shape(1)), degree,
                        seen, square.has_value(), square ? square_of(square->data()) : Square{}, rows.data(), num_rows, threads,
                        out_rows.data(), out_records.data(), out_depths.data()};
   nb::gil_scoped_release release;

@@ -46,7 +46,7 @@ SPLATREE_FN int load_brush(const float* record, float x, float y, float log2_thr
   brush.log2_threshold = log2_threshold;
   brush.red = record[RED], brush.green = record[GREEN], brush.blue = record[BLUE], brush.depth = record[DEPTH];
 
-  const float abs_b = b < 0 ? -b : b;
+  const float abs_b = __builtin_fabsf(b);
   // |u| and |v| are at least those of the block's centre less these; the second terms are what float32 may lose.
   const float u_reach = 1.5f * (a + abs_b) + 2e-6f * (a * (record[EXTENT_X] + 16) + abs_b * (record[EXTENT_Y] + 16));
   const float v_reach = 1.5f * c + 2e-6f * c * (record[EXTENT_Y] + 16);
@@ -63,9 +63,8 @@ SPLATREE_FN int load_brush(const float* record, float x, float y, float log2_thr
     const float u = a * dx + b * dy, v = c * dy;
     brush.u_of_block[l] = u;
     brush.v_of_block[l] = v;
-    const float abs_u = u < 0 ? -u : u, abs_v = v < 0 ? -v : v, abs_x = dx < 0 ? -dx : dx;
-    const float u_least = greatest(abs_u - u_reach, 0.f), v_least = greatest(abs_v - v_reach, 0.f);
-    const bool touches = (u_least * u_least + v_least * v_least <= limit) & (abs_x <= x_reach);
+    const float u_least = greatest(__builtin_fabsf(u) - u_reach, 0.f), v_least = greatest(__builtin_fabsf(v) - v_reach, 0.f);
+    const bool touches = (u_least * u_least + v_least * v_least <= limit) & (__builtin_fabsf(dx) <= x_reach);
     touched |= touches ? 1 << l : 0;
   }
   return touched;
@@ -80,7 +79,8 @@ SPLATREE_FN void blend_block(Brush& brush, int block, Tile& tile) {
   for (int l = 0; l < LANES; ++l) {
     const float u = u_of_block + brush.u_of_lane[l], v = v_of_block + brush.v_of_lane[l];
     const float log2_alpha = brush.log2_opacity - (u * u + v * v);
-    const float whole = exp2_of(log2_alpha);
+    // Where it is not exact, far outside, the splat does not pass.
+    const float whole = TAPER ? exp2_of(log2_alpha) : exp2_within(log2_alpha);
     const float left = TAPER ? least(TAPER_SLOPE * (whole - brush.floor) + ALPHA_THRESHOLD, whole) : whole;
     const float alpha = least(left, ALPHA_MAX);
     const float before = transmittance[l];

@@ -9,8 +9,6 @@ namespace splatree {
 struct ProjectJob {
   // n rows of Gaussians, as stored
   const float *means, *quats, *log_scales, *logit_opacities, *sh;
-  int32_t last;                                // n - 1
-  const float *last_mean, *last_log_scale;     // of row n - 1, padded to four floats
   int num_coefficients;  // of sh, a channel
   int degree;            // evaluated
   View view;

@@ -8,8 +8,7 @@ namespace {
 #if defined(__CUDACC__)
 
 // As below, with the instructions of the device; their relative error is 2^-22.5, the logarithm's near 1 an absolute one.
-SPLATREE_FN float exp2_of(float x) {
-  x = least(greatest(x, -126.f), 127.f);
+SPLATREE_FN float exp2_within(float x) {
   asm("ex2.approx.ftz.f32 %0, %1;" : "=f"(x) : "f"(x));
   return x;
 }
@@ -21,9 +20,8 @@ SPLATREE_FN float log2_of(float x) {
 
 #else
 
-// 2^x with a relative error below 2e-7; x is held within [-126, 127].
-SPLATREE_FN float exp2_of(float x) {
-  x = least(greatest(x, -126.f), 127.f);
+// 2^x with a relative error below 2e-7, for x in [-126, 127]; anything for others.
+SPLATREE_FN float exp2_within(float x) {
   // Adding 1.5 · 2^23 rounds to an integer, which then is in the low bits.
   const float shifted = x + 12582912.f;
   const float f = x - (shifted - 12582912.f);  // in [-½, ½]
@@ -55,6 +53,9 @@ SPLATREE_FN float log2_of(float x) {
 }
 
 #endif
+
+// The same; x is held within [-126, 127].
+SPLATREE_FN float exp2_of(float x) { return exp2_within(least(greatest(x, -126.f), 127.f)); }
 
 SPLATREE_FN float exp_of(float x) { return exp2_of(x * 1.44269504f); }
 

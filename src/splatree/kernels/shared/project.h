@@ -78,8 +78,8 @@ struct Factor {
 
 SPLATREE_FN Factor factor_of(Vector tx, Vector ty, float qw, float qx, float qy, float qz, Vector scale) {
   // Columns of the rotation of a quaternion of any length, which is first scaled by a power of two against overflow.
-  const float aw = qw < 0 ? -qw : qw, ax = qx < 0 ? -qx : qx, ay = qy < 0 ? -qy : qy, az = qz < 0 ? -qz : qz;
-  const float unit = power_of_two_over(greatest(greatest(aw, ax), greatest(ay, az)));
+  const float unit = power_of_two_over(greatest(greatest(__builtin_fabsf(qw), __builtin_fabsf(qx)),
+                                                greatest(__builtin_fabsf(qy), __builtin_fabsf(qz))));
   const float w = qw * unit, x = qx * unit, y = qy * unit, z = qz * unit;
   const float s = 2.f / greatest(w * w + x * x + y * y + z * z, 1e-37f);
   const Vector axes[3] = {
