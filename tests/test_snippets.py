@@ -1,0 +1,123 @@
+"""What the pages show runs as it stands there: Python blocks, lines of commands, names of benchmarks."""
+
+import json
+import re
+import shlex
+import shutil
+from importlib.resources import as_file, files
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tyro
+
+import splatree as st
+from splatree.cli import bench
+from splatree.cli.main import VERBS, main
+
+ROOT = Path(__file__).parent.parent
+PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *ROOT.glob("docs/**/*.md")])
+PAGES = [page for page in PAGES if page.name not in ("cli.md", "gpu.md")]  # generated; needs a GPU
+MORE = {"eval": ["--frames", "2", "--width", "64"]} | {
+    verb: ["--force"] for verb in ("build", "convert", "render", "thin")
+}
+"""What keeps a command quick, and lets it write over the files of the folder."""
+
+
+def blocks(page, language):
+    return re.findall(rf"```{language}\n(.*?)```", page.read_text(), flags=re.DOTALL)
+
+
+def commands():
+    """Each command of the pages that names its inputs, as page and words, without what the shell takes as a comment."""
+    found = []
+    for page in PAGES:
+        text = page.read_text()
+        prose = re.sub(r"```.*?```", "", text, flags=re.DOTALL)
+        shown = [
+            line for block in re.findall(r"```(?:sh)?\n(.*?)```", text, flags=re.DOTALL) for line in block.splitlines()
+        ]
+        shown += [span.replace("\n", " ") for span in re.findall(r"`(splatree [^`]*)`", prose)]
+        for line in shown:
+            words = shlex.split(line, comments=True)
+            if len(words) < 3 or words[0] != "splatree" or words[2].startswith("-"):
+                continue  # only the name of a verb or of an option
+            if not any(word.isupper() or "…" in word for word in words):
+                found.append(pytest.param(words[1:], id=f"{page.name}: {shlex.join(words[1:])}"))
+    return found
+
+
+@pytest.fixture(scope="session")
+def shown_files(tmp_path_factory):
+    """A folder with all the files that the pages name, of 300 real Gaussians."""
+    folder = tmp_path_factory.mktemp("shown")
+    with as_file(files("splatree") / "data" / "semarang_5_9.sog") as path:
+        scene = st.read(path)
+    scene = st.Scene.flat(scene.gaussians.take(np.arange(0, len(scene), 1000)))
+    for name in ("city.ply", "scene.ply", "in.ply", "big.ply", "city.sog", "scene.sog"):
+        st.write(scene, folder / name)
+    tree = st.build_clusters(st.build_lod(scene), 9)
+    for name in ("city.splatree", "scene.splatree"):
+        st.write(tree, folder / name)
+    for name, rows in (("chunk_0", np.arange(150)), ("chunk_1", np.arange(150, len(scene)))):
+        (folder / name).mkdir()
+        st.write(st.Scene.flat(scene.gaussians.take(rows)), folder / name / "point_cloud.ply")
+    cameras = st.flyout(scene, st.PathOptions(views=10, width=64, height=36))
+    (folder / "photographs").mkdir()
+    for name in ("cameras.json", "train.json", "photographs/cameras.json"):
+        st.write_cameras(cameras, folder / name)
+    for camera in cameras:
+        st.write_image(st.render(scene, camera).image, folder / "photographs" / f"{camera.name}.png")
+    streamed = folder / "playbot"
+    streamed.mkdir()
+    coarse = st.thin(scene.gaussians, st.ThinOptions(keep=0.2)).gaussians
+    levels = [scene, st.Scene.flat(coarse)]
+    for i, level in enumerate(levels):
+        st.write(level, streamed / f"{i}_0" / "meta.json")
+    lods = {str(i): {"file": i, "offset": 0, "count": len(level)} for i, level in enumerate(levels)}
+    manifest = {"lodLevels": 2, "filenames": ["0_0/meta.json", "1_0/meta.json"], "tree": {"lods": lods}}
+    (streamed / "lod-meta.json").write_text(json.dumps(manifest))
+    return folder
+
+
+@pytest.fixture
+def folder(shown_files, tmp_path, monkeypatch):
+    """A copy of it, and the current folder."""
+    copy = shutil.copytree(shown_files, tmp_path / "copy")
+    monkeypatch.chdir(copy)
+    return copy
+
+
+WITH_PYTHON = [page for page in PAGES if blocks(page, "python")]
+
+
+@pytest.mark.parametrize("page", WITH_PYTHON, ids=lambda page: page.name)
+def test_python_runs_as_shown(page, folder, capsys):
+    scene = st.read("city.splatree")
+    names = {"scene": scene, "camera": st.flyout(scene, st.PathOptions(views=1, width=64, height=36))[0]}
+    for block in blocks(page, "python"):
+        exec(compile(block, page.name, "exec"), names)
+
+
+@pytest.mark.parametrize("words", commands())
+def test_command_runs_as_shown(words, folder, capsys):
+    verb, *rest = words
+    rest = [name for word in rest for name in (sorted(map(str, folder.glob(word))) if "*" in word else [word])]
+    if verb == "bench":  # takes minutes: its line is parsed alone
+        command_type, *rest = bench.COMMANDS[rest[0]], *rest[1:]
+        tyro.cli(command_type, args=rest, config=(tyro.conf.FlagCreatePairsOff,))
+        return
+    assert verb in VERBS
+    code = main([verb, *rest, *MORE.get(verb, [])])
+    assert code == 0, capsys.readouterr().err
+
+
+def test_pages_show_commands():
+    assert len(commands()) > 20
+    assert len(WITH_PYTHON) > 8
+
+
+@pytest.mark.parametrize("page", [*PAGES, ROOT / "benchmarks" / "RESULTS.md"], ids=lambda page: page.name)
+def test_named_benchmarks_and_scripts_exist(page):
+    named = re.findall(r"`(?:python )?((?:benchmarks|scripts)/[\w./]+)", page.read_text())
+    assert [name for name in named if not (ROOT / name).exists()] == []
