@@ -23,7 +23,7 @@ from splatree.kernels.cpu.blocks import index_blocks
 from splatree.kernels.cpu.spheres import bound_clusters
 from splatree.maths.morton import morton_codes
 from splatree.scene.gaussians import Gaussians
-from splatree.scene.scene import Scene
+from splatree.scene.scene import DeviceName, Scene
 from splatree.scene.tree import GaussianTree
 from splatree.shapes import Array, Int32
 
@@ -50,6 +50,8 @@ class ClusterOptions:
     """Put the largest tenth of the Gaussians into clusters of their own: tighter spheres. Off: as in Jo 2024."""
     seed: int = 0
     """Draws the first centres of K-means."""
+    device: DeviceName = "cpu"
+    """Where K-means runs; in scenes with levels there is none."""
 
     def __post_init__(self) -> None:
         if self.iterations < 0:
@@ -108,7 +110,9 @@ def _by_kmeans(scene: Scene, count: int, options: ClusterOptions, threads: int) 
     rng = np.random.default_rng(options.seed)
     labels, centers = np.empty(len(scene), np.int32), np.empty((0, 3))
     for members, share in _size_classes(scene.gaussians, order, count, options.size_classes):
-        found = kmeans(means[members], share, iterations=options.iterations, rng=rng, threads=threads)
+        found = kmeans(
+            means[members], share, iterations=options.iterations, rng=rng, threads=threads, device=options.device
+        )
         labels[members] = found.labels + len(centers)
         centers = np.concatenate([centers, found.centers])
 

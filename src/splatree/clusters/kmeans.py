@@ -9,15 +9,18 @@ Cost: one step for 6 M points and 32,768 centres takes 0.6 CPU-seconds, if the p
 together (`maths.morton`): the kernel then finds the few candidates of 64 points at once.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
+from typing import Protocol
 
 import numpy as np
 
 from splatree.errors import InputError
 from splatree.kernels.cpu.kmeans import assign
 from splatree.progress import task
-from splatree.scene.clusters import Assignment
-from splatree.shapes import Array, Float32, Float64, Int32, check_fields
+from splatree.scene.scene import DeviceName
+from splatree.shapes import Array, Float32, Float64, Int32, Int64, check_fields
 
 __all__ = ["KMeans", "kmeans"]
 
@@ -47,6 +50,7 @@ def kmeans(
     iterations: int = 10,
     rng: np.random.Generator | None = None,
     threads: int = 0,
+    device: DeviceName = "cpu",
 ) -> KMeans:
     """Put points into clusters of neighbours.
 
@@ -56,9 +60,12 @@ def kmeans(
         iterations: at most this many, fewer once they gain less than 1e-4 of the inertia.
         rng: draws the first centres; None: always the same ones.
         threads: 0 means all there are; the result has the same bits for any number.
+        device: where the steps are taken. Two runs on a GPU give the same bits too; from the processor's they differ by
+            rounding, and so may the few points halfway between two centres.
 
     Raises:
         InputError: more clusters than points, or less than one, or points that are not finite.
+        DeviceError: there is no GPU, or it has failed.
     """
     if not 1 <= num_clusters <= len(points):
         raise InputError(f"kmeans: found {num_clusters} clusters for {len(points)} points, wanted 1 to {len(points)}")
@@ -70,12 +77,13 @@ def kmeans(
     shifted = (points - middle).astype(np.float32)
     rng = rng or np.random.default_rng(0)
     centers = shifted[np.sort(rng.choice(len(points), num_clusters, replace=False))]
-    found = assign(shifted, centers, threads=threads)
+    step = _steps(device, shifted, threads)
+    found = step(centers)
     inertia = [found.inertia]
     with task("K-means", float(iterations)) as advance:
         for _ in range(iterations):
             centers = _means(shifted, found)
-            found = assign(shifted, centers, threads=threads)
+            found = step(centers)
             inertia.append(found.inertia)
             advance(1.0)
             if inertia[-2] - inertia[-1] < LEAST_GAIN * inertia[-2]:
@@ -84,7 +92,34 @@ def kmeans(
     return KMeans(found.labels, means + middle, tuple(inertia))
 
 
-def _means(points: Array, found: Assignment) -> Float32[Array, "c 3"]:
+class Step(Protocol):
+    """What a step has found, as `Assignment` has it."""
+
+    @property
+    def labels(self) -> Int32[Array, "n"]: ...
+    @property
+    def squared_distances(self) -> Float32[Array, "n"]: ...
+    @property
+    def sums(self) -> Float64[Array, "c 3"]: ...
+    @property
+    def counts(self) -> Int64[Array, "c"]: ...
+    @property
+    def inertia(self) -> float: ...
+
+
+def _steps(device: DeviceName, points: Float32[Array, "n 3"], threads: int) -> Callable[[Array], Step]:
+    """What assigns the points to centres."""
+    if device == "cpu":
+        return partial(assign, points, threads=threads)
+    if device != "cuda":
+        raise InputError(f"kmeans: found device {device!r}, wanted 'cpu' or 'cuda'")
+    from splatree.kernels.cuda.device import open_device
+    from splatree.kernels.cuda.kmeans import DevicePoints
+
+    return DevicePoints(open_device(0), points).assign
+
+
+def _means(points: Array, found: Step) -> Float32[Array, "c 3"]:
     """The mean of each centre's points; a centre without points moves to the point that is farthest from its own."""
     empty = np.flatnonzero(found.counts == 0)
     moved = (found.sums / np.maximum(found.counts, 1)[:, None]).astype(np.float32)

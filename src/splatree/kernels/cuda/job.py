@@ -1,6 +1,7 @@
-"""The struct FrameJob of job.h from Python: numbers packed by the native core, then addresses and sizes by name.
+"""The structs that kernels take, from Python: addresses and sizes by name, and before those of a frame the numbers of its view,
+which the native core packs.
 
-Names, order and types of the arrays are read from the header, so that it alone says what there is.
+Names, order and types of the arrays are read from the headers, so that they alone say what there is.
 """
 
 import re
@@ -17,9 +18,10 @@ from splatree.kernels.cuda.sources import headers
 from splatree.scene.cameras import Camera
 from splatree.scene.options import ResolvedOptions, SelectOptions
 
-__all__ = ["COUNTERS", "array_dtypes", "pack_job", "pack_numbers"]
+__all__ = ["COUNTERS", "array_dtypes", "pack_fields", "pack_job", "pack_numbers"]
 
 _DTYPES = {
+    "double": (np.float64, 1),
     "float": (np.float32, 1),
     "float4": (np.float32, 4),
     "int": (np.int32, 1),
@@ -29,10 +31,12 @@ _DTYPES = {
     "unsigned long long": (np.uint64, 1),
 }
 
+_FRAME = ("cuda/job.h", "FrameJob")
+
 
 @cache
-def _fields() -> tuple[tuple[tuple[str, str], ...], tuple[str, ...]]:
-    body = headers()["cuda/job.h"].split("struct FrameJob {")[1]
+def _fields(header: str, struct: str) -> tuple[tuple[tuple[str, str], ...], tuple[str, ...]]:
+    body = headers()[header].split(f"struct {struct} {{")[1]
     arrays = re.findall(r"^  Global<(?:const )?([\w ]+)> (\w+);", body, re.M)
     return tuple((name, kind) for kind, name in arrays), tuple(re.findall(r"^  long long (\w+);", body, re.M))
 
@@ -50,16 +54,21 @@ COUNTERS = _counters()
 
 def array_dtypes() -> dict[str, tuple[np.dtype[np.generic], int]]:
     """Type and number of values of an element of each array of a job."""
-    return {name: (np.dtype(_DTYPES[kind][0]), _DTYPES[kind][1]) for name, kind in _fields()[0]}
+    return {name: (np.dtype(_DTYPES[kind][0]), _DTYPES[kind][1]) for name, kind in _fields(*_FRAME)[0]}
 
 
 def pack_job(numbers: bytes, pointers: Mapping[str, int], sizes: Mapping[str, int]) -> np.ndarray:
-    """The bytes of a job; arrays that are not named have no memory, sizes that are not named are 0."""
-    arrays, fields = _fields()
+    """The bytes of a frame's job; arrays that are not named have no memory, sizes that are not named are 0."""
+    return np.frombuffer(numbers + pack_fields(*_FRAME, pointers, sizes).tobytes(), np.uint8)
+
+
+def pack_fields(header: str, struct: str, pointers: Mapping[str, int], sizes: Mapping[str, int]) -> np.ndarray:
+    """The bytes of a struct of arrays and sizes; those that are not named are 0."""
+    arrays, fields = _fields(header, struct)
     unknown = sorted((pointers.keys() - {name for name, _ in arrays}) | (sizes.keys() - set(fields)))
     assert not unknown, unknown
     words = [pointers.get(name, 0) for name, _ in arrays] + [sizes.get(name, 0) for name in fields]
-    return np.frombuffer(numbers + np.array(words, np.uint64).tobytes(), np.uint8)
+    return np.array(words, np.int64).view(np.uint8)
 
 
 def pack_numbers(

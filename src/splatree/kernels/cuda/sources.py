@@ -7,7 +7,7 @@ from pathlib import Path
 __all__ = ["STAGES", "headers", "kernels_of", "source", "stage_of", "threads_of"]
 
 ROOT = Path(__file__).parent.parent
-STAGES = ("select", "project", "order", "bin", "blend", "baselines")
+STAGES = ("select", "project", "order", "bin", "blend", "baselines", "kmeans")
 """Files of kernels; each is compiled on its own."""
 
 
