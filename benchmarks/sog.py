@@ -61,7 +61,7 @@ def palette_rows(scene: Scene) -> list[dict[str, Any]]:
     sh = scene.gaussians.sh[: SUBSET * (len(scene) // SUBSET) : len(scene) // SUBSET].copy()
     x = sh[:, 1:].reshape(len(sh), -1)
     spread = float(np.mean(((x - x.mean(axis=0)) ** 2).sum(axis=1)))
-    ours = measure(lambda: find_palette(sh, np.ones(len(sh), np.float32), ENTRIES))
+    ours = measure(lambda: find_palette(lambda: [sh], np.ones(len(sh), np.float32), ENTRIES))
     exact = measure(lambda: exact_kmeans_error(x))
     error = float(np.mean(((sh[:, 1:] - ours.value.entries[ours.value.labels]) ** 2).sum(axis=(1, 2))))
     about = f"{SUBSET:,} rows, {ENTRIES:,} entries"

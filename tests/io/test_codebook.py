@@ -1,7 +1,13 @@
 import numpy as np
 import pytest
 
-from splatree.io.codebook import Codebook, find_codebook
+from splatree.io.codebook import Codebook, sampled_rows
+from splatree.io.codebook import find_codebook as find_codebook_of_sample
+
+
+def find_codebook(x, weights=None):
+    rows = sampled_rows(*x.shape)
+    return find_codebook_of_sample(x[rows], lambda: x, None if weights is None else weights[rows])
 
 
 def mean_error(numbers, weights, codebook):

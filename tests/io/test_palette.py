@@ -1,7 +1,14 @@
 import numpy as np
 import pytest
 
-from splatree.io.palette import find_palette
+from splatree.io.palette import find_palette as find_palette_of_parts
+
+
+def find_palette(sh, weights, count, **options):
+    """Of rows in parts of 700."""
+    return find_palette_of_parts(
+        lambda: (sh[begin : begin + 700] for begin in range(0, len(sh), 700)), weights, count, **options
+    )
 
 
 def harmonics(n, degree=3, seed=0):
@@ -76,4 +83,13 @@ def test_vectors_without_any_spread_in_most_axes():
 def test_any_number_of_threads_gives_the_same_palette():
     sh, weights = harmonics(3000)
     one, many = (find_palette(sh, weights, 300, threads=t) for t in (1, 3))
+    assert one.entries.tobytes() == many.entries.tobytes() and one.labels.tobytes() == many.labels.tobytes()
+
+
+@pytest.mark.parametrize("num_different", [50, 3000])
+def test_any_parts_give_the_same_palette(num_different):
+    sh, weights = harmonics(3000)
+    sh = sh[np.arange(3000) % num_different]
+    one = find_palette_of_parts(lambda: [sh], weights, 60)
+    many = find_palette(sh, weights, 60)
     assert one.entries.tobytes() == many.entries.tobytes() and one.labels.tobytes() == many.labels.tobytes()

@@ -8,6 +8,7 @@ The optimum over cells is then made one over numbers by a few of Lloyd's rounds,
 Cost: sorting a sample, and about 20 ms for the intervals, however many numbers there are.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,9 +16,11 @@ import numpy as np
 from splatree.kernels.cpu.intervals import best_intervals
 from splatree.shapes import Array, Float32, check_fields
 
-__all__ = ["Codebook", "find_codebook"]
+__all__ = ["CODES", "Codebook", "find_codebook", "sampled_rows"]
 
-_SIZE = 256
+CODES = 256
+"""Values of a codebook."""
+
 _SAMPLE = 1 << 18
 """Numbers looked at, about a thousand a value: the error is 0.1 % above that of all."""
 
@@ -45,19 +48,26 @@ class Codebook:
         return np.where(middle < high, middle, low)  # of neighbouring floats the middle may be rounded to the upper one
 
 
-def find_codebook(numbers: Array, weights: Array | None = None) -> Codebook:
-    """The codebook of the rows of ``numbers`` "n c", weighted; if there are at most 256 different numbers, these exactly."""
-    every = max(1, -(-numbers.size // _SAMPLE))
-    sample = numbers[::every]
+def sampled_rows(num_rows: int, width: int) -> slice:
+    """Rows that are enough to find the codebook of ``num_rows`` rows of ``width`` numbers."""
+    return slice(0, None, max(1, -(-num_rows * width // _SAMPLE)))
+
+
+def find_codebook(sample: Array, all_values: Callable[[], Array], weights: Array | None = None) -> Codebook:
+    """The codebook of numbers of which ``sample`` "n c" are rows, weighted.
+
+    ``all_values`` gives the different ones among all numbers; it is asked for them if a sample has few. If there are at most 256,
+    the codebook has them exactly.
+    """
     values = np.unique(sample)
-    if len(values) <= _SIZE:  # so few in the sample: perhaps in all, as in a scene that was read from a codebook
-        values = np.unique(numbers)
-    if len(values) > _SIZE:
+    if len(values) <= CODES:  # perhaps in all, as in a scene that was read from a codebook
+        values = np.unique(all_values())
+    if len(values) > CODES:
         x = sample.ravel().astype(np.float64)
-        w = np.ones(len(x)) if weights is None else np.repeat(weights[::every].astype(np.float64), numbers.shape[1])
+        w = np.ones(len(x)) if weights is None else np.repeat(weights.astype(np.float64), sample.shape[1])
         order = np.argsort(x, kind="stable")
         values = _best_values(x[order], w[order])
-    padded = np.zeros(_SIZE, np.float32)
+    padded = np.zeros(CODES, np.float32)
     padded[: len(values)] = values
     padded[len(values) :] = values[-1] if len(values) else 0
     return Codebook(padded)
@@ -78,7 +88,7 @@ def _best_values(x: Array, w: Array) -> Array:
     ends = np.append(first, len(x))
     masses = np.diff(mass[ends])
     means = np.diff(moment[ends]) / np.where(masses > 0, masses, 1.0)
-    cuts = ends[best_intervals(means, masses, min(_SIZE, len(means)))]
+    cuts = ends[best_intervals(means, masses, min(CODES, len(means)))]
     values = _means(mass, moment, cuts)
     for _ in range(_ROUNDS):
         bounds = np.searchsorted(x, (values[1:] + values[:-1]) / 2)

@@ -14,6 +14,7 @@ Rows weigh what the picture sees of them. Scenes whose vectors are few (read fro
 Everything is deterministic: samples are strides, sums run in the order of rows.
 """
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,7 +23,7 @@ from splatree.kernels.cpu import palette as kernel
 from splatree.progress import task
 from splatree.shapes import Array, Float32, Int32, check_fields
 
-__all__ = ["Palette", "find_palette"]
+__all__ = ["Palette", "Parts", "find_palette"]
 
 _SAMPLE = 1 << 14
 """Rows from which the principal axes are found: the error of a variance is 1 %."""
@@ -41,6 +42,12 @@ _SHARE = 0.8
 """Entries of a group go with its error to this power: d / (d + 2) for d = 8 dimensions (Gersho 1979)."""
 
 
+_ROWS_AT_ONCE = 1 << 14
+
+Parts = Callable[[], Iterable[Float32[Array, "m k 3"]]]
+"""Starts again with the harmonics of the first rows; a part is valid until the next is asked for."""
+
+
 @dataclass(frozen=True, eq=False)
 class Palette:
     """Vectors that stand for all rows."""
@@ -55,48 +62,80 @@ class Palette:
 
 
 def find_palette(
-    sh: Float32[Array, "n k 3"],
-    weights: Float32[Array, "n"],
-    num_entries: int,
-    *,
-    iterations: int = 3,
-    threads: int = 0,
+    parts: Parts, weights: Float32[Array, "n"], num_entries: int, *, iterations: int = 3, threads: int = 0
 ) -> Palette:
-    """The palette of at most ``num_entries`` entries for the harmonics beyond the DC, weighted."""
-    n = len(sh)
-    if (same := kernel.distinct(sh, num_entries)) is not None:
-        labels, first_row = same
-        return Palette(np.take(sh, first_row, axis=0)[:, 1:].copy(), labels)
-    with task("palette of harmonics", 4.0) as advance:
-        points = _points(sh, weights, num_entries, threads)
+    """The palette of at most ``num_entries`` entries for the harmonics beyond the DC, weighted.
+
+    The rows are gone through three times, part by part; of each are kept its weight, its coordinates along the dozen of axes, and
+    numbers of groups.
+    """
+    with task("palette of harmonics", 5.0) as advance:
+        exact, sample = _look(parts, len(weights), num_entries)
+        if exact is not None:
+            return exact
+        advance(1.0)
+        points = _points(parts, weights, sample, num_entries, threads)
         num_groups = int(np.clip(round(num_entries / _ENTRIES_PER_GROUP), 1, 2048))
         coarse = _coarse_centres(points, weights, num_groups, threads)
         near = kernel.nearest_few(points, coarse, _NEAR, threads=threads)
         advance(1.0)
         group = np.ascontiguousarray(near[:, 0])
-        first = _first_entries(points, weights, coarse, group, min(num_entries, n))
+        first = _first_entries(points, weights, coarse, group, min(num_entries, len(points)))
         centres = kernel.split_groups(points, weights, group, first, iterations=iterations, threads=threads)
         advance(1.0)
         labels = kernel.nearest_in_groups(points, centres, first, near, threads=threads)
+        del points, near, group
         advance(1.0)
-        entries = kernel.label_means(sh, weights, labels, len(centres), threads=threads)
+        entries = _means(parts, weights, labels, len(centres))
         advance(1.0)
     return Palette(entries, labels)
 
 
-def _points(sh: Array, weights: Array, num_entries: int, threads: int) -> Array:
+def _look(parts: Parts, num_rows: int, num_entries: int) -> tuple[Palette | None, Array]:
+    """The palette of all different vectors, if they are few enough; and a sample of the rows beyond the DC, flat."""
+    every = -(-num_rows // _SAMPLE)
+    distinct, labels, samples, begin = None, np.empty(num_rows, np.int32), [], 0
+    few = True
+    for sh in parts():
+        distinct = distinct or kernel.DistinctRows(3 * (sh.shape[1] - 1), num_entries)
+        if few:
+            found = distinct.number(sh)
+            few = found is not None
+            labels[begin : begin + len(sh)] = found if found is not None else 0
+        samples.append(sh[-begin % every :: every, 1:].reshape(-1, 3 * (sh.shape[1] - 1)).copy())
+        begin += len(sh)
+    assert distinct is not None
+    exact = Palette(distinct.entries.reshape(-1, distinct.entries.shape[1] // 3, 3), labels) if few else None
+    return exact, np.concatenate(samples)
+
+
+def _points(parts: Parts, weights: Array, sample: Array, num_entries: int, threads: int) -> Array:
     """The rows along the principal axes that receive bits."""
-    every = -(-len(sh) // _SAMPLE)
-    sample, w = (
-        sh[::every, 1:].reshape(-1, 3 * (sh.shape[1] - 1)).astype(np.float64),
-        weights[::every].astype(np.float64),
-    )
+    x, w = sample.astype(np.float64), weights[:: -(-len(weights) // _SAMPLE)].astype(np.float64)
     w = w / w.sum()
-    origin = np.einsum("n,nj->j", w, sample)  # einsum, not a matrix product: its sums do not depend on threads
-    sample -= origin
-    variances, axes = np.linalg.eigh(np.einsum("ni,nj->ij", sample * w[:, None], sample))
-    count = int((variances > _water_level(variances, np.log2(num_entries)) / 2).sum())
-    return kernel.onto_axes(sh, origin, axes[:, ::-1][:, : max(1, count)], threads=threads)
+    origin = np.einsum("n,nj->j", w, x)  # einsum, not a matrix product: its sums do not depend on threads
+    x -= origin
+    variances, axes = np.linalg.eigh(np.einsum("ni,nj->ij", x * w[:, None], x))
+    count = max(1, int((variances > _water_level(variances, np.log2(num_entries)) / 2).sum()))
+    points, begin = np.empty((len(weights), count), np.float32), 0
+    for sh in parts():
+        points[begin : begin + len(sh)] = kernel.onto_axes(sh, origin, axes[:, ::-1][:, :count], threads=threads)
+        begin += len(sh)
+    return points
+
+
+def _means(parts: Parts, weights: Array, labels: Array, num_entries: int) -> Array:
+    """Weighted mean of the rows of each label; zero where no row has it."""
+    sums, begin = np.zeros((0, 0)), 0
+    for sh in parts():
+        if not sums.size:
+            sums = np.zeros((num_entries, 3 * (sh.shape[1] - 1) + 1))
+        rows = slice(begin, begin + len(sh))
+        kernel.add_to_sums(sh, weights[rows], labels[rows], sums)
+        begin += len(sh)
+    total = sums[:, -1:]
+    sums[:, :-1] /= np.where(total > 0, total, 1)
+    return sums[:, :-1].astype(np.float32).reshape(num_entries, -1, 3)
 
 
 def _water_level(variances: Array, bits: float) -> float:
@@ -122,8 +161,11 @@ def _coarse_centres(points: Array, weights: Array, num_groups: int, threads: int
 def _first_entries(points: Array, weights: Array, coarse: Array, group: Array, num_entries: int) -> Array:
     """Entries of each group, as the running sum that begins with 0."""
     counts = np.bincount(group, minlength=len(coarse))
-    apart = points - coarse[group]
-    errors = np.bincount(group, weights * np.einsum("nd,nd->n", apart, apart), minlength=len(coarse))
+    errors = np.zeros(len(coarse))
+    for begin in range(0, len(points), _ROWS_AT_ONCE):
+        rows = slice(begin, begin + _ROWS_AT_ONCE)
+        apart = points[rows] - coarse[group[rows]]
+        errors += np.bincount(group[rows], weights[rows] * np.einsum("nd,nd->n", apart, apart), minlength=len(coarse))
     share = np.maximum(errors, 1e-300) ** _SHARE * (counts > 0)
     entries = np.minimum(counts, 1)
     while (left := num_entries - int(entries.sum())) > 0:

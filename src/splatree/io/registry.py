@@ -67,8 +67,8 @@ class Format:
     """Read a path into a scene whose values were checked (`splatree.io.check.checked`)."""
     write: Callable[[Scene, Path, WriteOptions], tuple[str, ...]] | None = None
     """Write a file; return what was lost for other reasons than `holds`, a sentence each. None: see ``write_chunks``."""
-    write_folder: Callable[[Scene, Path, WriteOptions], tuple[str, ...]] | None = None
-    """Write the same as a folder, given the path of its meta.json; None: there is no such form."""
+    write_folder: Callable[[Chunks, Path, WriteOptions], tuple[str, ...]] | None = None
+    """As ``write_chunks``, but write a folder, given the path of its meta.json; None: there is no such form."""
     write_chunks: Callable[[Chunks, Path, WriteOptions], tuple[str, ...]] | None = None
     """As ``write``, of chunks; takes its place. None too: the format is only read."""
     read_chunks: Callable[[Path, ReadOptions], Chunks] | None = None
@@ -159,7 +159,7 @@ FORMATS: tuple[Format, ...] = (
         holds=Holds(),
         sniff=sog.sniff,
         read=sog.read,
-        write=sog_writer.write,
+        write_chunks=sog_writer.write_chunks,
         write_folder=sog_writer.write_folder,
         files=sog.files,
         read_chunks=sog.read_chunks,
@@ -306,9 +306,6 @@ def write(
     )
     if chosen.write is None:
         return (*lost, *_written(chosen, chunks_of(scene), target, force, options))
-    if target.name == FOLDER_FILE and chosen.write_folder is not None:
-        with _folder_of(target), replacing(target, force=force) as temporary:
-            return (*lost, *chosen.write_folder(scene, temporary, options))
     with replacing(target, force=force) as temporary:
         return (*lost, *chosen.write(scene, temporary, options))
 
@@ -345,6 +342,9 @@ def write_chunks(
 def _written(chosen: Format, chunks: Chunks, target: Path, force: bool, options: WriteOptions) -> tuple[str, ...]:
     if chosen.write_chunks is None:
         raise InputError(f"{target}: format {chosen.name} is not written in chunks; wanted a whole scene")
+    if target.name == FOLDER_FILE and chosen.write_folder is not None:
+        with _folder_of(target), replacing(target, force=force) as temporary:
+            return chosen.write_folder(chunks, temporary, options)
     with replacing(target, force=force) as temporary:
         return chosen.write_chunks(chunks, temporary, options)
 

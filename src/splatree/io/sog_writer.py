@@ -12,14 +12,17 @@ Pictures are written at the WebP method that packs a million Gaussians within 1 
 import io
 import json
 import math
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from splatree.errors import InputError
-from splatree.io.check import checked
-from splatree.io.codebook import Codebook, find_codebook
+from splatree.io.check import checked_rows
+from splatree.io.chunks import Chunks
+from splatree.io.codebook import CODES, Codebook, find_codebook, sampled_rows
 from splatree.io.options import WriteOptions
 from splatree.io.palette import find_palette
 from splatree.io.replacing import replacing
@@ -28,8 +31,7 @@ from splatree.kernels.cpu import sog as kernel
 from splatree.maths.morton import morton_codes
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
-from splatree.scene.scene import Mode, Scene
-from splatree.shapes import Array, Float32
+from splatree.shapes import Array, Float32, Float64
 
 _SIDE_MAX = 16380
 """Largest width and height of a WebP picture that is a multiple of four, px."""
@@ -44,28 +46,26 @@ _ROUNDS, _ROUNDS_MAX = 3, 1000
 _WEBP_METHOD, _WEBP_QUALITY = 1, 0
 
 
-def write(scene: Scene, path: Path, options: WriteOptions) -> tuple[str, ...]:
+def write_chunks(chunks: Chunks, path: Path, options: WriteOptions) -> tuple[str, ...]:
     """Write a bundle."""
-    checked(scene, "scene to write", repair=False)
-    pictures, meta = encode(scene.gaussians, scene.mode, options)
     import zipfile
 
+    pictures, meta = encode(chunks, options)
     with zipfile.ZipFile(path, "w", zipfile.ZIP_STORED) as bundle:
         for name, data in {"meta.json": json.dumps(meta).encode(), **pictures}.items():
             bundle.writestr(zipfile.ZipInfo(name), data)  # with a fixed date: equal scenes give equal files
     return ()
 
 
-def write_folder(scene: Scene, path: Path, options: WriteOptions) -> tuple[str, ...]:
+def write_folder(chunks: Chunks, path: Path, options: WriteOptions) -> tuple[str, ...]:
     """Write meta.json, and its pictures beside it.
 
     Pictures are named by a digest of the scene and meta.json comes last, so that an older scene in the folder is whole until it
     is replaced. Its pictures stay.
     """
-    checked(scene, "scene to write", repair=False)
-    pictures, meta = encode(scene.gaussians, scene.mode, options)
     import hashlib
 
+    pictures, meta = encode(chunks, options)
     digest = hashlib.sha256(b"".join(pictures.values())).hexdigest()[:8]
     for part in meta.values():
         if isinstance(part, dict) and "files" in part:
@@ -84,64 +84,128 @@ def write_folder(scene: Scene, path: Path, options: WriteOptions) -> tuple[str, 
     return ()
 
 
-def encode(g: Gaussians, mode: Mode, options: WriteOptions) -> tuple[dict[str, bytes], dict[str, Any]]:
+def encode(chunks: Chunks, options: WriteOptions) -> tuple[dict[str, bytes], dict[str, Any]]:
     """The pictures by name, and the contents of meta.json."""
-    n = len(g)
+    n, has_rest = len(chunks), chunks.sh_degree > 0 and len(chunks) > 0
     if n > _SIDE_MAX**2:
         raise InputError(f"SOG: found {n} Gaussians, wanted at most {_SIDE_MAX**2}; write the scene in chunks")
     with task("encode SOG", 3.0) as advance:
-        weights = _weights(g)
+        seen = _look(chunks)
         palette = None
-        if g.sh_degree > 0 and n:
-            palette = find_palette(g.sh, weights, _palette_size(n, options), iterations=_iterations(options))
+        if has_rest:
+            size, rounds = _palette_size(n, options), _iterations(options)
+            palette = find_palette(lambda: (g.sh for g in chunks), seen.weights, size, iterations=rounds)
         advance(1.0)
-        order = np.argsort(morton_codes(g.means), kind="stable").astype(np.int32)
-        mean_ranges = _mean_ranges(g.means)
-        scales, dc = find_codebook(g.log_scales, weights), find_codebook(g.sh[:, 0], weights)
-        pixels = kernel.encode(g, order, mean_ranges, scales.bounds, dc.bounds)
+        sample = sampled_rows(n, 3)
+        weights = seen.weights[sample]
+        scales = find_codebook(seen.log_scales, lambda: _different(chunks, lambda g: g.log_scales), weights)
+        dc = find_codebook(seen.dc, lambda: _different(chunks, lambda g: g.sh[:, 0]), weights)
         width = 4 * math.ceil(math.sqrt(n) / 4) or 4
-        images = {name: _picture(codes, width) for name, codes in pixels.items()}
+        images = _pictures(chunks, seen, (scales.bounds, dc.bounds), None if palette is None else palette.labels, width)
+        low, high = seen.mean_ranges.tolist()
         meta: dict[str, Any] = {
             "version": 2,
             "asset": {"generator": "splatree"},
             "count": n,
-            "model": "antialiased" if mode == "antialiased" else "default",
-            "means": {
-                "mins": mean_ranges[0].tolist(),
-                "maxs": mean_ranges[1].tolist(),
-                "files": ["means_l.webp", "means_u.webp"],
-            },
+            "model": "antialiased" if chunks.mode == "antialiased" else "default",
+            "means": {"mins": low, "maxs": high, "files": ["means_l.webp", "means_u.webp"]},
             "scales": {"codebook": _listed(scales), "files": ["scales.webp"]},
             "quats": {"files": ["quats.webp"]},
             "sh0": {"codebook": _listed(dc), "files": ["sh0.webp"]},
         }
         if palette is not None:
-            rest = find_codebook(palette.entries)
-            images["shN_centroids"] = _centroids(kernel.find_codes(palette.entries, rest.bounds))
-            labels = palette.labels[order]
-            images["shN_labels"] = _picture(
-                np.stack([labels & 255, labels >> 8, 0 * labels], 1).astype(np.uint8), width
-            )
+            entries = palette.entries
+            some = entries.reshape(len(entries), -1)
+            rest = find_codebook(some[sampled_rows(*some.shape)], lambda: entries)
+            images["shN_centroids"] = _centroids(kernel.find_codes(entries, rest.bounds))
+            images["shN_labels"] = images.pop("labels")
             meta["shN"] = {
-                "count": len(palette.entries),
-                "bands": g.sh_degree,
+                "count": len(entries),
+                "bands": chunks.sh_degree,
                 "codebook": _listed(rest),
                 "files": ["shN_centroids.webp", "shN_labels.webp"],
             }
+        del seen, palette
         advance(1.0)
         pictures = _webp(images)
         advance(1.0)
     return pictures, meta
 
 
-def _weights(g: Gaussians) -> Float32[Array, "n"]:
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """What a first pass over all rows finds."""
+
+    means: Float32[Array, "n 3"]
+    weights: Float32[Array, "n"]
     """What a picture sees of each row: opacity × area; the largest hundredth counts as the one below it."""
-    if not len(g):
-        return np.zeros(0, np.float32)
-    middle, high = np.sort(g.log_scales, axis=1).T[1:]
-    area = np.exp(middle + high)
-    weights = np.minimum(area, np.quantile(area, 0.99)) / (1 + np.exp(-np.maximum(g.logit_opacities, -_LOGIT_MAX)))
-    return np.asarray(weights / weights.mean() + _WEIGHT_MIN, np.float32)
+    log_scales: Float32[Array, "s 3"]
+    """Those of `sampled_rows`."""
+    dc: Float32[Array, "s 3"]
+    """Those of `sampled_rows`."""
+    mean_ranges: Float64[Array, "2 3"]
+    """Least and largest sign(x) ln(1 + |x|) along each axis."""
+
+
+def _look(chunks: Chunks) -> _Seen:
+    n, every = len(chunks), sampled_rows(len(chunks), 3).step
+    means, areas, alphas = np.empty((n, 3), np.float32), np.empty(n, np.float32), np.empty(n, np.float32)
+    log_scales, dc = [np.empty((0, 3), np.float32)], [np.empty((0, 3), np.float32)]
+    ends, begin = np.array([[np.inf] * 3, [-np.inf] * 3]) if n else np.zeros((2, 3)), 0
+    for g in chunks:
+        checked_rows(g, "scene to write", repair=False, first_row=begin)
+        rows = slice(begin, begin + len(g))
+        means[rows] = g.means
+        ends = np.stack([np.minimum(ends[0], g.means.min(axis=0)), np.maximum(ends[1], g.means.max(axis=0))])
+        x, y, z = g.log_scales.T
+        areas[rows] = np.exp(x + y + z - np.minimum(np.minimum(x, y), z))  # of the two larger axes
+        alphas[rows] = 1 / (1 + np.exp(-np.maximum(g.logit_opacities, -_LOGIT_MAX)))
+        log_scales.append(g.log_scales[-begin % every :: every].copy())
+        dc.append(g.sh[-begin % every :: every, 0].copy())
+        begin += len(g)
+    if n:
+        np.minimum(areas, np.quantile(areas, 0.99), out=areas)
+        areas *= alphas
+        areas /= areas.mean()
+        areas += np.float32(_WEIGHT_MIN)
+    ranges = np.sign(ends) * np.log1p(np.abs(ends))
+    return _Seen(means, areas, np.concatenate(log_scales), np.concatenate(dc), ranges)
+
+
+def _different(chunks: Chunks, column: Callable[[Gaussians], Array]) -> Array:
+    """The different values of a column; some of them if they are more than a codebook has."""
+    values = np.empty(0, np.float32)
+    for g in chunks:
+        values = np.union1d(values, column(g))
+        if len(values) > CODES:
+            break
+    return values
+
+
+def _pictures(
+    chunks: Chunks, seen: _Seen, bounds: tuple[Array, Array], labels: Array | None, width: int
+) -> dict[str, Array]:
+    """All pictures "h w c" of one pixel a row, in the order of a Z-curve; their height is a multiple of four as the width is."""
+    n = len(chunks)
+    places = np.empty(n, np.int32)
+    places[np.argsort(morton_codes(seen.means), kind="stable")] = np.arange(n, dtype=np.int32)
+    height = 4 * math.ceil(n / width / 4) or 4
+    channels = {
+        "means_l": 3,
+        "means_u": 3,
+        "quats": 4,
+        "scales": 3,
+        "sh0": 4,
+        **({} if labels is None else {"labels": 3}),
+    }
+    pixels = {name: np.zeros((height * width, c), np.uint8) for name, c in channels.items()}
+    begin = 0
+    for g in chunks:
+        rows = slice(begin, begin + len(g))
+        own = None if labels is None else labels[rows]
+        kernel.encode(g, places[rows], seen.mean_ranges, bounds, pixels, labels=own)
+        begin += len(g)
+    return {name: codes.reshape(height, width, -1) for name, codes in pixels.items()}
 
 
 def _palette_size(n: int, options: WriteOptions) -> int:
@@ -161,24 +225,8 @@ def _iterations(options: WriteOptions) -> int:
     return options.iterations
 
 
-def _mean_ranges(means: Array) -> Array:
-    if not len(means):
-        return np.zeros((2, 3))
-    ends = np.array([[f(x) for x in means.T] for f in (np.min, np.max)], np.float64)
-    return np.asarray(np.sign(ends) * np.log1p(np.abs(ends)))
-
-
 def _listed(codebook: Codebook) -> list[float]:
     return [float(v) for v in codebook.values]
-
-
-def _picture(codes: Array, width: int) -> Array:
-    """Codes "n c" as a picture, row by row, filled up with zeros; its height is a multiple of four as its width is."""
-    n, channels = codes.shape
-    height = 4 * math.ceil(n / width / 4) or 4
-    picture = np.zeros((height * width, channels), np.uint8)
-    picture[:n] = codes
-    return picture.reshape(height, width, channels)
 
 
 def _centroids(codes: Array) -> Array:

@@ -54,12 +54,22 @@ void bind_label_means(const In<float>& vectors, int64_t skipped, const In<float>
               static_cast<int64_t>(means.shape(0)), means.data(), threads);
 }
 
-int64_t bind_distinct_rows(const In<float>& vectors, int64_t skipped, int64_t limit, const Out<int32_t>& label,
-                           const Out<int32_t>& first_row) {
+void bind_add_to_sums(const In<float>& vectors, int64_t skipped, const In<float>& weights, const In<int32_t>& labels,
+                      const Out<double>& sums) {
   const int64_t stride = vectors.shape(1);
   nb::gil_scoped_release released;
-  return distinct_rows(vectors.data() + skipped, stride, stride - skipped, static_cast<int64_t>(vectors.shape(0)), limit,
-                       label.data(), first_row.data());
+  add_to_sums(vectors.data() + skipped, stride, stride - skipped, weights.data(), labels.data(),
+              static_cast<int64_t>(vectors.shape(0)), sums.data());
+}
+
+int64_t bind_distinct_rows(const In<float>& vectors, int64_t skipped, const Out<float>& entries,
+                           const Out<int32_t>& label_from_slot, int64_t count, const Out<int32_t>& label) {
+  const int64_t stride = vectors.shape(1);
+  const DistinctRows known{static_cast<int64_t>(entries.shape(0)), entries.data(),
+                           static_cast<int64_t>(label_from_slot.shape(0)), label_from_slot.data()};
+  nb::gil_scoped_release released;
+  return distinct_rows(vectors.data() + skipped, stride, stride - skipped, static_cast<int64_t>(vectors.shape(0)), known,
+                       count, label.data());
 }
 
 void bind_best_intervals(const In<double>& mass, const In<double>& moment, const In<double>& square,
@@ -81,7 +91,9 @@ void bind_palette(nb::module_& m) {
   m.def("label_means", &bind_label_means, "vectors"_a, "skipped"_a, "weights"_a, "start"_a, "rows"_a, "means"_a,
         "threads"_a = 0);
   m.def("best_intervals", &bind_best_intervals, "mass"_a, "moment"_a, "square"_a, "cuts"_a);
-  m.def("distinct_rows", &bind_distinct_rows, "vectors"_a, "skipped"_a, "limit"_a, "label"_a, "first_row"_a);
+  m.def("add_to_sums", &bind_add_to_sums, "vectors"_a, "skipped"_a, "weights"_a, "labels"_a, "sums"_a);
+  m.def("distinct_rows", &bind_distinct_rows, "vectors"_a, "skipped"_a, "entries"_a, "label_from_slot"_a, "count"_a,
+        "label"_a);
 }
 
 }  // namespace splatree

@@ -5,27 +5,32 @@
 namespace splatree {
 namespace {
 
+// `labels` and their pixels are empty where there is no palette.
 void bind_encode(const In<float>& means, const In<float>& quats, const In<float>& log_scales,
-                 const In<float>& logit_opacities, const In<float>& sh, const In<int32_t>& order,
-                 const In<double>& mean_ranges, const In<float>& scale_bounds, const In<float>& dc_bounds,
-                 const Out<uint8_t>& means_l, const Out<uint8_t>& means_u, const Out<uint8_t>& quats_pixels,
-                 const Out<uint8_t>& scales, const Out<uint8_t>& sh0, int threads) {
-  const SogEncodeJob job{static_cast<int64_t>(order.shape(0)),
-                         static_cast<int64_t>(sh.shape(1) * sh.shape(2)),
-                         means.data(),
-                         quats.data(),
-                         log_scales.data(),
-                         logit_opacities.data(),
-                         sh.data(),
-                         order.data(),
-                         mean_ranges.data(),
-                         scale_bounds.data(),
-                         dc_bounds.data(),
-                         means_l.data(),
-                         means_u.data(),
-                         scales.data(),
-                         quats_pixels.data(),
-                         sh0.data()};
+                 const In<float>& logit_opacities, const In<float>& sh, const In<int32_t>& places,
+                 const In<int32_t>& labels, const In<double>& mean_ranges, const In<float>& scale_bounds,
+                 const In<float>& dc_bounds, const Out<uint8_t>& means_l, const Out<uint8_t>& means_u,
+                 const Out<uint8_t>& quats_pixels, const Out<uint8_t>& scales, const Out<uint8_t>& sh0,
+                 const Out<uint8_t>& labels_pixels, int threads) {
+  SogEncodeJob job{};
+  job.num_rows = static_cast<int64_t>(places.shape(0));
+  job.sh_stride = static_cast<int64_t>(sh.shape(1) * sh.shape(2));
+  job.means = means.data();
+  job.quats = quats.data();
+  job.log_scales = log_scales.data();
+  job.logit_opacities = logit_opacities.data();
+  job.sh = sh.data();
+  job.places = places.data();
+  job.labels = labels.size() > 0 ? labels.data() : nullptr;
+  job.mean_ranges = mean_ranges.data();
+  job.scale_bounds = scale_bounds.data();
+  job.dc_bounds = dc_bounds.data();
+  job.means_l = means_l.data();
+  job.means_u = means_u.data();
+  job.scales = scales.data();
+  job.quats_pixels = quats_pixels.data();
+  job.sh0 = sh0.data();
+  job.labels_pixels = labels_pixels.data();
   nb::gil_scoped_release released;
   encode_sog(job, threads);
 }

@@ -207,13 +207,23 @@ void label_means(const float* vectors, int64_t stride, int64_t width, const floa
   });
 }
 
-int64_t distinct_rows(const float* vectors, int64_t stride, int64_t width, int64_t num_rows, int64_t limit,
-                      int32_t* label, int32_t* first_row) {
-  int64_t size = 64;
-  while (size < 2 * limit) size *= 2;
-  std::vector<int32_t> label_from_slot(size, -1);  // open addressing, at most half full
+void add_to_sums(const float* vectors, int64_t stride, int64_t width, const float* weights, const int32_t* labels,
+                 int64_t num_rows, double* sums) {
+  constexpr int64_t kAhead = 4;  // rows between the fetch of a label's sums and their use
+  for (int64_t i = 0; i < num_rows; ++i) {
+    const double* later = sums + labels[i + kAhead < num_rows ? i + kAhead : i] * (width + 1);
+    for (int64_t j = 0; j <= width; j += 8) __builtin_prefetch(later + j, 1);
+    double* row = sums + labels[i] * (width + 1);
+    const double w = weights[i];
+    for (int64_t j = 0; j < width; ++j) row[j] += w * vectors[i * stride + j];
+    row[width] += w;
+  }
+}
+
+int64_t distinct_rows(const float* vectors, int64_t stride, int64_t width, int64_t num_rows, const DistinctRows& known,
+                      int64_t count, int32_t* label) {
   const auto bytes = static_cast<size_t>(width) * sizeof(float);
-  int64_t found = 0;
+  const uint64_t mask = uint64_t(known.num_slots - 1);
   for (int64_t i = 0; i < num_rows; ++i) {
     const float* row = vectors + i * stride;
     uint64_t hash = 0;
@@ -223,18 +233,18 @@ int64_t distinct_rows(const float* vectors, int64_t stride, int64_t width, int64
       hash = (hash ^ bits) * 0x9e3779b97f4a7c15u;
       hash ^= hash >> 29;
     }
-    int64_t slot = int64_t(hash & uint64_t(size - 1));
-    while (label_from_slot[slot] >= 0 &&
-           std::memcmp(vectors + first_row[label_from_slot[slot]] * stride, row, bytes) != 0)
-      slot = (slot + 1) & (size - 1);
-    if (label_from_slot[slot] < 0) {
-      if (found == limit) return -1;
-      first_row[found] = int32_t(i);
-      label_from_slot[slot] = int32_t(found++);
+    uint64_t slot = hash & mask;
+    while (known.label_from_slot[slot] >= 0 &&
+           std::memcmp(known.entries + known.label_from_slot[slot] * width, row, bytes) != 0)
+      slot = (slot + 1) & mask;
+    if (known.label_from_slot[slot] < 0) {
+      if (count == known.limit) return -1;
+      std::memcpy(known.entries + count * width, row, bytes);
+      known.label_from_slot[slot] = int32_t(count++);
     }
-    label[i] = label_from_slot[slot];
+    label[i] = known.label_from_slot[slot];
   }
-  return found;
+  return count;
 }
 
 }  // namespace splatree

@@ -27,9 +27,21 @@ void nearest_in_groups(const Points& points, const float* centres, const int64_t
 void label_means(const float* vectors, int64_t stride, int64_t width, const float* weights, const int64_t* start,
                  const int32_t* rows, int64_t num_labels, float* means, int threads);
 
-// Numbers equal rows alike, by their first appearance: label[i] and the first row of each label. Returns how many labels there
-// are, or -1 as soon as there are more than `limit`.
-int64_t distinct_rows(const float* vectors, int64_t stride, int64_t width, int64_t num_rows, int64_t limit,
-                      int32_t* label, int32_t* first_row);
+// Adds each row i, weighted, to the `width` sums of its label, and its weight to the one behind them.
+void add_to_sums(const float* vectors, int64_t stride, int64_t width, const float* weights, const int32_t* labels,
+                 int64_t num_rows, double* sums);
+
+// The different rows found so far: entries by their first appearance, and an open table of their numbers, at most half full.
+struct DistinctRows {
+  int64_t limit;
+  float* entries;  // limit × width
+  int64_t num_slots;  // a power of two
+  int32_t* label_from_slot;  // -1: free
+};
+
+// Numbers rows that have the same bits alike, going on from `count` known ones. Returns how many there are now, or -1 as soon
+// as there are more than the limit.
+int64_t distinct_rows(const float* vectors, int64_t stride, int64_t width, int64_t num_rows, const DistinctRows& known,
+                      int64_t count, int32_t* label);
 
 }  // namespace splatree

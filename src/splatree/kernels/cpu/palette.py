@@ -3,9 +3,17 @@
 import numpy as np
 
 from splatree.kernels.cpu import _core
-from splatree.shapes import Array, Float32, Int32, Int64
+from splatree.shapes import Array, Float32, Float64, Int32, Int64
 
-__all__ = ["distinct", "label_means", "nearest_few", "nearest_in_groups", "onto_axes", "point_means", "split_groups"]
+__all__ = [
+    "DistinctRows",
+    "add_to_sums",
+    "nearest_few",
+    "nearest_in_groups",
+    "onto_axes",
+    "point_means",
+    "split_groups",
+]
 
 _LANES = 16
 
@@ -58,21 +66,6 @@ def nearest_in_groups(
     return labels
 
 
-def label_means(
-    sh: Float32[Array, "n k 3"],
-    weights: Float32[Array, "n"],
-    labels: Int32[Array, "n"],
-    num_labels: int,
-    *,
-    threads: int = 0,
-) -> Float32[Array, "c k-1 3"]:
-    """Weighted mean of the harmonics beyond the DC over the rows of each label; zero where no row has it."""
-    means = np.empty((num_labels, sh.shape[1] - 1, 3), np.float32)
-    start, rows = _grouped(labels, num_labels)
-    _core.label_means(_rows(sh), 3, weights, start, rows, means.reshape(num_labels, -1), threads)
-    return means
-
-
 def point_means(
     points: Float32[Array, "n d"],
     weights: Float32[Array, "n"],
@@ -88,11 +81,34 @@ def point_means(
     return means
 
 
-def distinct(sh: Float32[Array, "n k 3"], limit: int) -> tuple[Int32[Array, "n"], Int32[Array, "p"]] | None:
-    """Labels of rows whose harmonics beyond the DC have the same bits, and the first row of each; None beyond ``limit``."""
-    labels, first_row = np.empty(len(sh), np.int32), np.empty(limit, np.int32)
-    count = _core.distinct_rows(_rows(sh), 3, limit, labels, first_row)
-    return None if count < 0 else (labels, first_row[:count])
+def add_to_sums(
+    sh: Float32[Array, "n k 3"], weights: Float32[Array, "n"], labels: Int32[Array, "n"], sums: Float64[Array, "c w"]
+) -> None:
+    """Add the weighted harmonics beyond the DC of each row to the sums of its label, and its weight to the last of these."""
+    _core.add_to_sums(_rows(sh), 3, weights, labels, sums)
+
+
+class DistinctRows:
+    """Numbers rows whose harmonics beyond the DC have the same bits alike, part by part."""
+
+    def __init__(self, num_rest: int, limit: int) -> None:
+        """For at most ``limit`` different rows of ``num_rest`` values."""
+        self._entries = np.empty((limit, num_rest), np.float32)
+        self._label_from_slot = np.full(1 << max(6, (2 * limit - 1).bit_length()), -1, np.int32)
+        self._count = 0
+
+    def number(self, sh: Float32[Array, "n k 3"]) -> Int32[Array, "n"] | None:
+        """Numbers by the first appearance in any part; None once there are more different rows than the limit."""
+        labels = np.empty(len(sh), np.int32)
+        if self._count >= 0:
+            args = (_rows(sh), 3, self._entries, self._label_from_slot, self._count)
+            self._count = _core.distinct_rows(*args, labels)
+        return labels if self._count >= 0 else None
+
+    @property
+    def entries(self) -> Float32[Array, "p w"]:
+        """The different rows."""
+        return self._entries[: self._count].copy()
 
 
 def _rows(sh: Array) -> Array:

@@ -10,23 +10,44 @@ namespace splatree {
 namespace {
 
 constexpr int64_t kRowsPerChunk = 1 << 13;
-constexpr int64_t kAhead = 8;  // rows between the fetch of one and its use: the order is not that of memory
+constexpr int64_t kAhead = 8;  // rows between the fetch of an entry of the palette and its use
 
-// A search among 255 bounds in eight steps without branches.
+// The number of bounds below a value. The bounds' range is cut into cells; a value's cell is found by one product, which keeps
+// order, so only the bounds of its own cell are left to search.
 class Codebook {
  public:
-  explicit Codebook(const float* bounds) {
-    for (int i = 0; i < 255; ++i) bounds_[i] = bounds[i];
+  explicit Codebook(const float* bounds) : bounds_(bounds), low_(bounds[0]) {
+    const float range = bounds[kBounds - 1] - low_;
+    scale_ = range > 0 && range < std::numeric_limits<float>::infinity() ? kCells / range : 0;
+    for (int cell = 0, i = 0; cell <= kCells; ++cell) {
+      while (i < kBounds && cell_of(bounds[i]) < cell) ++i;
+      first_[cell] = uint8_t(i);
+    }
+    first_[kCells + 1] = kBounds;
   }
 
   uint8_t code(float value) const {
-    int below = 0;
-    for (int step = 128; step > 0; step >>= 1) below += bounds_[below + step - 1] < value ? step : 0;
-    return uint8_t(below);
+    const int cell = cell_of(value);
+    int low = first_[cell], high = first_[cell + 1];
+    while (low < high) {
+      const int middle = (low + high) / 2;
+      if (bounds_[middle] < value) low = middle + 1;
+      else high = middle;
+    }
+    return uint8_t(low);
   }
 
  private:
-  float bounds_[255];
+  static constexpr int kBounds = 255, kCells = 2048;
+
+  int cell_of(float value) const {
+    const float cell = (value - low_) * scale_;
+    return cell > 0 ? cell < kCells ? int(cell) : kCells : 0;
+  }
+
+  const float* bounds_;
+  float low_, scale_;
+  uint8_t first_[kCells + 2];  // bounds in the cells before
 };
 
 double rounded_in(double value, double top) {
@@ -103,13 +124,8 @@ void encode_sog(const SogEncodeJob& job, int threads) {
     steps[axis] = 65535 / (spread > 0 ? spread : 1);
   }
   parallel_ranges(job.num_rows, kRowsPerChunk, threads, [&](int64_t begin, int64_t end) {
-    for (int64_t i = begin; i < end; ++i) {
-      const int64_t row = job.order[i], later = job.order[i + kAhead < end ? i + kAhead : end - 1];
-      __builtin_prefetch(job.means + 3 * later);
-      __builtin_prefetch(job.quats + 4 * later);
-      __builtin_prefetch(job.log_scales + 3 * later);
-      __builtin_prefetch(job.logit_opacities + later);
-      __builtin_prefetch(job.sh + job.sh_stride * later);
+    for (int64_t row = begin; row < end; ++row) {
+      const int64_t i = job.places[row];
       for (int axis = 0; axis < 3; ++axis) {
         const double x = job.means[3 * row + axis];
         const double m = std::copysign(std::log1p(std::fabs(x)), x);
@@ -121,6 +137,9 @@ void encode_sog(const SogEncodeJob& job, int threads) {
       }
       job.sh0[4 * i + 3] = uint8_t(std::nearbyint(255 / (1 + std::exp(-double(job.logit_opacities[row])))));
       encode_quat(job.quats + 4 * row, job.quats_pixels + 4 * i);
+      if (job.labels == nullptr) continue;
+      job.labels_pixels[3 * i] = uint8_t(job.labels[row] & 255);
+      job.labels_pixels[3 * i + 1] = uint8_t(job.labels[row] >> 8);
     }
   });
 }

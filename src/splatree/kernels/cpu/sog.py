@@ -12,23 +12,24 @@ __all__ = ["SogTables", "decode", "encode", "find_codes"]
 
 def encode(
     gaussians: Gaussians,
-    order: Int32[Array, "n"],
+    places: Int32[Array, "n"],
     mean_ranges: Float64[Array, "2 3"],
-    scale_bounds: Float32[Array, "255"],
-    dc_bounds: Float32[Array, "255"],
+    bounds: tuple[Float32[Array, "255"], Float32[Array, "255"]],
+    pixels: dict[str, UInt8[Array, "m c"]],
     *,
+    labels: Int32[Array, "n"] | None = None,
     threads: int = 0,
-) -> dict[str, UInt8[Array, "n c"]]:
-    """Codes of each picture, in the given order of rows; a code of a codebook is the number of bounds below the value."""
+) -> None:
+    """Set the pixel ``places`` of each row in each picture; a code counts the ``bounds``, of log-scales and of DC, below."""
     g = gaussians
-    channels = {"means_l": 3, "means_u": 3, "quats": 4, "scales": 3, "sh0": 4}
-    pixels = {name: np.empty((len(order), c), np.uint8) for name, c in channels.items()}
+    no_labels, no_pixels = np.empty(0, np.int32), np.empty((0, 3), np.uint8)
     _core.encode_sog(
-        *(g.means, g.quats, g.log_scales, g.logit_opacities, g.sh, order, mean_ranges, scale_bounds, dc_bounds),
-        *pixels.values(),
+        *(g.means, g.quats, g.log_scales, g.logit_opacities, g.sh, places, no_labels if labels is None else labels),
+        *(mean_ranges, *bounds),
+        *(pixels[name] for name in ("means_l", "means_u", "quats", "scales", "sh0")),
+        pixels.get("labels", no_pixels),
         threads,
     )
-    return pixels
 
 
 def find_codes(values: Float32[Array, "..."], bounds: Float32[Array, "255"], *, threads: int = 0) -> Array:

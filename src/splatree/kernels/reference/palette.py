@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from splatree.shapes import Array, Float32, Int32, Int64
+from splatree.shapes import Array, Float32, Float64, Int32, Int64
 
 _CLASSES = 16
 
@@ -72,18 +72,6 @@ def nearest_in_groups(
     return np.asarray(np.where(searched, distances, np.inf).argmin(axis=1), np.int32)
 
 
-def label_means(
-    sh: Float32[Array, "n k 3"],
-    weights: Float32[Array, "n"],
-    labels: Int32[Array, "n"],
-    num_labels: int,
-    *,
-    threads: int = 0,
-) -> Float32[Array, "c k-1 3"]:
-    """Weighted mean of the harmonics beyond the DC over the rows of each label; zero where no row has it."""
-    return np.asarray(point_means(_rest(sh), weights, labels, num_labels).reshape(num_labels, -1, 3))
-
-
 def point_means(
     points: Float32[Array, "n d"],
     weights: Float32[Array, "n"],
@@ -100,12 +88,32 @@ def point_means(
     return means.astype(np.float32)
 
 
-def distinct(sh: Float32[Array, "n k 3"], limit: int) -> tuple[Int32[Array, "n"], Int32[Array, "p"]] | None:
-    """Labels of rows whose harmonics beyond the DC have the same bits, and the first row of each; None beyond ``limit``."""
-    label_from_bits: dict[bytes, int] = {}
-    labels = np.array([label_from_bits.setdefault(row[1:].tobytes(), len(label_from_bits)) for row in sh], np.int32)
-    _, first_row = np.unique(labels, return_index=True)
-    return None if len(first_row) > limit else (labels, first_row.astype(np.int32))
+def add_to_sums(
+    sh: Float32[Array, "n k 3"], weights: Float32[Array, "n"], labels: Int32[Array, "n"], sums: Float64[Array, "c w"]
+) -> None:
+    """Add the weighted harmonics beyond the DC of each row to the sums of its label, and its weight to the last of these."""
+    with_one = np.hstack([_rest(sh), np.ones((len(sh), 1))])
+    np.add.at(sums, labels, weights[:, None] * with_one)
+
+
+class DistinctRows:
+    """Numbers rows whose harmonics beyond the DC have the same bits alike, part by part."""
+
+    def __init__(self, num_rest: int, limit: int) -> None:
+        """For at most ``limit`` different rows of ``num_rest`` values."""
+        self._num_rest, self._limit = num_rest, limit
+        self._label_from_bits: dict[bytes, int] = {}
+
+    def number(self, sh: Float32[Array, "n k 3"]) -> Int32[Array, "n"] | None:
+        """Numbers by the first appearance in any part; None once there are more different rows than the limit."""
+        known = self._label_from_bits
+        labels = np.array([known.setdefault(row[1:].tobytes(), len(known)) for row in sh], np.int32)
+        return labels if len(known) <= self._limit else None
+
+    @property
+    def entries(self) -> Float32[Array, "p w"]:
+        """The different rows."""
+        return np.frombuffer(b"".join(self._label_from_bits), np.float32).reshape(-1, self._num_rest)
 
 
 def _rest(sh: Array) -> Array:

@@ -10,35 +10,35 @@ from splatree.shapes import Array, Float32, Float64, Int32, UInt8
 
 def encode(
     gaussians: Gaussians,
-    order: Int32[Array, "n"],
+    places: Int32[Array, "n"],
     mean_ranges: Float64[Array, "2 3"],
-    scale_bounds: Float32[Array, "255"],
-    dc_bounds: Float32[Array, "255"],
+    bounds: tuple[Float32[Array, "255"], Float32[Array, "255"]],
+    pixels: dict[str, UInt8[Array, "m c"]],
     *,
+    labels: Int32[Array, "n"] | None = None,
     threads: int = 0,
-) -> dict[str, UInt8[Array, "n c"]]:
-    """Codes of each picture, in the given order of rows; a code of a codebook is the number of bounds below the value."""
-    g = gaussians.take(order)
+) -> None:
+    """Set the pixel ``places`` of each row in each picture; a code counts the ``bounds``, of log-scales and of DC, below."""
+    g = gaussians
     x = g.means.astype(np.float64)
     low, high = mean_ranges
     spread = np.where(high > low, high - low, 1.0)
     u = np.clip(np.rint((np.sign(x) * np.log1p(np.abs(x)) - low) / spread * 65535), 0, 65535).astype(np.uint16)
+    pixels["means_l"][places], pixels["means_u"][places] = u & 255, u >> 8
 
     quats = g.quats.astype(np.float64)
     quats /= np.linalg.norm(quats, axis=1, keepdims=True)
     largest = np.abs(quats).argmax(axis=1)
     quats *= np.where(np.take_along_axis(quats, largest[:, None], axis=1) < 0, -1.0, 1.0)  # q and −q are one rotation
     others = quats[np.arange(4) != largest[:, None]].reshape(-1, 3)
-    tags = (252 + largest)[:, None]
+    pixels["quats"][places, :3] = np.clip(np.rint((others * np.sqrt(0.5) + 0.5) * 255), 0, 255)
+    pixels["quats"][places, 3] = 252 + largest
 
-    opacities = 1 / (1 + np.exp(-g.logit_opacities.astype(np.float64)))
-    return {
-        "means_l": (u & 255).astype(np.uint8),
-        "means_u": (u >> 8).astype(np.uint8),
-        "quats": np.hstack([np.clip(np.rint((others * np.sqrt(0.5) + 0.5) * 255), 0, 255), tags]).astype(np.uint8),
-        "scales": np.searchsorted(scale_bounds, g.log_scales).astype(np.uint8),
-        "sh0": np.hstack([np.searchsorted(dc_bounds, g.sh[:, 0]), np.rint(opacities * 255)[:, None]]).astype(np.uint8),
-    }
+    pixels["scales"][places] = np.searchsorted(bounds[0], g.log_scales)
+    pixels["sh0"][places, :3] = np.searchsorted(bounds[1], g.sh[:, 0])
+    pixels["sh0"][places, 3] = np.rint(255 / (1 + np.exp(-g.logit_opacities.astype(np.float64))))
+    if labels is not None:
+        pixels["labels"][places, 0], pixels["labels"][places, 1] = labels & 255, labels >> 8
 
 
 class SogTables(NamedTuple):
