@@ -41,6 +41,8 @@ def random_scene(seed: int) -> Scene:
         if (p := parents[i]) >= 0:
             end[p] = max(end[p], end[i])
             extents[p] = max(extents[p], 1.0001 * (extents[i] + np.linalg.norm(means[i] - means[p])))
+    if rng.random() < 0.3:  # levels that were made by pairs: extents say nothing of sizes
+        extents *= np.exp(rng.normal(-2, 1, n))
     logits = rng.normal(0, 4, n)
     if rng.random() < 0.5:  # a huge one, a needle, a speck, one that cannot be seen
         hostile = rng.integers(0, n, 4)
@@ -110,14 +112,14 @@ def visible_within(scene: Scene, camera: Camera, visibility: str, dilation: floa
 def assert_is_the_cut(rows: np.ndarray, scene: Scene, camera: Camera, options: SelectOptions, dilation: float) -> None:
     """Equal to the definition but for nodes within 1e-4 of τ_R, with what is below them, and boxes within 0.1 px of a border."""
     tree, tau = scene.tree, options.pixel_error
-    radii = reference.radii(scene.gaussians, tree.extents, camera, options.profile, dilation)
+    radii = reference.radii(scene.gaussians, tree.extents, camera, options.radius, dilation)
     open_nodes = np.zeros(len(scene), bool)
     if np.isfinite(tau) and tau > 0:
         # Float32 has 6e-8, but the larger eigenvalue is a difference of rounded squares; 1e-4 is the band of the laws.
         open_nodes = np.abs(radii / tau - 1) < 1e-4
         # Depths round too: who is beyond the near plane within 0.1 % may be refined or not.
         depths = reference.project(scene.gaussians, camera).depths
-        open_nodes |= (np.abs(depths / camera.near - 1) < 1e-3) & (options.profile != "sphere")
+        open_nodes |= (np.abs(depths / camera.near - 1) < 1e-3) & (options.radius != "sphere")
     undecided = open_nodes | reference.shadowed(open_nodes, tree.subtree_end)
     cut = np.zeros(len(scene), bool)
     cut[reference.cut_rows(tree, radii, tau)] = True

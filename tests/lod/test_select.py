@@ -6,6 +6,7 @@ import pytest
 from splatree import Camera, Gaussians, GaussianTree, InputError, Scene, SelectOptions, select
 from splatree.lod.select import smallest_radius
 from splatree.lod.serial import select_serial
+from splatree.render.pipeline import trace
 from splatree.scene.scene import Source
 
 
@@ -142,7 +143,7 @@ def test_options_that_do_not_exist_are_refused_by_name():
 
 
 def test_linked_levels_are_noted_by_their_record_alone():
-    scene, options = quad_tree(3), SelectOptions(pixel_error=3.0)
+    scene, options = quad_tree(3), SelectOptions(pixel_error=3.0, profile="exact")
     for record, noted in (
         ('{"rule": "linked"}', True),
         ('{"rule": "grow", "note": "not \\"linked\\""}', False),
@@ -152,3 +153,11 @@ def test_linked_levels_are_noted_by_their_record_alone():
         source = Source(metadata={"levels": record})
         notes = select(replace(scene, source=source), camera_at(2.0), options).notes
         assert any("linked" in note for note in notes) == noted
+
+
+@pytest.mark.parametrize(("rule", "profile"), [("linked", "sphere"), ("pairs", "sphere"), ("radius-thinning", "exact")])
+def test_the_profile_is_that_of_the_levels_unless_it_is_named(rule, profile):
+    scene = replace(quad_tree(3), source=Source(metadata={"levels": f'{{"rule": "{rule}"}}'}))
+    assert select(scene, camera_at(2.0)).profile == profile
+    assert trace(scene, camera_at(2.0)).selection.profile == profile
+    assert select(scene, camera_at(2.0), SelectOptions(profile="3dgs")).profile == "3dgs"

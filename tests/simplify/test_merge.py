@@ -210,3 +210,17 @@ def test_rules_follow_the_mode_unless_given():
     assert MergeOptions().resolved("classic", growth=2.0).dilation == pytest.approx(0.6 / 0.7)
     given = MergeOptions(weight="opacity-scale", opacity="mass", dilation=0.1)
     assert given.resolved("antialiased", growth=2.0) == given
+
+
+def test_a_given_opacity_takes_the_place_of_the_rule():
+    rng = np.random.default_rng(4)
+    columns = [rng.normal(size=shape).astype(np.float32) for shape in ((6, 3), (6, 4), (6, 3), (6,), (6, 1, 3))]
+    gaussians, groups = Gaussians(*columns), group(np.array([0, 0, 2, 2, 4, 5], np.int32))
+    weights, opacities = np.ones(6, np.float32), np.array([0.25, 0, 0.5, 0], np.float32)
+    options = MergeOptions(opacity="standard", dilation=0.0)
+    ruled = fast.merge(gaussians, groups, weights, options)
+    for merge_with in (fast.merge, reference.merge):
+        merged = merge_with(gaussians, groups, weights, options, opacities=opacities)
+        assert merged.logit_opacities[0] == np.float32(np.log(0.25 / 0.75))
+        # The second is by the rule, 0 says; the others are groups of one, which nothing changes.
+        np.testing.assert_allclose(merged.logit_opacities[1:], ruled.logit_opacities[1:], rtol=2e-6)

@@ -21,6 +21,9 @@ from splatree.scene.scene import Mode, Scene
 from splatree.scene.tree import GaussianTree
 from splatree.shapes import Array, Int64
 
+STEPS = {"radii": "radius", "pixel_sizes": "pixel"}
+"""What each level was made by, in the record of the levels and in the table."""
+
 
 @dataclass(frozen=True)
 class Command:
@@ -138,9 +141,12 @@ def show(built: Built) -> str:
     levels = ""
     if built.rules is not None:
         nodes = built.rules["nodes"][1:]
-        radii = [f"{radius:.4g}" for radius in built.rules.get("radii", [])] or ["linked"] * len(nodes)
-        steps = enumerate(zip(radii, nodes, strict=True))
-        rows = [{"level": i + 1, "radius": radius, "nodes left": n} for i, (radius, n) in steps]
+        kind, sizes = next(
+            ((kind, built.rules[key]) for key, kind in STEPS.items() if key in built.rules),
+            ("made", ["linked"] * len(nodes)),
+        )
+        shown = [(f"{size:.4g}" if isinstance(size, float) else size, n) for size, n in zip(sizes, nodes, strict=True)]
+        rows = [{"level": i + 1, kind: size, "nodes left": n} for i, (size, n) in enumerate(shown)]
         levels = f"{table(rows)}\n" if rows else ""
     clusters = f"{built.clusters['clusters']:,} clusters, " if built.clusters else ""
     return (

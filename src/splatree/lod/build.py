@@ -13,43 +13,55 @@ node while the levels grow.
 
 import dataclasses
 import json
+import math
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 
-from splatree.constants import SIGMAS
+from splatree.constants import MERGED_LOG_SCALE_MAX, SIGMAS
 from splatree.errors import InputError
 from splatree.kernels.cpu import merge as merge_kernel
 from splatree.kernels.cpu import thin as thin_kernel
 from splatree.kernels.cpu.blocks import index_blocks
+from splatree.lod.forest import Forest
+from splatree.lod.grow_pairs import Present, grow_by_pairs
 from splatree.lod.order import Level, preorder
 from splatree.maths.morton import morton_codes
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Scene
-from splatree.scene.thinning import Importance, MergeOptions, rules_of
+from splatree.scene.thinning import Importance, MergeOptions, Method, rules_of
 from splatree.shapes import Array
 from splatree.simplify.merge import check_finite, importance_of, weights_of
+from splatree.simplify.pairs import pixel_size_of
 from splatree.simplify.thin import auto_radius, linear_colors
 
 __all__ = ["BuildOptions", "build_lod"]
+
+WIDEST_PIXEL = 16.0
+"""`pairs` ends with pixels so many times as wide as the scene: no change of the picture can be as large as one of them."""
 
 
 @dataclass(frozen=True)
 class BuildOptions:
     """How the levels grow."""
 
+    method: Method = "radius"
+    """`radius` merges what is close, by ever larger radii; `pairs` what a pixel of ever larger size does not show, for better
+    pictures of fewer nodes in several times the time."""
     radius: float | Literal["auto"] = "auto"
-    """r_0, world units: radius of the first level; `auto`: 1.5 × the median distance to the nearest neighbour."""
+    """`radius`: r_0, world units: radius of the first level; `auto`: 1.5 × the median distance to the nearest neighbour."""
+    pixel_size: float | None = None
+    """`pairs`: p_0, world units: width of a pixel for which the first level is made; None: half of the median Gaussian."""
     growth: float = 2.0
-    """g: each level's radius is g times the one before."""
+    """g: each level's radius, or size of a pixel, is g times the one before."""
     max_roots: int = 64
     """Levels end when at most this many nodes are left."""
     importance: Importance = "opacity-scale"
-    """Which of two close Gaussians a group forms around: the larger `opacity`, times mean scale, or times area."""
+    """`radius`: which of two close Gaussians a group forms around: the larger `opacity`, times mean scale, or times area."""
     color_radius: float | None = 0.5
-    """ρ: distance in linear RGB (DC colour) that counts as much as r in space; None: colour keeps nothing apart."""
+    """`radius`: ρ, the distance in linear RGB (DC colour) that counts as much as r in space; None: colour keeps nothing apart."""
     merge: MergeOptions = field(default_factory=MergeOptions)
     """How a group becomes one Gaussian."""
 
@@ -59,6 +71,10 @@ class BuildOptions:
                 raise InputError(f"radius: found {self.radius!r}, wanted a number or 'auto'")
         elif not 0 < self.radius <= 1e30:
             raise InputError(f"radius: found {self.radius}, wanted more than 0 world units, finite")
+        if self.method not in get_args(Method):
+            raise InputError(f"method: found {self.method!r}, wanted one of {', '.join(get_args(Method))}")
+        if self.pixel_size is not None and not 0 < self.pixel_size <= 1e30:
+            raise InputError(f"pixel_size: found {self.pixel_size}, wanted more than 0 world units, finite")
         if not 1 < self.growth <= 1e6:
             raise InputError(f"growth: found {self.growth}, wanted more than 1 (2 doubles the radius each level)")
         if self.max_roots < 1:
@@ -81,19 +97,33 @@ def build_lod(scene: Scene, options: BuildOptions | None = None, *, threads: int
     options = options or BuildOptions()
     leaves, leaf_ids = _leaves_of(scene)
     check_finite(leaves)
+    fits_opacity = options.merge.opacity is None and scene.mode == "classic"
     options = dataclasses.replace(options, merge=options.merge.resolved(scene.mode, growth=options.growth))
-    radius = auto_radius(leaves, threads=threads) if isinstance(options.radius, str) else float(options.radius)
-    forest = _grow(leaves, options, radius, threads)
-    report = {
-        "rule": "radius-thinning",
-        "radius": radius,
-        **{f.name: getattr(options, f.name) for f in dataclasses.fields(options) if f.name not in ("radius", "merge")},
-        "merge": rules_of(options.merge),
-        "mode": scene.mode,
-        "nodes": forest.counts,
-        "radii": forest.radii,
-    }
+    forest, diagonal = _forest_of(leaves, options), _diagonal_of(leaves)
+    rules: dict[str, Any] = {"growth": options.growth, "max_roots": options.max_roots}
+    if options.method == "pairs":
+        pixel_size = options.pixel_size or 0.5 * pixel_size_of(leaves)
+        present = Present(forest.columns[0], forest.weights[0], scene.mode, options.merge, fits_opacity=fits_opacity)
+        pixel_sizes = _steps(pixel_size, WIDEST_PIXEL * (diagonal + _largest_reach(leaves)), options.growth)
+        forest = grow_by_pairs(forest, present, pixel_sizes, max_roots=options.max_roots, threads=threads)
+        rules |= {"rule": "pairs", "pixel_size": pixel_size, "pixel_sizes": forest.steps}
+    else:
+        radius = auto_radius(leaves, threads=threads) if isinstance(options.radius, str) else float(options.radius)
+        forest = _grow(forest, options, radius, diagonal, threads)
+        rules |= {"rule": "radius-thinning", "radius": radius, "radii": forest.steps}
+        rules |= {"importance": options.importance, "color_radius": options.color_radius}
+    report = rules | {"merge": rules_of(options.merge), "mode": scene.mode, "nodes": forest.counts}
     return _assemble(scene, leaves, leaf_ids, forest, json.dumps(report), threads)
+
+
+def _steps(first: float, last: float, growth: float) -> list[float]:
+    num_steps = math.ceil(math.log(max(1.0, last / first), growth)) + 1
+    return [first * growth**step for step in range(num_steps)]
+
+
+def _largest_reach(gaussians: Gaussians) -> float:
+    largest = min(float(gaussians.log_scales.max(initial=-np.inf)), MERGED_LOG_SCALE_MAX)
+    return SIGMAS * math.exp(largest)
 
 
 def _leaves_of(scene: Scene) -> tuple[Gaussians, Array]:
@@ -104,37 +134,23 @@ def _leaves_of(scene: Scene) -> tuple[Gaussians, Array]:
     return scene.gaussians.take(is_leaf), ids[is_leaf]
 
 
-@dataclass(frozen=True, eq=False)
-class _Forest:
-    """Nodes by number: leaves along the Morton curve, then each level's new ones."""
-
-    leaf_from_node: Array
-    """Row of the input for each of the first n nodes."""
-    columns: list[Gaussians]
-    """Leaves, then each level's new nodes, harmonics to degree 0."""
-    weights: list[Array]
-    """Summed weights, in the same pieces."""
-    levels: list[Level]
-    """Families."""
-    roots: Array
-    """Nodes without a parent, in order."""
-    counts: list[int]
-    """Nodes left after each level."""
-    radii: list[float]
-    """Radius of each level."""
-
-
-def _grow(leaves: Gaussians, options: BuildOptions, radius: float, threads: int) -> _Forest:
+def _forest_of(leaves: Gaussians, options: BuildOptions) -> Forest:
     order = np.argsort(morton_codes(leaves.means), kind="stable").astype(np.int32)
-    present = leaves.with_sh_degree(0).take(order)
     weights = weights_of(leaves, options.merge.weight or "opacity")[order]
     nodes = np.arange(len(leaves), dtype=np.int32)
-    forest = _Forest(order, [present], [weights], [], nodes, [len(leaves)], [])
+    return Forest(order, [leaves.with_sh_degree(0).take(order)], [weights], [], nodes, [len(leaves)], [])
+
+
+def _diagonal_of(gaussians: Gaussians) -> float:
+    sides = [float(x.max()) - float(x.min()) for x in gaussians.means.T] if len(gaussians) else [0.0]
+    return float(np.linalg.norm(sides))
+
+
+def _grow(forest: Forest, options: BuildOptions, radius: float, diagonal: float, threads: int) -> Forest:
+    present, weights, nodes = forest.columns[0], forest.weights[0], forest.roots
     color_radius = np.inf if options.color_radius is None else options.color_radius
-    sides = [float(x.max()) - float(x.min()) for x in leaves.means.T] if len(leaves) else [0.0]
-    diagonal = float(np.linalg.norm(sides))
-    num_nodes = len(leaves)
-    with task("build levels", float(len(leaves))) as advance:
+    num_nodes = len(nodes)
+    with task("build levels", float(len(nodes))) as advance:
         while len(nodes) > options.max_roots:
             groups = thin_kernel.thin(
                 *(present.means, linear_colors(present), importance_of(present, options.importance)),
@@ -158,21 +174,26 @@ def _grow(leaves: Gaussians, options: BuildOptions, radius: float, threads: int)
                 forest.columns.append(merged.take(is_family))
                 forest.weights.append(weights[is_family])
                 forest.counts.append(len(nodes))
-                forest.radii.append(radius)
+                forest.steps.append(radius)
             if radius > diagonal:
                 break
             radius *= options.growth
     return dataclasses.replace(forest, roots=nodes)
 
 
-def _assemble(scene: Scene, leaves: Gaussians, leaf_ids: Array, forest: _Forest, report: str, threads: int) -> Scene:
+def _assemble(scene: Scene, leaves: Gaussians, leaf_ids: Array, forest: Forest, report: str, threads: int) -> Scene:
     means = np.concatenate([part.means for part in forest.columns])
     x, y, z = np.concatenate([part.log_scales for part in forest.columns]).T
     largest = np.maximum(np.maximum(x, y), z)  # ten times faster than the maximum along an axis of three
     with np.errstate(over="ignore"):
         reach = SIGMAS * np.exp(largest.astype(np.float64))
     order = preorder(forest.levels, forest.roots, means, reach)
-    row, n = order.row_from_node, len(means)
+    row, n, tree = order.row_from_node, len(means), order.tree
+    if forest.extents:
+        extents = tree.extents.copy()
+        for level, extent in zip(forest.levels, forest.extents, strict=True):
+            extents[row[level.parents]] = extent
+        tree = dataclasses.replace(tree, extents=extents)
 
     node_from_row = np.empty(n, np.intp)
     node_from_row[row] = np.arange(n)
@@ -185,7 +206,7 @@ def _assemble(scene: Scene, leaves: Gaussians, leaf_ids: Array, forest: _Forest,
     leaf_from_row = np.zeros(n, np.intp)  # inner nodes take any leaf's harmonics, and then their children's mean
     leaf_from_row[row_from_leaf] = np.arange(len(leaves))
     sh = np.take(leaves.sh, leaf_from_row, axis=0)
-    merge_kernel.average_children(sh, order.tree.subtree_end, placed(forest.weights), threads=threads)
+    merge_kernel.average_children(sh, tree.subtree_end, placed(forest.weights), threads=threads)
     gaussians = Gaussians(
         placed([part.means for part in forest.columns]),
         placed([part.quats for part in forest.columns]),
@@ -201,7 +222,7 @@ def _assemble(scene: Scene, leaves: Gaussians, leaf_ids: Array, forest: _Forest,
     ids[row[len(leaves) :]] = np.arange(first_id, first_id + n - len(leaves), dtype=np.uint32)
     metadata = {key: value for key, value in scene.source.metadata.items() if key != "clusters"}
     source = dataclasses.replace(scene.source, metadata={**metadata, "levels": report})
-    blocks = index_blocks(gaussians, order.tree, threads=threads)
+    blocks = index_blocks(gaussians, tree, threads=threads)
     return dataclasses.replace(
-        scene, gaussians=gaussians, tree=order.tree, ids=ids, blocks=blocks, clusters=None, source=source
+        scene, gaussians=gaussians, tree=tree, ids=ids, blocks=blocks, clusters=None, source=source
     )

@@ -39,6 +39,7 @@ __all__ = [
     "count_uncovered",
     "cull_rule",
     "cull_scene",
+    "for_levels",
     "in_runs",
     "notes_on",
     "select",
@@ -80,7 +81,7 @@ def select(
     Raises:
         InputError: a budget that not even the roots in view meet; or a rule of culling for a scene without clusters.
     """
-    options = options or SelectOptions()
+    options = for_levels(options or SelectOptions(), scene)
     if culling is None:
         culling = cull_scene(scene, camera, options, dilation_px2=dilation_px2, threshold=threshold, threads=threads)
     runs = None if culling is None or culling.kept.all() else culling.runs
@@ -123,24 +124,31 @@ def select(
 
     rows, visited = rows_at(options.pixel_error)
     pixel_error = options.pixel_error
-    smallest = smallest_radius(options.profile, dilation_px2)
+    smallest = smallest_radius(options.radius, dilation_px2)
     if options.budget is not None and len(rows) > options.budget:
         rows, visited, pixel_error = _meet_budget(
             rows_at, options.budget, max(pixel_error, smallest), len(rows), camera
         )
-    notes = notes_on(pixel_error, options.profile, dilation_px2)
-    if options.profile != "sphere" and pixel_error > 0 and _is_linked(scene):
+    notes = notes_on(pixel_error, options.radius, dilation_px2)
+    if options.radius != "sphere" and pixel_error > 0 and _rule_of_levels(scene) == "linked":
         notes += ("the levels of this scene are linked, not merged: profile 'sphere' changes them region by region",)
-    return Selection(rows, options.rule, options.profile, pixel_error, visited, notes)
+    return Selection(rows, options.rule, options.radius, pixel_error, visited, notes)
 
 
-def _is_linked(scene: Scene) -> bool:
-    """Whether the levels were made by `link_levels`, as the record that it leaves says."""
+def for_levels(options: SelectOptions, scene: Scene) -> SelectOptions:
+    """The options with the profile that the levels of the scene were made for, unless one is named."""
+    if options.profile is not None:
+        return options
+    return replace(options, profile="sphere" if _rule_of_levels(scene) in ("linked", "pairs") else "exact")
+
+
+def _rule_of_levels(scene: Scene) -> str | None:
+    """How the levels were made, as the record that `build_lod` and `link_levels` leave says."""
     try:
         record = json.loads(scene.source.metadata.get("levels", "{}"))
     except json.JSONDecodeError:  # a file may carry any text under this name
-        return False
-    return isinstance(record, dict) and record.get("rule") == "linked"
+        return None
+    return str(record.get("rule")) if isinstance(record, dict) else None
 
 
 def notes_on(pixel_error: float, profile: Profile, dilation_px2: float) -> tuple[str, ...]:

@@ -53,8 +53,8 @@ def trace_on_device(
     if _is_one_piece(scene, select):
         assert isinstance(select, SelectOptions)
         traced = renderer.trace(camera, options, select, contributions=contributions)
-        notes = notes_on(select.pixel_error, select.profile, options.dilation_px2)
-        selection = Selection(traced.rows, select.rule, select.profile, select.pixel_error, traced.num_visited, notes)
+        notes = notes_on(select.pixel_error, select.radius, options.dilation_px2)
+        selection = Selection(traced.rows, select.rule, select.radius, select.pixel_error, traced.num_visited, notes)
         times = traced.milliseconds, traced.cpu_milliseconds
     else:
         dilation, threshold = options.dilation_px2, options.least_threshold

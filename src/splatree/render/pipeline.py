@@ -16,7 +16,7 @@ from functools import partial
 from typing import TypeVar
 
 from splatree.kernels import Backend, backend_for
-from splatree.lod.select import Selector, cull_rule, cull_scene
+from splatree.lod.select import Selector, cull_rule, cull_scene, for_levels
 from splatree.lod.select import select as select_rows
 from splatree.scene.cameras import Camera
 from splatree.scene.frame import Counters, Frame, RenderResult
@@ -47,7 +47,7 @@ def render(
         from splatree.render.device import render_on_device
 
         resolved = (options or RenderOptions()).resolved(scene)
-        return render_on_device(scene, camera, resolved, _for_extent(select or SelectOptions(), resolved))
+        return render_on_device(scene, camera, resolved, _settled(select or SelectOptions(), scene, resolved))
     return trace(scene, camera, options, select, threads=threads, backend=backend).result
 
 
@@ -67,7 +67,7 @@ def trace(
     """
     options, select = options or RenderOptions(), select or SelectOptions()
     resolved = options.resolved(scene)
-    select = _for_extent(select, resolved)
+    select = _settled(select, scene, resolved)
     if (backend or scene.device) == "cuda":
         from splatree.render.device import trace_on_device
 
@@ -125,8 +125,13 @@ def trace(
     return Frame(camera, culling, selection, splats, bins, picture.tiles, result, picture.contributions)
 
 
-def _for_extent(select: SelectOptions | Selector, options: ResolvedOptions) -> SelectOptions | Selector:
-    """Footprints are ellipses; the projection drops what squares do not show."""
-    if isinstance(select, SelectOptions) and select.visibility == "footprint" and options.is_square:
-        return replace(select, visibility="none")
+def _settled(select: SelectOptions | Selector, scene: Scene, options: ResolvedOptions) -> SelectOptions | Selector:
+    """The options with what follows from the scene and from how it is drawn."""
+    if not isinstance(select, SelectOptions):
+        return select
+    select = for_levels(select, scene)
+    if select.visibility == "footprint" and options.is_square:
+        return replace(
+            select, visibility="none"
+        )  # footprints are ellipses; the projection drops what squares do not show
     return select

@@ -18,6 +18,7 @@ from splatree.errors import InputError
 from splatree.kernels.cuda.device import keep_on_device, renderer_of
 from splatree.kernels.cuda.renderer import DevicePicture
 from splatree.kernels.cuda.tensors import borrowed, ordinal_of
+from splatree.lod.select import for_levels
 from splatree.scene.cameras import Camera
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.options import RenderOptions, SelectOptions
@@ -72,7 +73,7 @@ def draw(
     if scene.device != "cuda":
         raise InputError("draw: found a scene on the processor, wanted one on the GPU: scene.to('cuda'); or use render")
     resolved = (options or RenderOptions()).resolved(scene)
-    select = select or SelectOptions()
+    select = for_levels(select or SelectOptions(), scene)
     if resolved.is_square and select.visibility == "footprint":
         select = replace(select, visibility="none")  # the projection drops what squares do not show
     return renderer_of(scene).draw(camera, resolved, select)

@@ -33,8 +33,9 @@ class SelectOptions:
     """Draw at most this many nodes: pixel_error is raised until the visible cut fits."""
     rule: Rule = "cut"
     """Rule set: `cut` is exact and draws no duplicates; the others reproduce published code."""
-    profile: Profile = "exact"
-    """Radius of a node, px: `exact` is 3 √λ of the dilated splat."""
+    profile: Profile | None = None
+    """Radius of a node, px: `exact` is 3 √λ of the dilated splat, `sphere` its extent over the distance; None: `sphere` for
+    levels that were made for it, by pairs or linked, else `exact`."""
     visibility: Visibility = "footprint"
     """What is dropped as out of view: splats that miss the image, centres outside of it, or nothing."""
     max_radius: float | None = None
@@ -50,9 +51,16 @@ class SelectOptions:
             raise InputError(f"budget: found {self.budget}, wanted at least 1 node")
         if self.max_radius is not None and not self.max_radius > 0:
             raise InputError(f"max_radius: found {self.max_radius}, wanted more than 0 px")
-        _check_names(self, rule=Rule, profile=Profile, visibility=Visibility)
+        _check_names(self, rule=Rule, visibility=Visibility)
+        if self.profile is not None:
+            _check_names(self, profile=Profile)
         if self.cull is not None:
             _check_names(self, cull=Cull)
+
+    @property
+    def radius(self) -> Profile:
+        """The profile by name; `exact` where it is left to a scene that none is at hand of."""
+        return self.profile or "exact"
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,9 @@ class GaussianTree:
     depth: UInt8[Array, "n"]
     """Edges from the root; 0 for a root."""
     extents: Float32[Array, "n"]
-    """Radius, world units, of a ball around the row's mean that holds the 3σ ellipsoids of the row and its descendants."""
+    """What the profile `sphere` sets against the distance, world units. Levels by a radius: radius of a ball around the row's
+    mean that holds the 3σ ellipsoids of the row and its descendants; by pairs: three pixels of the size at which the row begins
+    to stand for its descendants, which may be less."""
 
     def __post_init__(self) -> None:
         n = check_fields(self)["n"]
@@ -77,7 +79,7 @@ class BlockIndex:
     upper: Float32[Array, "b 3"]
     """Largest coordinates."""
     leaf_scales: Float32[Array, "b"]
-    """Largest standard deviation of the leaves, world units; 0 if there are none."""
+    """Largest standard deviation of the leaves, and of rows whose 3σ is more than their extent, world units; 0 without any."""
     min_logits: Float32[Array, "b"]
     """Smallest logit opacity."""
     ancestor_start: Int32[Array, "b+1"]
@@ -91,7 +93,8 @@ class BlockIndex:
     group_leaf_scales: Float32[Array, "g"]
     """As ``leaf_scales``, of groups."""
     size_classes: UInt8[Array, "n"]
-    """255 for a leaf; else the whole part of 8 log₂ σ + 128, σ the row's middle standard deviation, held in 0 to 254."""
+    """255 for a leaf; else the whole part of 8 log₂ σ + 128, held in 0 to 254; σ is the row's middle standard deviation or a
+    third of its extent, the lesser."""
 
     def __post_init__(self) -> None:
         sizes = check_fields(self)

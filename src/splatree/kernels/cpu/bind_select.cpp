@@ -159,11 +159,12 @@ void ancestor_table(In<uint8_t> depth, Out<int32_t> table) {
   list_ancestors(depth.data(), int64_t(depth.shape(0)), int(table.shape(1)), table.data());
 }
 
-void block_bounds(nb::handle gaussians, In<int32_t> subtree_end, int rows_per_block, Out<float> lower, Out<float> upper,
+void block_bounds(nb::handle gaussians, nb::handle tree, int rows_per_block, Out<float> lower, Out<float> upper,
                   Out<float> leaf_scales, Out<float> min_logits, Out<float> group_lower, Out<float> group_upper,
                   Out<float> group_leaf_scales, Out<uint8_t> size_classes, int threads) {
   const BoundsJob job{column<float>(gaussians, "means"), column<float>(gaussians, "log_scales"),
-                      column<float>(gaussians, "logit_opacities"), subtree_end.data(), int64_t(subtree_end.shape(0)),
+                      column<float>(gaussians, "logit_opacities"), column<int32_t>(tree, "subtree_end"),
+                      column<float>(tree, "extents"), int64_t(nb::len(tree)),
                       rows_per_block, threads, lower.data(), upper.data(), leaf_scales.data(), min_logits.data(),
                       group_lower.data(), group_upper.data(), group_leaf_scales.data(), size_classes.data()};
   nb::gil_scoped_release release;

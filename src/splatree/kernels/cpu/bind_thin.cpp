@@ -1,7 +1,9 @@
 // Glue of thinning and merging: array checks are in thin.py and merge.py.
+#include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/tuple.h>
 
+#include <optional>
 #include <string>
 #include <tuple>
 
@@ -26,7 +28,7 @@ std::tuple<int, int64_t> thin_rows(In<float> means, In<float> colors, In<float> 
 void merge_groups(In<float> means, In<float> quats, In<float> log_scales, In<float> logit_opacities, In<float> sh,
                   In<float> weights, In<int64_t> start, In<int32_t> rows, In<int32_t> representatives,
                   const std::string& rule, const std::string& opacity, bool keep_position, double scale_bound,
-                  double widening, double mass_limit, double dilation, Out<float> out_means, Out<float> out_quats, Out<float> out_log_scales,
+                  double widening, double mass_limit, double dilation, std::optional<In<float>> opacities, Out<float> out_means, Out<float> out_quats, Out<float> out_log_scales,
                   Out<float> out_logit_opacities, Out<float> out_sh, int threads) {
   MergeJob job{static_cast<int64_t>(representatives.shape(0)),
                static_cast<int64_t>(sh.shape(1)),
@@ -45,6 +47,7 @@ void merge_groups(In<float> means, In<float> quats, In<float> log_scales, In<flo
                widening,
                mass_limit,
                dilation,
+               opacities ? opacities->data() : nullptr,
                out_means.data(),
                out_quats.data(),
                out_log_scales.data(),
@@ -68,10 +71,12 @@ void bind_thin(nb::module_& m) {
         });
   m.def("best_partners", [](In<float> means, In<float> quats, In<float> log_scales, In<float> logit_opacities, In<float> sh,
                             In<float> weights, double dilation, Out<int32_t> partner_from_row, Out<float> costs,
-                            Out<float> opacities, int threads) {
+                            Out<float> opacities, std::optional<In<uint8_t>> wanted, std::optional<Out<float>> sigmas,
+                            int threads) {
     PairJob job{static_cast<int64_t>(means.shape(0)), means.data(), quats.data(), log_scales.data(),
                 logit_opacities.data(), sh.data(), weights.data(), static_cast<int64_t>(sh.shape(1)), dilation,
-                partner_from_row.data(), costs.data(), opacities.data(), threads};
+                partner_from_row.data(), costs.data(), opacities.data(), threads,
+                wanted ? wanted->data() : nullptr, sigmas ? sigmas->data() : nullptr};
     nb::gil_scoped_release release;
     best_partners(job);
   });

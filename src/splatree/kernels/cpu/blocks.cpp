@@ -30,9 +30,10 @@ struct Box {
 float lesser(float a, float b) { return a < b ? a : b; }   // a NaN in a gives b
 float greater(float a, float b) { return a > b ? a : b; }  // and here
 
-uint8_t class_of(const float* log_scales) {
+// Of the middle standard deviation, or of a third of the extent if that is less.
+uint8_t class_of(const float* log_scales, float log_third) {
   const float a = log_scales[0], b = log_scales[1], c = log_scales[2];
-  const float middle = greater(lesser(a, b), lesser(greater(a, b), c));
+  const float middle = lesser(log_third, greater(lesser(a, b), lesser(greater(a, b), c)));
   const double size_class = std::floor(middle * (CLASSES_PER_OCTAVE / M_LN2)) + CLASS_OF_UNIT;
   return uint8_t(size_class > 0 ? size_class < LEAF_CLASS - 1 ? size_class : LEAF_CLASS - 1 : 0);
 }
@@ -45,8 +46,15 @@ void bound_block(const BoundsJob& job, int64_t block, int64_t begin, int64_t end
     box.add(job.means + 3 * i, job.means + 3 * i);
     logit = lesser(job.logit_opacities[i], logit);
     const bool is_leaf = job.subtree_end[i] == i + 1;
-    if (is_leaf) leaf = greater(greater(greater(s[0], s[1]), s[2]), leaf);
-    job.size_classes[i] = is_leaf ? LEAF_CLASS : class_of(s);
+    const float largest = greater(greater(s[0], s[1]), s[2]);
+    if (is_leaf) {
+      leaf = greater(largest, leaf);
+      job.size_classes[i] = LEAF_CLASS;
+      continue;
+    }
+    const float log_third = std::log(job.extents[i] / 3.f);
+    if (largest > log_third + 1e-5f) leaf = greater(largest, leaf);  // an extent that is 3σ may have been rounded
+    job.size_classes[i] = class_of(s, log_third);
   }
   box.store(job.lower + 3 * block, job.upper + 3 * block);
   // A reserve for the rounding of any exponential in float32.

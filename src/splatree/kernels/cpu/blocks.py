@@ -23,6 +23,6 @@ def index_blocks(
     size_classes = np.empty(len(tree), np.uint8)
     of_blocks = (lower, upper, leaf_scales, min_logits)
     of_groups = (group_lower, group_upper, group_leaf_scales)
-    _core.block_bounds(gaussians, tree.subtree_end, rows_per_block, *of_blocks, *of_groups, size_classes, threads)
+    _core.block_bounds(gaussians, tree, rows_per_block, *of_blocks, *of_groups, size_classes, threads)
     start, ancestors = _core.block_ancestors(tree.subtree_end, rows_per_block)
     return BlockIndex(rows_per_block, *of_blocks, start, ancestors, *of_groups, size_classes)

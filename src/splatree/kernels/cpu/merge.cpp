@@ -279,6 +279,10 @@ class Merger {
 
   // Writes the opacity and returns what is to be added to the logarithm of the scales.
   double merge_opacity(const double* variance, int64_t group) {
+    if (job_.opacities && job_.opacities[group] > 0) {
+      job_.logit_opacities[group] = static_cast<float>(logit_of_alpha(job_.opacities[group]));
+      return 0;
+    }
     double log_through = 0, mass = 0;  // log Π (1 − α_i); Σ α_i A_i or Σ Li₂(α_i) A_i
     const double added = job_.dilation * std::max({variance[0], variance[1], variance[2]});
     for (const Member& m : members_) {

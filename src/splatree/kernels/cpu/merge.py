@@ -16,9 +16,13 @@ def merge(
     weights: Float32[Array, "n"],
     options: MergeOptions,
     *,
+    opacities: Float32[Array, "g"] | None = None,
     threads: int = 0,
 ) -> Gaussians:
-    """One Gaussian for each group, in the order of the groups; ``options`` resolved."""
+    """One Gaussian for each group, in the order of the groups; ``options`` resolved.
+
+    Where ``opacities`` is above 0, it is what a group of two or more gets in place of the rule's.
+    """
     assert options.opacity is not None
     g, k = len(groups), gaussians.sh.shape[1]
     shapes = ((g, 3), (g, 4), (g, 3), (g,), (g, k, 3))
@@ -27,7 +31,7 @@ def merge(
         *(gaussians.means, gaussians.quats, gaussians.log_scales, gaussians.logit_opacities, gaussians.sh),
         *(weights, groups.start, groups.rows, groups.representatives),
         *(options.rule, options.opacity, options.position == "representative"),
-        *(options.bound, options.widening, options.mass_limit, options.dilation or 0.0),
+        *(options.bound, options.widening, options.mass_limit, options.dilation or 0.0, opacities),
         *(out.means, out.quats, out.log_scales, out.logit_opacities, out.sh),
         threads,
     )

@@ -38,6 +38,12 @@ struct Nearest {
   float distances2[kPairNeighbors];
   int32_t places[kPairNeighbors];
 
+  // Takes no point any more.
+  void close() {
+    count = kPairNeighbors;
+    distances2[kPairNeighbors - 1] = 0;
+  }
+
   float bound() const { return count < kPairNeighbors ? HUGE_VALF : distances2[kPairNeighbors - 1]; }
 
   // A point nearer than bound().
@@ -79,7 +85,7 @@ void find_nearest(const BoxTree& tree, const PairRecord* records, int64_t leaf, 
     const BoxLeaf& there = tree.leaves[other];
     bound = 0;
     for (int64_t i = begin; i < end; ++i) {
-      Nearest& found = nearest[i - begin];
+      Nearest& found = nearest[i - begin];  // of a row that is not wanted the bound is 0
       const float* p = records[i].mean;
       if (!(distance2(p, box) < found.bound())) {
         bound = std::max(bound, found.bound());
@@ -134,12 +140,31 @@ PairRecord record_of(const PairJob& job, int64_t row) {
   return r;
 }
 
+// The longest axis of two merged, less what records add: the largest root of the characteristic polynomial of their covariance
+// (Smith 1961).
+float merged_sigma(const PairRecord& p, const PairRecord& q, double dilation) {
+  const double share = double{q.weight} / (double{p.weight} + q.weight), rest = 1 - share;
+  double m[6];
+  for (int i = 0, k = 0; i < 3; ++i)
+    for (int j = i; j < 3; ++j, ++k)
+      m[k] = rest * p.covariance[k] + share * q.covariance[k] +
+             share * rest * (double{q.mean[i]} - p.mean[i]) * (double{q.mean[j]} - p.mean[j]);
+  const double mean = (m[0] + m[3] + m[5]) / 3;
+  const double xx = m[0] - mean, yy = m[3] - mean, zz = m[5] - mean, xy = m[1], xz = m[2], yz = m[4];
+  const double spread2 = (xx * xx + yy * yy + zz * zz + 2 * (xy * xy + xz * xz + yz * yz)) / 6, spread = std::sqrt(spread2);
+  const double determinant = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz);
+  const double cosine = spread2 > 0 ? determinant / (2 * spread2 * spread) : 1;
+  const double largest = mean + 2 * spread * std::cos(std::acos(std::min(std::max(cosine, -1.0), 1.0)) / 3);
+  return static_cast<float>(std::sqrt(std::max(largest - dilation, 0.0)));
+}
+
 }  // namespace
 
 void best_partners(const PairJob& job) {
   const int64_t n = job.n;
   if (n < 2) {
     if (n) job.partner_from_row[0] = -1, job.costs[0] = HUGE_VALF, job.opacities[0] = 0;
+    if (n && job.sigmas) job.sigmas[0] = HUGE_VALF;
     return;
   }
   const BoxTree tree(n, job.means, job.threads);
@@ -151,14 +176,20 @@ void best_partners(const PairJob& job) {
   parallel_ranges(tree.num_leaves, 256, job.threads, [&](int64_t first, int64_t last) {
     for (int64_t leaf = first; leaf < last; ++leaf) {
       Nearest nearest[LEAF_POINTS];
-      find_nearest(tree, records.get(), leaf, nearest);
       const int64_t begin = first_of(tree, leaf), end = first_of(tree, leaf + 1);
+      int64_t num_wanted = end - begin;
+      for (int64_t i = begin; job.wanted && i < end; ++i)
+        if (!job.wanted[tree.rows[i]]) nearest[i - begin].close(), --num_wanted;
+      if (num_wanted == 0) continue;
+      find_nearest(tree, records.get(), leaf, nearest);
       for (int64_t i = begin; i < end; ++i) {
         const Nearest& found = nearest[i - begin];
         PairCandidates pair{&records[i], {}, found.count};
         const int32_t row = tree.rows[i];
+        if (job.wanted && !job.wanted[row]) continue;
         if (found.count == 0) {  // all others are farther than float32 can square
           job.partner_from_row[row] = -1, job.costs[row] = HUGE_VALF, job.opacities[row] = 0;
+          if (job.sigmas) job.sigmas[row] = HUGE_VALF;
           continue;
         }
         for (int k = 0; k < kPairNeighbors; ++k) pair.others[k] = &records[found.places[k < found.count ? k : 0]];
@@ -166,6 +197,7 @@ void best_partners(const PairJob& job) {
         job.partner_from_row[row] = tree.rows[found.places[cheapest.best]];
         job.costs[row] = cheapest.cost;
         job.opacities[row] = cheapest.opacity;
+        if (job.sigmas) job.sigmas[row] = merged_sigma(records[i], *pair.others[cheapest.best], job.dilation);
       }
     }
   });

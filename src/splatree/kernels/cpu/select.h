@@ -9,7 +9,8 @@ namespace splatree {
 constexpr int BLOCKS_PER_GROUP = 64;
 constexpr int MAX_BLOCK_ROWS = 1024;
 
-// Bounds of b runs of rows: lower and upper corners of the means, [b 3] each, and largest standard deviation of the leaves.
+// Bounds of b runs of rows: lower and upper corners of the means, [b 3] each, and largest standard deviation of the leaves and
+// of the rows that may be drawn beyond their extent.
 struct RunBounds {
   const float *lower, *upper, *leaf_scales;
 };
@@ -49,6 +50,7 @@ struct RunResult {
 struct BoundsJob {
   const float *means, *log_scales, *logit_opacities;
   const int32_t* subtree_end;
+  const float* extents;
   int64_t num_rows;
   int rows_per_block, threads;
   float *lower, *upper, *leaf_scales, *min_logits, *group_lower, *group_upper, *group_leaf_scales;

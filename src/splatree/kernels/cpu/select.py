@@ -154,13 +154,13 @@ def pack_rule(camera: Camera, options: SelectOptions, dilation_px2: float, thres
     """The numbers of the struct SelectRule in shared/select.h, in the order of bind_select.cpp."""
     focal = camera.K[0, 0], camera.K[1, 1]
     limit = (options.pixel_error / SIGMAS) ** 2
-    added = (0.0, DILATION_PX2) if options.profile == "ref" else (dilation_px2, 0.0)
-    floor = 0.0 if options.profile == "exact" else EIGENVALUE_FLOOR_PX4
+    added = (0.0, DILATION_PX2) if options.radius == "ref" else (dilation_px2, 0.0)
+    floor = 0.0 if options.radius == "exact" else EIGENVALUE_FLOOR_PX4
     # Opacities are compared as logits; the slack of 1e-3 covers the rounding of the sigmoid in the projection.
     logit_min = np.log(threshold / (1 - threshold)) - 1e-3
     pads = CENTRE_PAD * camera.width / 2, CENTRE_PAD * camera.height / 2
     sizes = [limit, *added, floor, options.pixel_error, max(focal), min(focal), _reach_of_opaque(threshold)]
-    return np.array([*sizes, logit_min, *pads, options.profile == "sphere"], np.float64)
+    return np.array([*sizes, logit_min, *pads, options.radius == "sphere"], np.float64)
 
 
 def _reach_of_opaque(threshold: float) -> float:

@@ -4,9 +4,9 @@ import numpy as np
 
 from splatree.kernels.cpu import _core
 from splatree.scene.thinning import Groups
-from splatree.shapes import Array, Float32, Float64, Int32
+from splatree.shapes import Array, Float32, Float64, Int32, Int64
 
-__all__ = ["count_representatives", "group", "nearest_distances", "thin"]
+__all__ = ["count_representatives", "group", "nearest_distances", "rows_by_group", "thin"]
 
 
 def thin(
@@ -58,6 +58,12 @@ def group(representative_from_row: Int32[Array, "n"], *, rounds: int = 0, num_vi
     representatives = np.flatnonzero(is_representative).astype(np.int32)
     group_from_representative = np.cumsum(is_representative, dtype=np.int32) - np.int32(1)
     group_from_row = group_from_representative[representative_from_row]
-    start, rows = np.empty(len(representatives) + 1, np.int64), np.empty(n, np.int32)
-    _core.group_rows(group_from_row, len(representatives), start, rows)
+    start, rows = rows_by_group(group_from_row, len(representatives))
     return Groups(representatives, group_from_row, start, rows, rounds=rounds, num_visited=num_visited)
+
+
+def rows_by_group(group_from_row: Int32[Array, "n"], num_groups: int) -> tuple[Int64[Array, "g+1"], Int32[Array, "n"]]:
+    """Where the rows of each group begin in the list of all rows by group, and that list, rows ascending inside each."""
+    start, rows = np.empty(num_groups + 1, np.int64), np.empty(len(group_from_row), np.int32)
+    _core.group_rows(group_from_row, num_groups, start, rows)
+    return start, rows

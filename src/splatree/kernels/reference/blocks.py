@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from splatree.constants import BLOCK_ROWS, BLOCKS_PER_GROUP
+from splatree.constants import BLOCK_ROWS, BLOCKS_PER_GROUP, SIGMAS
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.tree import BlockIndex, GaussianTree
 
@@ -16,8 +16,12 @@ def index_blocks(
     n = len(tree)
     starts = range(0, n, rows_per_block)
     log_scales = np.sort(gaussians.log_scales.astype(np.float64), axis=1)
-    largest = np.where(tree.is_leaf, np.exp(log_scales[:, 2]), 0.0)
-    size_classes = np.clip(np.floor(log_scales[:, 1] * (8 / np.log(2))) + 128, 0, 254)
+    with np.errstate(divide="ignore"):
+        log_thirds = np.log(tree.extents.astype(np.float64) / SIGMAS)
+    # Beyond the extent by more than the rounding of one that is 3σ.
+    counts = tree.is_leaf | (log_scales[:, 2] > log_thirds + 1e-5)
+    largest = np.where(counts, np.exp(log_scales[:, 2]), 0.0)
+    size_classes = np.clip(np.floor(np.minimum(log_scales[:, 1], log_thirds) * (8 / np.log(2))) + 128, 0, 254)
     lists = [np.flatnonzero(tree.subtree_end[:first] > first) for first in starts]
 
     def bound(values: np.ndarray, reduce: np.ufunc, rows: int) -> np.ndarray:

@@ -34,11 +34,24 @@ from splatree.shapes import Array, Float32
 __all__ = ["coverage", "dilogarithm", "mean_projected_area", "merge", "quat_from_matrix"]
 
 
-def merge(gaussians: Gaussians, groups: Groups, weights: Float32[Array, "n"], options: MergeOptions) -> Gaussians:
-    """One Gaussian for each group, in the order of the groups; ``options`` resolved."""
+def merge(
+    gaussians: Gaussians,
+    groups: Groups,
+    weights: Float32[Array, "n"],
+    options: MergeOptions,
+    *,
+    opacities: Float32[Array, "g"] | None = None,
+) -> Gaussians:
+    """One Gaussian for each group, in the order of the groups; ``options`` resolved.
+
+    Where ``opacities`` is above 0, it is what a group of two or more gets in place of the rule's.
+    """
+    given = np.zeros(len(groups)) if opacities is None else opacities.astype(np.float64)
     rows = [
-        _merge_members(gaussians, groups.rows[begin:end], int(representative), weights, options)
-        for begin, end, representative in zip(groups.start, groups.start[1:], groups.representatives, strict=False)
+        _merge_members(gaussians, groups.rows[begin:end], int(representative), weights, options, alpha)
+        for begin, end, representative, alpha in zip(
+            groups.start[:-1], groups.start[1:], groups.representatives, given, strict=True
+        )
     ]
     if not rows:
         return Gaussians.empty(gaussians.sh_degree)
@@ -46,7 +59,7 @@ def merge(gaussians: Gaussians, groups: Groups, weights: Float32[Array, "n"], op
 
 
 def _merge_members(
-    gaussians: Gaussians, rows: Array, representative: int, weights: Array, options: MergeOptions
+    gaussians: Gaussians, rows: Array, representative: int, weights: Array, options: MergeOptions, alpha: float
 ) -> tuple[Array, Array, Array, Array, Array]:
     if len(rows) == 1:
         i = rows[0]
@@ -82,7 +95,9 @@ def _merge_members(
     variances = np.minimum(variances, bounds**2)
 
     logits = gaussians.logit_opacities[rows].astype(np.float64)
-    logit, widening = _merge_opacity(logits, sigmas**2, variances, options)
+    logit, widening = float(np.log(alpha) - np.log1p(-alpha)) if alpha > 0 else 0.0, 0.0
+    if not alpha > 0:
+        logit, widening = _merge_opacity(logits, sigmas**2, variances, options)
     sh = np.einsum("n,nkc->kc", share, gaussians.sh[rows].astype(np.float64))
     return mean, quat, 0.5 * np.log(variances) + widening, np.asarray(logit), sh
 

@@ -59,7 +59,7 @@ def select(
     `release`       the code of FilterGS: each small inner node is drawn, also below another; only leaves look at their
                     ancestors, and visible ones alone shadow.
     """
-    small = radii(gaussians, tree.extents, camera, options.profile, dilation_px2) <= options.pixel_error
+    small = radii(gaussians, tree.extents, camera, options.radius, dilation_px2) <= options.pixel_error
     seen = visible(gaussians, camera, options.visibility, dilation_px2, threshold)
     leaf, end = tree.is_leaf, tree.subtree_end
     if options.rule == "cut":

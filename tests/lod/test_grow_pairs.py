@@ -1,0 +1,169 @@
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from tests.lod.test_build import NAMES, parents_of, surface
+
+from splatree import BuildOptions, Gaussians, InputError, MergeOptions, Scene, build_lod
+from splatree.kernels.cpu.thin import group
+from splatree.kernels.reference import merge as reference_merge
+from splatree.kernels.reference import pairs as reference
+from splatree.lod.grow_pairs import CHANGE_PX2, LARGE_PX, LAST_SHARE, ROUND_SHARE, SATURATED, SMALL_PX, Present
+from splatree.maths.covariance import covariances_from_gaussians
+from splatree.scene.thinning import Groups
+from splatree.simplify.merge import weights_of
+
+PAIRS = BuildOptions("pairs")
+
+
+@given(
+    st.builds(surface, st.integers(0, 120), st.integers(0, 1000), st.sampled_from([0, 2])),
+    st.sampled_from(["classic", "antialiased"]),
+    st.integers(1, 10),
+)
+def test_leaves_are_the_input_and_inner_nodes_have_two_children_or_more(gaussians, mode, max_roots):
+    scene = build_lod(Scene.flat(gaussians, mode=mode), replace(PAIRS, max_roots=max_roots))
+    leaves = np.flatnonzero(scene.tree.is_leaf)
+    for name in NAMES:
+        given_column = getattr(gaussians, name)[scene.ids[leaves]]
+        assert getattr(scene.gaussians, name)[leaves].tobytes() == given_column.tobytes()
+    parents = parents_of(scene)
+    assert (np.bincount(parents[parents >= 0], minlength=len(scene))[~scene.tree.is_leaf] >= 2).all()
+    assert (parents < 0).sum() <= max(max_roots, min(len(gaussians), 1))
+
+
+def test_the_extent_of_a_node_is_three_pixels_of_its_level():
+    scene = build_lod(Scene.flat(surface(500)), replace(PAIRS, pixel_size=0.25, growth=1.5))
+    record = json.loads(scene.source.metadata["levels"])
+    assert record["rule"] == "pairs"
+    assert record["nodes"][0] == 500
+    inner = ~scene.tree.is_leaf
+    sizes = 3 * np.array(record["pixel_sizes"])
+    np.testing.assert_array_equal(np.unique(scene.tree.extents[inner]), np.unique(sizes).astype(np.float32))
+    parents = parents_of(scene)
+    below = inner & (parents >= 0)
+    assert (scene.tree.extents[parents[below]] > scene.tree.extents[below]).all()
+
+
+@pytest.mark.parametrize("distance", [0.01, 0.3, 1.0])
+def test_two_become_one_at_the_first_size_of_a_pixel_that_does_not_show_it(distance):
+    g = surface(2, seed=3)
+    means = np.array([[0, 0, 0], [distance, 0, 0]], np.float32)
+    g = Gaussians(means, g.quats, g.log_scales, g.logit_opacities, g.sh)
+    weights = weights_of(g, "opacity-area")
+    cost = reference.pair_costs(g, weights, np.array([0]), np.array([1]), dilation=0.0)[0][0]
+    scene = build_lod(Scene.flat(g, mode="antialiased"), replace(PAIRS, pixel_size=1e-3, growth=1.25, max_roots=1))
+    (pixel_size,) = json.loads(scene.source.metadata["levels"])["pixel_sizes"]
+    assert CHANGE_PX2 * (pixel_size / 1.25) ** 2 < cost <= CHANGE_PX2 * pixel_size**2
+
+
+def test_a_large_node_waits_for_large_pixels_however_little_it_changes():
+    g = surface(1, seed=1)
+    rows = np.zeros(2, np.int64)
+    sh = np.zeros((2, 1, 3), np.float32)
+    twins = Gaussians(g.means[rows], g.quats[rows], g.log_scales[rows] + 9, np.full(2, -9, np.float32), sh)
+    scene = build_lod(Scene.flat(twins, mode="antialiased"), replace(PAIRS, pixel_size=1e-3, growth=1.25, max_roots=1))
+    (pixel_size,) = json.loads(scene.source.metadata["levels"])["pixel_sizes"]
+    sigma = float(np.exp(twins.log_scales.max()))
+    assert LARGE_PX * pixel_size / 1.25 < sigma <= 1.0001 * LARGE_PX * pixel_size
+
+
+def test_an_inner_node_has_the_mean_and_covariance_of_its_leaves():
+    gaussians = surface(300, degree=1)
+    merge = MergeOptions(opacity="union", weight="opacity")
+    scene = build_lod(Scene.flat(gaussians), replace(PAIRS, max_roots=4, merge=merge))
+    g = scene.gaussians
+    covariances = covariances_from_gaussians(g.quats, g.log_scales)
+    for i in np.flatnonzero(~scene.tree.is_leaf):
+        rows = np.arange(i, scene.tree.subtree_end[i])
+        rows = rows[scene.tree.is_leaf[rows]]
+        w = 1 / (1 + np.exp(-g.logit_opacities[rows].astype(np.float64)))
+        w /= w.sum()
+        x = g.means[rows].astype(np.float64)
+        mean = w @ x
+        expected = np.einsum("n,nij->ij", w, covariances[rows] + np.einsum("ni,nj->nij", x - mean, x - mean))
+        # Float32 rounding at each of up to thirty merges.
+        np.testing.assert_allclose(g.means[i], mean, atol=3e-5)
+        np.testing.assert_allclose(covariances[i], expected, atol=6e-5 * expected.max())
+        np.testing.assert_allclose(g.sh[i], np.einsum("n,nkc->kc", w, g.sh[rows].astype(np.float64)), atol=1e-5)
+
+
+@pytest.mark.parametrize("mode", ["classic", "antialiased"])
+def test_result_does_not_depend_on_threads(mode):
+    flat = Scene.flat(surface(2000, degree=1), mode=mode)
+    one, two = (build_lod(flat, PAIRS, threads=threads) for threads in (1, 2))
+    for name in NAMES:
+        assert getattr(one.gaussians, name).tobytes() == getattr(two.gaussians, name).tobytes()
+    for name in ("subtree_end", "depth", "extents"):
+        assert getattr(one.tree, name).tobytes() == getattr(two.tree, name).tobytes()
+
+
+def merge_level(g: Gaussians, weights: np.ndarray, mode: str, options: MergeOptions, pixel_size: float) -> np.ndarray:
+    """One level by definition: where each row went. A row looks for a partner anew when one of the two was merged."""
+    went, partners = np.arange(len(g)), {}
+    while True:
+        dilation = 0.3 * pixel_size**2 if mode == "classic" else 0.0
+        found, costs, opacities = reference.best_partners(g, weights, dilation=dilation)
+        partners = {i: partners.get(i, (found[i], costs[i], opacities[i])) for i in range(len(g))}
+        order = sorted(partners, key=lambda i: (partners[i][1], i))
+        representatives, num_pairs = np.full(len(g), -1, np.int32), 0
+        for i in order:
+            j, cost, _ = partners[i]
+            share = weights[j] / (weights[i] + weights[j])
+            both = covariances_from_gaussians(g.quats[[i, j]], g.log_scales[[i, j]])
+            apart = (g.means[j] - g.means[i]).astype(np.float64)
+            merged = (1 - share) * both[0] + share * both[1] + share * (1 - share) * np.outer(apart, apart)
+            sigma = np.sqrt(np.linalg.eigvalsh(merged)[-1])
+            allowed = cost <= CHANGE_PX2 * pixel_size**2 and sigma <= LARGE_PX * pixel_size
+            allowed |= mode == "classic" and sigma <= SMALL_PX * pixel_size
+            free = representatives[i] < 0 and representatives[j] < 0
+            if allowed and free and num_pairs <= int(ROUND_SHARE * len(g)):
+                representatives[[i, j]] = i
+                num_pairs += 1
+        if not num_pairs:
+            return went
+        alone = representatives < 0
+        representatives[alone] = np.flatnonzero(alone)
+        groups: Groups = group(representatives)
+        fitted = np.array([partners[i][2] for i in groups.representatives])
+        given_opacities = np.where(fitted < SATURATED, fitted, 0) if mode == "classic" else None
+        g = reference_merge.merge(g, groups, weights, options, opacities=given_opacities)
+        weights = np.add.reduceat(weights[groups.rows], groups.start[:-1])
+        to = groups.group_from_row
+        kept = {to[i]: (to[j], c, a) for i, (j, c, a) in partners.items() if alone[i] and alone[j]}
+        partners, went = kept, to[went]
+        if num_pairs < LAST_SHARE * len(g):
+            return went
+
+
+@pytest.mark.parametrize("mode", ["classic", "antialiased"])
+@pytest.mark.parametrize("pixel_size", [0.15, 0.6])
+def test_a_level_is_that_of_the_definition(mode, pixel_size):
+    g = surface(60, seed=5)
+    options = MergeOptions().resolved(mode, growth=2.0)
+    weights = weights_of(g, options.weight)
+    present = Present(g, weights, mode, options, fits_opacity=mode == "classic")
+    found = present.merge_level(pixel_size, 1, 0)
+    wanted = merge_level(g, weights, mode, options, pixel_size)
+    assert len(np.unique(wanted)) < 60
+    # Of two that are each other's cheapest, rounding says which one stands for both: the numbers of groups may differ.
+    firsts = [np.array([np.flatnonzero(went == group)[0] for group in went]) for went in (found, wanted)]
+    np.testing.assert_array_equal(*firsts)
+
+
+def test_gaussians_out_of_reach_of_each_other_stay_roots():
+    g = surface(3)
+    means = (np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]]) * 1e25).astype(np.float32)
+    scene = build_lod(
+        Scene.flat(Gaussians(means, g.quats, g.log_scales, g.logit_opacities, g.sh)), replace(PAIRS, max_roots=1)
+    )
+    assert scene.tree.num_leaves == 3
+
+
+@pytest.mark.parametrize("wrong", [{"method": "triples"}, {"pixel_size": 0.0}, {"pixel_size": float("nan")}])
+def test_impossible_options_are_refused(wrong):
+    with pytest.raises(InputError):
+        BuildOptions(**wrong)
