@@ -1,4 +1,4 @@
-from splatree.progress import Event, listen, task, track
+from splatree.progress import Event, listen, renamed, task, track
 
 
 def test_without_a_listener_work_goes_on_unseen():
@@ -25,3 +25,15 @@ def test_a_failed_task_is_reported_as_ended():
     except KeyError:
         pass
     assert events[-1].finished
+
+
+def test_tasks_can_be_renamed_for_the_listener():
+    events: list[Event] = []
+    with listen(events.append):
+        with renamed(".a.tmp", "a.ply"), task("write .a.tmp"):
+            pass
+        with task("write .a.tmp"):
+            pass
+    assert [e.name for e in events] == ["write a.ply"] * 2 + ["write .a.tmp"] * 2
+    with renamed("a", "b"):
+        assert list(track([1], "unheard")) == [1]

@@ -7,7 +7,7 @@ listener nothing happens. The command line shows bars with it.
 from collections.abc import Callable, Iterable, Iterator, Sized
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 T = TypeVar("T")
@@ -39,6 +39,17 @@ def listen(sink: Sink) -> Iterator[None]:
         yield
     finally:
         _sink.reset(token)
+
+
+@contextmanager
+def renamed(old: str, new: str) -> Iterator[None]:
+    """Let the names of the enclosed tasks have ``new`` in the place of ``old``."""
+    sink = _sink.get()
+    if sink is None:
+        yield
+        return
+    with listen(lambda event: sink(replace(event, name=event.name.replace(old, new)))):
+        yield
 
 
 @contextmanager

@@ -134,6 +134,13 @@ def test_render_makes_an_orbit_or_follows_cameras(splatree, small_tree, tmp_path
     assert given["views"][0]["selected"] > 0
 
 
+def test_thin_and_build_say_what_is_lost(splatree, small_ply, tmp_path):
+    thinned = splatree("thin", small_ply, tmp_path / "a.splat", "--keep", "0.5")[1].splitlines()
+    assert [line.split(":")[0] for line in thinned[1:]] == ["lost"] * 2
+    built = splatree("build", small_ply, tmp_path / "a.hier", "--clusters", "20")[1]
+    assert "lost: the" in built and "clusters" in built.split("lost:")[1]
+
+
 def test_render_says_once_what_to_know_of_the_selection(splatree, small_tree, tmp_path):
     words = ("render", small_tree, "-o", tmp_path, "--views", "2", *SIZE, "--pixel-error", "0.5")
     code, out, _ = splatree(*words)

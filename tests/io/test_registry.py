@@ -14,6 +14,7 @@ from splatree.io.chunks import Chunks, chunks_of
 from splatree.io.joined import joined
 from splatree.io.registry import detect, formats
 from splatree.io.replacing import replacing
+from splatree.progress import listen
 from splatree.scene.scene import Source
 
 from .conftest import COLUMNS, random_gaussians, same_bits
@@ -243,6 +244,22 @@ def test_any_interruption_leaves_the_old_file_whole(tmp_path, error):
     assert (tmp_path / "a.txt").read_text() == "old" and len(list(tmp_path.iterdir())) == 1
 
 
+@pytest.mark.parametrize("f", [f for f in formats() if f.is_written], ids=lambda f: f.name)
+def test_progress_of_a_writer_names_the_new_file(tmp_path, f):
+    events = []
+    with listen(events.append):
+        splatree.write(Scene.flat(random_gaussians(3)), tmp_path / f"new{f.suffixes[0]}")
+    assert events
+    assert [event.name for event in events if "tmp" in event.name] == []
+
+
+def test_an_error_of_a_writer_names_the_new_file(tmp_path):
+    g = random_gaussians(3)
+    g.means[0] = 1e9
+    with pytest.raises(InputError, match=f"^{tmp_path}/far.spz: found a mean"):
+        splatree.write(Scene.flat(g), tmp_path / "far.spz")
+
+
 def test_a_missing_folder_and_a_device_are_refused(tmp_path):
     scene = Scene.flat(random_gaussians(1))
     with pytest.raises(OutputError, match="there is no folder"):
@@ -302,6 +319,18 @@ def test_options_that_the_format_does_not_take_are_refused(tmp_path):
     with pytest.raises(InputError, match=r"option sh_bits = 4, but this format takes none"):
         splatree.write(scene, tmp_path / "a.ply", options=WriteOptions(sh_bits=4))
     assert not list(tmp_path.iterdir())
+
+
+def test_writing_says_that_clusters_are_lost(tmp_path):
+    scene = splatree.build_clusters(Scene.flat(random_gaussians(20)), 4)
+    assert splatree.write(scene, tmp_path / "a.splatree") == ()
+    sentence = "the 4 clusters: the file gets none"
+    assert splatree.write(scene, tmp_path / "a.ply") == (sentence,)
+    assert sentence in splatree.write(scene, tmp_path / "a.rad")
+    tree = splatree.build_clusters(splatree.build_lod(Scene.flat(random_gaussians(500))), 4)
+    assert tree.tree.num_levels > 1
+    (lost,) = splatree.write(tree, tmp_path / "b.splatree", depth=0)
+    assert lost.endswith("clusters: the file gets none")
 
 
 def test_what_readers_lost_is_kept_once_in_joined_scenes():

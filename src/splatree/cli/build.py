@@ -69,6 +69,8 @@ class Built:
     """Number and rules of the clusters, as they are written into the file; None without clusters."""
     bytes: int
     """Size of the file."""
+    lost: tuple[str, ...]
+    """What the file does not hold, a sentence each."""
     calibration: Calibration | None = None
     """The τ that was chosen, if views were given."""
 
@@ -88,7 +90,7 @@ def run(command: Command) -> Built:
     if views is not None:
         calibration = calibrate(scene, views.cameras, command.calibration, photos=views.photos)
         scene = calibrated(scene, calibration, held_out=views.rule)
-    write(scene, output, force=command.files.force)
+    lost = write(scene, output, force=command.files.force)
     tree = scene.tree
     counts, numbers = np.unique(children_per_node(tree)[~tree.is_leaf], return_counts=True)
     return Built(
@@ -102,6 +104,7 @@ def run(command: Command) -> Built:
         rules=_metadata(scene, "levels"),
         clusters=_metadata(scene, "clusters"),
         bytes=stored_bytes(output),
+        lost=lost,
         calibration=calibration,
     )
 
@@ -149,8 +152,10 @@ def show(built: Built) -> str:
         rows = [{"level": i + 1, kind: size, "nodes left": n} for i, (size, n) in enumerate(shown)]
         levels = f"{table(rows)}\n" if rows else ""
     clusters = f"{built.clusters['clusters']:,} clusters, " if built.clusters else ""
-    return (
+    wrote = (
         f"{levels}wrote {built.output}: {built.num_gaussians:,} Gaussians, {built.num_nodes:,} nodes "
         f"({built.num_nodes / max(1, built.num_gaussians):.2f} ×), {built.levels} levels, {built.num_roots} roots, {clusters}"
         f"{size(built.bytes)}"
-    ) + ("" if built.calibration is None else f"\n{in_words(built.calibration)}")
+    )
+    calibration = [] if built.calibration is None else [in_words(built.calibration)]
+    return "\n".join([wrote, *calibration, *(f"lost: {sentence}" for sentence in built.lost)])

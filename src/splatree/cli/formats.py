@@ -44,6 +44,8 @@ class FormatLine:
     """Modes that a file can name."""
     threshold: bool
     """Whether a file names τ."""
+    clusters: bool
+    """Whether clusters are kept."""
     axes: str
     """Axes that the format prescribes."""
 

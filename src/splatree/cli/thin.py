@@ -41,6 +41,8 @@ class Result:
     """The rules."""
     bytes: int
     """Size of the file; of a folder of SOG, of all files that its meta.json names."""
+    lost: tuple[str, ...]
+    """What the file does not hold, a sentence each."""
 
 
 def run(command: Command) -> Result:
@@ -50,7 +52,7 @@ def run(command: Command) -> Result:
     leaves = scene.gaussians if scene.tree.is_leaf.all() else scene.gaussians.take(scene.tree.is_leaf)
     thinned = thin(leaves, command.options, mode=scene.mode)
     flat = Scene.flat(thinned.gaussians, mode=scene.mode, source=scene.source)
-    write(replace(flat, threshold=scene.threshold, extent=scene.extent), output, force=command.files.force)
+    lost = write(replace(flat, threshold=scene.threshold, extent=scene.extent), output, force=command.files.force)
     return Result(
         output=output,
         num_read=len(leaves),
@@ -59,6 +61,7 @@ def run(command: Command) -> Result:
         rounds=thinned.groups.rounds,
         options=thinned.options,
         bytes=stored_bytes(output),
+        lost=lost,
     )
 
 
@@ -66,7 +69,8 @@ def show(result: Result) -> str:
     """The result in words."""
     share = 100 * result.num_gaussians / max(1, result.num_read)
     how = f"{result.rounds} rounds of pairs" if result.radius is None else f"radius {result.radius:.4g}"
-    return (
+    wrote = (
         f"wrote {result.output}: {result.num_gaussians:,} of {result.num_read:,} Gaussians ({share:.1f} %), "
         f"{how}, {size(result.bytes)}"
     )
+    return "\n".join([wrote, *(f"lost: {sentence}" for sentence in result.lost)])

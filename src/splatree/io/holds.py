@@ -25,19 +25,31 @@ class Holds:
     """Modes that it can name; other scenes are read back as the first of them."""
     threshold: bool = False
     """Whether it names τ, the opacity below which a splat ends."""
+    clusters: bool = False
+    """Whether it keeps clusters."""
     axes: str = "as in the scene"
     """Axes that the format prescribes; the scene is turned to them and back."""
 
 
 def losses(
-    holds: Holds, name: str, *, sh_degree: int, mode: Mode, threshold: float = ALPHA_THRESHOLD, num_merged: int = 0
+    holds: Holds,
+    name: str,
+    *,
+    sh_degree: int,
+    mode: Mode,
+    threshold: float = ALPHA_THRESHOLD,
+    num_merged: int = 0,
+    num_clusters: int = 0,
 ) -> Iterator[str]:
     """What of a scene the format ``name`` cannot hold, a sentence each; what follows from the values says its writer.
 
-    ``num_merged`` counts the nodes of a tree that are left out because its leaves are written.
+    ``num_merged`` counts the nodes of a tree that are left out because its leaves are written, ``num_clusters`` the clusters that
+    are not written.
     """
     if num_merged:
         yield f"the levels of detail, {num_merged:,} merged nodes: {name} gets the leaves"
+    if num_clusters:
+        yield f"the {num_clusters:,} clusters: the file gets none"
     if sh_degree > holds.sh_degree:
         above = (
             f"degree {sh_degree}"

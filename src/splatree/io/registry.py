@@ -90,7 +90,7 @@ FORMATS: tuple[Format, ...] = (
         description="native, with levels",
         suffixes=(".splatree",),
         versions="1",
-        holds=Holds(lossless=True, levels="tree", threshold=True),
+        holds=Holds(lossless=True, levels="tree", threshold=True, clusters=True),
         sniff=store.sniff,
         read=store.read,
         write=store.write,
@@ -292,10 +292,11 @@ def write(
     target, options = Path(path), options or WriteOptions()
     chosen = format_to_write(target)
     options.check_taken(chosen.options, f"{target} ({chosen.name})")
-    num_merged = 0
+    num_merged, clusters = 0, scene.clusters
     if depth is not None or chosen.holds.levels != "tree":
         num_merged = len(scene) - scene.tree.num_leaves if depth is None else 0
         scene = _cut(scene, depth)
+    keeps_clusters = chosen.holds.clusters and scene.clusters is clusters
     lost = losses(
         chosen.holds,
         chosen.name,
@@ -303,6 +304,7 @@ def write(
         mode=scene.mode,
         threshold=scene.threshold,
         num_merged=num_merged,
+        num_clusters=0 if clusters is None or keeps_clusters else len(clusters),
     )
     if chosen.write is None:
         return (*lost, *_written(chosen, chunks_of(scene), target, force, options))

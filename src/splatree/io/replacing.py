@@ -5,14 +5,16 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from splatree.errors import OutputError
+from splatree.errors import OutputError, SplatreeError
+from splatree.progress import renamed
 
 
 @contextmanager
 def replacing(path: str | os.PathLike[str], *, force: bool = False) -> Iterator[Path]:
     """Yield the path of a new, empty file beside ``path`` which takes its place when the block ends without an exception.
 
-    Until then, and after any exception, the old file is as it was and nothing is left beside it.
+    Until then, and after any exception, the old file is as it was and nothing is left beside it. Progress and errors name
+    ``path``.
 
     Raises:
         OutputError: the file exists and ``force`` is not set, it is not a plain file, its folder is missing, or the disk is
@@ -25,13 +27,16 @@ def replacing(path: str | os.PathLike[str], *, force: bool = False) -> Iterator[
     temporary = target.parent / f".{target.name[:100]}.{os.urandom(4).hex()}.tmp"
     try:
         temporary.touch(exist_ok=False)
-        yield temporary
+        with renamed(temporary.name, Path(path).name):
+            yield temporary
         _flush(temporary, os.O_RDWR)
         temporary.replace(target)
         _flush(target.parent, os.O_RDONLY)
+    except SplatreeError as error:
+        # A writer knows the file by its temporary name alone.
+        error.args = tuple(str(part).replace(str(temporary), str(path)) for part in error.args)
+        raise
     except OSError as error:
-        if isinstance(error, OutputError):
-            raise
         raise OutputError(
             f"{path}: could not be written ({error.strerror or error}); the old file, if any, is whole"
         ) from error
