@@ -54,10 +54,10 @@ def test_ellipse_lists_fewer_pairs_than_the_box(view: tuple[st.Scene, st.Camera]
 
 
 def test_threads_do_not_change_the_lists() -> None:
-    scene = st.Scene.flat(gaussians(9000, 3))  # more than one chunk
+    scene = st.Scene.flat(gaussians(30_000, 3))  # more than one chunk
     seen_by = camera(120, 90)
     splats = splats_of(scene, seen_by)
-    assert len(splats) > 4096
+    assert len(splats) > 16384
     one, two, three = (cpu.bin.bin(splats, seen_by, options(), threads=n) for n in (1, 2, 3))
     for other in (two, three):
         np.testing.assert_array_equal(one.tile_start, other.tile_start)

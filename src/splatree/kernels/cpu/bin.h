@@ -6,20 +6,23 @@
 
 namespace splatree {
 
-// The tiles of one splat: a span of columns in each of its rows.
+// A span of columns in a row of tiles.
 struct Span {
-  uint16_t first, end;  // columns
+  uint16_t first, end;
 };
 
+constexpr int NEAR_ROWS = 3;  // whose spans are kept with the splat: nearly all splats have no more
+
+// The tiles of one splat: a span in each of its rows. Rows after the last have an empty span.
 struct SplatTiles {
   uint16_t first_row, num_rows;
   union {
-    Span span;            // of the row, if there is one
-    uint32_t first_span;  // of the rows in the chunk's spans, if there are more
+    Span span[NEAR_ROWS];
+    uint32_t first_span;  // of its rows in the spans of its chunk, if there are more
   };
 };
 
-// The spans of the splats of a chunk that have several rows.
+// The spans of the splats of a chunk that have many rows.
 struct Spans {
   Span* data;  // from malloc, or null
   uint32_t size, capacity;

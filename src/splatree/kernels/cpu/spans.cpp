@@ -1,6 +1,7 @@
-// The tiles of each splat, 16 splats at a time in the order of the records, hence of memory. Most splats lie in one row of
-// tiles: their span comes from the vector loop; the others go on row by row.
+// The tiles of each splat, 16 splats at a time in the order of depth, in which they are then counted and written. Spans of the
+// first rows come from the vector loop; the few splats that have more go on row by row.
 #include <stdlib.h>
+#include <string.h>
 
 #include "cpu/bin.h"
 #include "cpu/isa.h"
@@ -12,27 +13,36 @@ namespace splatree::SPLATREE_ISA {
 namespace {
 
 constexpr int LANES = 16;
-constexpr int BATCH = 128;  // splats gathered at a time
+constexpr int BATCH = 64;  // splats gathered at a time
+constexpr int AHEAD = 32;  // splats between the fetch of a record and its use
 
 struct alignas(64) Planes {
   float column[NUM_COLUMNS][BATCH];
   // Of the Ellipse.
   float k_squared[BATCH], c_squared[BATCH], skew[BATCH], inverse_a[BATCH], height[BATCH], dy_of_right[BATCH], margin[BATCH];
-  int32_t first_row[BATCH], end_row[BATCH], first[BATCH], end[BATCH];
+  int32_t first_row[BATCH], num_rows[BATCH];
+  uint32_t tiles[1 + NEAR_ROWS][BATCH];  // SplatTiles, word by word
   float log2_threshold[BATCH];
   float nearest[BATCH];  // smallest |L d|² in a tile that the splat is not listed in
 };
 
 // Records into planes, four by four; the last is repeated to fill whole blocks, whose number is returned.
-int load_records(const float* records, int used, Planes& p) {
-  const int num_blocks = (used + LANES - 1) / LANES;
-  for (int i = 0; i < num_blocks * LANES; i += 4)
+int load_records(const BinJob& job, int64_t begin, int64_t end, Planes& p) {
+  const int used = end - begin < BATCH ? int(end - begin) : BATCH, num_blocks = (used + LANES - 1) / LANES;
+  for (int i = 0; i < num_blocks * LANES; i += 4) {
+    const float* record[4];
+    for (int l = 0; l < 4; ++l) {
+      record[l] = job.records + int64_t(job.order[begin + (i + l < used ? i + l : used - 1)]) * NUM_COLUMNS;
+      if (begin + i + l + AHEAD < end)
+        __builtin_prefetch(job.records + int64_t(job.order[begin + i + l + AHEAD]) * NUM_COLUMNS);
+    }
     for (int j = 0; j < NUM_COLUMNS; j += 4) {
       Quad q[4];
-      for (int l = 0; l < 4; ++l) q[l] = load_quad(records + (i + l < used ? i + l : used - 1) * NUM_COLUMNS + j);
+      for (int l = 0; l < 4; ++l) q[l] = load_quad(record[l] + j);
       transpose(q[0], q[1], q[2], q[3]);
       for (int l = 0; l < 4; ++l) store_quad(&p.column[j + l][i], q[l]);
     }
+  }
   return num_blocks;
 }
 
@@ -78,6 +88,8 @@ void repeat_span(Span span, int num_rows, Spans& spans) {
   for (int row = 0; row < num_rows; ++row) out[row] = span;
 }
 
+SPLATREE_FN uint32_t word_of(int low, int high) { return uint32_t(low) | uint32_t(high) << 16; }
+
 // The tiles of lane i's ellipse in the first of its rows, or of its box.
 template <Extent EXTENT, bool FLOORS>
 SPLATREE_FN void cover_ellipse(const BinJob& job, int i, Planes& p) {
@@ -91,19 +103,23 @@ SPLATREE_FN void cover_ellipse(const BinJob& job, int i, Planes& p) {
   p.k_squared[i] = e.k_squared, p.c_squared[i] = e.c_squared, p.skew[i] = e.skew;
   p.inverse_a[i] = e.inverse_a, p.height[i] = e.height, p.dy_of_right[i] = e.dy_of_right, p.margin[i] = e.margin;
   const Tiles rows = tiles_in({e.y - e.height - e.margin, e.y + e.height + e.margin}, height);
-  const Interval strip = strip_of(rows.first, height);
-  Interval reach = reach_of(e, strip.low, strip.high);
-  if constexpr (EXTENT == Extent::BOX) {
+  const int num_rows = rows.end - rows.first;
+  float nearest = FLOORS ? nearest_above_or_below(e, rows, job.num_tiles_y) : FAR;
+#pragma GCC unroll 3
+  for (int r = 0; r < NEAR_ROWS; ++r) {
+    const Interval strip = strip_of(rows.first + r, height);
     const float box = p.column[EXTENT_X][i] + e.margin;
-    reach = {e.x - box, e.x + box};
+    const Interval reach = EXTENT == Extent::BOX ? Interval{e.x - box, e.x + box} : reach_of(e, strip.low, strip.high);
+    const Tiles columns = tiles_in(reach, width);
+    p.tiles[1 + r][i] = r < num_rows ? word_of(columns.first, columns.end) : 0;
+    if (FLOORS) {
+      const float beside = nearest_beside(e, columns, strip, job.num_tiles_x);
+      nearest = r < num_rows ? least(beside, nearest) : nearest;
+    }
   }
-  const Tiles columns = tiles_in(reach, width);
-  p.first_row[i] = rows.first, p.end_row[i] = rows.end;
-  p.first[i] = columns.first, p.end[i] = columns.end;
-  if constexpr (FLOORS) {
-    const float beside = nearest_beside(e, columns, strip, job.num_tiles_x);
-    p.nearest[i] = least(nearest_above_or_below(e, rows, job.num_tiles_y), beside);
-  }
+  p.first_row[i] = rows.first, p.num_rows[i] = num_rows;
+  p.tiles[0][i] = word_of(rows.first, num_rows);
+  p.nearest[i] = nearest;
 }
 
 // The tiles of lane i's square.
@@ -112,16 +128,32 @@ SPLATREE_FN void cover_square(const BinJob& job, int i, Planes& p) {
                                               p.column[FACTOR_C][i], p.column[LOG2_OPACITY][i]);
   const Side across = side_of(p.column[X][i], half_side, job.num_tiles_x);
   const Side down = side_of(p.column[Y][i], half_side, job.num_tiles_y);
-  p.first_row[i] = int(down.first), p.end_row[i] = int(down.end);
-  p.first[i] = int(across.first), p.end[i] = int(across.end);
+  const int first_row = int(down.first), num_rows = int(down.end) - first_row;
+  p.first_row[i] = first_row, p.num_rows[i] = num_rows;
+  p.tiles[0][i] = word_of(first_row, num_rows);
+#pragma GCC unroll 3
+  for (int r = 0; r < NEAR_ROWS; ++r)
+    p.tiles[1 + r][i] = r < num_rows ? word_of(int(across.first), int(across.end)) : 0;
+}
+
+// Appends the spans of lane i, which has many rows; returns the smallest |L d|² in a tile beside them.
+template <Extent EXTENT, bool FLOORS>
+float list_far_rows(const BinJob& job, int i, const Planes& p, Spans& spans) {
+  const int num_rows = p.num_rows[i];
+  if (EXTENT == Extent::ELLIPSE) {
+    const Ellipse ellipse = {p.column[X][i], p.column[Y][i], p.k_squared[i], p.c_squared[i], p.skew[i],
+                             p.inverse_a[i], p.height[i], p.dy_of_right[i], p.margin[i]};
+    return list_rows<FLOORS>(job, ellipse, p.first_row[i], num_rows, spans);
+  }
+  repeat_span({uint16_t(p.tiles[1][i]), uint16_t(p.tiles[1][i] >> 16)}, num_rows, spans);
+  return FAR;
 }
 
 template <Extent EXTENT, bool FLOORS>
 void list_all(const BinJob& job, int64_t begin, int64_t end, SplatTiles* tiles, Spans& spans) {
   Planes p;
   for (int64_t batch = begin; batch < end; batch += BATCH) {
-    const int used = end - batch < BATCH ? int(end - batch) : BATCH;
-    const int num_blocks = load_records(job.records + batch * NUM_COLUMNS, used, p);
+    const int num_blocks = load_records(job, batch, end, p);
     for (int block = 0; block < num_blocks; ++block) {
 #pragma omp simd
       for (int i = block * LANES; i < (block + 1) * LANES; ++i) {
@@ -131,23 +163,17 @@ void list_all(const BinJob& job, int64_t begin, int64_t end, SplatTiles* tiles, 
           cover_ellipse<EXTENT, FLOORS>(job, i, p);
       }
     }
+    const int used = end - batch < BATCH ? int(end - batch) : BATCH;
     for (int i = 0; i < used; ++i) {
-      const int num_rows = p.end_row[i] - p.first_row[i];
       SplatTiles& t = tiles[batch - begin + i];
-      t.first_row = uint16_t(p.first_row[i]);
-      t.num_rows = uint16_t(num_rows);
-      t.span = {uint16_t(p.first[i]), uint16_t(p.end[i])};
-      if (FLOORS && num_rows <= 1) job.floors[batch + i] = floor_of(p.column[LOG2_OPACITY][i], p.nearest[i], p.log2_threshold[i]);
-      if (num_rows <= 1) continue;
-      t.first_span = spans.size;
-      if (EXTENT == Extent::ELLIPSE) {
-        const Ellipse ellipse = {p.column[X][i], p.column[Y][i], p.k_squared[i], p.c_squared[i], p.skew[i],
-                                 p.inverse_a[i], p.height[i], p.dy_of_right[i], p.margin[i]};
-        const float beside = list_rows<FLOORS>(job, ellipse, p.first_row[i], num_rows, spans);
-        if (FLOORS) job.floors[batch + i] = floor_of(p.column[LOG2_OPACITY][i], least(p.nearest[i], beside), p.log2_threshold[i]);
-      } else {
-        repeat_span({uint16_t(p.first[i]), uint16_t(p.end[i])}, num_rows, spans);
+      const uint32_t words[1 + NEAR_ROWS] = {p.tiles[0][i], p.tiles[1][i], p.tiles[2][i], p.tiles[3][i]};
+      memcpy(&t, words, sizeof t);
+      if (p.num_rows[i] > NEAR_ROWS) {
+        t.first_span = spans.size;
+        const float beside = list_far_rows<EXTENT, FLOORS>(job, i, p, spans);
+        if (FLOORS) p.nearest[i] = least(beside, p.nearest[i]);
       }
+      if (FLOORS) job.floors[job.order[batch + i]] = floor_of(p.column[LOG2_OPACITY][i], p.nearest[i], p.log2_threshold[i]);
     }
   }
 }
