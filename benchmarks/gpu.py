@@ -3,14 +3,16 @@
     scripts/build && python benchmarks/gpu.py            # at most 8 minutes; writes benchmarks/results/gpu.json
 
 The machine needs an NVIDIA GPU with its driver, Python with NumPy and Pillow, NVRTC (torch brings it, or nvidia-cuda-nvrtc), and
-to build the core a C++ compiler, cmake, ninja and nanobind; pytest and hypothesis for the parity tests. No network. With torch
-and gsplat importable, gsplat draws the same Gaussians; else its rows say why it is absent.
+to build the core a C++ compiler, cmake, ninja and nanobind; pytest and hypothesis for the parity tests. No network: `scripts/gpu`
+gathers wheels where there is one, and installs, builds and measures where there is none. With torch and gsplat importable,
+gsplat draws the same Gaussians by its classic and its fastest path (gsplat_paths.py); else its rows say why it is absent.
 
 - parity: the device's tests of this repository, on this GPU; nothing is measured if one fails.
 - selection: t_f of ours, of FilterGS's scheme (all nodes, a table of ancestors) and of the traversal level by level, same
   rows; on synthetic trees (a relief, four children a node, seven levels, a tenth as thick as wide), from near, mid and far at
   1080p. Times hold everything from the upload of the view's numbers to the last kernel; the median of several runs.
 - frames: the bundled piece of a real city and a synthetic tree, at 1080p and 4K: stages one by one, and replayed frames.
+- kmeans: a step on points of such a tree, beside the processor's.
 
 ``--dry FOLDER`` runs all of it on tiny sizes on the emulator of the tests, which is compiled into the folder, and keeps
 nothing: its times say nothing and are not printed.
@@ -20,6 +22,7 @@ import argparse
 import statistics
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -28,14 +31,18 @@ from typing import Any
 import numpy as np
 
 import splatree as st
+from gsplat_paths import gsplat_rows
 from harness import ROOT, save, table
+from splatree.kernels.cpu.kmeans import assign
 from splatree.kernels.cuda.baselines import Baselines
 from splatree.kernels.cuda.compile import load_compiler
 from splatree.kernels.cuda.device import open_device
 from splatree.kernels.cuda.driver import Device
+from splatree.kernels.cuda.kmeans import DevicePoints
 from splatree.kernels.cuda.library import dotted
 from splatree.kernels.cuda.renderer import Renderer
 from splatree.lod.blocks import with_blocks
+from splatree.maths.morton import morton_codes
 from splatree.scene.tree import GaussianTree
 
 DEMO = ROOT / "src" / "splatree" / "data" / "semarang_5_9.sog"
@@ -62,9 +69,11 @@ class Plan:
     """Gaussians of the real scene; None: all."""
     rows: int = 1 << 20
     """Rows that renderers have room for at first."""
+    kmeans: tuple[tuple[int, int], ...] = ((1_000_000, 8192), (6_000_000, 32768))
+    """Points and clusters of K-means."""
 
 
-DRY = Plan(nodes=(200,), levels=4, sizes=((64, 48),), repeat=1, frames=2, leaves=100, rows=128)
+DRY = Plan(nodes=(200,), levels=4, sizes=((64, 48),), repeat=1, frames=2, leaves=100, rows=128, kmeans=((200, 40),))
 
 
 def main() -> None:
@@ -74,7 +83,7 @@ def main() -> None:
     device, plan = (emulator(dry), DRY) if dry else (open_device(0), Plan())
     if not dry:
         check_parity()
-    rows = [*selection_rows(device, plan), *frame_rows(device, plan)]
+    rows = [*selection_rows(device, plan), *frame_rows(device, plan), *kmeans_rows(device, plan)]
     if dry:
         print(f"dry run: {len(rows)} rows, {len({row['what'] for row in rows})} kinds")
         return
@@ -104,6 +113,7 @@ def check_parity() -> None:
     files = [
         "tests/kernels/test_cuda_stages.py",
         "tests/kernels/test_cuda_renderer.py",
+        "tests/kernels/test_cuda_kmeans.py",
         "tests/laws/test_select_cuda.py",
     ]
     words = [
@@ -195,7 +205,7 @@ def frame_rows(device: Device, plan: Plan) -> Iterator[dict[str, Any]]:
         }
         for name, (scene, camera, select) in cases.items():
             yield frame_row(device, plan, name, scene, camera, select)
-        yield gsplat_row(real, orbit, device, plan)
+        yield from gsplat_rows(real, orbit, repeat=plan.repeat, frames=plan.frames)
 
 
 def frame_row(
@@ -232,49 +242,35 @@ def frame_row(
     }
 
 
-def gsplat_row(scene: st.Scene, camera: st.Camera, device: Device, plan: Plan) -> dict[str, Any]:
-    """gsplat's classic path on the same Gaussians and camera, or why it is not there."""
-    row: dict[str, Any] = {"what": "gsplat", "scene": "city, leaves", "view": f"{camera.width} × {camera.height}"}
-    try:
-        import gsplat
-        import torch
-    except ImportError as error:
-        return row | {"absent": str(error)}
-    if not torch.cuda.is_available():
-        return row | {"absent": "torch finds no GPU"}
-    g = scene.gaussians
-    means, quats, log_scales, logits, sh = (
-        torch.from_numpy(column).cuda() for column in (g.means, g.quats, g.log_scales, g.logit_opacities, g.sh)
-    )
-    pose = torch.from_numpy(camera.camera_from_world.astype(np.float32)).cuda()[None]
-    intrinsics = torch.from_numpy(camera.K.astype(np.float32)).cuda()[None]
-    scales, opacities = log_scales.exp(), logits.sigmoid()
-
-    def draw() -> Any:
-        return gsplat.rasterization(
-            means, quats, scales, opacities, sh, pose, intrinsics, camera.width, camera.height,
-            sh_degree=g.sh_degree, near_plane=camera.near, packed=False, rasterize_mode=scene.mode,
-        )[0][0]  # fmt: skip
-
-    with torch.no_grad():
-        image = draw().cpu().numpy()
-        took = []
+def kmeans_rows(device: Device, plan: Plan) -> Iterator[dict[str, Any]]:
+    """A step of K-means with its results on the host, beside the processor's on all its threads."""
+    for num_points, num_clusters in plan.kmeans:
+        points = synthetic(num_points, plan.levels).gaussians.means
+        points = np.ascontiguousarray(points[np.argsort(morton_codes(points), kind="stable")])
+        centers = points[:: max(1, len(points) // num_clusters)].copy()
+        on_device = DevicePoints(device, points)
+        found = on_device.assign(centers)
+        took, wall, cpu = [], [], []
         for _ in range(plan.repeat):
-            start, end = (torch.cuda.Event(enable_timing=True) for _ in range(2))
-            start.record()
-            for _ in range(plan.frames):
-                draw()
-            end.record()
-            end.synchronize()
-            took.append(start.elapsed_time(end) / plan.frames)
-    ours = st.render(scene, camera, select=st.SelectOptions(pixel_error=0.0)).image
-    frame = statistics.median(took)
-    return row | {
-        "frame ms": frame,
-        "FPS": 1e3 / frame,
-        "dB to the processor": st.psnr(image, ours),
-        "version": gsplat.__version__,
-    }
+            start = time.perf_counter()
+            on_device.assign(centers)
+            took.append(1e3 * (time.perf_counter() - start))
+        for _ in range(3):
+            start, busy = time.perf_counter(), time.process_time()
+            wanted = assign(points, centers)
+            wall.append(1e3 * (time.perf_counter() - start))
+            cpu.append(1e3 * (time.process_time() - busy))
+        ours = statistics.median(took)
+        yield {
+            "what": "kmeans",
+            "scene": f"{len(points):,} points",
+            "view": f"{len(centers):,} centres",
+            "ours ms": ours,
+            "processor wall ms": min(wall),
+            "processor CPU ms": min(cpu),
+            "processor wall / ours": min(wall) / ours,
+            "other labels": float((found.labels != wanted.labels).mean()),
+        }
 
 
 def median_ms(device: Device, plan: Plan, work: Callable[[], object]) -> float:

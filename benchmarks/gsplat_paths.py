@@ -1,0 +1,111 @@
+"""gsplat beside ours on the same Gaussians and camera: its classic rasterization, and its fastest path, for inference only.
+
+The classic path is `gsplat.rasterization`. The inference path (HiGS, gsplat 1.6, May 2026) packs a scene into half floats once
+and draws through `GaussianInferenceRenderer`, which keeps its buffers from frame to frame, on tiles of 8 or 16 pixels; harmonics
+of degree 3 may be packed into 32 or 16 bytes. PyPI has 1.5.3, without it: a wheel or checkout of the main branch has both. Both
+compile at first use, which takes minutes and is not measured. Whatever is absent has a row that says why.
+"""
+
+import statistics
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+
+import splatree as st
+
+__all__ = ["gsplat_rows"]
+
+
+def gsplat_rows(scene: st.Scene, camera: st.Camera, *, repeat: int, frames: int) -> Iterator[dict[str, Any]]:
+    """A row a path, with PSNR to our picture of all leaves."""
+    row: dict[str, Any] = {"what": "gsplat", "scene": "city, leaves", "view": f"{camera.width} × {camera.height}"}
+    try:
+        import gsplat
+        import torch
+    except ImportError as error:
+        yield row | {"absent": str(error)}
+        return
+    if not torch.cuda.is_available():
+        yield row | {"absent": "torch finds no GPU"}
+        return
+    ours = st.render(scene, camera, select=st.SelectOptions(pixel_error=0.0)).image
+    tensors = {name: torch.from_numpy(getattr(scene.gaussians, name)).cuda() for name in COLUMNS}
+    view = {
+        "viewmat": torch.from_numpy(camera.camera_from_world.astype(np.float32)).cuda(),
+        "K": torch.from_numpy(camera.K.astype(np.float32)).cuda(),
+    }
+    with torch.inference_mode():
+        for name, draw in _paths(scene, camera, tensors, view):
+            if isinstance(draw, str):
+                yield row | {"path": name, "absent": draw}
+                continue
+            image = draw().float().cpu().numpy()
+            torch.cuda.reset_peak_memory_stats()
+            frame = _median_ms(torch, draw, repeat, frames)
+            yield row | {
+                "path": name,
+                "frame ms": frame,
+                "FPS": 1e3 / frame,
+                "dB to the processor": st.psnr(image, ours),
+                "MB held": torch.cuda.max_memory_allocated() / 1e6,
+                "version": gsplat.__version__,
+            }
+
+
+COLUMNS = ("means", "quats", "log_scales", "logit_opacities", "sh")
+
+
+def _paths(
+    scene: st.Scene, camera: st.Camera, tensors: dict[str, Any], view: dict[str, Any]
+) -> Iterator[tuple[str, Callable[[], Any] | str]]:
+    """Each path by name: what draws a picture, or why it cannot."""
+    import gsplat
+    import torch
+
+    g = scene.gaussians
+    means, sh = tensors["means"], tensors["sh"]
+    quats = torch.nn.functional.normalize(tensors["quats"], dim=-1)
+    scales, opacities = tensors["log_scales"].exp(), tensors["logit_opacities"].sigmoid()
+
+    def classic() -> Any:
+        return gsplat.rasterization(
+            means, quats, scales, opacities, sh, view["viewmat"][None], view["K"][None], camera.width, camera.height,
+            sh_degree=g.sh_degree, near_plane=camera.near, packed=False, rasterize_mode=scene.mode,
+        )[0][0]  # fmt: skip
+
+    yield "classic", classic
+    try:
+        from gsplat.experimental import GaussianInferenceRenderer, GaussianInferenceScene
+    except ImportError as error:
+        yield "inference", f"gsplat {gsplat.__version__}: {error}"
+        return
+    if scene.mode != "classic":
+        yield "inference", f"it draws scenes of mode classic alone, this one is {scene.mode}"
+        return
+    for packing in ("none", "32b", "16b") if g.sh_degree == 3 else ("none",):
+        packed = GaussianInferenceScene.from_gaussian_tensors(
+            means, quats, scales, opacities, sh, g.sh_degree, packing, id=packing
+        )
+        for tile in (8, 16):
+            renderer = GaussianInferenceRenderer(packed, tile_size=tile)
+
+            def inference(renderer: Any = renderer) -> Any:
+                found = renderer.render(**view, width=camera.width, height=camera.height, near_plane=camera.near)
+                return found.frame[0, :, :, :3]
+
+            yield f"inference, harmonics {packing}, tiles of {tile}", inference
+            renderer.release()
+
+
+def _median_ms(torch: Any, draw: Callable[[], Any], repeat: int, frames: int) -> float:
+    took = []
+    for _ in range(repeat):
+        start, end = (torch.cuda.Event(enable_timing=True) for _ in range(2))
+        start.record()
+        for _ in range(frames):
+            draw()
+        end.record()
+        end.synchronize()
+        took.append(start.elapsed_time(end) / frames)
+    return statistics.median(took)
