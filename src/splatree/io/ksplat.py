@@ -18,6 +18,7 @@ Degrees 0 to 2 are written, as the format's own viewer has no third; a third is 
 """
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
@@ -26,9 +27,11 @@ import numpy as np
 
 from splatree.constants import SH_C0
 from splatree.errors import FormatError, InputError
-from splatree.io.check import checked
+from splatree.io.check import checked_rows
+from splatree.io.chunks import Chunks
 from splatree.io.opacities import CODE_STEP, logits_from_opacities, opacities_from_logits
 from splatree.io.options import ReadOptions, WriteOptions
+from splatree.io.rows import FileRows, Fill
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Scene
@@ -77,7 +80,10 @@ _HALF_MIN = 2.0**-24
 _CLIP_MIN = 0.5 / 255
 """A colour that is clipped by less is only rounded."""
 
-_ROWS_AT_ONCE = 1 << 16
+_SHARE = np.arange(256) / 255
+_LOGITS = logits_from_opacities(_SHARE, step_low=CODE_STEP, step_high=CODE_STEP)
+_COLORS = ((_SHARE - 0.5) / SH_C0).astype(np.float32)
+"""What bytes of opacity and of colour stand for."""
 
 
 def _record(level: int, degree: int) -> np.dtype[np.void]:
@@ -127,23 +133,39 @@ def sniff(path: Path, head: bytes) -> bool:
 
 def read(path: Path, options: ReadOptions) -> Scene:
     """Read all sections, one after the other, at the highest degree among them."""
+    return _open(path).scene(options)
+
+
+def read_chunks(path: Path, options: ReadOptions) -> Chunks:
+    """The same values in chunks."""
+    return _open(path).chunks(options)
+
+
+def _open(path: Path) -> FileRows:
     with path.open("rb") as file:
         found = _parse(path, file)
-        n, k = int(found.sections["rows"].sum(dtype=np.int64)), (found.degree + 1) ** 2
-        columns = Gaussians(
-            np.empty((n, 3), np.float32),
-            np.empty((n, 4), np.float32),
-            np.empty((n, 3), np.float32),
-            np.empty(n, np.float32),
-            np.zeros((n, k, 3), np.float32),
-        )
-        begin = 0
-        with task(f"read {path.name}", n) as advance:
-            for number, (section, start) in enumerate(zip(found.sections, found.starts, strict=True)):
-                for end in _read_section(file, found, section, start, columns, begin, f"{path}: section {number}"):
-                    advance(end - begin)
-                    begin = end
-    return checked(Scene.flat(columns), str(path), repair=options.repair)
+        sections = [
+            _Section(file, found, section, start, f"{path}: section {number}")
+            for number, (section, start) in enumerate(zip(found.sections, found.starts, strict=True))
+        ]
+    ends = np.cumsum([section.num_rows for section in sections], dtype=np.int64)
+
+    @contextmanager
+    def start() -> Iterator[Fill]:
+        with path.open("rb") as file:
+
+            def fill(begin: int, out: Gaussians) -> None:
+                end, done = begin + len(out), begin
+                while done < end:
+                    index = int(np.searchsorted(ends, done, side="right"))
+                    first = int(ends[index]) - sections[index].num_rows
+                    stop = min(end, int(ends[index]))
+                    sections[index].fill(file, done - first, out.rows(done - begin, stop - begin))
+                    done = stop
+
+            yield fill
+
+    return FileRows(str(path), int(ends[-1]) if len(ends) else 0, found.degree, start)
 
 
 def _parse(path: Path, file: BinaryIO) -> _File:
@@ -199,70 +221,73 @@ def _check_section(section: np.void, level: int, where: str) -> None:
         )
 
 
-def _read_section(
-    file: BinaryIO, found: _File, section: np.void, start: int, columns: Gaussians, begin: int, where: str
-) -> Iterator[int]:
-    """Fill the columns from row ``begin`` on, some rows at a time; yield the end of each part."""
-    num_rows, degree = int(section["rows"]), int(section["degree"])
-    record, order = _record(found.level, degree), _rest_order(degree)
-    file.seek(start)
-    lengths = np.fromfile(file, "<u4", int(section["partial_buckets"]))
-    bucket_bytes = int(section["bucket_bytes"]) * int(section["buckets"])
-    if found.level > 0:
-        centres = np.fromfile(file, "<f4", bucket_bytes // 4).reshape(-1, 3)
-        full = np.full(int(section["full_buckets"]), int(section["bucket_rows"]), np.int64)
-        bucket_ends = np.cumsum(np.concatenate([full, lengths.astype(np.int64)]))
-        if num_rows > (bucket_ends[-1] if len(bucket_ends) else 0):
-            raise FormatError(f"{where}: found buckets of {bucket_ends[-1:].sum()} splats in all, wanted {num_rows}")
-        code_range = int(section["code_range"]) or _CODE_RANGE
-        step = float(section["block_size"]) / 2 / code_range
-    else:
-        file.seek(bucket_bytes, 1)
-    share = np.arange(256) / 255
-    logits = logits_from_opacities(share, step_low=CODE_STEP, step_high=CODE_STEP)
-    low, high = found.rest_range
-    rest_table = (low + (high - low) * share).astype(np.float32)
-    color_table = ((share - 0.5) / SH_C0).astype(np.float32)
-    for first in range(0, num_rows, _ROWS_AT_ONCE):
-        records = np.fromfile(file, record, min(_ROWS_AT_ONCE, num_rows - first))
-        rows = slice(begin + first, begin + first + len(records))
+class _Section:
+    """Where the records of a section are, and what their codes stand for."""
+
+    def __init__(self, file: BinaryIO, found: _File, section: np.void, start: int, where: str) -> None:
+        self.num_rows = int(section["rows"])
+        self._where, self._level, degree = where, found.level, int(section["degree"])
+        self._record, self._rest_places = _record(found.level, degree), 3 + _rest_order(degree)
+        file.seek(start)
+        lengths = np.fromfile(file, "<u4", int(section["partial_buckets"]))
+        bucket_bytes = int(section["bucket_bytes"]) * int(section["buckets"])
+        self._start = start + lengths.nbytes + bucket_bytes
         if found.level > 0:
-            bucket = np.searchsorted(bucket_ends, np.arange(first, first + len(records)), side="right")
-            columns.means[rows] = (records["mean"].astype(np.float64) - code_range) * step + centres[bucket]
+            self._centres = np.fromfile(file, "<f4", bucket_bytes // 4).reshape(-1, 3)
+            full = np.full(int(section["full_buckets"]), int(section["bucket_rows"]), np.int64)
+            self._bucket_ends = np.cumsum(np.concatenate([full, lengths.astype(np.int64)]))
+            ends = self._bucket_ends
+            if self.num_rows > (ends[-1] if len(ends) else 0):
+                raise FormatError(f"{where}: found buckets of {ends[-1:].sum()} splats in all, wanted {self.num_rows}")
+            self._code_range = int(section["code_range"]) or _CODE_RANGE
+            self._step = float(section["block_size"]) / 2 / self._code_range
+        low, high = found.rest_range
+        self._rest_table = (low + (high - low) * _SHARE).astype(np.float32)
+
+    def fill(self, file: BinaryIO, first: int, out: Gaussians) -> None:
+        """Decode the rows from ``first`` on."""
+        file.seek(self._start + first * self._record.itemsize)
+        records = np.fromfile(file, self._record, len(out))
+        if len(records) < len(out):
+            raise FormatError(f"{self._where}: cannot be read to its end; did the file change meanwhile?")
+        if self._level > 0:
+            bucket = np.searchsorted(self._bucket_ends, np.arange(first, first + len(out)), side="right")
+            means = (records["mean"].astype(np.float64) - self._code_range) * self._step + self._centres[bucket]
+            out.means[:] = means
             scale = np.maximum(records["scale"].astype(np.float32), np.float32(_HALF_MIN / 2))
         else:
-            columns.means[rows], scale = records["mean"], records["scale"]
+            out.means[:], scale = records["mean"], records["scale"]
         with np.errstate(divide="ignore", invalid="ignore"):  # what has no logarithm is found by the check of values
-            columns.log_scales[rows] = np.log(scale)
-        columns.quats[rows] = records["quat"]
-        columns.logit_opacities[rows] = logits[records["rgba"][:, 3]]
-        columns.sh[rows, 0] = color_table[records["rgba"][:, :3]]
-        rest = rest_table[records["rest"]] if found.level == 2 else records["rest"].astype(np.float32)
-        columns.sh.reshape(len(columns), -1)[rows, 3 + order] = rest
-        yield rows.stop
+            np.log(scale, out=out.log_scales)
+        out.quats[:] = records["quat"]
+        out.logit_opacities[:] = _LOGITS[records["rgba"][:, 3]]
+        out.sh[:, 0] = _COLORS[records["rgba"][:, :3]]
+        sh = out.sh.reshape(len(out), -1)
+        sh[:, 3 + len(self._rest_places) :] = 0  # of a degree that other sections have
+        sh[:, self._rest_places] = self._rest_table[records["rest"]] if self._level == 2 else records["rest"]
 
 
-def write(scene: Scene, path: Path, options: WriteOptions) -> tuple[str, ...]:
+def write_chunks(chunks: Chunks, path: Path, options: WriteOptions) -> tuple[str, ...]:
     """Write one section at level 0, 1 (the default) or 2, in blocks that follow each other along the axes.
 
-    Colours are clipped to 0 to 1 (and counted) and scales to what half precision holds; no row is dropped.
+    Colours are clipped to 0 to 1 (and counted) and scales to what half precision holds; no row is dropped. Means and the records
+    of the file, 24 to 72 bytes a row at levels 1 and 2, are kept in memory.
     """
     level = 1 if options.compression is None else options.compression
     if level not in (0, 1, 2):
         raise InputError(f"{path.name}: found compression {level}, wanted level 0, 1 or 2")
-    g = checked(scene, "scene to write", repair=False).gaussians
-    n, degree = len(g), min(g.sh_degree, 2)
+    n, degree = len(chunks), min(chunks.sh_degree, 2)
+    seen = _look(chunks, degree)
     record, order = _record(level, degree), _rest_order(degree)
-    buckets = _buckets(g) if level > 0 else _NO_BUCKETS
-    row_from_place = buckets.rows if level > 0 else np.arange(n)
-    rest_step = _rest_step(g.sh[:, 1 : (degree + 1) ** 2]) if level == 2 else 0.0
+    buckets = _buckets(seen.means, seen.median_sigma) if level > 0 else _NO_BUCKETS
+    rest_step = max(seen.rest_range[1] / 127, -seen.rest_range[0] / 128) or 1.5 / 128
 
     header, section = np.zeros(1, _HEADER), np.zeros(1, _SECTION)
     header["minor"], header["level"] = 1, level
     header["max_sections"] = header["sections"] = 1
     header["max_rows"] = header["rows"] = n
-    header["centre"] = g.means.mean(axis=0, dtype=np.float64) if n else 0
-    header["rest_range"] = (-128 * rest_step, 127 * rest_step)
+    header["centre"] = seen.means.mean(axis=0, dtype=np.float64) if n else 0
+    header["rest_range"] = (-128 * rest_step, 127 * rest_step) if level == 2 else 0
     section["rows"] = section["max_rows"] = n
     section["degree"] = degree
     if level > 0:
@@ -270,34 +295,67 @@ def write(scene: Scene, path: Path, options: WriteOptions) -> tuple[str, ...]:
         section["buckets"], section["block_size"] = len(buckets.centres), buckets.block_size
         section["full_buckets"], section["partial_buckets"] = buckets.num_full, len(buckets.partial_lengths)
     section["bytes"] = min(2**32 - 1, n * record.itemsize + buckets.partial_lengths.nbytes + 12 * len(buckets.centres))
-    step, num_clipped = float(section["block_size"][0]) / 2 / _CODE_RANGE, 0
+    step = float(section["block_size"][0]) / 2 / _CODE_RANGE
+    places = np.empty(n, np.int32)
+    if level > 0:
+        places[buckets.rows] = np.arange(n, dtype=np.int32)
+    del seen
+    num_clipped = begin = 0
+    in_place = np.empty((n if level > 0 else 0, record.itemsize), np.uint8)
     with path.open("wb") as file, task(f"write {path.name}", n) as advance:
         for part in (header, section, buckets.partial_lengths, buckets.centres.astype("<f4")):
             file.write(part.data)
-        for first in range(0, n, _ROWS_AT_ONCE):
-            rows = row_from_place[first : first + _ROWS_AT_ONCE]
-            records = np.empty(len(rows), record)
-            means, scale = g.means[rows], np.exp(g.log_scales[rows])
+        for g in chunks:
+            records, rows = np.empty(len(g), record), slice(begin, begin + len(g))
+            means, scale = g.means, np.exp(g.log_scales)
             if level > 0:
-                centre = buckets.centres[buckets.bucket_from_place[first : first + len(rows)]]
+                centre = buckets.centres[buckets.bucket_from_place[places[rows]]]
                 codes = np.rint((means - centre.astype(np.float64)) / step) + _CODE_RANGE
                 means, scale = np.clip(codes, 0, 2 * _CODE_RANGE + 1), np.clip(scale, _HALF_MIN, _HALF_MAX)
             records["mean"], records["scale"] = means, scale
-            quats = g.quats[rows].astype(np.float64)
+            quats = g.quats.astype(np.float64)
             records["quat"] = quats / np.linalg.norm(quats, axis=1, keepdims=True)
-            color = 0.5 + SH_C0 * g.sh[rows, 0].astype(np.float64)
+            color = 0.5 + SH_C0 * g.sh[:, 0].astype(np.float64)
             num_clipped += int(((color < -_CLIP_MIN) | (color > 1 + _CLIP_MIN)).any(axis=1).sum())
             records["rgba"][:, :3] = np.rint(np.clip(color, 0, 1) * 255)
-            records["rgba"][:, 3] = np.rint(opacities_from_logits(g.logit_opacities[rows]) * np.float32(255))
-            rest = np.take(g.sh, rows, axis=0).reshape(len(rows), 3 * g.sh.shape[1])[:, 3 + order]
+            records["rgba"][:, 3] = np.rint(opacities_from_logits(g.logit_opacities) * np.float32(255))
+            rest = g.sh.reshape(len(g), -1)[:, 3 + order]
             if level == 1:
                 rest = np.clip(rest, -_HALF_MAX, _HALF_MAX)
             if level == 2:
                 rest = np.clip(np.rint(rest / rest_step) + 128, 0, 255)
             records["rest"] = rest
-            file.write(records.data)
-            advance(len(rows))
+            if level > 0:
+                in_place[places[rows]] = records.view(np.uint8).reshape(len(g), -1)
+            else:
+                file.write(records.data)
+            begin += len(g)
+            advance(len(g))
+        file.write(in_place.data)
     return (f"the colours of {num_clipped:,} Gaussians: ksplat clips them to 0 to 1",) if num_clipped else ()
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """What a first pass over all rows finds."""
+
+    means: Array  # [n 3]
+    median_sigma: float  # of the middle standard deviation
+    rest_range: tuple[float, float]  # of the harmonics that are written, 0 among them
+
+
+def _look(chunks: Chunks, degree: int) -> _Seen:
+    means, begin, every = np.empty((len(chunks), 3), np.float32), 0, len(chunks) // _SAMPLE + 1
+    sample, low, high = [np.zeros(0, np.float32)], 0.0, 0.0
+    for g in chunks:
+        checked_rows(g, "scene to write", repair=False, first_row=begin)
+        means[begin : begin + len(g)] = g.means
+        sample.append(np.sort(g.log_scales[-begin % every :: every], axis=1)[:, 1])
+        rest = g.sh[:, 1 : (degree + 1) ** 2]
+        low, high = min(low, float(rest.min(initial=0))), max(high, float(rest.max(initial=0)))
+        begin += len(g)
+    middle = np.concatenate(sample)
+    return _Seen(means, float(np.exp(np.median(middle))) if len(middle) else 1.0, (low, high))
 
 
 @dataclass(frozen=True, eq=False)
@@ -315,37 +373,45 @@ class _Buckets:
 _NO_BUCKETS = _Buckets(*2 * (np.zeros(0, np.intp),), np.zeros((0, 3), np.float32), 0, np.zeros(0, "<u4"), 0.0)
 
 
-def _buckets(g: Gaussians) -> _Buckets:
-    n = len(g)
-    sample = g.log_scales[:: n // _SAMPLE + 1]
-    middle = np.sort(sample, axis=1)[:, 1] if n else np.zeros(1)
-    block_size = float(np.float32(min(_BLOCK_SIZE, _BLOCK_SIZE_IN_SIGMAS * float(np.exp(np.median(middle))))))
-    low = g.means.min(axis=0, initial=np.inf).astype(np.float64)
-    blocks = np.floor((g.means - low) / block_size)  # [n 3] float64: exact far beyond any scene
-    order = np.lexsort(blocks.T)
-    blocks = blocks[order]
+def _buckets(means: Array, median_sigma: float) -> _Buckets:
+    n = len(means)
+    block_size = float(np.float32(min(_BLOCK_SIZE, _BLOCK_SIZE_IN_SIGMAS * median_sigma)))
+    low = means.min(axis=0, initial=np.inf).astype(np.float64)
+    order, key = _by_block(means, low, block_size)
     is_first = np.ones(n, bool)
-    is_first[1:] = (blocks[1:] != blocks[:-1]).any(axis=1)
+    is_first[1:] = key[1:] != key[:-1]
+    del key
     start = np.flatnonzero(is_first)
     sizes = np.diff(start, append=n)
-    place = np.arange(n) - np.repeat(start, sizes)  # in its block
+    place = np.arange(n, dtype=np.int32) - np.repeat(start.astype(np.int32), sizes)  # in its block
     is_partial = place >= np.repeat(sizes // _BUCKET_ROWS * _BUCKET_ROWS, sizes)
     is_start = place % _BUCKET_ROWS == 0
+    by_fullness = np.argsort(is_partial, kind="stable").astype(np.int32)
+    is_start, order = is_start[by_fullness], order[by_fullness]
+    del by_fullness, is_partial, place
+    blocks = np.floor((means[order[is_start]] - low) / block_size)
     centres = (low + (blocks + 0.5) * block_size).astype(np.float32)
-    by_fullness = np.argsort(is_partial, kind="stable")
-    is_start = is_start[by_fullness]
     partial_lengths = (sizes % _BUCKET_ROWS).astype("<u4")
     return _Buckets(
-        order[by_fullness],
-        np.cumsum(is_start) - 1,
-        centres[by_fullness][is_start],
+        order,
+        np.cumsum(is_start, dtype=np.int32) - np.int32(1),
+        centres,
         int((sizes // _BUCKET_ROWS).sum()),
         partial_lengths[partial_lengths > 0],
         block_size,
     )
 
 
-def _rest_step(rest: Array) -> float:
-    """Step of 8-bit harmonics between −128 and 127 steps, so that 0 has a code."""
-    low, high = (float(f(rest, initial=0)) for f in (np.min, np.max))
-    return max(high / 127, -low / 128) or 1.5 / 128
+def _by_block(means: Array, low: Array, block_size: float) -> tuple[Array, Array]:
+    """Rows in the order of their blocks, along x first, and a number for the block of each of these."""
+    counts = np.floor((means.max(axis=0, initial=-np.inf) - low) / block_size) + 1 if len(means) else np.ones(3)
+    if float(counts.prod()) < 2**62:
+        key = np.zeros(len(means), np.int64)
+        for axis in (2, 1, 0):
+            key *= int(counts[axis])
+            key += np.floor((means[:, axis] - low[axis]) / block_size).astype(np.int64)
+    else:  # astronomically far outliers
+        blocks = np.floor((means - low) / block_size)[:, ::-1]
+        key = np.unique(blocks, axis=0, return_inverse=True)[1].astype(np.int64)
+    order = np.argsort(key, kind="stable").astype(np.int32)
+    return order, key[order]

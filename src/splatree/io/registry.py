@@ -183,7 +183,8 @@ FORMATS: tuple[Format, ...] = (
         holds=Holds(sh_degree=2, modes=("classic",)),
         sniff=ksplat.sniff,
         read=ksplat.read,
-        write=ksplat.write,
+        write_chunks=ksplat.write_chunks,
+        read_chunks=ksplat.read_chunks,
         options=("compression",),
     ),
     Format(
