@@ -70,7 +70,7 @@ class Format:
     write_folder: Callable[[Chunks, Path, WriteOptions], tuple[str, ...]] | None = None
     """As ``write_chunks``, but write a folder, given the path of its meta.json; None: there is no such form."""
     write_chunks: Callable[[Chunks, Path, WriteOptions], tuple[str, ...]] | None = None
-    """As ``write``, of chunks; takes its place. None too: the format is only read."""
+    """As ``write``, of chunks of a scene without levels; takes its place if there is none. None too: the format is only read."""
     read_chunks: Callable[[Path, ReadOptions], Chunks] | None = None
     """Open a file to be read in chunks, with the values that ``read`` gives."""
     files: Callable[[Path], list[Path]] | None = None
@@ -207,6 +207,7 @@ FORMATS: tuple[Format, ...] = (
         sniff=rad.sniff,
         read=rad.read,
         write=rad_writer.write,
+        write_chunks=rad_writer.write_chunks,
         options=("compression",),
     ),
 )
