@@ -141,6 +141,24 @@ def test_thin_and_build_say_what_is_lost(splatree, small_ply, tmp_path):
     assert "lost: the" in built and "clusters" in built.split("lost:")[1]
 
 
+@pytest.mark.parametrize("verb", ["info", "convert", "thin", "build", "render", "eval"])
+def test_every_verb_that_reads_a_scene_can_repair_it(splatree, small_scene, tmp_path, verb):
+    path = tmp_path / "nan.ply"
+    write(Scene.flat(small_scene.gaussians.take(np.arange(50))), path)
+    data = bytearray(path.read_bytes())
+    start = data.index(b"end_header\n") + 11
+    data[start : start + 4] = np.float32(np.nan).tobytes()
+    path.write_bytes(data)
+    words = {
+        "info": [],
+        "render": ["-o", tmp_path / "frames", "--views", "1", *SIZE],
+        "eval": ["--views", "1", "--frames", "0", *SIZE],
+    }.get(verb, [tmp_path / "out.splatree"])
+    code, _, err = splatree(verb, path, *words)
+    assert code == 1 and "read it with repair" in err
+    assert splatree(verb, path, *words, "--repair")[0] == 0
+
+
 def test_render_says_once_what_to_know_of_the_selection(splatree, small_tree, tmp_path):
     words = ("render", small_tree, "-o", tmp_path, "--views", "2", *SIZE, "--pixel-error", "0.5")
     code, out, _ = splatree(*words)

@@ -56,6 +56,8 @@ class Command:
     """Weights of the classifier, from torchvision; None: where torch keeps them."""
     lpips_heads: Path | None = None
     """Weights of LPIPS version 0.1; None: from an installed package lpips or torchmetrics."""
+    repair: bool = False
+    """Fix or drop values that cannot be used instead of stopping."""
     device: DeviceName = "cpu"
     """Where to select and draw: `cuda` is an NVIDIA GPU; `splatree doctor` says what it needs."""
     made: Annotated[PathOptions, arg(name="")] = PathOptions(views=8)
@@ -146,7 +148,7 @@ def run(command: Command) -> Evaluated:
         raise UsageError("training: found no --data, wanted photographs; without them no view is held out")
     source = command.cameras or command.data
     named = None if source is None else read_cameras(source)
-    scene = with_blocks(read(command.paths)).to(command.device)
+    scene = with_blocks(read(command.paths, repair=command.repair)).to(command.device)
     held_out, training, compared_with = _views(flyout(scene, command.made) if named is None else named, command)
     photos = Photos(command.data, [*held_out, *training]) if command.data else None
     if photos is not None:

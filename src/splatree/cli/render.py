@@ -47,6 +47,8 @@ class Command:
     """Factor on the width and height of the cameras."""
     path: Literal["orbit", "flyout"] = "orbit"
     """Path to make without --cameras: around the scene, or away from it."""
+    repair: bool = False
+    """Fix or drop values that cannot be used instead of stopping."""
     force: bool = False
     """Replace pictures and the video if they exist."""
     device: DeviceName = "cpu"
@@ -105,7 +107,7 @@ def run(command: Command) -> Rendered:
         except InputError as error:
             raise UsageError(str(error)) from error
     named = None if command.cameras is None else read_cameras(command.cameras)
-    scene = read(command.paths).to(command.device)
+    scene = read(command.paths, repair=command.repair).to(command.device)
     cameras = [camera.scaled(command.scale) for camera in (_made(scene, command) if named is None else named)]
     names = file_names(cameras)
     targets = [command.video] if command.video else []
