@@ -188,6 +188,29 @@ def test_planes_meet_a_sphere_where_geometry_says() -> None:
         assert cull(index, camera, "paper").kept[0] == (distance < np.sqrt(0.5))
 
 
+@pytest.mark.parametrize(("rule", "slack_px"), [("exact", 0.1), ("exact-inria", 2.4), ("exact-gsplat", 1.2)])
+@pytest.mark.parametrize("size", [(64, 48), (60, 41)])
+def test_margins_of_a_rasteriser_are_as_wide_as_they_must_be(rule: Cull, slack_px: float, size: tuple[int, int]) -> None:
+    """Opaque points, each a cluster, across each border: what is kept ends where survivors end, within what is rounded up."""
+    camera = st.Camera(np.eye(4), np.array([[80.0, 0, 27], [0, 90, 25], [0, 0, 1]]), *size)
+    steps = np.arange(-30, 30, 0.05)
+    scene = st.Scene.flat(gaussians(len(steps), 0, degree=0))
+    g = scene.gaussians
+    g.log_scales[:], g.logit_opacities[:] = -12, 8
+    for axis, (focal, centre) in enumerate(((80.0, 27.0), (90.0, 25.0))):
+        for border in (0, size[axis]):
+            g.means[:] = (0, 0, 5)
+            g.means[:, axis] = (border + steps - centre) / focal * 5
+            one_each = st.build_clusters(scene, len(steps))
+            seen = survivors(one_each.gaussians, camera, rule, st.RenderOptions().resolved(one_each))
+            kept = cull(one_each.clusters, camera, rule).kept  # type: ignore[arg-type]
+            at = one_each.gaussians.means[:, axis] * focal / 5 + centre - border
+            if border == 0:
+                at = -at
+            assert not (seen & ~kept).any()
+            assert at[seen].max() <= at[kept].max() <= at[seen].max() + slack_px
+
+
 def test_behind_the_eye_the_rules_differ_as_they_say() -> None:
     camera = st.Camera(np.eye(4), np.array([[50.0, 0, 50], [0, 50, 50], [0, 0, 1]]), 100, 100)
     index = st.ClusterIndex(

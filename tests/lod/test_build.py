@@ -174,6 +174,13 @@ def test_report_counts_every_node_once():
     assert sum(report.fan_out.values()) == len(scene) - report.num_leaves
     assert sum(children * nodes for children, nodes in report.fan_out.items()) == len(scene) - report.num_roots
     assert report.num_bytes == scene.gaussians.nbytes + 9 * len(scene)
+    assert report.num_roots == (scene.tree.depth == 0).sum() < len(scene)
+
+
+def test_report_of_nothing_is_empty():
+    report = report_levels(Scene.flat(Gaussians.empty()))
+    assert (report.num_nodes, report.num_leaves, report.num_roots, report.num_bytes) == (0, 0, 0, 0)
+    assert (report.nodes_per_depth, report.fan_out) == ((), {})
 
 
 @pytest.mark.parametrize(

@@ -94,6 +94,15 @@ def test_trace_keeps_what_render_drops() -> None:
     np.testing.assert_array_equal(np.sort(frame.splats.order), np.arange(len(frame.splats)))
 
 
+@pytest.mark.parametrize("extent", ["tau", "3sigma"])
+def test_squares_are_not_dropped_by_the_footprints_of_ellipses(extent: str) -> None:
+    scene = st.Scene.flat(cloud(900, 12, degree=0))
+    options = st.RenderOptions(extent=extent)  # type: ignore[arg-type]
+    frames = {v: st.trace(scene, CAMERA, options, st.SelectOptions(visibility=v)) for v in ("none", "footprint", "centre")}
+    np.testing.assert_array_equal(frames["footprint"].splats.rows, frames["none"].splats.rows)
+    assert len(frames["centre"].splats) < len(frames["none"].splats)  # other tests of visibility are as they were asked for
+
+
 def test_a_frame_has_the_stage_cull_where_clusters_are_left_out() -> None:
     scene = st.Scene.flat(cloud(900, 11, degree=0))
     flat, tree = st.build_clusters(scene, 20), st.build_clusters(st.build_lod(scene), 20)

@@ -160,6 +160,13 @@ def test_auto_radius_is_the_median_distance_to_the_nearest():
     assert auto_radius(g) == pytest.approx(1.5 * np.median(apart.min(axis=1)), rel=1e-12)
 
 
+def test_auto_radius_of_a_line_is_one_and_a_half_steps():
+    g = random_gaussians(50)
+    g.means[:] = 0
+    g.means[:, 1] = np.arange(50) * 0.25
+    assert auto_radius(g) == pytest.approx(1.5 * 0.25)
+
+
 def test_auto_radius_looks_past_duplicates():
     g = random_gaussians(300)
     assert auto_radius(Gaussians.concatenate([g, g])) > 0

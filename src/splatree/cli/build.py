@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import numpy as np
 from tyro.conf import arg
 
 from splatree.cli.calibrate import Views, in_words, training_views
@@ -16,10 +15,9 @@ from splatree.clusters.build import ClusterOptions, build_clusters
 from splatree.io.registry import read, read_levels, stored_bytes, write
 from splatree.lod.build import BuildOptions, build_lod
 from splatree.lod.link import link_levels
+from splatree.lod.report import report_levels
 from splatree.render.calibrate import CalibrateOptions, Calibration, calibrate, calibrated
 from splatree.scene.scene import Mode, Scene
-from splatree.scene.tree import GaussianTree
-from splatree.shapes import Array, Int64
 
 STEPS = {"radii": "radius", "pixel_sizes": "pixel"}
 """What each level was made by, in the record of the levels and in the table."""
@@ -91,16 +89,15 @@ def run(command: Command) -> Built:
         calibration = calibrate(scene, views.cameras, command.calibration, photos=views.photos)
         scene = calibrated(scene, calibration, held_out=views.rule)
     lost = write(scene, output, force=command.files.force)
-    tree = scene.tree
-    counts, numbers = np.unique(children_per_node(tree)[~tree.is_leaf], return_counts=True)
+    report = report_levels(scene)
     return Built(
         output=output,
-        num_gaussians=tree.num_leaves,
-        num_nodes=len(scene),
-        levels=tree.num_levels,
-        num_roots=int((tree.depth == 0).sum()),
-        nodes_per_depth=tuple(int(n) for n in np.bincount(tree.depth)),
-        children={str(count): int(number) for count, number in zip(counts, numbers, strict=True)},
+        num_gaussians=report.num_leaves,
+        num_nodes=report.num_nodes,
+        levels=len(report.nodes_per_depth),
+        num_roots=report.num_roots,
+        nodes_per_depth=report.nodes_per_depth,
+        children={str(count): number for count, number in report.fan_out.items()},
         rules=_metadata(scene, "levels"),
         clusters=_metadata(scene, "clusters"),
         bytes=stored_bytes(output),
@@ -126,17 +123,6 @@ def _in_mode(scene: Scene, mode: Mode | None) -> Scene:
 
 def _metadata(scene: Scene, key: str) -> dict[str, Any] | None:
     return json.loads(scene.source.metadata[key]) if key in scene.source.metadata else None
-
-
-def children_per_node(tree: GaussianTree) -> Int64[Array, "n"]:
-    """Children of each row: in preorder the parent of a row is the last row before it that is one level up."""
-    counts = np.zeros(len(tree), np.int64)
-    parents = np.flatnonzero(tree.depth == 0)
-    for depth in range(1, tree.num_levels):
-        children = np.flatnonzero(tree.depth == depth)
-        counts += np.bincount(parents[np.searchsorted(parents, children) - 1], minlength=len(tree))
-        parents = children
-    return counts
 
 
 def show(built: Built) -> str:

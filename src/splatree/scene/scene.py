@@ -82,7 +82,6 @@ class Scene:
             raise InputError(f"Scene.extent: found {self.extent!r}, wanted one of {', '.join(get_args(Extent))}")
         if not 0 < self.threshold < 1:
             raise InputError(f"Scene.threshold: found {self.threshold}, wanted between 0 and 1")
-
         if self.device not in get_args(DeviceName):
             raise InputError(f"Scene.device: found {self.device!r}, wanted one of {', '.join(get_args(DeviceName))}")
 

@@ -1,0 +1,62 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import splatree as st
+from splatree.errors import InputError, ShapeError
+from splatree.lod.blocks import with_blocks
+
+from ..kernels.conftest import gaussians
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("mode", "mip", "Scene.mode: found 'mip', wanted 'classic' or 'antialiased'"),
+        ("extent", "box", "Scene.extent: found 'box', wanted one of ellipse"),
+        ("threshold", 0.0, "Scene.threshold: found 0.0"),
+        ("threshold", 1.0, "Scene.threshold: found 1.0"),
+        ("threshold", float("nan"), "Scene.threshold: found nan"),
+        ("device", "metal", "Scene.device: found 'metal', wanted one of cpu"),
+    ],
+)
+def test_what_no_scene_can_be_is_refused(field, value, message):
+    scene = st.Scene.flat(gaussians(3, 0))
+    with pytest.raises(InputError, match=message):
+        replace(scene, **{field: value})
+
+
+def test_columns_of_other_gaussians_are_refused():
+    scene = with_blocks(st.build_clusters(st.Scene.flat(gaussians(300, 1)), 5))
+    other = st.Scene.flat(gaussians(300, 2))
+    with pytest.raises(ShapeError, match="Scene.tree: found 300 rows, wanted 3"):
+        replace(scene, gaussians=gaussians(3, 1))
+    with pytest.raises(ShapeError, match="Scene.blocks: found the index of other Gaussians"):
+        replace(scene, gaussians=other.gaussians, clusters=None)
+    with pytest.raises(ShapeError, match="Scene.clusters: found the clusters of other Gaussians"):
+        replace(scene, gaussians=other.gaussians, blocks=None)
+    with pytest.raises(ShapeError, match="ids"):
+        replace(scene, ids=np.arange(299, dtype=np.uint32))
+
+
+def test_clusters_fit_only_if_each_sphere_holds_its_first_row():
+    scene = st.build_clusters(st.Scene.flat(gaussians(300, 1)), 5)
+    clusters = scene.clusters
+    assert clusters.fits(scene.gaussians)
+    assert not clusters.fits(gaussians(299, 1))
+    for name in ("mean_radii", "radii", "footprint_radii"):
+        smaller = getattr(clusters, name).copy()
+        first = scene.gaussians.take(clusters.start[:1])
+        away = np.linalg.norm(first.means[0] - clusters.centers[0])
+        smaller[0] = 0.99 * away  # less than what any of the radii must hold, as σ > 0
+        assert not replace(clusters, **{name: smaller}).fits(scene.gaussians)
+
+
+def test_extents_of_a_flat_scene_hold_three_standard_deviations():
+    g = gaussians(500, 3, log_scales=(-12, 80))
+    extents = st.Scene.flat(g).tree.extents.astype(np.float64)
+    wanted = 3 * np.exp(g.log_scales.max(axis=1).astype(np.float64))
+    assert (extents >= wanted).all()
+    # The margin of 2⁻²⁰, and what float32's exponential is off at 80, 80 × 2⁻²⁴.
+    np.testing.assert_allclose(extents, wanted, rtol=1e-5)
