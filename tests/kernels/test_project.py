@@ -78,12 +78,16 @@ def test_order_is_by_depth_and_then_by_id(isa: str) -> None:
     np.testing.assert_array_equal(splats.order, wanted)
 
 
-def test_large_sets_are_ordered_too() -> None:
-    # More than one chunk of the sort, all bits of the depth in use.
+@pytest.mark.parametrize("spread", ["all bits", "one bucket", "few bits"])
+def test_large_sets_are_ordered_too(spread: str) -> None:
+    # More than one chunk of the sort.
     rng = np.random.default_rng(3)
     n = 40_000
-    depths = np.exp(rng.uniform(-3, 60, n)).astype(np.float32)
+    exponents = {"all bits": (-3, 60), "one bucket": (2, 2.01), "few bits": (2, 2.00001)}
+    depths = np.exp(rng.uniform(*exponents[spread], n)).astype(np.float32)
     depths[::7] = depths[3]
+    if spread == "one bucket":
+        depths[5] = 1e30  # its bits make the others' highest ones equal
     ids = rng.permutation(n).astype(np.uint32)
     orders = []
     for threads in (1, 3):
