@@ -190,7 +190,9 @@ def test_planes_meet_a_sphere_where_geometry_says() -> None:
 
 @pytest.mark.parametrize(("rule", "slack_px"), [("exact", 0.1), ("exact-inria", 2.4), ("exact-gsplat", 1.2)])
 @pytest.mark.parametrize("size", [(64, 48), (60, 41)])
-def test_margins_of_a_rasteriser_are_as_wide_as_they_must_be(rule: Cull, slack_px: float, size: tuple[int, int]) -> None:
+def test_margins_of_a_rasteriser_are_as_wide_as_they_must_be(
+    rule: Cull, slack_px: float, size: tuple[int, int]
+) -> None:
     """Opaque points, each a cluster, across each border: what is kept ends where survivors end, within what is rounded up."""
     camera = st.Camera(np.eye(4), np.array([[80.0, 0, 27], [0, 90, 25], [0, 0, 1]]), *size)
     steps = np.arange(-30, 30, 0.05)

@@ -98,9 +98,13 @@ def test_trace_keeps_what_render_drops() -> None:
 def test_squares_are_not_dropped_by_the_footprints_of_ellipses(extent: str) -> None:
     scene = st.Scene.flat(cloud(900, 12, degree=0))
     options = st.RenderOptions(extent=extent)  # type: ignore[arg-type]
-    frames = {v: st.trace(scene, CAMERA, options, st.SelectOptions(visibility=v)) for v in ("none", "footprint", "centre")}
+    frames = {
+        v: st.trace(scene, CAMERA, options, st.SelectOptions(visibility=v)) for v in ("none", "footprint", "centre")
+    }
     np.testing.assert_array_equal(frames["footprint"].splats.rows, frames["none"].splats.rows)
-    assert len(frames["centre"].splats) < len(frames["none"].splats)  # other tests of visibility are as they were asked for
+    assert len(frames["centre"].splats) < len(
+        frames["none"].splats
+    )  # other tests of visibility are as they were asked for
 
 
 def test_a_frame_has_the_stage_cull_where_clusters_are_left_out() -> None:

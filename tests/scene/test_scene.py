@@ -30,11 +30,11 @@ def test_what_no_scene_can_be_is_refused(field, value, message):
 def test_columns_of_other_gaussians_are_refused():
     scene = with_blocks(st.build_clusters(st.Scene.flat(gaussians(300, 1)), 5))
     other = st.Scene.flat(gaussians(300, 2))
-    with pytest.raises(ShapeError, match="Scene.tree: found 300 rows, wanted 3"):
+    with pytest.raises(ShapeError, match=r"Scene\.tree: found 300 rows, wanted 3"):
         replace(scene, gaussians=gaussians(3, 1))
-    with pytest.raises(ShapeError, match="Scene.blocks: found the index of other Gaussians"):
+    with pytest.raises(ShapeError, match=r"Scene\.blocks: found the index of other Gaussians"):
         replace(scene, gaussians=other.gaussians, clusters=None)
-    with pytest.raises(ShapeError, match="Scene.clusters: found the clusters of other Gaussians"):
+    with pytest.raises(ShapeError, match=r"Scene\.clusters: found the clusters of other Gaussians"):
         replace(scene, gaussians=other.gaussians, blocks=None)
     with pytest.raises(ShapeError, match="ids"):
         replace(scene, ids=np.arange(299, dtype=np.uint32))
