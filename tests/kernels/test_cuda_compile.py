@@ -16,7 +16,13 @@ import pytest
 from splatree.errors import DeviceError
 from splatree.kernels.cuda import compile as cuda_compile
 from splatree.kernels.cuda.compile import Compiler, load_compiler
+from splatree.kernels.cuda.job import fields_of, pack_numbers
 from splatree.kernels.cuda.sources import STAGES, kernels_of
+from splatree.scene.gaussians import Gaussians
+from splatree.scene.options import RenderOptions, SelectOptions
+from splatree.scene.scene import Scene
+
+from .conftest import camera
 
 ARCHITECTURES = (75, 80, 86, 89, 90, 100, 120)
 BUDGETS = Path(__file__).with_name("cuda_budgets.json")
@@ -67,6 +73,24 @@ def test_kernels_keep_their_budgets_on_every_architecture(compiler: Compiler) ->
             # Versions of the compiler differ by a few registers; they are handed out in steps of 8 a thread.
             over = {k: v for k, v in use[kernel].items() if v > budget[k] + (8 if k == "registers" else 0)}
             assert not over, f"{kernel} on sm_{arch}: found {over}, wanted at most {budget}"
+
+
+def test_structs_are_laid_out_as_the_runtime_packs_them(compiler: Compiler, monkeypatch: pytest.MonkeyPatch) -> None:
+    options = RenderOptions().resolved(Scene.flat(Gaussians.empty()))
+    numbers = pack_numbers(camera(), options, SelectOptions(), degree=0)
+    jobs = {("cuda/job.h", "FrameJob"): len(numbers), ("cuda/kmeans.h", "KmeansJob"): 0}
+    lines = [
+        '#include "cuda/kmeans.h"',
+        "using namespace splatree;",
+        f"static_assert(sizeof(FrameNumbers) == {len(numbers)});",
+    ]
+    for (header, struct), begin in jobs.items():
+        arrays, sizes = fields_of(header, struct)
+        fields = [*(name for name, _ in arrays), *sizes]
+        lines += [f"static_assert(__builtin_offsetof({struct}, {f}) == {begin + 8 * i});" for i, f in enumerate(fields)]
+        lines.append(f"static_assert(sizeof({struct}) == {begin + 8 * len(fields)});")
+    monkeypatch.setattr(cuda_compile, "source", lambda stage: "\n".join(lines))
+    compiler.compile("project", "sm_90")
 
 
 def test_compiled_code_is_kept_and_what_is_damaged_is_compiled_anew(compiler: Compiler, tmp_path: Path) -> None:

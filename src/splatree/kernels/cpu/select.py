@@ -1,5 +1,7 @@
 """Choose the visible cut by blocks: glue over select.cpp; kernels/reference/select.py is the definition."""
 
+import math
+
 import numpy as np
 
 from splatree.constants import CENTRE_PAD, DILATION_PX2, EIGENVALUE_FLOOR_PX4, SIGMAS
@@ -169,7 +171,11 @@ def _reach_of_opaque(threshold: float) -> float:
 
 
 def view_planes(
-    camera: Camera, options: SelectOptions, dilation_px2: float, threshold: float
+    camera: Camera,
+    options: SelectOptions,
+    dilation_px2: float,
+    threshold: float,
+    view: Float64[Array, "25"] | None = None,
 ) -> tuple[Float64[Array, "11 4"], Float64[Array, "5"]]:
     """The struct ViewPlanes of cpu/select.h as rows (n, d) of n·p + d, and how far a unit of σ reaches over each side.
 
@@ -179,22 +185,30 @@ def view_planes(
         f x − (b − c + k √h) z > k f √(1 + u²) s.
 
     An inner node that is drawn is small, so it reaches at most k √((τ_R / 3)² + h) whatever its s; s is that of the leaves.
+    ``view`` are the camera's numbers, if they are packed already.
     """
-    axes = camera.camera_from_world[:3]  # x, y, z in the camera
+    # Plain numbers: arrays of four take three times as long.
+    axes = camera.camera_from_world[:3].tolist()  # x, y, z in the camera
     z = axes[2]
     footprint = options.visibility == "footprint"
     k = _reach_of_opaque(threshold) if footprint else 0.0
     largest = min(options.pixel_error, CULL_BELOW_PX)  # beyond that the sides are not asked
-    own_reach = k * np.sqrt((largest / SIGMAS) ** 2 + dilation_px2)
-    slopes = np.abs(pack_view(camera, dilation_px2)[19:23]).reshape(2, 2).max(axis=1)
-    near = np.array([0, 0, 0, camera.near])
+    own_reach = k * math.sqrt((largest / SIGMAS) ** 2 + dilation_px2)
+    min_x, max_x, min_y, max_y = (pack_view(camera, dilation_px2) if view is None else view)[19:23].tolist()
+    slopes = max(abs(min_x), abs(max_x)), max(abs(min_y), abs(max_y))
     outside, inside, reach = [], [], []
     for axis, size in ((0, camera.width), (1, camera.height)):
-        focal, centre = camera.K[axis, axis], camera.K[axis, 2]
+        focal, centre = float(camera.K[axis, axis]), float(camera.K[axis, 2])
         margin = -0.5 if footprint else CENTRE_PAD * size / 2
         for sign, border in ((1, size - centre + margin), (-1, centre + margin)):
-            outside.append(sign * focal * axes[axis] - (border + own_reach + BORDER_PX) * z)
-            inside.append(sign * focal * axes[axis] - (border - BORDER_PX / 2) * z)
-            reach.append(1.002 * k * focal * np.sqrt(1 + slopes[axis] ** 2))
-    planes = [*outside, 0.99 * near - z, *inside, 1.01 * near - z, z]
+            outside.append(_plane(sign * focal, axes[axis], border + own_reach + BORDER_PX, z))
+            inside.append(_plane(sign * focal, axes[axis], border - BORDER_PX / 2, z))
+            reach.append(1.002 * k * focal * math.sqrt(1 + slopes[axis] ** 2))
+    near = [0.0, 0.0, 0.0, camera.near]
+    planes = [*outside, _plane(0.99, near, 1.0, z), *inside, _plane(1.01, near, 1.0, z), z]
     return np.array(planes, np.float64), np.array([*reach, 0.0])
+
+
+def _plane(a: float, x: list[float], b: float, y: list[float]) -> list[float]:
+    """a x − b y."""
+    return [a * one - b * other for one, other in zip(x, y, strict=True)]

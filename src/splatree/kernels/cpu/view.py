@@ -16,14 +16,18 @@ def pack_view(camera: Camera, dilation_px2: float) -> Float64[Array, "25"]:
     rotation, translation = camera.camera_from_world[:3, :3], camera.camera_from_world[:3, 3]
     # Not −Rᵀt: the rotation may be off by 1e-4, and then the pixels of far Gaussians would move.
     center = np.linalg.solve(rotation, -translation)
-    fx, fy, cx, cy = camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2]
-    before, after = np.array([cx / fx, cy / fy]), np.array([(camera.width - cx) / fx, (camera.height - cy) / fy])
-    margin = (FRUSTUM_CLAMP - 1.0) * (before + after) / 2
-    (min_x, min_y), (max_x, max_y) = -before - margin, after + margin
+    (fx, _, cx), (_, fy, cy), _ = camera.K.tolist()
     size = [camera.width, camera.height, camera.near]
-    slopes = [min_x, max_x, min_y, max_y]
+    slopes = [*_slopes(fx, cx, camera.width), *_slopes(fy, cy, camera.height)]
     limits = [max(dilation_px2, DILATION_MIN_PX2), SIGMA_MAX_PX / max(fx, fy)]
-    return np.array([*rotation.ravel(), *center, fx, fy, cx, cy, *size, *slopes, *limits], np.float64)
+    return np.array([*rotation.ravel().tolist(), *center.tolist(), fx, fy, cx, cy, *size, *slopes, *limits], np.float64)
+
+
+def _slopes(focal: float, centre: float, size: int) -> tuple[float, float]:
+    """The least and the largest slope x / z to which the Jacobian is clamped."""
+    before, after = centre / focal, (size - centre) / focal
+    margin = (FRUSTUM_CLAMP - 1.0) * (before + after) / 2
+    return -before - margin, after + margin
 
 
 def pack_square(options: ResolvedOptions) -> Float64[Array, "5"] | None:

@@ -217,16 +217,14 @@ class Device:
 
     def call(self, name: str, *arguments: Any, allowed: tuple[str, ...] = ()) -> int:
         """Call a function of the driver in the device's context; what it returned, 0 or an error that is allowed."""
-        with self._current():
-            code = self.driver.result_of(name, *arguments)
-            if code and code not in [NUMBERS[error] for error in allowed]:
-                raise self.driver.error(name, code)
-            return code
+        code = self._result_of(name, *arguments)
+        if code and code not in [NUMBERS[error] for error in allowed]:
+            raise self.driver.error(name, code)
+        return code
 
     def give_back(self, name: str, handle: Address | Handle) -> None:
         """Call a function that frees something; a context that has failed refuses, and its memory goes with it."""
-        with self._current():
-            self.driver.result_of(name, handle)
+        self._result_of(name, handle)
 
     @property
     def stream(self) -> Handle:
@@ -309,17 +307,15 @@ class Device:
         """Return when the device has done all that was enqueued."""
         self.call("cuStreamSynchronize", self.stream)
 
-    @contextmanager
-    def _current(self) -> Iterator[None]:
-        """With the context current in this thread, and what was current before afterwards."""
+    def _result_of(self, name: str, *arguments: Any) -> int:
+        """Call a function with the context current in this thread; what was current before is so again afterwards."""
         before = Handle()
         self.driver("cuCtxGetCurrent", ctypes.byref(before))
         if before.value == self._context.value:
-            yield
-            return
+            return self.driver.result_of(name, *arguments)
         self.driver("cuCtxSetCurrent", self._context)
         try:
-            yield
+            return self.driver.result_of(name, *arguments)
         finally:
             self.driver("cuCtxSetCurrent", before)
 

@@ -18,7 +18,7 @@ from splatree.kernels.cuda.sources import headers
 from splatree.scene.cameras import Camera
 from splatree.scene.options import ResolvedOptions, SelectOptions
 
-__all__ = ["COUNTERS", "array_dtypes", "pack_fields", "pack_job", "pack_numbers"]
+__all__ = ["COUNTERS", "array_dtypes", "fields_of", "pack_fields", "pack_job", "pack_numbers"]
 
 _DTYPES = {
     "double": (np.float64, 1),
@@ -35,7 +35,8 @@ _FRAME = ("cuda/job.h", "FrameJob")
 
 
 @cache
-def _fields(header: str, struct: str) -> tuple[tuple[tuple[str, str], ...], tuple[str, ...]]:
+def fields_of(header: str, struct: str) -> tuple[tuple[tuple[str, str], ...], tuple[str, ...]]:
+    """Arrays of a struct with their types, and its sizes, in their order."""
     body = headers()[header].split(f"struct {struct} {{")[1]
     arrays = re.findall(r"^  Global<(?:const )?([\w ]+)> (\w+);", body, re.M)
     return tuple((name, kind) for kind, name in arrays), tuple(re.findall(r"^  long long (\w+);", body, re.M))
@@ -54,7 +55,7 @@ COUNTERS = _counters()
 
 def array_dtypes() -> dict[str, tuple[np.dtype[np.generic], int]]:
     """Type and number of values of an element of each array of a job."""
-    return {name: (np.dtype(_DTYPES[kind][0]), _DTYPES[kind][1]) for name, kind in _fields(*_FRAME)[0]}
+    return {name: (np.dtype(_DTYPES[kind][0]), _DTYPES[kind][1]) for name, kind in fields_of(*_FRAME)[0]}
 
 
 def pack_job(numbers: bytes, pointers: Mapping[str, int], sizes: Mapping[str, int]) -> np.ndarray:
@@ -64,7 +65,7 @@ def pack_job(numbers: bytes, pointers: Mapping[str, int], sizes: Mapping[str, in
 
 def pack_fields(header: str, struct: str, pointers: Mapping[str, int], sizes: Mapping[str, int]) -> np.ndarray:
     """The bytes of a struct of arrays and sizes; those that are not named are 0."""
-    arrays, fields = _fields(header, struct)
+    arrays, fields = fields_of(header, struct)
     unknown = sorted((pointers.keys() - {name for name, _ in arrays}) | (sizes.keys() - set(fields)))
     assert not unknown, unknown
     words = [pointers.get(name, 0) for name, _ in arrays] + [sizes.get(name, 0) for name in fields]
@@ -81,9 +82,10 @@ def pack_numbers(
             f"device 'cuda': found {found}, wanted rule 'cut' without max_radius; use device 'cpu' for others"
         )
     dilation, threshold = options.dilation_px2, options.least_threshold
+    view = pack_view(camera, dilation)
     return bytes(
         _core.frame_numbers(
-            pack_view(camera, dilation),
+            view,
             options.threshold,
             options.area_power,
             threshold,
@@ -93,7 +95,7 @@ def pack_numbers(
             pack_rule(camera, select, dilation, threshold),
             VISIBILITIES.index(select.visibility),
             is_culled(select),
-            *view_planes(camera, select, dilation, threshold),
+            *view_planes(camera, select, dilation, threshold, view),
             min(options.sh_degree, degree),
             camera.width,
             camera.height,

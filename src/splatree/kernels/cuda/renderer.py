@@ -260,15 +260,17 @@ class Renderer:
             return  # the picture is there
         blend = self._blend[size]
         key = (sizes, blend)
+        graph = self._graphs.get(key)
+        if graph is not None:
+            graph.launch()
+            return
         launches = [launch for stage in _stages(sizes, blend).values() for launch in stage]
         if key in self._graphs:
-            graph = self._graphs[key]
-            if graph is None:
-                with self.device.recorded() as graphs:
-                    self._work.clear()
-                    self._work.run(launches)
-                graph = self._graphs[key] = graphs[0]
-            graph.launch()
+            with self.device.recorded() as graphs:
+                self._work.clear()
+                self._work.run(launches)
+            self._graphs[key] = graphs[0]
+            graphs[0].launch()
             return
         self._work.clear()
         self._work.run(launches)
