@@ -160,6 +160,33 @@ def test_the_rule_of_the_paper_does_lose_survivors(rule: Cull) -> None:
     assert lost_by(rule, "exact-inria", range(12))[0] > 0
 
 
+def test_survivors_of_the_published_rasterisers_are_those_of_our_squares_and_hold_those_of_our_ellipses() -> None:
+    squares, ellipses = st.RenderOptions(extent="3sigma", threshold=1e-30), st.RenderOptions()
+    counts = {"squares": 0, "differ": 0, "ellipses": 0}
+    for seed in range(6):
+        view = views(6, 20)[seed]
+        K = np.array(
+            [[view.K[0, 0], 0, 33.5], [0, view.K[1, 1], 22.5], [0, 0, 1]]
+        )  # their slopes are held about the middle
+        camera = st.Camera(view.camera_from_world, K, 67, 45)
+        scene = st.Scene.flat(gaussians(300, seed, log_scales=(-6, 0), spread=3.0))
+        drawn = {}
+        for name, options in (("squares", squares), ("ellipses", ellipses)):
+            drawn[name] = np.zeros(len(scene), bool)
+            select = st.SelectOptions(visibility="none", pixel_error=0)
+            drawn[name][st.trace(scene, camera, options, select).splats.rows] = True
+        inria, gsplat = (
+            survivors(scene.gaussians, camera, rule, ellipses.resolved(scene))
+            for rule in ("exact-inria", "exact-gsplat")
+        )
+        counts["squares"] += int(drawn["squares"].sum())
+        counts["differ"] += int((inria != drawn["squares"]).sum())
+        counts["ellipses"] += int(drawn["ellipses"].sum())
+        assert not (drawn["ellipses"] & ~gsplat).any()
+    assert counts["squares"] > 300 and counts["ellipses"] > 200
+    assert counts["differ"] <= 3
+
+
 def test_survivors_of_every_rasteriser_hold_what_is_plainly_in_view() -> None:
     scene = st.Scene.flat(gaussians(300, 8))
     camera = st.Camera.look_at((0, 0, -6), (0, 0, 0), width=64, height=48)
@@ -176,12 +203,15 @@ def test_survivors_of_every_rasteriser_hold_what_is_plainly_in_view() -> None:
     assert not any(survivors(scene.gaussians, behind, rule, options).any() for rule in RULES)
 
 
-def test_planes_meet_a_sphere_where_geometry_says() -> None:
-    # f = 50 px and 100 px across: the right border is the plane x = z, at distance (x − z) / √2.
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("side", [1, -1])
+def test_planes_meet_a_sphere_where_geometry_says(axis: int, side: int) -> None:
+    # f = 50 px and 100 px across: the right border is the plane x = z, at distance (x − z) / √2; and so the others.
     K = np.array([[50.0, 0, 50], [0, 50, 50], [0, 0, 1]])
     camera = st.Camera(np.eye(4), K, 100, 100)
     for distance, seen in ((0.99, True), (1.01, False)):
-        center = np.float32([[5 + distance / np.sqrt(2), 0, 5 - distance / np.sqrt(2)]])
+        center = np.zeros((1, 3), np.float32)
+        center[0, axis], center[0, 2] = side * (5 + distance / np.sqrt(2)), 5 - distance / np.sqrt(2)
         index = st.ClusterIndex(np.int32([0, 1]), center, *np.ones((3, 1), np.float32))
         assert cull(index, camera, "planes").kept[0] == seen
         # Eq. 3 leaves out what is farther than f R / Z px from the border: here x − z > 1, at a distance of 0.71.

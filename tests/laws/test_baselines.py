@@ -202,6 +202,15 @@ def test_lodge_draws_the_list_of_the_nearest_place():
     assert made.cut(between).tolist() == made.cut(cameras[0]).tolist()
 
 
+def test_methods_count_the_bytes_of_what_they_keep_beside_the_tree():
+    scene, camera = forest(4), Camera.look_at(np.array([0.0, 0, -60]), np.zeros(3))
+    made = {method: baseline(method, scene, [camera], BaselineOptions(chunks=1)) for method in get_args(Method)}
+    num_bands = min(BaselineOptions().bands, scene.tree.num_levels)
+    assert made["flod"].num_bytes == 4 * (num_bands + num_bands - 1)  # a depth a band, a distance between two
+    assert made["lodge"].num_bytes == made["lodge"].cut(camera).nbytes  # the one list
+    assert made["filtergs"].num_bytes == cpu_select.ancestor_table(scene.tree).nbytes
+
+
 def test_log_serial_loses_the_subtrees_of_roots_that_are_not_passed_on():
     scene, camera = forest(4), Camera.look_at(np.array([0.0, 0, -60]), np.zeros(3))
     roots = np.flatnonzero(scene.tree.depth == 0)

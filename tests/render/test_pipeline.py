@@ -1,4 +1,7 @@
 from dataclasses import replace
+from importlib import import_module
+from itertools import count
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -123,6 +126,19 @@ def test_a_frame_has_the_stage_cull_where_clusters_are_left_out() -> None:
         assert (frame.culling is not None) == culled
     with pytest.raises(st.InputError, match="found rule 'exact' for a scene without clusters"):
         st.trace(scene, CAMERA, OPTIONS, exact)
+
+
+def test_times_of_stages_are_milliseconds(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = count()
+    monkeypatch.setattr(
+        import_module("splatree.render.pipeline"),
+        "time",
+        SimpleNamespace(perf_counter=lambda: 0.5 * next(clock), process_time=lambda: 0.25 * next(clock)),
+    )
+    result = st.render(st.Scene.flat(cloud(20, 13)), CAMERA)
+    # A stage reads clock and processor before and after: two ticks between the readings of each, of ½ s and of ¼ s.
+    assert set(result.milliseconds.values()) == {1000.0}
+    assert set(result.cpu_milliseconds.values()) == {500.0}
 
 
 def test_mode_and_threshold_are_those_of_the_scene_unless_given() -> None:

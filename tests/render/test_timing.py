@@ -1,3 +1,6 @@
+from dataclasses import replace
+from importlib import import_module
+
 import numpy as np
 import pytest
 
@@ -42,6 +45,20 @@ def test_a_selector_takes_the_place_of_options(scene):
         return type(seen)(seen.rows[:10], "first ten", "none", 0.0)
 
     assert trace(scene, camera, select=first_ten).result.counters.num_selected == 10
+
+
+def test_culling_is_part_of_the_selection(scene, monkeypatch):
+    camera = orbit(scene, PathOptions(views=1, width=48, height=32))[0]
+    took = {"cull": 4.0, "select": 1.0, "project": 2.0, "bin": 3.0, "blend": 5.0}
+
+    def traced(*words, **named):
+        frame = trace(*words, **named)
+        return replace(frame, result=replace(frame.result, milliseconds=took, cpu_milliseconds=took))
+
+    monkeypatch.setattr(import_module("splatree.render.timing"), "trace", traced)
+    timing = time_frames(scene, [camera], views=1, warm_up=0)
+    assert timing.filter_ms == timing.ms["select"] == 5
+    assert timing.frame_cpu_ms == sum(took.values())
 
 
 def test_nothing_to_time_is_refused(scene):
