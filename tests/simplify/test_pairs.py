@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from splatree import Gaussians, InputError, MergeOptions, ThinOptions, thin
 from splatree.kernels.cpu import _core, pairs
 from splatree.kernels.reference import pairs as reference
-from splatree.simplify.pairs import merge_pairs, pixel_size_of
+from splatree.simplify.merge import weights_of
 
 
 def random_gaussians(n: int, seed: int, *, spread: float = 1.0, degree: int = 0) -> Gaussians:
@@ -31,15 +31,18 @@ def isa(request):
 @pytest.mark.parametrize("n", [2, 3, 9, 60])
 @pytest.mark.parametrize("dilation", [0.0, 0.01])
 @pytest.mark.parametrize("spread", [0.0, 0.1, 3.0])
-def test_partners_agree_with_the_reference(n, dilation, spread, isa):
+@pytest.mark.parametrize("hidden", [False, True])
+def test_partners_agree_with_the_reference(n, dilation, spread, hidden, isa):
     g = random_gaussians(n, seed=n, spread=spread)
-    weights = np.random.default_rng(1).uniform(0.1, 1, n).astype(np.float32)
+    rng = np.random.default_rng(1)
+    weights = rng.uniform(0.1, 1, n).astype(np.float32)
+    visibilities = rng.uniform(0.05, 1, n).astype(np.float32) if hidden else np.ones(n, np.float32)
     if spread == 0:  # which of more than 8 at one place are candidates is left open
         n = min(n, 9)
-        g, weights = g.take(np.arange(n)), weights[:n]
-    partner, costs, opacities = pairs.best_partners(g, weights, dilation=dilation)
-    expected = reference.best_partners(g, weights, dilation=dilation)
-    found, alphas = reference.pair_costs(g, weights, np.arange(n), partner, dilation=dilation)
+        g, weights, visibilities = g.take(np.arange(n)), weights[:n], visibilities[:n]
+    partner, costs, opacities = pairs.best_partners(g, weights, visibilities if hidden else None, dilation=dilation)
+    expected = reference.best_partners(g, weights, visibilities, dilation=dilation)
+    found, alphas = reference.pair_costs(g, weights, np.arange(n), partner, visibilities, dilation=dilation)
     # Float32 sums of terms of the size of what the two show, of which little may be left; exponentials are good to 1e-6.
     alpha = 1 / (1 + np.exp(-g.logit_opacities.astype(np.float64)))
     energy = alpha**2 * np.exp(2 * g.log_scales.max(axis=1)) * 40 + 40 * dilation
@@ -96,7 +99,7 @@ def test_twins_merge_first_and_cost_nothing():
     )
     thinned = thin(g, ThinOptions(count=50), mode="antialiased")
     np.testing.assert_array_equal(thinned.groups.group_from_row[:50], thinned.groups.group_from_row[50:])
-    np.testing.assert_allclose(thinned.gaussians.means, g.means[:50], rtol=1e-6)
+    np.testing.assert_allclose(thinned.gaussians.means[thinned.groups.group_from_row[:50]], g.means[:50], rtol=1e-6)
 
 
 def test_of_two_pairs_the_one_that_shows_less_merges():
@@ -116,8 +119,9 @@ def test_of_two_pairs_the_one_that_shows_less_merges():
 def test_all_at_one_place_become_one():
     g = random_gaussians(40, seed=6, spread=0.0)
     for mode in ("classic", "antialiased"):
-        merged, groups = merge_pairs(g, 1, ThinOptions(count=1), mode=mode)
-        assert len(merged) == 1 and len(groups.rows) == 40
+        thinned = thin(g, ThinOptions(count=1), mode=mode)
+        merged = thinned.gaussians
+        assert len(merged) == 1 and len(thinned.groups.rows) == 40
         assert np.isfinite(merged.log_scales).all() and np.isfinite(merged.logit_opacities).all()
 
 
@@ -157,10 +161,61 @@ def test_a_named_opacity_rule_is_kept():
     assert 1 / (1 + np.exp(-float(merged))) == pytest.approx(1 - np.prod(1 - alphas), rel=1e-6)
 
 
-def test_pixel_size_is_the_median_size():
-    g = random_gaussians(3, seed=8)
-    scales = np.sort(np.exp(g.log_scales.astype(np.float64)), axis=1)
-    assert pixel_size_of(g) == pytest.approx(np.median(np.sqrt(scales[:, 1] * scales[:, 2])), rel=1e-5)
+@pytest.mark.parametrize("opacity", [None, "fitted"])
+def test_a_pair_gets_the_fitted_opacity_in_a_classic_scene(opacity):
+    g = random_gaussians(2, seed=12)
+    options = ThinOptions(count=1, pixel_size=0.5, visibility=False, merge=MergeOptions(opacity=opacity))
+    thinned = thin(g, options, mode="classic")
+    _, alphas = reference.pair_costs(
+        *(g, weights_of(g, "opacity"), np.array([0]), np.array([1])), dilation=0.3 * 0.5**2
+    )
+    # The kernel's float32 opacity, good to about 1e-6.
+    assert 1 / (1 + np.exp(-float(thinned.gaussians.logit_opacities[0]))) == pytest.approx(alphas[0], rel=1e-5)
+    assert 1e-3 < alphas[0] < 0.99  # neither end of what is allowed
+
+
+def test_options_say_what_was_done():
+    g = random_gaussians(20, seed=13)
+    for mode, opacity, weight in (("classic", "fitted", "opacity"), ("antialiased", "optical", "opacity-area")):
+        thinned = thin(g, ThinOptions(count=5), mode=mode)
+        assert thinned.options.method == "pairs"
+        assert (thinned.options.merge.opacity, thinned.options.merge.weight) == (opacity, weight)
+        again = thin(g, thinned.options, mode=mode)
+        np.testing.assert_array_equal(again.gaussians.logit_opacities, thinned.gaussians.logit_opacities)
+
+
+def test_fitted_opacity_is_of_pairs_alone():
+    with pytest.raises(InputError, match="only thinning by pairs"):
+        thin(random_gaussians(20, seed=14), ThinOptions(radius=0.1, merge=MergeOptions(opacity="fitted")))
+
+
+def test_cost_falls_with_the_square_of_the_visibility():
+    g = random_gaussians(9, seed=15)
+    weights = np.ones(9, np.float32)
+    seen = pairs.best_partners(g, weights, np.ones(9, np.float32), dilation=0.0)
+    hidden = pairs.best_partners(g, weights, np.full(9, 0.25, np.float32), dilation=0.0)
+    np.testing.assert_array_equal(hidden[0], seen[0])
+    np.testing.assert_array_equal(hidden[1], seen[1] / 16)  # powers of two: exactly
+    np.testing.assert_array_equal(hidden[2], seen[2])
+
+
+def test_of_two_pairs_alike_the_hidden_one_merges():
+    """Opaque balls stand around the second pair, in each direction that is looked along; larger, they cost more to merge."""
+    around = [[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if x * x + y * y + z * z in (1, 3)]
+    means = np.concatenate([[[30, 0, 0], [30.05, 0, 0], [0, 0, 0], [0.05, 0, 0]], 3 * np.array(around)])
+    n = len(means)
+    small = np.arange(n) < 4
+    g = Gaussians(
+        means.astype(np.float32),
+        np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1)),
+        np.repeat(np.where(small, -3, 0), 3).reshape(n, 3).astype(np.float32),
+        np.where(small, 0, 5).astype(np.float32),
+        np.repeat(np.arange(n) % 2, 3).reshape(n, 1, 3).astype(np.float32),
+    )
+    groups = thin(g, ThinOptions(count=n - 1, pixel_size=1e-3), mode="classic").groups
+    np.testing.assert_array_equal(groups.rows[groups.start[:-1]][groups.sizes == 2], [2])
+    alike = thin(g, ThinOptions(count=n - 1, pixel_size=1e-3, visibility=False), mode="classic").groups
+    np.testing.assert_array_equal(alike.rows[alike.start[:-1]][alike.sizes == 2], [0])
 
 
 @pytest.mark.parametrize(

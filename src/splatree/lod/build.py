@@ -34,8 +34,8 @@ from splatree.scene.scene import Scene
 from splatree.scene.thinning import Importance, MergeOptions, Method, rules_of
 from splatree.shapes import Array
 from splatree.simplify.merge import check_finite, importance_of, weights_of
-from splatree.simplify.pairs import pixel_size_of
 from splatree.simplify.thin import auto_radius, linear_colors
+from splatree.simplify.visibility import pixel_size_of
 
 __all__ = ["BuildOptions", "build_lod"]
 

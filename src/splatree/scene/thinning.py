@@ -25,8 +25,8 @@ Weight = Literal["opacity", "opacity-scale", "opacity-area"]
 MergeRule = Literal["moments", "mean"]
 """`moments` keeps mass, mean and covariance of the group; `mean` averages axis by axis (the literal radius scheme)."""
 
-OpacityRule = Literal["standard", "optical", "union", "mass"]
-"""Opacity of a merged Gaussian; kernels/reference/merge.py has the equations."""
+OpacityRule = Literal["standard", "optical", "union", "mass", "fitted"]
+"""Opacity of a merged Gaussian; kernels/reference/merge.py has the equations, of `fitted` kernels/reference/pairs.py."""
 
 Position = Literal["centroid", "representative"]
 """Where a merged Gaussian stands."""
@@ -43,16 +43,18 @@ class MergeOptions:
     mode `antialiased`, whose splats keep their mass however small they get, else `opacity`."""
     opacity: OpacityRule | None = None
     """`union` 1 − Π(1 − α), `mass` Σ α A / A, `standard`: the larger of both, excess mass widens the Gaussian, or `optical`:
-    the group's optical depth is kept, and what a stack covers beyond one Gaussian widens it; None: `optical` in a scene of
-    mode `antialiased`, else `standard`."""
+    the group's optical depth is kept, and what a stack covers beyond one Gaussian widens it; `fitted`, of pairs alone: what
+    shows most nearly what the two showed, and excess mass widens; None: `optical` in a scene of mode `antialiased`, else
+    `fitted` for pairs and `standard` for larger groups."""
     position: Position = "centroid"
     """`centroid`, or the `representative`'s own place (then merged Gaussians keep the minimum distance)."""
     scale_bound: float | None = None
     """κ: no axis longer than κ times the members' weighted mean; None: 1.5 for `mean`, unbounded for `moments`."""
-    widening: float = 0.4
-    """`standard`: mass m > 1 over the merged area multiplies the scales by m to this power."""
+    widening: float | None = None
+    """`standard`, `fitted`: mass m > 1 over the merged area multiplies the scales by m to this power; None: 0.4, for
+    `fitted` 0.3."""
     mass_limit: float = 5.0
-    """`standard`: mass above this is not drawn."""
+    """`standard`, `fitted`: mass above this is not drawn."""
     dilation: float | None = None
     """Added to variances where areas are compared, in units of the merged σ_max²; None: what the renderer's dilation amounts
     to where a node is drawn, for the levels of a scene of mode `classic`, else 0."""
@@ -62,17 +64,25 @@ class MergeOptions:
             raise InputError(f"scale_bound: found {self.scale_bound}, wanted more than 0, or none")
         if not self.mass_limit >= 1:
             raise InputError(f"mass_limit: found {self.mass_limit}, wanted 1 or more")
-        if not (self.widening >= 0 and (self.dilation is None or self.dilation >= 0)):
+        if not all(value is None or value >= 0 for value in (self.widening, self.dilation)):
             raise InputError(f"widening, dilation: found {self.widening}, {self.dilation}, wanted 0 or more")
 
-    def resolved(self, mode: Mode, *, growth: float | None = None) -> "MergeOptions":
+    def resolved(self, mode: Mode, *, growth: float | None = None, of_pairs: bool = False) -> "MergeOptions":
         """The options with what follows from the mode of the scene, for levels that grow by ``growth`` or for one thinning.
+
+        ``of_pairs``: groups are pairs whose cost is known, which gives the `fitted` opacity.
 
         `antialiased` splats keep their mass at any distance, so true areas weigh and compare. `classic` ones are dilated by
         0.3 px². A node is drawn from where σ² + 0.3 = 1 px² (3 σ is τ_R = 3 px) to g times as far, where its parent takes
         over; in the middle, at p² = g σ² / 0.7, the dilation is 0.3 p², which makes all small members count alike. A scene
         that is thinned once has no such distance.
+
+        Raises:
+            InputError: `fitted` opacity of larger groups.
         """
+        if self.opacity == "fitted" and not of_pairs:
+            others = ", ".join(rule for rule in get_args(OpacityRule) if rule != "fitted")
+            raise InputError(f"opacity: found 'fitted', wanted one of {others}: only thinning by pairs fits it")
         classic = mode == "classic"
         dilation = 0.0
         if classic and growth is not None:
@@ -81,9 +91,16 @@ class MergeOptions:
         return dataclasses.replace(
             self,
             weight=self.weight or ("opacity" if classic else "opacity-area"),
-            opacity=self.opacity or ("standard" if classic else "optical"),
+            opacity=self.opacity or ("optical" if not classic else "fitted" if of_pairs else "standard"),
             dilation=dilation if self.dilation is None else self.dilation,
         )
+
+    @property
+    def power(self) -> float:
+        """`widening` as a number."""
+        if self.widening is not None:
+            return self.widening
+        return 0.3 if self.opacity == "fitted" else 0.4
 
     @property
     def bound(self) -> float:
@@ -117,6 +134,8 @@ class ThinOptions:
     """`radius`: ρ, the distance in linear RGB (DC colour) that counts as much as r in space; None: colour keeps nothing apart."""
     pixel_size: float | None = None
     """`pairs` in mode `classic`: width of a pixel, world units, where the scene is seen; None: as its median Gaussian."""
+    visibility: bool = True
+    """`pairs`: what others hide from all around counts less; False: all count alike."""
     merge: MergeOptions = field(default_factory=MergeOptions)
     """How a group becomes one Gaussian."""
 

@@ -5,6 +5,9 @@ takes the cheapest pairs that share no member, at most a quarter of the Gaussian
 differences count as much as they show, so this keeps what a view shows where `radius` keeps an even distance; near views
 gain most. A count is met exactly.
 
+What is hidden counts less (visibility.py), in the cost and in what a merged one looks like: a hidden Gaussian gives way to the
+one before it.
+
 A scene of mode `classic` is drawn with 0.3 px² added to each splat: what is lost, and how opaque a merged one has to be, depends
 on the size of a pixel. It is fixed once, for the distance at which the median Gaussian is a pixel wide.
 
@@ -25,9 +28,11 @@ from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Mode
 from splatree.scene.thinning import Groups, ThinOptions
+from splatree.shapes import Array, Float32
 from splatree.simplify.merge import weights_of
+from splatree.simplify.visibility import pixel_size_of, visibilities_of
 
-__all__ = ["merge_pairs", "pixel_size_of"]
+__all__ = ["merge_pairs"]
 
 ROUND_SHARE = 0.25
 """Pairs that a round merges at most, as a share of the Gaussians: those cheapest to merge twice get their turn."""
@@ -36,13 +41,13 @@ ROUND_SHARE = 0.25
 def merge_pairs(
     gaussians: Gaussians, count: int, options: ThinOptions, *, mode: Mode, threads: int = 0
 ) -> tuple[Gaussians, Groups]:
-    """``count`` Gaussians (at least 1), and the rows that each stands for.
+    """``count`` Gaussians (at least 1), and the rows that each stands for; of the options, ``merge`` is resolved.
 
     Raises:
         InputError: those that are left are too far apart to find neighbours.
     """
-    fitted = options.merge.opacity is None and mode == "classic"
-    merge_options = options.merge.resolved(mode)
+    merge_options = options.merge
+    fitted = merge_options.opacity == "fitted"
     dilation = 0.0
     if mode == "classic":
         dilation = DILATION_PX2 * (options.pixel_size or pixel_size_of(gaussians)) ** 2
@@ -50,9 +55,12 @@ def merge_pairs(
     representatives = group_from_row = np.arange(num_rows, dtype=np.int32)
     rounds = 0
     with task("merge pairs", math.log(max(1.0, num_rows / count))) as advance:
+        visibilities = _visibilities(gaussians, options, mode, threads) if count < num_rows else np.empty(0, np.float32)
         while num_left > count:
-            weights = weights_of(gaussians, merge_options.weight or "opacity")
-            partner, costs, opacities = kernel.best_partners(gaussians, weights, dilation=dilation, threads=threads)
+            weights = weights_of(gaussians, merge_options.weight or "opacity") * visibilities
+            partner, costs, opacities = kernel.best_partners(
+                gaussians, weights, visibilities, dilation=dilation, threads=threads
+            )
             most = min(num_left - count, int(ROUND_SHARE * num_left) + 1)
             pairs = group(kernel.match_pairs(partner, costs, most, threads=threads))
             if len(pairs) == num_left:
@@ -61,6 +69,7 @@ def merge_pairs(
                     f"wanted {count}; move or scale the scene"
                 )
             gaussians = merge_kernel.merge(gaussians, pairs, weights, merge_options, threads=threads)
+            visibilities = _means_of_pairs(visibilities, pairs, weights)
             if fitted:
                 is_pair = pairs.sizes == 2
                 alphas = opacities[pairs.representatives[is_pair]].astype(np.float64)
@@ -76,8 +85,16 @@ def merge_pairs(
     return gaussians, groups
 
 
-def pixel_size_of(gaussians: Gaussians) -> float:
-    """The median over all Gaussians of √(σ₁ σ₂), the two largest axes: world units."""
-    x, y, z = gaussians.log_scales.T
-    largest_two = x + y + z - np.minimum(np.minimum(x, y), z)
-    return float(np.exp(np.median(largest_two) / 2)) if len(gaussians) else 1.0
+def _visibilities(gaussians: Gaussians, options: ThinOptions, mode: Mode, threads: int) -> Float32[Array, "n"]:
+    if not options.visibility:
+        return np.ones(len(gaussians), np.float32)
+    visibilities = visibilities_of(gaussians, threads=threads)
+    # `optical` opacity counts what is hidden, too; with the root, what is seen stays in proportion to it.
+    return visibilities if mode == "classic" else np.sqrt(visibilities)
+
+
+def _means_of_pairs(values: Float32[Array, "n"], pairs: Groups, weights: Float32[Array, "n"]) -> Float32[Array, "g"]:
+    """Weighted mean of the values of each pair; those of a group of one as they are."""
+    first, last = pairs.rows[pairs.start[:-1]], pairs.rows[pairs.start[1:] - 1]
+    share = weights[last] / (weights[first] + weights[last])
+    return np.asarray(np.where(first == last, values[first], values[first] + share * (values[last] - values[first])))

@@ -68,8 +68,9 @@ def thin(
         count = max(1, round(options.keep * len(gaussians)))
     method = options.method or ("radius" if count is None else "pairs")
     if method == "pairs" and count is not None:
+        options = dataclasses.replace(options, method=method, merge=options.merge.resolved(mode, of_pairs=True))
         merged, groups = merge_pairs(gaussians, count, options, mode=mode, threads=threads)
-        return Thinned(merged, groups, None, dataclasses.replace(options, method=method))
+        return Thinned(merged, groups, None, options)
     options = dataclasses.replace(options, method=method, merge=options.merge.resolved(mode))
     space = _Space(gaussians, options, threads)
     with task("thin", 3) as advance:

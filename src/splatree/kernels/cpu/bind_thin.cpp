@@ -11,6 +11,7 @@
 #include "cpu/merge.h"
 #include "cpu/pairs.h"
 #include "cpu/thin.h"
+#include "cpu/visibility.h"
 
 namespace splatree {
 namespace {
@@ -70,15 +71,23 @@ void bind_thin(nb::module_& m) {
                             queries.data(), edge, distances.data(), threads);
         });
   m.def("best_partners", [](In<float> means, In<float> quats, In<float> log_scales, In<float> logit_opacities, In<float> sh,
-                            In<float> weights, double dilation, Out<int32_t> partner_from_row, Out<float> costs,
-                            Out<float> opacities, std::optional<In<uint8_t>> wanted, std::optional<Out<float>> sigmas,
-                            int threads) {
+                            In<float> weights, std::optional<In<float>> visibilities, double dilation,
+                            Out<int32_t> partner_from_row, Out<float> costs, Out<float> opacities,
+                            std::optional<In<uint8_t>> wanted, std::optional<Out<float>> sigmas, int threads) {
     PairJob job{static_cast<int64_t>(means.shape(0)), means.data(), quats.data(), log_scales.data(),
-                logit_opacities.data(), sh.data(), weights.data(), static_cast<int64_t>(sh.shape(1)), dilation,
-                partner_from_row.data(), costs.data(), opacities.data(), threads,
-                wanted ? wanted->data() : nullptr, sigmas ? sigmas->data() : nullptr};
+                logit_opacities.data(), sh.data(), weights.data(), visibilities ? visibilities->data() : nullptr,
+                static_cast<int64_t>(sh.shape(1)), dilation, partner_from_row.data(), costs.data(), opacities.data(),
+                threads, wanted ? wanted->data() : nullptr, sigmas ? sigmas->data() : nullptr};
     nb::gil_scoped_release release;
     best_partners(job);
+  });
+  m.def("measure_visibilities", [](In<float> means, In<float> quats, In<float> log_scales, In<float> logit_opacities,
+                                   In<double> middle, double cell, double reach, int64_t width, Out<float> visibilities,
+                                   int threads) {
+    const VisibilityJob job{static_cast<int64_t>(means.shape(0)), means.data(), quats.data(), log_scales.data(),
+                            logit_opacities.data(), middle.data(), cell, reach, width, visibilities.data(), threads};
+    nb::gil_scoped_release release;
+    measure_visibilities(job);
   });
   m.def("match_pairs", [](In<int32_t> partner_from_row, In<float> costs, int64_t max_pairs,
                           Out<int32_t> representative_from_row, int threads) {

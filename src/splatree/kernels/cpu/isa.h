@@ -31,6 +31,7 @@ struct NearestCentres;
 struct AxesJob;
 struct SpheresJob;
 struct CullJob;
+struct SightJob;
 
 // Every vector kernel: what it returns, its name, its arguments.
 #define SPLATREE_KERNELS(kernel)                                                                               \
@@ -56,7 +57,8 @@ struct CullJob;
   kernel(void, pack_chunk, (const PackedJob& job, int64_t chunk))                                              \
   kernel(void, unpack_chunk, (const PackedJob& job, int64_t chunk))                                            \
   kernel(void, bound_spheres, (const SpheresJob& job, int64_t begin, int64_t end))                             \
-  kernel(void, cull_spheres, (const CullJob& job, int64_t begin, int64_t end))
+  kernel(void, cull_spheres, (const CullJob& job, int64_t begin, int64_t end))                                 \
+  kernel(void, see_through, (const SightJob& job))
 
 struct Kernels {
   const char* isa;

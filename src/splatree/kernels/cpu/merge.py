@@ -19,7 +19,8 @@ def merge(
     opacities: Float32[Array, "g"] | None = None,
     threads: int = 0,
 ) -> Gaussians:
-    """One Gaussian for each group, in the order of the groups; ``options`` resolved.
+    """One Gaussian for each group, in the order of the groups; ``options`` resolved. `fitted` is `standard` here:
+    the caller has the opacities.
 
     Where ``opacities`` is above 0, it is what a group of two or more gets in place of the rule's.
     """
@@ -31,7 +32,7 @@ def merge(
         *(gaussians.means, gaussians.quats, gaussians.log_scales, gaussians.logit_opacities, gaussians.sh),
         *(weights, groups.start, groups.rows, groups.representatives),
         *(options.rule, options.opacity, options.position == "representative"),
-        *(options.bound, options.widening, options.mass_limit, options.dilation or 0.0, opacities),
+        *(options.bound, options.power, options.mass_limit, options.dilation or 0.0, opacities),
         *(out.means, out.quats, out.log_scales, out.logit_opacities, out.sh),
         threads,
     )

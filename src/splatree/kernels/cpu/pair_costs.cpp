@@ -38,14 +38,15 @@ SPLATREE_FN Overlaps overlaps_in(Plane p, Plane q, Plane m, float share, float u
 
 PairCost cheapest_pair(const PairCandidates& pair) {
   const PairRecord& p = *pair.self;
-  const float unit = 1.f / p.length, unit2 = unit * unit;
-  alignas(64) float d[3][kLanes], s[6][kLanes], color[3][kLanes], opacity[kLanes], weight[kLanes], energy[kLanes];
+  const float length = __builtin_sqrtf(p.covariance[0] + p.covariance[3] + p.covariance[5]);  // the unit of all lengths
+  const float unit = 1.f / length, unit2 = unit * unit;
+  alignas(64) float d[3][kLanes], s[6][kLanes], color[3][kLanes], opacity[kLanes], weight[kLanes], energy[kLanes], visibility[kLanes];
   for (int l = 0; l < kLanes; ++l) {
     const PairRecord& q = *pair.others[l];
     for (int a = 0; a < 3; ++a) d[a][l] = (q.mean[a] - p.mean[a]) * unit;
     for (int a = 0; a < 6; ++a) s[a][l] = q.covariance[a] * unit2;
     for (int a = 0; a < 3; ++a) color[a][l] = q.color[a];
-    opacity[l] = q.opacity, weight[l] = q.weight, energy[l] = q.energy;
+    opacity[l] = q.opacity, weight[l] = q.weight, energy[l] = q.energy, visibility[l] = q.visibility;
   }
   float own[6];
   for (int a = 0; a < 6; ++a) own[a] = p.covariance[a] * unit2;
@@ -72,10 +73,11 @@ PairCost cheapest_pair(const PairCandidates& pair) {
     const float in_common = p.opacity * (1.f + r * rm + g * gm + b * bm) * pm +
                             opacity[l] * (1.f + r2 * rm + g2 * gm + b2 * bm) * qm;
     const float of_one = (1.f + rm * rm + gm * gm + bm * bm) * mm;
-    const float best = least(greatest(in_common / of_one, 1e-4f), 0.999f);
-    opacities[l] = best;
+    const float visible = rest * p.visibility + share * visibility[l];
+    const float best = least(greatest(in_common / of_one, 1e-4f * visible), 0.999f * visible);
+    opacities[l] = best / visible;
     // Sizes that differ more than the squares of float32 have no cost: they are merged last.
-    costs[l] = least((of_pair - 2.f * best * in_common + best * best * of_one) * (p.length * p.length), 3e38f);
+    costs[l] = least((of_pair - 2.f * best * in_common + best * best * of_one) * (length * length), 3e38f);
   }
   PairCost cheapest{0, costs[0], opacities[0]};
   for (int l = 1; l < pair.count; ++l)

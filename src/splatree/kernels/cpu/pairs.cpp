@@ -119,15 +119,12 @@ PairRecord record_of(const PairJob& job, int64_t row) {
   const float R[3][3] = {{1 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y)},
                          {s * (x * y + w * z), 1 - s * (x * x + z * z), s * (y * z - w * x)},
                          {s * (x * z - w * y), s * (y * z + w * x), 1 - s * (x * x + y * y)}};
-  float trace = 0;
   for (int i = 0, k = 0; i < 3; ++i)
-    for (int j = i; j < 3; ++j, ++k) {
+    for (int j = i; j < 3; ++j, ++k)
       r.covariance[k] = R[i][0] * R[j][0] * variance[0] + R[i][1] * R[j][1] * variance[1] +
                         R[i][2] * R[j][2] * variance[2] + (i == j ? added : 0);
-      if (i == j) trace += r.covariance[k];
-    }
-  r.length = std::sqrt(trace);
-  r.opacity = 1 / (1 + std::exp(-job.logit_opacities[row]));
+  r.visibility = job.visibilities ? job.visibilities[row] : 1;
+  r.opacity = r.visibility / (1 + std::exp(-job.logit_opacities[row]));
   r.weight = job.weights[row];
   float color2 = 1;
   for (int c = 0; c < 3; ++c) {

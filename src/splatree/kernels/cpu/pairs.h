@@ -12,15 +12,16 @@ struct PairRecord {
   float mean[3];
   float covariance[6];  // xx xy xz yy yz zz, dilated
   float color[3];       // linear RGB
-  float opacity, weight;
+  float opacity;        // times the visibility
+  float visibility, weight;
   float energy;  // α² |(c, 1)|² Σ √det over the three coordinate planes: what it shows, squared
-  float length;  // √trace of the covariance: the unit in which a pair is computed
 };
 static_assert(sizeof(PairRecord) == 64, "one cache line");
 
 struct PairJob {
   int64_t n;
   const float *means, *quats, *log_scales, *logit_opacities, *sh, *weights;
+  const float* visibilities;  // null: all 1
   int64_t k;        // harmonics of a channel
   double dilation;  // variance added to every axis, world units²
   int32_t* partner_from_row;  // out: the neighbour that costs least; -1 if there is none

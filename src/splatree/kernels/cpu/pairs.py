@@ -12,14 +12,22 @@ __all__ = ["Partners", "best_partners", "match_pairs"]
 
 
 def best_partners(
-    gaussians: Gaussians, weights: Float32[Array, "n"], *, dilation: float, threads: int = 0
+    gaussians: Gaussians,
+    weights: Float32[Array, "n"],
+    visibilities: Float32[Array, "n"] | None = None,
+    *,
+    dilation: float,
+    threads: int = 0,
 ) -> tuple[Int32[Array, "n"], Float32[Array, "n"], Float32[Array, "n"]]:
-    """Each row's cheapest partner (−1 if it is alone), the cost, and the opacity of the two merged."""
+    """Each row's cheapest partner (−1 if it is alone), the cost, and the opacity of the two merged.
+
+    Without ``visibilities`` all are seen whole.
+    """
     n = len(gaussians)
     partner, costs, opacities = np.empty(n, np.int32), np.empty(n, np.float32), np.empty(n, np.float32)
     _core.best_partners(
         *(gaussians.means, gaussians.quats, gaussians.log_scales, gaussians.logit_opacities, gaussians.sh),
-        *(weights, dilation, partner, costs, opacities, None, None, threads),
+        *(weights, visibilities, dilation, partner, costs, opacities, None, None, threads),
     )
     return partner, costs, opacities
 
@@ -47,6 +55,7 @@ class Partners:
         wanted: Bool[Array, "n"],
         gaussians: Gaussians,
         weights: Float32[Array, "n"],
+        visibilities: Float32[Array, "n"] | None = None,
         *,
         dilation: float,
         threads: int = 0,
@@ -54,7 +63,8 @@ class Partners:
         """Find the partners of the rows that are ``wanted``, in place; the others stay as they are."""
         _core.best_partners(
             *(gaussians.means, gaussians.quats, gaussians.log_scales, gaussians.logit_opacities, gaussians.sh),
-            *(weights, dilation, self.rows, self.costs, self.opacities, wanted.view(np.uint8), self.sigmas, threads),
+            *(weights, visibilities, dilation, self.rows, self.costs, self.opacities),
+            *(wanted.view(np.uint8), self.sigmas, threads),
         )
 
 

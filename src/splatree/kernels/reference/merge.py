@@ -131,7 +131,7 @@ def _merge_opacity(
     if options.opacity == "mass":
         return mass_logit, 0.0
     logit = mass_logit if mass > -np.expm1(log_through) else min(union_logit, limit)
-    return logit, options.widening * float(np.log(min(mass, options.mass_limit))) if mass > 1 else 0.0
+    return logit, options.power * float(np.log(min(mass, options.mass_limit))) if mass > 1 else 0.0
 
 
 def mean_projected_area(variances: Array) -> float:

@@ -9,8 +9,8 @@ along the three axes of the world, and α_m is what makes it least:
 with the overlap ⟨1 2⟩ = ∫ G₁ G₂ / π = 2 √(|S₁| |S₂| / |S|) exp(−½ dᵀ S⁻¹ d), S = S₁ + S₂, over the 2 × 2 blocks of the
 covariances. What the renderer adds to each splat is added to all three; without it a scene of mode `classic` would lose the
 small Gaussians that it draws a pixel wide. A Gaussian thinner than 1/256 of its length counts as that thick, and a
-determinant is at least 1e-6 of the product of its diagonal: float32 then holds all of it. What lies in front or behind plays
-no part.
+determinant is at least 1e-6 of the product of its diagonal: float32 then holds all of it. What others hide (visibility.py)
+counts less: each α stands for its product with the visibility, of which m has the weighted mean.
 
 Candidates are the 8 nearest rows by the distance of their means. Cost: O(n²) here.
 """
@@ -34,7 +34,11 @@ PLANES = ((0, 1), (0, 2), (1, 2))
 
 
 def best_partners(
-    gaussians: Gaussians, weights: Float32[Array, "n"], *, dilation: float
+    gaussians: Gaussians,
+    weights: Float32[Array, "n"],
+    visibilities: Float32[Array, "n"] | None = None,
+    *,
+    dilation: float,
 ) -> tuple[Int32[Array, "n"], Float32[Array, "n"], Float32[Array, "n"]]:
     """Each row's cheapest partner (−1 if it is alone), the cost, and the opacity of the two merged."""
     n = len(gaussians)
@@ -45,14 +49,22 @@ def best_partners(
         apart[i] = np.inf
         nearest = np.argsort(apart, kind="stable")[: min(NUM_NEIGHBORS, n - 1)]
         if len(nearest):
-            found, alphas = pair_costs(gaussians, weights, np.full(len(nearest), i), nearest, dilation=dilation)
+            found, alphas = pair_costs(
+                gaussians, weights, np.full(len(nearest), i), nearest, visibilities, dilation=dilation
+            )
             best = int(np.argmin(found))
             partner[i], costs[i], opacities[i] = nearest[best], found[best], alphas[best]
     return partner, costs, opacities
 
 
 def pair_costs(
-    gaussians: Gaussians, weights: Float32[Array, "n"], first: Array, second: Array, *, dilation: float
+    gaussians: Gaussians,
+    weights: Float32[Array, "n"],
+    first: Array,
+    second: Array,
+    visibilities: Float32[Array, "n"] | None = None,
+    *,
+    dilation: float,
 ) -> tuple[Array, Array]:
     """Cost and merged opacity of each pair of rows; ``dilation`` is added to every variance, world units²."""
     scales = np.exp(gaussians.log_scales.astype(np.float64))
@@ -60,7 +72,8 @@ def pair_costs(
     covariances = covariances_from_gaussians(gaussians.quats, gaussians.log_scales) + thickness[:, None, None] * np.eye(
         3
     )
-    alphas = 1 / (1 + np.exp(-gaussians.logit_opacities.astype(np.float64)))
+    v = np.ones(len(gaussians)) if visibilities is None else visibilities.astype(np.float64)
+    alphas = v / (1 + np.exp(-gaussians.logit_opacities.astype(np.float64)))
     shown = np.maximum(gaussians.sh[:, 0].astype(np.float64) * SH_C0 + 0.5, 0)
     shown = np.concatenate([shown, np.ones((len(gaussians), 1))], axis=1)
 
@@ -82,8 +95,9 @@ def pair_costs(
     in_common = np.sum(shown_p * shown_m, axis=1) * _overlap(p, m, share * apart)
     in_common += np.sum(shown_q * shown_m, axis=1) * _overlap(q, m, (1 - share) * apart)
     of_one = np.sum(shown_m**2, axis=1) * _overlap(m, m, at_place)
-    alpha = np.clip(in_common / of_one, 1e-4, 0.999)
-    return of_pair - 2 * alpha * in_common + alpha**2 * of_one, alpha
+    visible = (1 - share[:, 0]) * v[first] + share[:, 0] * v[second]
+    alpha = np.clip(in_common / of_one, 1e-4 * visible, 0.999 * visible)
+    return of_pair - 2 * alpha * in_common + alpha**2 * of_one, alpha / visible
 
 
 def _overlap(first: Array, second: Array, apart: Array) -> Array:

@@ -1,0 +1,53 @@
+"""How much of each Gaussian is seen, for thinning: what is hidden from everywhere is not worth a Gaussian.
+
+In a trained scene most Gaussians lie behind others; of a city half show less than a sixth of what they could. Spending few
+Gaussians on what is seen gains as much as half as many more would. The measure is kernels/reference/visibility.py's; here is
+the choice of its lengths from the scene. Cost: fourteen directions, about a microsecond a Gaussian.
+"""
+
+import numpy as np
+
+from splatree.kernels.cpu.visibility import measure_visibilities
+from splatree.scene.gaussians import Gaussians
+from splatree.shapes import Array, Float32
+
+__all__ = ["pixel_size_of", "visibilities_of"]
+
+CELL_SIZE = 4.0
+"""Edge of a cell, in sizes of the median Gaussian: from 3 to 6 the thinned city differs by less than 0.05 dB."""
+
+REACH = 0.1
+"""Distance after which what hides is forgotten, as a share of the scene's extent: a viewer may come as near."""
+
+VISIBILITY_MIN = 0.01
+"""Smallest visibility relative to the largest: a hidden Gaussian still has a place."""
+
+CELLS_PER_GAUSSIAN = 16
+"""Most cells of a plane, as a multiple of the Gaussians: in wider scenes cells become coarser."""
+
+NUM_SAMPLES = 1 << 16
+"""Rows whose means give the scene's extent."""
+
+
+def visibilities_of(gaussians: Gaussians, *, threads: int = 0) -> Float32[Array, "n"]:
+    """Visibilities relative to the 95th percentile, at most 1."""
+    n = len(gaussians)
+    sample = gaussians.means[:: n // NUM_SAMPLES + 1].astype(np.float64)
+    low, middle, high = np.quantile(sample, (0.02, 0.5, 0.98), axis=0)
+    extent = float(np.max(high - low))
+    cell = CELL_SIZE * pixel_size_of(gaussians)
+    width = 64
+    while width < 1.5 * extent / cell and 4 * width * width <= max(1 << 16, CELLS_PER_GAUSSIAN * n):
+        width *= 2
+    cell = max(cell, 1.5 * extent / width)
+    seen = measure_visibilities(
+        gaussians, middle, cell=cell, reach=REACH * extent or np.inf, width=width, threads=threads
+    )
+    return np.asarray(np.clip(seen / np.quantile(seen, 0.95), VISIBILITY_MIN, 1), np.float32)
+
+
+def pixel_size_of(gaussians: Gaussians) -> float:
+    """The median over all Gaussians of √(σ₁ σ₂), the two largest axes: world units."""
+    x, y, z = gaussians.log_scales.T
+    largest_two = x + y + z - np.minimum(np.minimum(x, y), z)
+    return float(np.exp(np.median(largest_two) / 2)) if len(gaussians) else 1.0
