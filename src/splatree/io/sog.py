@@ -275,10 +275,12 @@ def _palette(sog: _Meta, image: Array) -> tuple[int, Array]:
 
 def _image(where: str, data: bytes) -> Array:
     """Decode a picture to "h w c" uint8, c = 3 or 4."""
-    from PIL import Image
+    from PIL import Image, PngImagePlugin, WebPImagePlugin
 
+    # Not Image.open, which loads the readers of all formats first.
+    plugin = PngImagePlugin.PngImageFile if data[:4] == b"\x89PNG" else WebPImagePlugin.WebPImageFile
     try:
-        with Image.open(BytesIO(data), formats=("WEBP", "PNG")) as image:
+        with plugin(BytesIO(data)) as image:
             if image.width * image.height > max(4 * _GAUSSIANS_ALWAYS, 2 * _GAUSSIANS_PER_BYTE * len(data)):
                 raise FormatError(
                     f"{where}: found a picture of {image.width} × {image.height} px in {len(data)} bytes: "

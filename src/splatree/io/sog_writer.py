@@ -241,7 +241,9 @@ def _centroids(codes: Array) -> Array:
 def _webp(images: dict[str, Array]) -> dict[str, bytes]:
     from concurrent.futures import ThreadPoolExecutor
 
-    from PIL import Image
+    from PIL import Image, WebPImagePlugin
+
+    assert WebPImagePlugin  # loaded, so that saving does not load all formats to find it
 
     def packed(image: Array) -> bytes:
         buffer = io.BytesIO()
