@@ -1,27 +1,37 @@
 """Writing and reading SOG: cost, size and quality; the palette of harmonics against exact K-means.
 
-``python benchmarks/sog.py [--count 1000000] [--peer splat-transform]`` needs the shared city. Its harmonics come from palettes of
-others; so that they are like those of a training, noise of a third of their size is added to every coefficient. The peer writes
-the same rows without harmonics (degree 0): with them its processor path takes hours. Quality is PSNR against what was written,
-mean and least of eight views.
+``python benchmarks/sog.py [--count 1000000] [--peer splat-transform] [--gaussforge PYTHON]`` needs the shared city. Its harmonics
+come from palettes of others; so that they are like those of a training, noise of a third of their size is added to every
+coefficient. The peer writes the same rows without harmonics (degree 0): with them its processor path takes hours. Quality is PSNR
+against what was written, mean and least of eight views. "WebP alone" is what Pillow's libwebp takes to pack and unpack the same
+pictures at the same settings: no writer or reader that uses it can be cheaper than that.
+
+GaussForge (PyPI: gaussforge), in the Python that --gaussforge names, writes harmonics too; it gets ``--gaussforge-count`` rows,
+which take it minutes, and splatree the same.
 """
 
 import argparse
+import io
 import shutil
+import sys
 import tempfile
+import zipfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 import splatree
 from harness import DATA, measure, save, table
 from splatree import Scene
 from splatree.io.palette import find_palette
+from splatree.io.sog_writer import WEBP_METHOD, WEBP_QUALITY
 
 CITY = DATA / "trained" / "semarang_city"
 CHUNKS = ("5_1", "5_4", "5_7", "5_9")
 NOISE = 0.03
+OURS = "import sys; from splatree.io.convert import convert; convert(*sys.argv[1:])"
 SUBSET, ENTRIES, ROUNDS = 30_000, 2048, 8
 
 
@@ -71,10 +81,63 @@ def palette_rows(scene: Scene) -> list[dict[str, Any]]:
     ]
 
 
+def webp_alone(path: Path) -> dict[str, Any]:
+    """Packing and unpacking the pictures of a bundle, and nothing else."""
+    with zipfile.ZipFile(path) as bundle:
+        packed = [bundle.read(name) for name in bundle.namelist() if name.endswith(".webp")]
+    unpack = measure(lambda: [Image.open(io.BytesIO(data)).copy() for data in packed], repeat=3)
+
+    def pack() -> None:
+        for image in unpack.value:
+            image.save(io.BytesIO(), "WEBP", lossless=True, exact=True, method=WEBP_METHOD, quality=WEBP_QUALITY)
+
+    return {"CPU s": measure(pack).cpu_s, "read CPU s": unpack.cpu_s}
+
+
+GAUSSFORGE = """
+import sys, gaussforge
+source, target = sys.argv[1:]
+with open(source, "rb") as file:
+    done = gaussforge.GaussForge().convert(file.read(), "ply", "sog")
+if "error" in done:
+    sys.exit(done["error"])
+with open(target, "wb") as file:
+    file.write(done["data"])
+"""
+
+
+def gaussforge_rows(scene: Scene, python: str, count: int, folder: Path) -> list[dict[str, Any]]:
+    """GaussForge and splatree, each from the same .ply with harmonics."""
+    few = Scene.flat(scene.gaussians.take(np.arange(min(count, len(scene)))), mode=scene.mode)
+    splatree.write(few, folder / "few.ply")
+    rows = []
+    for name, command in (
+        ("GaussForge", [python, "-c", GAUSSFORGE, folder / "few.ply", folder / "gaussforge.sog"]),
+        ("splatree", [sys.executable, "-c", OURS, folder / "few.ply", folder / "ours.sog"]),
+    ):
+        cost, out = measure(command), Path(command[-1])
+        db = quality(few, splatree.read(out))
+        rows.append(
+            {
+                "work": f"{name}, degree 3, from .ply",
+                "Gaussians": len(few),
+                "CPU s": cost.cpu_s,
+                "wall s": cost.wall_s,
+                "peak MB": round(cost.peak_bytes / 1e6),
+                "MB": out.stat().st_size / 1e6,
+                "PSNR mean": float(db.mean()),
+                "PSNR least": float(db.min()),
+            }
+        )
+    return rows
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=1_000_000)
     parser.add_argument("--peer", default="splat-transform", help="command of the peer; left out if it is not there")
+    parser.add_argument("--gaussforge", default=None, help="a Python that has gaussforge; left out if it is not given")
+    parser.add_argument("--gaussforge-count", type=int, default=100_000)
     arguments = parser.parse_args()
     if not CITY.is_dir():
         raise SystemExit(f"needs the city at {CITY}")
@@ -100,6 +163,9 @@ def main() -> None:
                     "PSNR least": float(db.min()),
                 }
             )
+            rows.append({"work": f"WebP alone, degree {degree}", "Gaussians": len(s), **webp_alone(path)})
+        if arguments.gaussforge:
+            rows += gaussforge_rows(scene, arguments.gaussforge, arguments.gaussforge_count, Path(folder))
         if tool := shutil.which(arguments.peer):
             ply, out = Path(folder) / "0.ply", Path(folder) / "peer.sog"
             splatree.write(flat_colour, ply)

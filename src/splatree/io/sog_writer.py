@@ -43,7 +43,8 @@ _WEIGHT_MIN = 1e-6
 """Of the mean weight: rows that no picture shows still have some place in the palette."""
 
 _ROUNDS, _ROUNDS_MAX = 3, 1000
-_WEBP_METHOD, _WEBP_QUALITY = 1, 0
+WEBP_METHOD, WEBP_QUALITY = 1, 0
+"""How hard libwebp tries: a tenth of its default's time, and hardly larger (docs/formats/sog.md)."""
 
 
 def write_chunks(chunks: Chunks, path: Path, options: WriteOptions) -> tuple[str, ...]:
@@ -247,7 +248,7 @@ def _webp(images: dict[str, Array]) -> dict[str, bytes]:
 
     def packed(image: Array) -> bytes:
         buffer = io.BytesIO()
-        options: dict[str, Any] = {"lossless": True, "exact": True, "method": _WEBP_METHOD, "quality": _WEBP_QUALITY}
+        options: dict[str, Any] = {"lossless": True, "exact": True, "method": WEBP_METHOD, "quality": WEBP_QUALITY}
         Image.fromarray(image).save(buffer, "WEBP", **options)
         return buffer.getvalue()
 
