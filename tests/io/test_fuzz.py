@@ -113,6 +113,8 @@ def check_chunks(found: Format, path: Path, repair: bool, scene: Scene | None) -
     """In chunks a file is refused, or holds what it holds whole."""
     try:
         chunks = found.read_chunks(path, ReadOptions(repair=repair))
+        if chunks is None:  # a file with levels
+            return
         sh = [part.sh.copy() for part in chunks]
     except SplatreeError:
         assert scene is None

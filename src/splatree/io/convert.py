@@ -19,7 +19,7 @@ from splatree.io.chunks import Chunks
 from splatree.io.inputs import find_inputs
 from splatree.io.joined import joined, joined_source
 from splatree.io.options import ReadOptions, WriteOptions
-from splatree.io.registry import Format, detect, format_to_write, read_one, write, write_chunks
+from splatree.io.registry import detect, format_to_write, read_one, write, write_chunks
 from splatree.progress import track
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Source
@@ -80,15 +80,9 @@ def convert(
     chosen = format_to_write(target)
     paths = [inputs] if isinstance(inputs, str | os.PathLike) else list(inputs)
     found = find_inputs([Path(p) for p in paths], lambda p: detect(p) is not None)
-    formats = [detect(path) for path in found]
-    if (
-        chosen.write_chunks is not None
-        and all(f is not None and f.read_chunks is not None for f in formats)
-        and options.read.level is None
-        and options.depth is None
-        and options.edit.order == "kept"
-    ):
-        return _in_chunks(found, formats, target, options, force)  # type: ignore[arg-type]  # none of them is None
+    by_rows = options.read.level is None and options.depth is None and options.edit.order == "kept"
+    if chosen.write_chunks is not None and by_rows and (parts := _opened(found, options.read)) is not None:
+        return _in_chunks(found, parts, target, options, force)
 
     scene = joined(read_one(path, options.read) for path in found)
     num_read = scene.tree.num_leaves
@@ -97,14 +91,22 @@ def convert(
     return _converted(num_read, scene.tree.num_leaves, scene.source.metadata, lost, in_chunks=False)
 
 
+def _opened(paths: Sequence[Path], options: ReadOptions) -> list[Chunks] | None:
+    """All inputs in chunks; None if one of them cannot be read so."""
+    parts = []
+    for path in paths:
+        found = detect(path)
+        chunks = None if found is None or found.read_chunks is None else found.read_chunks(path, options)
+        if chunks is None:
+            return None
+        parts.append(chunks)
+    return parts
+
+
 def _in_chunks(
-    paths: Sequence[Path], formats: Sequence[Format], target: Path, options: ConvertOptions, force: bool
+    paths: Sequence[Path], parts: Sequence[Chunks], target: Path, options: ConvertOptions, force: bool
 ) -> Converted:
-    opened = []
-    for path, found in zip(paths, formats, strict=True):
-        assert found.read_chunks is not None
-        opened.append(found.read_chunks(path, options.read))
-    chunks = _joined_chunks(opened, paths)
+    chunks = _joined_chunks(parts, paths)
     edited = _edited_chunks(chunks, options.edit)
     lost = write_chunks(edited, target, force=force, options=options.write)
     return _converted(len(chunks), len(edited), chunks.metadata, lost, in_chunks=True)

@@ -13,26 +13,34 @@ In a file with levels, an opacity a above 1 stands for D = 4 a − 3 and an expo
 `splatree.io.opacities`.
 
 Reading goes over the file twice: the links say where each row belongs, so that the other properties are decoded, chunk by chunk
-on all processors, into their places.
+and those of a chunk on all processors, into their places.
 """
 
-from dataclasses import replace
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from splatree.constants import SH_C0
+from splatree.constants import ALPHA_THRESHOLD, SH_C0
 from splatree.errors import FormatError
+from splatree.io.chunks import Chunks
 from splatree.io.levels import preorder_of_file, scene_with_levels
 from splatree.io.opacities import CODE_STEP, areas_of_powers, logits_from_opacities
 from splatree.io.options import ReadOptions
 from splatree.io.rad_container import MAGIC, RadChunk, RadFile, open_rad, values_of
+from splatree.io.rows import FileRows, Fill
 from splatree.kernels.cpu import _core
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Scene
 from splatree.shapes import Array
+
+if TYPE_CHECKING:
+    from concurrent.futures import ThreadPoolExecutor
 
 _OPAQUE_MAX = 5.0
 """Largest D."""
@@ -45,26 +53,20 @@ def sniff(path: Path, head: bytes) -> bool:
 
 def read(path: Path, options: ReadOptions) -> Scene:
     """Read all chunks, those in files beside it too; a tree keeps its levels."""
-    file = open_rad(path)
     from concurrent.futures import ThreadPoolExecutor
 
+    file = open_rad(path)
     n = file.count
-    gaussians = Gaussians(
-        np.empty((n, 3), np.float32),
-        np.empty((n, 4), np.float32),
-        np.empty((n, 3), np.float32),
-        np.empty(n, np.float32),
-        np.zeros((n, (file.degree + 1) ** 2, 3), np.float32),
-    )
-    with task(f"read {path.name}", n) as advance:
+    gaussians = _empty(n, file.degree)
+    with task(f"read {path.name}", n) as advance, ThreadPoolExecutor(_core.hardware_threads()) as pool:
         subtree_end, depth, row_from_node = _tree(file)
         palette = _palette(file) if n else None
         num_opaque = 0
-        with ThreadPoolExecutor(_core.hardware_threads()) as pool:
-            fill = partial(_fill, file, gaussians, palette, row_from_node)
-            for chunk, opaque in zip(file.chunks, pool.map(fill, file.chunks), strict=True):
-                num_opaque += opaque
-                advance(chunk.count)
+        for chunk in file.chunks:
+            nodes = slice(chunk.base, chunk.base + chunk.count)
+            rows = row_from_node[nodes] if file.has_levels else nodes
+            num_opaque += _fill(file, gaussians, palette, rows, chunk, pool)
+            advance(chunk.count)
     if file.joins_roots:
         gaussians = Gaussians(
             *(getattr(gaussians, c)[1:] for c in ("means", "quats", "log_scales", "logit_opacities", "sh"))
@@ -77,6 +79,52 @@ def read(path: Path, options: ReadOptions) -> Scene:
     if file.comment:
         metadata["comment"] = file.comment
     return replace(scene, threshold=file.threshold, source=replace(scene.source, metadata=metadata))
+
+
+def read_chunks(path: Path, options: ReadOptions) -> Chunks | None:
+    """The same values in chunks; None for a file with levels, opacities above 1 or a τ of its own, which is read as a whole."""
+    file = open_rad(path)
+    if file.has_levels or file.has_lod_opacities or file.threshold != ALPHA_THRESHOLD:
+        return None
+    ends = np.cumsum([chunk.count for chunk in file.chunks], dtype=np.int64)
+
+    @contextmanager
+    def start() -> Iterator[Fill]:
+        from concurrent.futures import ThreadPoolExecutor
+
+        palette = _palette(file) if file.count else None
+        decoded, number = _empty(0, file.degree), -1
+
+        with ThreadPoolExecutor(_core.hardware_threads()) as pool:
+
+            def fill(begin: int, out: Gaussians) -> None:
+                nonlocal decoded, number
+                done = 0
+                while done < len(out):
+                    wanted = int(np.searchsorted(ends, begin + done, side="right"))
+                    chunk = file.chunks[wanted]
+                    if wanted != number:
+                        if len(decoded) < chunk.count:
+                            decoded = _empty(chunk.count, file.degree)
+                        _fill(file, decoded, palette, slice(0, chunk.count), chunk, pool)
+                        number = wanted
+                    first = begin + done - chunk.base
+                    count = min(len(out) - done, chunk.count - first)
+                    for column in fields(out):
+                        rows = getattr(decoded, column.name)[first : first + count]
+                        getattr(out, column.name)[done : done + count] = rows
+                    done += count
+
+            yield fill
+
+    metadata = {"comment": file.comment} if file.comment else {}
+    return FileRows(str(path), file.count, file.degree, start, file.mode, metadata).chunks(options)
+
+
+def _empty(num_rows: int, degree: int) -> Gaussians:
+    k = (degree + 1) ** 2
+    shapes = ((num_rows, 3), (num_rows, 4), (num_rows, 3), (num_rows,), (num_rows, k, 3))
+    return Gaussians(*(np.empty(shape, np.float32) for shape in shapes))
 
 
 def _tree(file: RadFile) -> tuple[Array, Array, Array]:
@@ -110,17 +158,26 @@ def _palette(file: RadFile) -> Array | None:
     return np.concatenate([values_of(first, name, file.num_codes) for name in names], axis=1)
 
 
-def _fill(file: RadFile, g: Gaussians, palette: Array | None, row_from_node: Array, chunk: RadChunk) -> int:
-    """Decode a chunk into its rows; return how many of its opacities were above 1."""
-    missing = [name for name in ("center", "alpha", "rgb", "scales", "orientation") if name not in chunk.properties]
+def _fill(
+    file: RadFile,
+    g: Gaussians,
+    palette: Array | None,
+    rows: Array | slice,
+    chunk: RadChunk,
+    pool: "ThreadPoolExecutor",
+) -> int:
+    """Decode a chunk into these rows, its properties on all processors; return how many of its opacities were above 1."""
+    harmonics = [f"sh{order}" for order in range(1, file.degree + 1)] if palette is None else ["sh_label"]
+    names = ["center", "alpha", "rgb", "scales", "orientation", *harmonics]
+    missing = [name for name in names if name not in chunk.properties]
     if missing:
-        raise FormatError(f"{chunk.where}: found no {missing[0]}, wanted it in every chunk")
-    nodes = slice(chunk.base, chunk.base + chunk.count)
-    rows = row_from_node[nodes] if file.has_levels else nodes
-    g.means[rows] = values_of(chunk, "center")
-    g.quats[rows] = values_of(chunk, "orientation")
-    g.sh[rows, 0] = (values_of(chunk, "rgb") - np.float32(0.5)) / np.float32(SH_C0)
-    log_scales, alphas = values_of(chunk, "scales"), values_of(chunk, "alpha")[:, 0]
+        why = {"sh_label": "for the palette of the first chunk"}.get(missing[0], "in every chunk")
+        raise FormatError(f"{chunk.where}: found no {missing[0]}, wanted it {why}")
+    values = dict(zip(names, pool.map(partial(values_of, chunk), names), strict=True))
+    g.means[rows] = values["center"]
+    g.quats[rows] = values["orientation"]
+    g.sh[rows, 0] = (values["rgb"] - np.float32(0.5)) / np.float32(SH_C0)
+    log_scales, alphas = values["scales"], values["alpha"][:, 0]
     num_opaque = 0
     if file.has_lod_opacities:
         above = np.flatnonzero(alphas > 1)
@@ -134,9 +191,7 @@ def _fill(file: RadFile, g: Gaussians, palette: Array | None, row_from_node: Arr
 
     rest = g.sh.reshape(len(g), -1)
     if palette is not None:
-        if "sh_label" not in chunk.properties:
-            raise FormatError(f"{chunk.where}: found no sh_label, wanted one for the palette of the first chunk")
-        labels = values_of(chunk, "sh_label")[:, 0]
+        labels = values["sh_label"][:, 0]
         if len(labels) and int(labels.max()) >= len(palette):
             raise FormatError(
                 f"{chunk.where}: sh_label: found {labels.max()}, wanted less than the {len(palette)} entries"
@@ -144,8 +199,5 @@ def _fill(file: RadFile, g: Gaussians, palette: Array | None, row_from_node: Arr
         rest[rows, 3:] = palette[labels]
         return num_opaque
     for order in range(1, file.degree + 1):
-        name = f"sh{order}"
-        if name not in chunk.properties:
-            raise FormatError(f"{chunk.where}: found no {name}, wanted harmonics of degree {file.degree}")
-        rest[rows, 3 * order * order : 3 * (order + 1) ** 2] = values_of(chunk, name)
+        rest[rows, 3 * order * order : 3 * (order + 1) ** 2] = values[f"sh{order}"]
     return num_opaque

@@ -71,8 +71,8 @@ class Format:
     """As ``write_chunks``, but write a folder, given the path of its meta.json; None: there is no such form."""
     write_chunks: Callable[[Chunks, Path, WriteOptions], tuple[str, ...]] | None = None
     """As ``write``, of chunks of a scene without levels; takes its place if there is none. None too: the format is only read."""
-    read_chunks: Callable[[Path, ReadOptions], Chunks] | None = None
-    """Open a file to be read in chunks, with the values that ``read`` gives."""
+    read_chunks: Callable[[Path, ReadOptions], Chunks | None] | None = None
+    """Open a file to be read in chunks, with the values that ``read`` gives; it returns None for a file that cannot be."""
     files: Callable[[Path], list[Path]] | None = None
     """The files that a path stands for, where they may be several; None: the file itself."""
     options: tuple[str, ...] = ()
@@ -208,6 +208,7 @@ FORMATS: tuple[Format, ...] = (
         read=rad.read,
         write=rad_writer.write,
         write_chunks=rad_writer.write_chunks,
+        read_chunks=rad.read_chunks,
         options=("compression",),
     ),
 )
