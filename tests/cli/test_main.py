@@ -111,6 +111,9 @@ def test_options_that_contradict_each_other_are_a_wrong_line(splatree, small_ply
     assert "--flat without --clusters" in wrong_line(splatree(*build, "--flat"))
     assert "contradict" in wrong_line(splatree(*build, "--flat", "--clusters", "9", "--levels", "file"))
     assert "found 2 inputs" in wrong_line(splatree("build", small_ply, *build[1:], "--levels", "file"))
+    assert "depth: found -1" in wrong_line(
+        splatree("convert", tmp_path / "gone.ply", tmp_path / "b.ply", "--depth", "-1")
+    )
     assert "found no --data" in wrong_line(splatree("eval", small_ply, "--training", "--frames", "0"))
     assert "scale" in wrong_line(splatree("render", small_ply, "-o", tmp_path, "--scale", "0"))
     assert "wanted .mp4" in wrong_line(splatree("render", small_ply, "--video", tmp_path / "a.avi"))

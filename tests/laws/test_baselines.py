@@ -202,6 +202,19 @@ def test_lodge_draws_the_list_of_the_nearest_place():
     assert made.cut(between).tolist() == made.cut(cameras[0]).tolist()
 
 
+def test_the_release_of_filtergs_drops_what_is_larger_than_700_px():
+    columns = (np.zeros((1, 3)), [[1.0, 0, 0, 0]], np.full((1, 3), 1.0), np.zeros(1), np.zeros((1, 1, 3)))
+    scene = Scene.flat(Gaussians(*(np.asarray(column, np.float32) for column in columns)))
+    # 3σ is 8.2: with a focal length of 100 px its radius is 700 px at a distance of 1.17.
+    for distance, drawn in ((1.1, 0), (1.25, 1)):
+        pose = np.eye(4)
+        pose[2, 3] = distance
+        camera = Camera(pose, np.array([[100.0, 0, 50], [0, 100, 50], [0, 0, 1]]), 100, 100)
+        assert len(baseline("filtergs", scene)(camera).rows) == 1
+        assert len(baseline("filtergs-release", scene)(camera).rows) == drawn
+        assert len(baseline("filtergs-release", scene).cut(camera)) == 1  # of the whole scene, seen or not
+
+
 def test_methods_count_the_bytes_of_what_they_keep_beside_the_tree():
     scene, camera = forest(4), Camera.look_at(np.array([0.0, 0, -60]), np.zeros(3))
     made = {method: baseline(method, scene, [camera], BaselineOptions(chunks=1)) for method in get_args(Method)}

@@ -95,3 +95,9 @@ def test_balls_and_boxes_hold_all_descendants(depth, seed):
             assert np.linalg.norm(means[row].astype(np.float64) - means[above]) + reach[row] <= radii[above]
             assert (low_of_all[above] <= low[row]).all() and (high_of_all[above] >= high[row]).all()
             above = parents[above]
+
+
+def test_radii_beyond_float32_end_at_its_largest():
+    largest = np.finfo(np.float32).max
+    radii = subtree_radii(np.zeros((2, 3), np.float32), np.array([1.0, 1e300]), np.uint8([0, 1]))
+    assert radii.tolist() == [largest, largest]

@@ -6,9 +6,10 @@ from typing import Annotated
 
 from tyro.conf import arg
 
-from splatree.cli.console import Console, size
+from splatree.cli.console import Console, UsageError, size
 from splatree.cli.files import Files, inputs_and_output
 from splatree.edit.options import EditOptions
+from splatree.errors import InputError
 from splatree.io.convert import ConvertOptions, convert
 from splatree.io.options import ReadOptions, WriteOptions
 from splatree.io.registry import stored_bytes
@@ -61,7 +62,10 @@ def run(command: Command) -> Result:
     """Read, edit, write."""
     inputs, output = inputs_and_output(command.files, options=command.options)
     read = ReadOptions(command.level, "drop" if command.drop_invalid else command.files.repair, command.input_axes)
-    options = ConvertOptions(read, command.edit, command.options, command.depth)
+    try:
+        options = ConvertOptions(read, command.edit, command.options, command.depth)
+    except InputError as error:
+        raise UsageError(str(error)) from error
     done = convert(inputs, output, options, force=command.files.force)
     return Result(
         output=output,

@@ -40,6 +40,10 @@ class ConvertOptions:
     depth: int | None = None
     """Write one cut of the tree to a format without levels: the nodes at this depth, 0 the roots; None: the leaves."""
 
+    def __post_init__(self) -> None:
+        if self.depth is not None and self.depth < 0:
+            raise InputError(f"depth: found {self.depth}, wanted 0 (the roots) or more")
+
 
 @dataclass(frozen=True)
 class Converted:

@@ -77,13 +77,11 @@ def preorder(levels: Sequence[Level], roots: Int32[Array, "r"], means: Array, re
         row[children] = np.repeat(row[parents] + 1, fan_out) + before
         depth[children] = np.repeat(depth[parents] + 1, fan_out)
     if n and depth.max() > 255:
-        raise InputError(f"build: found a tree of {depth.max()} levels, wanted at most 255; raise growth")
+        raise InputError(f"build: found a node {depth.max()} levels below its root, wanted at most 255; raise growth")
 
     extents_up = np.empty(n, np.float32)
     extents_up[row] = np.minimum(extents * (1 + 1e-9), np.finfo(np.float32).max)
-    extents_up = np.where(
-        extents_up < np.finfo(np.float32).max, np.nextafter(extents_up, np.float32(np.inf)), extents_up
-    )
+    np.nextafter(extents_up, np.finfo(np.float32).max, out=extents_up)
     subtree_end, depth_of_row = np.empty(n, np.int32), np.empty(n, np.uint8)
     subtree_end[row] = row + size
     depth_of_row[row] = depth

@@ -154,8 +154,7 @@ def subtree_radii(means: Array, reach: Array, depth: Array) -> Float32[Array, "n
         radii[family] = np.maximum(radii[family], np.maximum.reduceat(distances + radii[rows], start))
     largest = np.finfo(np.float32).max
     # Float64 rounding of the sums, once a level, stays far below this rounding upwards.
-    found = np.minimum(radii * (1 + 1e-9), largest).astype(np.float32)
-    return np.where(found < largest, np.nextafter(found, np.float32(np.inf)), found)
+    return np.nextafter(np.minimum(radii * (1 + 1e-9), largest).astype(np.float32), largest)
 
 
 def family_extremes(low: Array, high: Array, depth: Array) -> None:
