@@ -127,6 +127,11 @@ FAULTS = {
         st.ShapeError,
         r"sh: found a strided tensor, wanted a contiguous one; use \.contiguous\(\)",
     ),
+    "elsewhere": (
+        lambda a: ByInterface(a, data=(4096, False)),
+        st.InputError,
+        "sh: found an address that is not in the memory of GPU 0, wanted all there",
+    ),
     "shifted": (
         lambda a: ByInterface(a, data=(a.pointer + 4, False)),
         st.ShapeError,

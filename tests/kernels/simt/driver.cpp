@@ -32,7 +32,7 @@ using simt::failure;
 using Work = std::function<void()>;
 
 // Errors of cuda.h that driver.h has no need of.
-constexpr int INVALID_VALUE = 1, NOT_INITIALIZED = 3, INVALID_DEVICE = 101, INVALID_IMAGE = 200, INVALID_CONTEXT = 201,
+constexpr int INVALID_VALUE = CUDA_ERROR_INVALID_VALUE, NOT_INITIALIZED = 3, INVALID_DEVICE = 101, INVALID_IMAGE = 200, INVALID_CONTEXT = 201,
               INVALID_HANDLE = 400, NOT_FOUND = 500, LAUNCH_FAILED = 719, CAPTURE_UNSUPPORTED = 900, CAPTURE_INVALIDATED = 901;
 const std::map<int, const char*> ERROR_NAMES = {
     {INVALID_VALUE, "CUDA_ERROR_INVALID_VALUE"},
@@ -377,6 +377,12 @@ CUresult cuMemFree_v2(CUdeviceptr address) {
   std::free(whole);
   return result;
 }
+CUresult cuPointerGetAttribute(void* value, CUpointer_attribute attribute, CUdeviceptr address) {
+  NEEDS_CONTEXT;
+  size_t offset;
+  if (attribute != CU_POINTER_ATTRIBUTE_DEVICE_ORDINAL || !memory_around(address, offset)) return INVALID_VALUE;
+  return *static_cast<int*>(value) = 0, CUDA_SUCCESS;
+}
 CUresult cuMemAllocHost_v2(void** address, size_t bytes) {
   NEEDS_CONTEXT;
   ++num_allocations;
@@ -552,3 +558,6 @@ CUresult cuGraphLaunch(CUgraphExec executable, CUstream stream) {
     if (const int result = enqueue(stream, work)) return result;
   return CUDA_SUCCESS;
 }
+
+// NVRTC asks a driver that it finds for tables of its own, and goes on without.
+API CUresult cuGetExportTable(const void** table, const void*) { return *table = nullptr, NOT_FOUND; }

@@ -271,6 +271,14 @@ class Device:
         """A point in the stream, not yet recorded."""
         return Event(self)
 
+    def owns(self, address: int) -> bool:
+        """Whether an address lies in the memory of this GPU."""
+        found = ctypes.c_int()
+        attribute = NUMBERS["CU_POINTER_ATTRIBUTE_DEVICE_ORDINAL"]
+        allowed = ("CUDA_ERROR_INVALID_VALUE",)  # not of any GPU
+        code = self.call("cuPointerGetAttribute", ctypes.byref(found), attribute, address, allowed=allowed)
+        return code == 0 and found.value == self.ordinal
+
     def launch(self, kernel: str, num_blocks: int, job: DeviceArray, argument: int = 0) -> None:
         """Enqueue a kernel; each takes the address of a job and a number."""
         function, threads = self._kernel(kernel)

@@ -43,6 +43,7 @@ _TYPES = {
     "CUresult": ctypes.c_int,
     "CUdevice_attribute": ctypes.c_int,
     "CUstreamCaptureMode": ctypes.c_int,
+    "CUpointer_attribute": ctypes.c_int,
 }
 _ADVICE = {
     "CUDA_ERROR_OUT_OF_MEMORY": "draw with fewer or smaller arrays, or free GPU memory",

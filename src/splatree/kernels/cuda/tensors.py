@@ -4,6 +4,7 @@ Both name an address and a layout; DLPack also keeps the memory and sees to it t
 that kernels cannot read is an error that says how to change it, never a copy that nobody asked for.
 """
 
+import math
 from typing import Any
 
 import numpy as np
@@ -35,7 +36,7 @@ def ordinal_of(name: str, tensor: Any) -> int | None:
             f"{name}: found a tensor on a device of DLPack's kind {int(kind)}, wanted CUDA or the processor"
         )
     if hasattr(tensor, "__cuda_array_interface__"):
-        return 0
+        return 0  # it does not say which; `borrowed` asks the driver
     raise InputError(
         f"{name}: found {type(tensor).__name__}, wanted a tensor with DLPack or __cuda_array_interface__, as torch's"
     )
@@ -45,12 +46,16 @@ def borrowed(device: Device, name: str, tensor: Any) -> DeviceArray:
     """A float32 tensor on the device as an array, which keeps it.
 
     Raises:
-        InputError: the tensor does not give its memory away, as one that requires gradients.
+        InputError: the tensor does not give its memory away, as one that requires gradients, or it lies elsewhere.
         ShapeError: it is not of float32, not contiguous or not aligned.
     """
     pointer, shape, contiguous, dtype, owner = (
         _by_dlpack(device, name, tensor) if hasattr(tensor, "__dlpack__") else _by_interface(device, tensor)
     )
+    if math.prod(shape) and not device.owns(pointer):
+        raise InputError(
+            f"{name}: found an address that is not in the memory of GPU {device.ordinal}, wanted all there"
+        )
     if dtype != "float32":
         raise ShapeError(f"{name}: found a tensor of {dtype}, wanted float32; convert it with .float()")
     if not contiguous:
