@@ -25,7 +25,8 @@ import numpy as np
 
 from splatree.constants import DILATION_PX2, PIXEL_ERROR
 from splatree.kernels.cpu import merge as merge_kernel
-from splatree.kernels.cpu.pairs import Partners, match_pairs
+from splatree.kernels.cpu.pairs import match_pairs
+from splatree.kernels.cpu.partners import Partners
 from splatree.kernels.cpu.thin import group, rows_by_group
 from splatree.lod.forest import Forest
 from splatree.lod.order import Level
@@ -40,7 +41,7 @@ __all__ = ["Present", "grow_by_pairs"]
 CHANGE_PX2 = 0.3
 """ε: squared change of the picture that one merge may make, px², summed over colours and coverage and three views."""
 
-SMALL_PX = 0.6
+SMALL_PX = 0.65
 """`classic`: a merged Gaussian of at most this standard deviation is merged whatever the change."""
 
 LARGE_PX = 16.0
@@ -96,7 +97,6 @@ class Present:
         self.gaussians, self.weights = gaussians, weights
         self.is_classic, self.merge, self.fits_opacity = mode == "classic", merge, fits_opacity
         self.partners = Partners.unknown(len(gaussians))
-        self.is_stale = np.ones(len(gaussians), bool)
 
     def __len__(self) -> int:
         return len(self.gaussians)
@@ -104,24 +104,24 @@ class Present:
     def merge_level(self, pixel_size: float, max_roots: int, threads: int) -> Array:
         """Merge what a pixel of that width does not show; returns where each row went."""
         if self.is_classic:
-            self.is_stale[:] = True  # costs are those of dilated Gaussians
+            self.partners.is_stale[:] = 1  # costs are those of dilated Gaussians
         group_from_row = np.arange(len(self), dtype=np.int32)
+        search = True
         while len(self) > max_roots:
-            pairs = self._match(pixel_size, threads)
+            pairs = self._match(pixel_size, search, threads)
             num_merged = len(self) - len(pairs)
-            if num_merged == 0:
-                break
-            self._merge(pairs, threads)
-            group_from_row = pairs.group_from_row[group_from_row]
+            if num_merged:
+                self._merge(pairs, threads)
+                group_from_row = pairs.group_from_row[group_from_row]
             if num_merged < LAST_SHARE * len(self):
                 break
+            search = False
         return group_from_row
 
-    def _match(self, pixel_size: float, threads: int) -> Groups:
+    def _match(self, pixel_size: float, search: bool, threads: int) -> Groups:
         dilation = DILATION_PX2 * pixel_size**2 if self.is_classic else 0.0
         partners = self.partners
-        partners.look_for(self.is_stale, self.gaussians, self.weights, dilation=dilation, threads=threads)
-        self.is_stale[:] = False
+        partners.find(self.gaussians, self.weights, dilation=dilation, search=search, threads=threads)
         size = np.float64(pixel_size)  # its square may be beyond float32
         allowed = (partners.costs <= CHANGE_PX2 * size**2) & (partners.sigmas <= LARGE_PX * size)
         if self.is_classic:
@@ -130,22 +130,12 @@ class Present:
         return group(match_pairs(rows, partners.costs, int(ROUND_SHARE * len(self)) + 1, threads=threads))
 
     def _merge(self, pairs: Groups, threads: int) -> None:
-        representatives, is_pair = pairs.representatives, pairs.sizes > 1
         opacities = None
         if self.fits_opacity:
-            fitted = self.partners.opacities[representatives]
+            fitted = self.partners.opacities[pairs.representatives]
             opacities = np.where(fitted < SATURATED, fitted, np.float32(0))
         self.gaussians = merge_kernel.merge(
             self.gaussians, pairs, self.weights, self.merge, opacities=opacities, threads=threads
         )
         self.weights = np.add.reduceat(self.weights[pairs.rows], pairs.start[:-1])
-        # A row keeps its partner unless one of the two was merged.
-        had = self.partners.rows[representatives]
-        now = np.where(had >= 0, pairs.group_from_row[had], np.int32(-1))
-        self.is_stale = is_pair | self.is_stale[representatives] | ((had >= 0) & is_pair[now])
-        self.partners = Partners(
-            now,
-            self.partners.costs[representatives],
-            self.partners.opacities[representatives],
-            self.partners.sigmas[representatives],
-        )
+        self.partners = self.partners.carried(pairs, self.gaussians.means, threads=threads)

@@ -73,11 +73,11 @@ void bind_thin(nb::module_& m) {
   m.def("best_partners", [](In<float> means, In<float> quats, In<float> log_scales, In<float> logit_opacities, In<float> sh,
                             In<float> weights, std::optional<In<float>> visibilities, double dilation,
                             Out<int32_t> partner_from_row, Out<float> costs, Out<float> opacities,
-                            std::optional<In<uint8_t>> wanted, std::optional<Out<float>> sigmas, int threads) {
+                            int threads) {
     PairJob job{static_cast<int64_t>(means.shape(0)), means.data(), quats.data(), log_scales.data(),
                 logit_opacities.data(), sh.data(), weights.data(), visibilities ? visibilities->data() : nullptr,
                 static_cast<int64_t>(sh.shape(1)), dilation, partner_from_row.data(), costs.data(), opacities.data(),
-                threads, wanted ? wanted->data() : nullptr, sigmas ? sigmas->data() : nullptr};
+                threads};
     nb::gil_scoped_release release;
     best_partners(job);
   });

@@ -23,6 +23,7 @@ void bind_clusters(nb::module_& m);
 void bind_rotate(nb::module_& m);
 void bind_quantize(nb::module_& m);
 void bind_baselines(nb::module_& m);
+void bind_partners(nb::module_& m);
 void bind_splat(nb::module_& m);
 void bind_cuda(nb::module_& m);
 void bind_packed(nb::module_& m);
@@ -58,6 +59,7 @@ NB_MODULE(_core, m) {
   bind_rotate(m);
   bind_quantize(m);
   bind_baselines(m);
+  bind_partners(m);
   bind_splat(m);
   bind_cuda(m);
   bind_packed(m);

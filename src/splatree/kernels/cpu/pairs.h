@@ -28,9 +28,9 @@ struct PairJob {
   float* costs;               // out: infinity if there is none
   float* opacities;           // out: of the merged Gaussian
   int threads;
-  const uint8_t* wanted = nullptr;  // rows to look for, the others are left as they are; null: all
-  float* sigmas = nullptr;          // out, may be null: longest axis of the merged Gaussian, as it is without dilation
 };
+
+PairRecord record_of(const PairJob& job, int64_t row);
 
 void best_partners(const PairJob& job);
 

@@ -1,14 +1,12 @@
 """Pairs on the processor: the partners of ``reference/pairs.py`` in float32, and the matching of the cheapest."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from splatree.kernels.cpu import _core
 from splatree.scene.gaussians import Gaussians
-from splatree.shapes import Array, Bool, Float32, Int32
+from splatree.shapes import Array, Float32, Int32
 
-__all__ = ["Partners", "best_partners", "match_pairs"]
+__all__ = ["best_partners", "match_pairs"]
 
 
 def best_partners(
@@ -27,45 +25,9 @@ def best_partners(
     partner, costs, opacities = np.empty(n, np.int32), np.empty(n, np.float32), np.empty(n, np.float32)
     _core.best_partners(
         *(gaussians.means, gaussians.quats, gaussians.log_scales, gaussians.logit_opacities, gaussians.sh),
-        *(weights, visibilities, dilation, partner, costs, opacities, None, None, threads),
+        *(weights, visibilities, dilation, partner, costs, opacities, threads),
     )
     return partner, costs, opacities
-
-
-@dataclass(frozen=True, eq=False)
-class Partners:
-    """Each row's cheapest partner, kept from round to round."""
-
-    rows: Int32[Array, "n"]
-    """Row of the partner; −1 if there is none."""
-    costs: Float32[Array, "n"]
-    """What merging them changes, squared, world units²; infinity if there is none."""
-    opacities: Float32[Array, "n"]
-    """Opacity of the two merged."""
-    sigmas: Float32[Array, "n"]
-    """Longest axis of the two merged, standard deviation in world units; infinity if there is none."""
-
-    @classmethod
-    def unknown(cls, n: int) -> "Partners":
-        """Room for ``n`` rows, all to be looked for."""
-        return cls(np.full(n, -1, np.int32), *(np.zeros(n, np.float32) for _ in range(3)))
-
-    def look_for(
-        self,
-        wanted: Bool[Array, "n"],
-        gaussians: Gaussians,
-        weights: Float32[Array, "n"],
-        visibilities: Float32[Array, "n"] | None = None,
-        *,
-        dilation: float,
-        threads: int = 0,
-    ) -> None:
-        """Find the partners of the rows that are ``wanted``, in place; the others stay as they are."""
-        _core.best_partners(
-            *(gaussians.means, gaussians.quats, gaussians.log_scales, gaussians.logit_opacities, gaussians.sh),
-            *(weights, visibilities, dilation, self.rows, self.costs, self.opacities),
-            *(wanted.view(np.uint8), self.sigmas, threads),
-        )
 
 
 def match_pairs(

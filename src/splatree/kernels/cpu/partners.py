@@ -1,0 +1,60 @@
+"""Partners that are kept from round to round: glue over partners.cpp.
+
+The cost and the opacity of a pair are those of ``reference/pairs.py``. Candidates are the nearest rows at the time
+of a search, later what these have become.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from splatree.kernels.cpu import _core
+from splatree.kernels.reference.pairs import NUM_NEIGHBORS
+from splatree.scene.gaussians import Gaussians
+from splatree.scene.thinning import Groups
+from splatree.shapes import Array, Float32, Int32, UInt8
+
+__all__ = ["Partners"]
+
+
+@dataclass(frozen=True, eq=False)
+class Partners:
+    """Each row's cheapest partner among its neighbours."""
+
+    neighbors: Int32[Array, "n c"]
+    """Candidates of each row, −1 where there are fewer."""
+    rows: Int32[Array, "n"]
+    """Row of the partner; −1 if there is none."""
+    costs: Float32[Array, "n"]
+    """What merging them changes, squared, world units²; infinity if there is none."""
+    opacities: Float32[Array, "n"]
+    """Opacity of the two merged."""
+    sigmas: Float32[Array, "n"]
+    """Longest axis of the two merged, standard deviation in world units; infinity if there is none."""
+    is_stale: UInt8[Array, "n"]
+    """1 where the partner is to be found."""
+
+    @classmethod
+    def unknown(cls, n: int) -> "Partners":
+        """Room for the partners of ``n`` rows, all to be found."""
+        costs, opacities, sigmas = (np.empty(n, np.float32) for _ in range(3))
+        neighbors = np.full((n, NUM_NEIGHBORS), -1, np.int32)
+        return cls(neighbors, np.empty(n, np.int32), costs, opacities, sigmas, np.ones(n, np.uint8))
+
+    def find(
+        self, gaussians: Gaussians, weights: Float32[Array, "n"], *, dilation: float, search: bool, threads: int = 0
+    ) -> None:
+        """Find the partners that are stale, in place; ``dilation`` is added to every variance, world units².
+
+        With ``search`` those that have lost more than a quarter of their candidates look for new ones before.
+        """
+        _core.find_partners(gaussians, weights, dilation, self, search, threads)
+
+    def carried(self, pairs: Groups, means: Float32[Array, "g 3"], *, threads: int = 0) -> "Partners":
+        """Those of the groups of one or two that the rows have become, with their ``means``.
+
+        A partner stays until one of the two is merged. A merged Gaussian has the nearest of both members' neighbours.
+        """
+        carried = Partners.unknown(len(pairs))
+        _core.carry_partners(pairs, means, self, carried, threads)
+        return carried
