@@ -39,8 +39,10 @@ def commands():
         ]
         shown += [span.replace("\n", " ") for span in re.findall(r"`(splatree [^`]*)`", prose)]
         for line in shown:
+            if not line.startswith("splatree "):
+                continue
             words = shlex.split(line, comments=True)
-            if len(words) < 3 or words[0] != "splatree" or words[2].startswith("-"):
+            if len(words) < 3 or words[2].startswith("-"):
                 continue  # only the name of a verb or of an option
             if not any(word.isupper() or "…" in word for word in words):
                 found.append(pytest.param(words[1:], id=f"{page.name}: {shlex.join(words[1:])}"))
