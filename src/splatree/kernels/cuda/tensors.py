@@ -50,12 +50,8 @@ def borrowed(device: Device, name: str, tensor: Any) -> DeviceArray:
         ShapeError: it is not of float32, not contiguous or not aligned.
     """
     pointer, shape, contiguous, dtype, owner = (
-        _by_dlpack(device, name, tensor) if hasattr(tensor, "__dlpack__") else _by_interface(device, tensor)
+        _by_dlpack(device, name, tensor) if hasattr(tensor, "__dlpack__") else _by_interface(device, name, tensor)
     )
-    if math.prod(shape) and not device.owns(pointer):
-        raise InputError(
-            f"{name}: found an address that is not in the memory of GPU {device.ordinal}, wanted all there"
-        )
     if dtype != "float32":
         raise ShapeError(f"{name}: found a tensor of {dtype}, wanted float32; convert it with .float()")
     if not contiguous:
@@ -76,12 +72,16 @@ def _by_dlpack(device: Device, name: str, tensor: Any) -> tuple[int, list[int], 
     return pointer, shape, contiguous, dtype, keeper
 
 
-def _by_interface(device: Device, tensor: Any) -> tuple[int, list[int], bool, str, object]:
+def _by_interface(device: Device, name: str, tensor: Any) -> tuple[int, list[int], bool, str, object]:
     found = tensor.__cuda_array_interface__
-    dtype, shape = np.dtype(found["typestr"]), found["shape"]
+    dtype, shape, pointer = np.dtype(found["typestr"]), found["shape"], found["data"][0]
+    if math.prod(shape) and not device.owns(pointer):
+        raise InputError(
+            f"{name}: found an address that is not in the memory of GPU {device.ordinal}, wanted all there"
+        )
     steps = [dtype.itemsize * int(np.prod(shape[i + 1 :])) for i in range(len(shape))]
     strides = found.get("strides")
     contiguous = strides is None or all(n == 1 or a == b for n, a, b in zip(shape, strides, steps, strict=True))
     if found.get("stream") is not None:
         device.wait_for(Handle(found["stream"]))
-    return found["data"][0], list(shape), contiguous, dtype.name, tensor
+    return pointer, list(shape), contiguous, dtype.name, tensor
