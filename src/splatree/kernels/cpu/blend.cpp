@@ -16,6 +16,7 @@ namespace splatree::SPLATREE_ISA {
 namespace {
 
 constexpr int TILE = 16, BLOCKS = 16, LANES = 16;
+constexpr int GROUP = 8;    // pairs whose blocks are found before the first of them is blended
 constexpr int AHEAD = 8;    // pairs between the fetch of a record and its use
 constexpr int PERIOD = 32;  // pairs between looks for finished blocks
 constexpr float ALPHA_MAX = 0.99f, ALPHA_THRESHOLD = 1.f / 255, TRANSMITTANCE_MIN = 1e-4f;
@@ -38,8 +39,19 @@ struct alignas(64) Brush {
   float contribution[LANES];  // Σ α T over the blocks
 };
 
+// A number that the compiler does not know. Of a minimum with a constant GCC makes a comparison and a blend.
+float unknown(float x) {
+  asm("" : "+m"(x));
+  return x;
+}
+
+struct Limits {
+  float alpha_max, zero;
+};
+
 // Sets up the brush for a tile at (x, y) and returns a bit for each block that the splat may touch.
-SPLATREE_FN int load_brush(const float* record, float x, float y, float log2_threshold, Brush& brush) {
+SPLATREE_FN int load_brush(const float* record, float x, float y, float log2_threshold, const Limits& limits,
+                           Brush& brush) {
   const float a = SQRT_HALF_LOG2E * record[FACTOR_A], b = SQRT_HALF_LOG2E * record[FACTOR_B];
   const float c = SQRT_HALF_LOG2E * record[FACTOR_C];
   brush.log2_opacity = record[LOG2_OPACITY];
@@ -63,7 +75,8 @@ SPLATREE_FN int load_brush(const float* record, float x, float y, float log2_thr
     const float u = a * dx + b * dy, v = c * dy;
     brush.u_of_block[l] = u;
     brush.v_of_block[l] = v;
-    const float u_least = greatest(__builtin_fabsf(u) - u_reach, 0.f), v_least = greatest(__builtin_fabsf(v) - v_reach, 0.f);
+    const float u_least = greatest(__builtin_fabsf(u) - u_reach, limits.zero);
+    const float v_least = greatest(__builtin_fabsf(v) - v_reach, limits.zero);
     const bool touches = (u_least * u_least + v_least * v_least <= limit) & (__builtin_fabsf(dx) <= x_reach);
     touched |= touches ? 1 << l : 0;
   }
@@ -71,7 +84,7 @@ SPLATREE_FN int load_brush(const float* record, float x, float y, float log2_thr
 }
 
 template <bool TAPER, bool CONTRIBUTIONS>
-SPLATREE_FN void blend_block(Brush& brush, int block, Tile& tile) {
+SPLATREE_FN void blend_block(Brush& brush, int block, const Limits& limits, Tile& tile) {
   const float u_of_block = brush.u_of_block[block], v_of_block = brush.v_of_block[block];
   float* transmittance = tile.transmittance[block];
   float *red = tile.red[block], *green = tile.green[block], *blue = tile.blue[block], *depth = tile.depth[block];
@@ -82,7 +95,7 @@ SPLATREE_FN void blend_block(Brush& brush, int block, Tile& tile) {
     // Where it is not exact, far outside, the splat does not pass.
     const float whole = TAPER ? exp2_of(log2_alpha) : exp2_within(log2_alpha);
     const float left = TAPER ? least(TAPER_SLOPE * (whole - brush.floor) + ALPHA_THRESHOLD, whole) : whole;
-    const float alpha = least(left, ALPHA_MAX);
+    const float alpha = least(left, limits.alpha_max);
     const float before = transmittance[l];
     const float after = before * (1.f - alpha);
     const bool passes = TAPER ? whole >= brush.floor : log2_alpha >= brush.log2_threshold;
@@ -97,6 +110,11 @@ SPLATREE_FN void blend_block(Brush& brush, int block, Tile& tile) {
     tile.blended[l] += drawn ? 1 : 0;
     if (CONTRIBUTIONS) brush.contribution[l] += weight;
   }
+}
+
+int64_t smallest(int64_t a, int64_t b, int64_t c) {
+  const int64_t ab = a < b ? a : b;
+  return ab < c ? ab : c;
 }
 
 // The sum of the lanes, always in the same order.
@@ -133,25 +151,39 @@ void blend_tile(const BlendJob& job, int64_t index) {
   const int64_t begin = job.tile_start[index], end = job.tile_start[index + 1];
   int64_t num_evaluated = 0;
   int open = open_blocks(tile);
-  Brush brush;
+  Brush brushes[GROUP];
+  const Limits limits = {unknown(ALPHA_MAX), unknown(0.f)};
+  int blocks[GROUP];
   if (CONTRIBUTIONS && begin < end) memset(job.contributions + begin, 0, (end - begin) * sizeof(float));
   int64_t i = begin;
-  for (; i < end; ++i) {
-    if ((i - begin) % PERIOD == PERIOD - 1) {
+  while (i < end) {
+    const int since_look = int((i - begin + 1) % PERIOD);
+    if (since_look == 0) {
       open = open_blocks(tile);
       if (!open) break;
     }
-    if (i + AHEAD < end) __builtin_prefetch(job.records + int64_t(job.splat_from_pair[i + AHEAD]) * NUM_COLUMNS);
-    const float* record = job.records + int64_t(job.splat_from_pair[i]) * NUM_COLUMNS;
-    if (TAPER) brush.floor = job.floors[job.splat_from_pair[i]];
-    int blocks = load_brush(record, x0, y0, TAPER ? log2_of(brush.floor) : job.log2_threshold, brush);
-    if (job.whole_tile) blocks = (1 << BLOCKS) - 1;
-    if (CONTRIBUTIONS) memset(brush.contribution, 0, sizeof brush.contribution);
-    for (blocks &= open; blocks; blocks &= blocks - 1) {
-      blend_block<TAPER, CONTRIBUTIONS>(brush, __builtin_ctz(blocks), tile);
-      num_evaluated += LANES;
+    const int count = int(smallest(GROUP, PERIOD - since_look, end - i));
+    // How many blocks a pair has decides a branch that is mostly guessed wrongly; it costs less if they are known by then.
+    for (int j = 0; j < count; ++j) {
+      const int32_t splat = job.splat_from_pair[i + j];
+      if (i + j + AHEAD < end)
+        __builtin_prefetch(job.records + int64_t(job.splat_from_pair[i + j + AHEAD]) * NUM_COLUMNS);
+      const float* record = job.records + int64_t(splat) * NUM_COLUMNS;
+      Brush& brush = brushes[j];
+      if (TAPER) brush.floor = job.floors[splat];
+      blocks[j] = load_brush(record, x0, y0, TAPER ? log2_of(brush.floor) : job.log2_threshold, limits, brush);
+      if (job.whole_tile) blocks[j] = (1 << BLOCKS) - 1;
     }
-    if (CONTRIBUTIONS) job.contributions[i] = sum_of(brush.contribution);
+    for (int j = 0; j < count; ++j) {
+      Brush& brush = brushes[j];
+      if (CONTRIBUTIONS) memset(brush.contribution, 0, sizeof brush.contribution);
+      for (int left = blocks[j] & open; left; left &= left - 1) {
+        blend_block<TAPER, CONTRIBUTIONS>(brush, __builtin_ctz(left), limits, tile);
+        num_evaluated += LANES;
+      }
+      if (CONTRIBUTIONS) job.contributions[i + j] = sum_of(brush.contribution);
+    }
+    i += count;
   }
 
   job.num_consumed[index] = i - begin;
