@@ -11,7 +11,7 @@ import numpy as np
 
 from splatree.edit.options import EditOptions
 from splatree.edit.rows import in_morton_order, keep_leaves
-from splatree.edit.similarity import similarity_from_options
+from splatree.edit.similarity import Similarity, similarity_from_options
 from splatree.kernels.cpu.blocks import index_blocks
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Scene
@@ -28,12 +28,12 @@ def edit(scene: Scene, options: EditOptions) -> Scene:
     ``source.metadata["lost"]``.
     """
     similarity = similarity_from_options(options)
-    moved = similarity.points(scene.gaussians.means)
+    moved = _moved(scene.gaussians, similarity)
     if options.may_drop_rows:
         is_kept = kept_rows(scene.gaussians, moved, options)
         num_merged = len(scene) - scene.tree.num_leaves
         kept = keep_leaves(scene, is_kept)
-        moved = similarity.points(kept.gaussians.means) if len(kept) < len(scene) else moved
+        moved = _moved(kept.gaussians, similarity) if len(kept) < len(scene) else moved
         lost_merged = num_merged - (len(kept) - kept.tree.num_leaves)
         scene = kept
         if lost_merged:
@@ -52,12 +52,17 @@ def edit_rows(gaussians: Gaussians, options: EditOptions) -> Gaussians:
     """As `edit`, of a chunk of a flat scene; the order is not looked at."""
     similarity = similarity_from_options(options)
     g = gaussians.with_sh_degree(min(options.sh_degree, gaussians.sh_degree))
-    moved = g.means if similarity.is_identity else similarity.points(g.means)
+    moved = _moved(g, similarity)
     if options.may_drop_rows:
         is_kept = kept_rows(g, moved, options)
         if not is_kept.all():
             g, moved = g.take(is_kept), moved[is_kept]
     return g if similarity.is_identity else similarity.gaussians(g, moved)
+
+
+def _moved(g: Gaussians, similarity: Similarity) -> Float32[Array, "n 3"]:
+    """The means where they will lie."""
+    return g.means if similarity.is_identity else similarity.points(g.means)
 
 
 def kept_rows(g: Gaussians, moved: Float32[Array, "n 3"], options: EditOptions) -> Bool[Array, "n"]:
