@@ -70,7 +70,7 @@ class Builder {
 
   Box bounds(int64_t node) const {
     const auto [begin, end] = range(node);
-    Box box;
+    Box box = {};
     for (int axis = 0; axis < 3; ++axis) box.lower[axis] = INFINITELY_FAR, box.upper[axis] = -INFINITELY_FAR;
     for (int64_t i = begin; i < end; ++i)
       for (int axis = 0; axis < 3; ++axis) {

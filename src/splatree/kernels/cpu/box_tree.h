@@ -11,8 +11,9 @@ namespace splatree {
 
 constexpr int LEAF_POINTS = 8;
 
-struct Box {
-  float lower[3], upper[3];
+// Two vectors of four: the last of each is 0.
+struct alignas(32) Box {
+  float lower[4], upper[4];
 };
 
 // Points as planes, in the order of their rows; where there are fewer, the rest is infinitely far away, with the largest row.
@@ -43,7 +44,8 @@ SPLATREE_FN bool is_leaf(const BoxTree& tree, int64_t node) { return node >= tre
 
 SPLATREE_FN float least_squared_distance(const Box& a, const Box& b) {
   float sum = 0;
-  for (int axis = 0; axis < 3; ++axis) {
+#pragma omp simd reduction(+ : sum)
+  for (int axis = 0; axis < 4; ++axis) {
     const float gap = greatest(greatest(a.lower[axis] - b.upper[axis], b.lower[axis] - a.upper[axis]), 0.f);
     sum += gap * gap;
   }

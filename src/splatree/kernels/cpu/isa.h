@@ -18,6 +18,8 @@ struct BinJob;
 struct BlendJob;
 struct SelectJob;
 struct RunResult;
+struct BoxTree;
+struct LeafNeighbors;
 struct PairCandidates;
 struct PairCost;
 struct NearestJob;
@@ -40,6 +42,7 @@ struct SightJob;
   kernel(void, blend, (const BlendJob& job))                                                                   \
   kernel(int32_t, largest_bits, (const float* values, int64_t num_values))                                     \
   kernel(RunResult, select_group, (const SelectJob& job, int64_t group, int32_t* out))                         \
+  kernel(void, nearest_of_leaf, (const BoxTree& tree, int64_t leaf, LeafNeighbors& found))                     \
   kernel(PairCost, cheapest_pair, (const PairCandidates& pair))                                                \
   kernel(void, small_rows, (const SelectJob& job, const int32_t* rows, int64_t count, uint8_t* small))         \
   kernel(void, visible_rows, (const SelectJob& job, const int32_t* rows, int64_t count, uint8_t* visible))     \

@@ -1,40 +1,29 @@
-// The nearest neighbours of the points of a tree of boxes.
+// The nearest neighbours of the points of a leaf of a tree of boxes (neighbors.cpp).
 #pragma once
-#include <cmath>
 #include <cstdint>
 
 #include "cpu/box_tree.h"
 #include "cpu/pairs.h"
+#include "shared/portable.h"
 
 namespace splatree {
 
-// The nearest points of one, by rising distance, ties by place in the tree.
-struct Nearest {
-  int count = 0;
-  float distances2[kPairNeighbors];
-  int32_t places[kPairNeighbors];
-
-  float bound() const { return count < kPairNeighbors ? HUGE_VALF : distances2[kPairNeighbors - 1]; }
-
-  // Takes no point any more.
-  void close() {
-    count = kPairNeighbors;
-    distances2[kPairNeighbors - 1] = 0;
-  }
-
-  // A point nearer than bound().
-  void offer(float distance2, int32_t place) {
-    int i = count < kPairNeighbors ? count++ : count - 1;
-    for (; i > 0 && distances2[i - 1] > distance2; --i) {
-      distances2[i] = distances2[i - 1];
-      places[i] = places[i - 1];
-    }
-    distances2[i] = distance2;
-    places[i] = place;
-  }
+// A sorted list for each point of a leaf: the nearest places of the tree's list of rows, ties in the order they are met.
+struct LeafNeighbors {
+  alignas(64) float distances2[kPairNeighbors][LEAF_POINTS];
+  alignas(64) int32_t places[kPairNeighbors][LEAF_POINTS];  // −1 where there are fewer
 };
 
-// The neighbours of the points of a leaf, in places of the tree's list of rows; those that are closed are left out.
-void find_nearest(const BoxTree& tree, int64_t leaf, Nearest* nearest);
+// An empty list, or one that takes no point: as those of lanes without a point have to be.
+SPLATREE_FN void reset_list(LeafNeighbors& found, int64_t lane, bool is_open) {
+  for (int k = 0; k < kPairNeighbors; ++k)
+    found.distances2[k][lane] = is_open ? float_of(0x7f800000) : 0.f, found.places[k][lane] = -1;
+}
+
+SPLATREE_FN int size_of_list(const LeafNeighbors& found, int64_t lane) {
+  int size = 0;
+  while (size < kPairNeighbors && found.places[size][lane] >= 0) ++size;
+  return size;
+}
 
 }  // namespace splatree

@@ -58,6 +58,26 @@ void find_partner(const PairJob& job, const PairRecord* records, int64_t row, co
   columns.sigmas[row] = merged_sigma(records[row], *pair.others[cheapest.best], job.dilation);
 }
 
+// The nearest points of one, by rising distance.
+struct Nearest {
+  int count = 0;
+  float distances2[kPairNeighbors];
+  int32_t rows[kPairNeighbors];
+
+  float bound() const { return count < kPairNeighbors ? HUGE_VALF : distances2[kPairNeighbors - 1]; }
+
+  // A point nearer than bound().
+  void offer(float distance2, int32_t row) {
+    int i = count < kPairNeighbors ? count++ : count - 1;
+    for (; i > 0 && distances2[i - 1] > distance2; --i) {
+      distances2[i] = distances2[i - 1];
+      rows[i] = rows[i - 1];
+    }
+    distances2[i] = distance2;
+    rows[i] = row;
+  }
+};
+
 // Neighbours of a group, each once, none of them itself.
 struct Candidates {
   int32_t groups[2 * kPairNeighbors];
@@ -82,7 +102,7 @@ struct Candidates {
       if (distance2 < nearest.bound()) nearest.offer(distance2, groups[c]);
     }
     count = nearest.count;
-    std::copy(nearest.places, nearest.places + count, groups);
+    std::copy(nearest.rows, nearest.rows + count, groups);
   }
 };
 
@@ -93,20 +113,23 @@ void find_neighbors(const PairJob& job, const PartnerColumns& columns) {
   const BoxTree tree(job.n, job.means, job.threads);
   parallel_ranges(tree.num_leaves, 256, job.threads, [&](int64_t first, int64_t last) {
     for (int64_t leaf = first; leaf < last; ++leaf) {
-      Nearest nearest[LEAF_POINTS];
       const int64_t begin = first_of(tree, leaf), end = first_of(tree, leaf + 1);
+      LeafNeighbors found;
       uint32_t wanted = 0;
-      for (int64_t i = begin; i < end; ++i)
-        if (count_neighbors(columns.neighbors + kPairNeighbors * int64_t{tree.rows[i]}) < kFew) wanted |= 1u << (i - begin);
-        else nearest[i - begin].close();
+      for (int64_t lane = 0; lane < LEAF_POINTS; ++lane) {
+        const bool is_wanted =
+            begin + lane < end && count_neighbors(columns.neighbors + kPairNeighbors * int64_t{tree.rows[begin + lane]}) < kFew;
+        reset_list(found, lane, is_wanted);
+        wanted |= uint32_t{is_wanted} << lane;
+      }
       if (!wanted) continue;
-      find_nearest(tree, leaf, nearest);
+      kernels().nearest_of_leaf(tree, leaf, found);
       for (int64_t i = begin; i < end; ++i) {
         if (!(wanted >> (i - begin) & 1)) continue;
         const int64_t row = tree.rows[i];
-        const Nearest& found = nearest[i - begin];
+        const int count = size_of_list(found, i - begin);
         for (int k = 0; k < kPairNeighbors; ++k)
-          columns.neighbors[kPairNeighbors * row + k] = k < found.count ? tree.rows[found.places[k]] : -1;
+          columns.neighbors[kPairNeighbors * row + k] = k < count ? tree.rows[found.places[k][i - begin]] : -1;
         columns.is_stale[row] = 1;
       }
     }
