@@ -54,9 +54,34 @@ def test_two_become_one_at_the_first_size_of_a_pixel_that_does_not_show_it(dista
     g = Gaussians(means, g.quats, g.log_scales, g.logit_opacities, g.sh)
     weights = weights_of(g, "opacity-area")
     cost = reference.pair_costs(g, weights, np.array([0]), np.array([1]), dilation=0.0)[0][0]
-    scene = build_lod(Scene.flat(g, mode="antialiased"), replace(PAIRS, pixel_size=1e-3, growth=1.25, max_roots=1))
+    options = replace(PAIRS, pixel_size=1e-3, growth=1.25, max_roots=1, visibility=False)
+    scene = build_lod(Scene.flat(g, mode="antialiased"), options)
     (pixel_size,) = json.loads(scene.source.metadata["levels"])["pixel_sizes"]
     assert CHANGE_PX2 * (pixel_size / 1.25) ** 2 < cost <= CHANGE_PX2 * pixel_size**2
+
+
+def test_what_is_hidden_is_merged_earlier_than_what_is_seen():
+    hidden, seen = surface(400, seed=2), surface(400, seed=2)
+    cover = Gaussians(
+        hidden.means + np.float32([0, 0, 0.6]),
+        hidden.quats,
+        hidden.log_scales + np.float32([1, 1, 0]),
+        np.full(400, 9, np.float32),
+        hidden.sh,
+    )
+    below = Gaussians(
+        hidden.means - np.float32([0, 0, 0.6]), cover.quats, cover.log_scales, cover.logit_opacities, hidden.sh
+    )
+    sandwich = Gaussians.concatenate([hidden, cover, below])
+
+    def mean_extent(scene: Scene) -> float:
+        """Of the parents of the first 400."""
+        parents = parents_of(scene)
+        rows = np.flatnonzero(scene.tree.is_leaf & (scene.ids < 400) & (parents >= 0))
+        return float(np.mean(np.log(scene.tree.extents[parents[rows]])))
+
+    extents = [mean_extent(build_lod(Scene.flat(g), replace(PAIRS, pixel_size=0.05))) for g in (sandwich, seen)]
+    assert extents[0] < extents[1] - 0.3
 
 
 def test_a_large_node_waits_for_large_pixels_however_little_it_changes():
@@ -73,7 +98,7 @@ def test_a_large_node_waits_for_large_pixels_however_little_it_changes():
 def test_an_inner_node_has_the_mean_and_covariance_of_its_leaves():
     gaussians = surface(300, degree=1)
     merge = MergeOptions(opacity="union", weight="opacity")
-    scene = build_lod(Scene.flat(gaussians), replace(PAIRS, max_roots=4, merge=merge))
+    scene = build_lod(Scene.flat(gaussians), replace(PAIRS, max_roots=4, merge=merge, visibility=False))
     g = scene.gaussians
     covariances = covariances_from_gaussians(g.quats, g.log_scales)
     for i in np.flatnonzero(~scene.tree.is_leaf):
@@ -182,7 +207,7 @@ def test_levels_are_those_of_the_definition(mode):
     g = surface(50, seed=5)
     options = MergeOptions().resolved(mode, growth=2.0)
     weights = weights_of(g, options.weight)
-    present = Present(g, weights, mode, options, fits_opacity=mode == "classic")
+    present = Present(g, weights, np.ones(50, np.float32), mode, options, fits_opacity=mode == "classic")
     slow = Slow(g, weights, mode, options)
     found = wanted = np.arange(50)
     for pixel_size in (0.15, 0.5, 0.9):

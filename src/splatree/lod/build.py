@@ -35,7 +35,7 @@ from splatree.scene.thinning import Importance, MergeOptions, Method, rules_of
 from splatree.shapes import Array
 from splatree.simplify.merge import check_finite, importance_of, weights_of
 from splatree.simplify.thin import auto_radius, linear_colors
-from splatree.simplify.visibility import pixel_size_of
+from splatree.simplify.visibility import pixel_size_of, visibilities_in
 
 __all__ = ["BuildOptions", "build_lod"]
 
@@ -54,6 +54,8 @@ class BuildOptions:
     """`radius`: r_0, world units: radius of the first level; `auto`: 1.5 × the median distance to the nearest neighbour."""
     pixel_size: float | None = None
     """`pairs`: p_0, world units: width of a pixel for which the first level is made; None: half of the median Gaussian."""
+    visibility: bool = True
+    """`pairs`: what others hide counts less."""
     growth: float = 2.0
     """g: each level's radius, or size of a pixel, is g times the one before."""
     max_roots: int = 64
@@ -103,10 +105,21 @@ def build_lod(scene: Scene, options: BuildOptions | None = None, *, threads: int
     rules: dict[str, Any] = {"growth": options.growth, "max_roots": options.max_roots}
     if options.method == "pairs":
         pixel_size = options.pixel_size or 0.5 * pixel_size_of(leaves)
-        present = Present(forest.columns[0], forest.weights[0], scene.mode, options.merge, fits_opacity=fits_opacity)
+        visibilities = np.ones(len(leaves), np.float32)
+        if options.visibility:
+            visibilities = visibilities_in(scene.mode, leaves, threads=threads)[forest.leaf_from_node]
+            forest.weights[0] *= visibilities
+        present = Present(
+            *(forest.columns[0], forest.weights[0], visibilities, scene.mode, options.merge), fits_opacity=fits_opacity
+        )
         pixel_sizes = _steps(pixel_size, WIDEST_PIXEL * (diagonal + _largest_reach(leaves)), options.growth)
         forest = grow_by_pairs(forest, present, pixel_sizes, max_roots=options.max_roots, threads=threads)
-        rules |= {"rule": "pairs", "pixel_size": pixel_size, "pixel_sizes": forest.steps}
+        rules |= {
+            "rule": "pairs",
+            "pixel_size": pixel_size,
+            "pixel_sizes": forest.steps,
+            "visibility": options.visibility,
+        }
     else:
         radius = auto_radius(leaves, threads=threads) if isinstance(options.radius, str) else float(options.radius)
         forest = _grow(forest, options, radius, diagonal, threads)

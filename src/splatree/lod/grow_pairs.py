@@ -1,7 +1,7 @@
 """Levels by pairs: at each size of a pixel, the merges that a view of that size does not show.
 
 Level l is made for a pixel of width p_l = p_0 g^l, world units. Two Gaussians may become one if their merging changes the
-picture by at most ε = 0.3 px² of squared signal (kernels/reference/pairs.py has the cost E, here E ≤ ε p²), the cheapest pairs
+picture by at most ε = 0.2 px² of squared signal (kernels/reference/pairs.py has the cost E, here E ≤ ε p²), the cheapest pairs
 first and each Gaussian with its cheapest partner, round after round until few are left; what became one is a family. The
 nodes of a level then stand for their leaves wherever a pixel is p_l or wider: their extent is e = τ_R p_l, so that the
 profile `sphere`, R = f e / (distance − e) ≤ τ_R, draws them from there on. Large even surfaces are merged early and small
@@ -9,7 +9,7 @@ details late, whatever their size; all cuts are near the one with the fewest nod
 
 In mode `classic` each splat grows by 0.3 px². So does each Gaussian here before a cost is computed: p is known. Far away all is
 dilation, and many opaque splats share a pixel: sums of signals then say too much, the picture is saturated. There a node that is
-smaller than a pixel, σ ≤ 0.6 p, is merged whatever the cost; opacities that fit the sum are taken below 0.98, above it
+smaller than a pixel, σ ≤ 0.65 p, is merged whatever the cost; opacities that fit the sum are taken below 0.98, above it
 those of the rule `standard`, which widens what is opaque already.
 
 A node is at most 16 p long (σ): seen from 550 px focal lengths it then ends within a tenth of the distance, and one size of a
@@ -35,10 +35,11 @@ from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Mode
 from splatree.scene.thinning import Groups, MergeOptions
 from splatree.shapes import Array
+from splatree.simplify.pairs import means_of_pairs
 
 __all__ = ["Present", "grow_by_pairs"]
 
-CHANGE_PX2 = 0.3
+CHANGE_PX2 = 0.2
 """ε: squared change of the picture that one merge may make, px², summed over colours and coverage and three views."""
 
 SMALL_PX = 0.65
@@ -91,10 +92,17 @@ class Present:
     """The Gaussians that are left of a scene, and each one's cheapest partner."""
 
     def __init__(
-        self, gaussians: Gaussians, weights: Array, mode: Mode, merge: MergeOptions, *, fits_opacity: bool
+        self,
+        gaussians: Gaussians,
+        weights: Array,
+        visibilities: Array,
+        mode: Mode,
+        merge: MergeOptions,
+        *,
+        fits_opacity: bool,
     ) -> None:
         """``merge`` resolved; ``fits_opacity``: opacities are those that change the picture least, where one Gaussian can."""
-        self.gaussians, self.weights = gaussians, weights
+        self.gaussians, self.weights, self.visibilities = gaussians, weights, visibilities
         self.is_classic, self.merge, self.fits_opacity = mode == "classic", merge, fits_opacity
         self.partners = Partners.unknown(len(gaussians))
 
@@ -121,7 +129,9 @@ class Present:
     def _match(self, pixel_size: float, search: bool, threads: int) -> Groups:
         dilation = DILATION_PX2 * pixel_size**2 if self.is_classic else 0.0
         partners = self.partners
-        partners.find(self.gaussians, self.weights, dilation=dilation, search=search, threads=threads)
+        partners.find(
+            self.gaussians, self.weights, self.visibilities, dilation=dilation, search=search, threads=threads
+        )
         size = np.float64(pixel_size)  # its square may be beyond float32
         allowed = (partners.costs <= CHANGE_PX2 * size**2) & (partners.sigmas <= LARGE_PX * size)
         if self.is_classic:
@@ -137,5 +147,6 @@ class Present:
         self.gaussians = merge_kernel.merge(
             self.gaussians, pairs, self.weights, self.merge, opacities=opacities, threads=threads
         )
+        self.visibilities = means_of_pairs(self.visibilities, pairs, self.weights)
         self.weights = np.add.reduceat(self.weights[pairs.rows], pairs.start[:-1])
         self.partners = self.partners.carried(pairs, self.gaussians.means, threads=threads)

@@ -30,9 +30,9 @@ from splatree.scene.scene import Mode
 from splatree.scene.thinning import Groups, ThinOptions
 from splatree.shapes import Array, Float32
 from splatree.simplify.merge import weights_of
-from splatree.simplify.visibility import pixel_size_of, visibilities_of
+from splatree.simplify.visibility import pixel_size_of, visibilities_in
 
-__all__ = ["merge_pairs"]
+__all__ = ["means_of_pairs", "merge_pairs"]
 
 ROUND_SHARE = 0.25
 """Pairs that a round merges at most, as a share of the Gaussians: those cheapest to merge twice get their turn."""
@@ -55,7 +55,9 @@ def merge_pairs(
     representatives = group_from_row = np.arange(num_rows, dtype=np.int32)
     rounds = 0
     with task("merge pairs", math.log(max(1.0, num_rows / count))) as advance:
-        visibilities = _visibilities(gaussians, options, mode, threads) if count < num_rows else np.empty(0, np.float32)
+        visibilities = np.ones(num_rows, np.float32)
+        if options.visibility and count < num_rows:
+            visibilities = visibilities_in(mode, gaussians, threads=threads)
         while num_left > count:
             weights = weights_of(gaussians, merge_options.weight or "opacity") * visibilities
             partner, costs, opacities = kernel.best_partners(
@@ -69,7 +71,7 @@ def merge_pairs(
                     f"wanted {count}; move or scale the scene"
                 )
             gaussians = merge_kernel.merge(gaussians, pairs, weights, merge_options, threads=threads)
-            visibilities = _means_of_pairs(visibilities, pairs, weights)
+            visibilities = means_of_pairs(visibilities, pairs, weights)
             if fitted:
                 is_pair = pairs.sizes == 2
                 alphas = opacities[pairs.representatives[is_pair]].astype(np.float64)
@@ -85,15 +87,7 @@ def merge_pairs(
     return gaussians, groups
 
 
-def _visibilities(gaussians: Gaussians, options: ThinOptions, mode: Mode, threads: int) -> Float32[Array, "n"]:
-    if not options.visibility:
-        return np.ones(len(gaussians), np.float32)
-    visibilities = visibilities_of(gaussians, threads=threads)
-    # `optical` opacity counts what is hidden, too; with the root, what is seen stays in proportion to it.
-    return visibilities if mode == "classic" else np.sqrt(visibilities)
-
-
-def _means_of_pairs(values: Float32[Array, "n"], pairs: Groups, weights: Float32[Array, "n"]) -> Float32[Array, "g"]:
+def means_of_pairs(values: Float32[Array, "n"], pairs: Groups, weights: Float32[Array, "n"]) -> Float32[Array, "g"]:
     """Weighted mean of the values of each pair; those of a group of one as they are."""
     first, last = pairs.rows[pairs.start[:-1]], pairs.rows[pairs.start[1:] - 1]
     share = weights[last] / (weights[first] + weights[last])

@@ -9,9 +9,10 @@ import numpy as np
 
 from splatree.kernels.cpu.visibility import measure_visibilities
 from splatree.scene.gaussians import Gaussians
+from splatree.scene.scene import Mode
 from splatree.shapes import Array, Float32
 
-__all__ = ["pixel_size_of", "visibilities_of"]
+__all__ = ["pixel_size_of", "visibilities_in", "visibilities_of"]
 
 CELL_SIZE = 4.0
 """Edge of a cell, in sizes of the median Gaussian: from 3 to 6 the thinned city differs by less than 0.05 dB."""
@@ -44,6 +45,15 @@ def visibilities_of(gaussians: Gaussians, *, threads: int = 0) -> Float32[Array,
         gaussians, middle, cell=cell, reach=REACH * extent or np.inf, width=width, threads=threads
     )
     return np.asarray(np.clip(seen / np.quantile(seen, 0.95), VISIBILITY_MIN, 1), np.float32)
+
+
+def visibilities_in(mode: Mode, gaussians: Gaussians, *, threads: int = 0) -> Float32[Array, "n"]:
+    """What costs of pairs and weights are multiplied by in scenes of a mode."""
+    if len(gaussians) == 0:
+        return np.empty(0, np.float32)
+    visibilities = visibilities_of(gaussians, threads=threads)
+    # `optical` opacity counts what is hidden, too; with the root, what is seen stays in proportion to it.
+    return visibilities if mode == "classic" else np.sqrt(visibilities)
 
 
 def pixel_size_of(gaussians: Gaussians) -> float:

@@ -42,13 +42,20 @@ class Partners:
         return cls(neighbors, np.empty(n, np.int32), costs, opacities, sigmas, np.ones(n, np.uint8))
 
     def find(
-        self, gaussians: Gaussians, weights: Float32[Array, "n"], *, dilation: float, search: bool, threads: int = 0
+        self,
+        gaussians: Gaussians,
+        weights: Float32[Array, "n"],
+        visibilities: Float32[Array, "n"],
+        *,
+        dilation: float,
+        search: bool,
+        threads: int = 0,
     ) -> None:
         """Find the partners that are stale, in place; ``dilation`` is added to every variance, world units².
 
         With ``search`` those that have lost more than a quarter of their candidates look for new ones before.
         """
-        _core.find_partners(gaussians, weights, dilation, self, search, threads)
+        _core.find_partners(gaussians, weights, visibilities, dilation, self, search, threads)
 
     def carried(self, pairs: Groups, means: Float32[Array, "g 3"], *, threads: int = 0) -> "Partners":
         """Those of the groups of one or two that the rows have become, with their ``means``.
