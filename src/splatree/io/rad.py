@@ -32,7 +32,7 @@ from splatree.io.levels import preorder_of_file, scene_with_levels
 from splatree.io.opacities import CODE_STEP, areas_of_powers, logits_from_opacities
 from splatree.io.options import ReadOptions
 from splatree.io.rad_container import MAGIC, RadChunk, RadFile, open_rad, values_of
-from splatree.io.rows import FileRows, Fill
+from splatree.io.rows import FileRows, Fill, columns_to_fill
 from splatree.kernels.cpu import _core
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
@@ -57,7 +57,7 @@ def read(path: Path, options: ReadOptions) -> Scene:
 
     file = open_rad(path)
     n = file.count
-    gaussians = _empty(n, file.degree)
+    gaussians = columns_to_fill(n, file.degree)
     with task(f"read {path.name}", n) as advance, ThreadPoolExecutor(_core.hardware_threads()) as pool:
         subtree_end, depth, row_from_node = _tree(file)
         palette = _palette(file) if n else None
@@ -93,7 +93,7 @@ def read_chunks(path: Path, options: ReadOptions) -> Chunks | None:
         from concurrent.futures import ThreadPoolExecutor
 
         palette = _palette(file) if file.count else None
-        decoded, number = _empty(0, file.degree), -1
+        decoded, number = columns_to_fill(0, file.degree), -1
 
         with ThreadPoolExecutor(_core.hardware_threads()) as pool:
 
@@ -105,7 +105,7 @@ def read_chunks(path: Path, options: ReadOptions) -> Chunks | None:
                     chunk = file.chunks[wanted]
                     if wanted != number:
                         if len(decoded) < chunk.count:
-                            decoded = _empty(chunk.count, file.degree)
+                            decoded = columns_to_fill(chunk.count, file.degree)
                         _fill(file, decoded, palette, slice(0, chunk.count), chunk, pool)
                         number = wanted
                     first = begin + done - chunk.base
@@ -119,12 +119,6 @@ def read_chunks(path: Path, options: ReadOptions) -> Chunks | None:
 
     metadata = {"comment": file.comment} if file.comment else {}
     return FileRows(str(path), file.count, file.degree, start, file.mode, metadata).chunks(options)
-
-
-def _empty(num_rows: int, degree: int) -> Gaussians:
-    k = (degree + 1) ** 2
-    shapes = ((num_rows, 3), (num_rows, 4), (num_rows, 3), (num_rows,), (num_rows, k, 3))
-    return Gaussians(*(np.empty(shape, np.float32) for shape in shapes))
 
 
 def _tree(file: RadFile) -> tuple[Array, Array, Array]:

@@ -21,6 +21,7 @@ from splatree.io.opacities import opacities_from_logits
 from splatree.io.options import WriteOptions
 from splatree.io.rad_container import CHUNK_MAGIC, MAGIC, padded
 from splatree.io.rad_properties import LOG_SCALE_ZERO, encode_codes, encode_floats, encode_rotations
+from splatree.io.rows import columns_to_fill
 from splatree.kernels.cpu import _core
 from splatree.kernels.cpu.merge import merge
 from splatree.maths.forests import links_from_preorder
@@ -100,9 +101,8 @@ def write_chunks(chunks: Chunks, path: Path, options: WriteOptions) -> tuple[str
 
 def _parts(chunks: Chunks) -> Iterator[Gaussians]:
     """All rows, checked, as many at a time as the file's chunks have; a part is valid until the next is asked for."""
-    size, k = min(_CHUNK_ROWS, len(chunks)), (chunks.sh_degree + 1) ** 2
-    shapes = ((size, 3), (size, 4), (size, 3), (size,), (size, k, 3))
-    part = Gaussians(*(np.empty(shape, np.float32) for shape in shapes))
+    size = min(_CHUNK_ROWS, len(chunks))
+    part = columns_to_fill(size, chunks.sh_degree)
     num_filled = begin = 0
     for g in chunks:
         checked_rows(g, "scene to write", repair=False, first_row=begin)

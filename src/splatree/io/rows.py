@@ -18,7 +18,7 @@ from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Mode, Scene, Source
 
-__all__ = ["FileRows", "Fill"]
+__all__ = ["FileRows", "Fill", "columns_to_fill"]
 
 Fill = Callable[[int, Gaussians], None]
 """Decodes the rows from a number on into columns, as many as these hold."""
@@ -47,7 +47,7 @@ class FileRows:
 
     def unchecked_scene(self) -> Scene:
         """All rows, whatever their values."""
-        gaussians = self._empty(self.num_rows)
+        gaussians = columns_to_fill(self.num_rows, self.sh_degree)
         with self.open() as fill, task(f"read {Path(self.where).name}", self.num_rows) as advance:
             for begin in range(0, self.num_rows, ROWS_PER_CHUNK):
                 part = gaussians.rows(begin, begin + ROWS_PER_CHUNK)
@@ -59,7 +59,7 @@ class FileRows:
         """The rows in chunks, in buffers that are used again."""
 
         def parts() -> Iterator[tuple[Gaussians, Counts]]:
-            buffers = self._empty(min(ROWS_PER_CHUNK, self.num_rows))
+            buffers = columns_to_fill(min(ROWS_PER_CHUNK, self.num_rows), self.sh_degree)
             with self.open() as fill:
                 for begin in range(0, self.num_rows, ROWS_PER_CHUNK):
                     part = buffers.rows(0, self.num_rows - begin)
@@ -70,7 +70,9 @@ class FileRows:
         whole = Chunks(self.num_rows, self.sh_degree, self.mode, lambda: (part for part, _ in parts()), metadata)
         return repaired_chunks(whole, parts) if options.repair else whole
 
-    def _empty(self, num_rows: int) -> Gaussians:
-        k = (self.sh_degree + 1) ** 2
-        shapes = ((num_rows, 3), (num_rows, 4), (num_rows, 3), (num_rows,), (num_rows, k, 3))
-        return Gaussians(*(np.empty(shape, np.float32) for shape in shapes))
+
+def columns_to_fill(num_rows: int, sh_degree: int) -> Gaussians:
+    """Columns without values yet."""
+    k = (sh_degree + 1) ** 2
+    shapes = ((num_rows, 3), (num_rows, 4), (num_rows, 3), (num_rows,), (num_rows, k, 3))
+    return Gaussians(*(np.empty(shape, np.float32) for shape in shapes))

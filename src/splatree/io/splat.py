@@ -60,10 +60,10 @@ def read_chunks(path: Path, options: ReadOptions) -> Chunks:
 
 def write_chunks(chunks: Chunks, path: Path, options: WriteOptions) -> tuple[str, ...]:
     """Write all rows by descending opacity × volume, equal ones in their order."""
-    counts = np.zeros(_NUM_RANKS, np.int64)
-    records, ranks = np.empty((_ROWS_AT_ONCE, _RECORD_BYTES), np.uint8), np.empty(_ROWS_AT_ONCE, np.uint16)
     from tempfile import SpooledTemporaryFile
 
+    counts = np.zeros(_NUM_RANKS, np.int64)
+    records, ranks = np.empty((_ROWS_AT_ONCE, _RECORD_BYTES), np.uint8), np.empty(_ROWS_AT_ONCE, np.uint16)
     with (
         SpooledTemporaryFile(_SPOOL_BYTES, dir=str(path.parent)) as all_records,
         SpooledTemporaryFile(_SPOOL_BYTES, dir=str(path.parent)) as all_ranks,
