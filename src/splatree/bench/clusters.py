@@ -109,6 +109,8 @@ BREAKDOWN_NOTES = (
     "packing: what the paper's implementation on a GPU does: kept rows of every attribute are copied, then projected.",
     "blocks: no clusters, but the selection's own test of blocks of 256 rows and of footprints, as drawn by default; "
     "blocks, exact: both.",
+    "theirs (Jo 2024, §1, §2.2, §4.1; RTX A6000, not measured here): "
+    + "; ".join(f"{name} {figure:g}" for name, figure in jo2024.BREAKDOWN.items()),
 )
 OVERHEAD_NOTES = (
     f"A cluster takes {OPERATIONS} operations and {RECORD_BYTES} bytes; a Gaussian of step 1 {ROW_BYTES} without colour.",
