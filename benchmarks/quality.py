@@ -1,11 +1,11 @@
 """How near thinned scenes and cuts of the tree come to the full scene, from near to far, in the scene's own mode.
 
-``python benchmarks/quality.py [scene] [--mode classic antialiased] [--peer] [--dilation 0]``;
+``python benchmarks/quality.py [scene] [--mode classic antialiased] [--peer] [--cuts] [--dilation 0]``;
 without a scene, one chunk of the shared city. Six views at growing distance (each twice as far as the one before)
 around the median of the scene. Table 1: one thinning to 50, 25, 10 % by pairs and by a radius with
 each named rule, and splat-transform's output of the same share with ``--peer`` (npm).
-Table 2: the cut at τ_R = 3 px and more with its share of the leaves over the
-whole scene, and the cut at a budget of 10 % of the leaves drawn in view. All PSNRs are against all leaves, drawn by the
+Table 2, for levels by a radius and by pairs: the cut at τ_R = 3 px and more with its share of the leaves over the whole
+scene, and the cut at a budget of 10 % of the leaves drawn in view. All PSNRs are against all leaves, drawn by the
 same renderer.
 """
 
@@ -14,12 +14,14 @@ import shutil
 import subprocess
 import tempfile
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 
 import splatree
 from harness import DATA, save, table
 from splatree.metrics.psnr import psnr
+from splatree.scene.thinning import Method
 
 CHUNK = DATA / "trained" / "semarang_city" / "5_1"
 PEER = "@playcanvas/splat-transform@3.7.0"
@@ -102,9 +104,9 @@ def decimated(source: Path, keep: float) -> splatree.Gaussians:
         return splatree.read(target).gaussians
 
 
-def cuts(judge: Judge, dilation: float | None) -> list[dict[str, object]]:
-    """Table 2: a row with PSNRs and a row with shares for each τ_R, and for the budget."""
-    options = splatree.BuildOptions(merge=splatree.MergeOptions(dilation=dilation))
+def cuts(judge: Judge, method: Method, dilation: float | None) -> list[dict[str, object]]:
+    """Table 2: a row with PSNRs and a row with shares for each τ_R, and for the budget, of levels made by a method."""
+    options = splatree.BuildOptions(method, merge=splatree.MergeOptions(dilation=dilation))
     scene = splatree.build_lod(splatree.Scene.flat(judge.leaves, mode=judge.mode), options)
     num_leaves = len(judge.leaves)
     rows: list[dict[str, object]] = []
@@ -113,7 +115,7 @@ def cuts(judge: Judge, dilation: float | None) -> list[dict[str, object]]:
         everywhere = splatree.SelectOptions(pixel_error=tau, visibility="none")
         quality = [judge.psnr(i, splatree.render(scene, c, select=options).image) for i, c in enumerate(judge.cameras)]
         shares = [100 * len(splatree.select(scene, c, everywhere)) / num_leaves for c in judge.cameras]
-        about = {"mode": judge.mode, "cut": f"τ_R = {tau:g} px"}
+        about = {"mode": judge.mode, "levels": method, "cut": f"τ_R = {tau:g} px"}
         rows += [
             about | {"what": "PSNR"} | judge.columns(quality),
             about | {"what": "% of leaves"} | judge.columns(shares),
@@ -121,7 +123,7 @@ def cuts(judge: Judge, dilation: float | None) -> list[dict[str, object]]:
     options = splatree.SelectOptions(budget=num_leaves // 10)
     frames = [splatree.trace(scene, camera, select=options) for camera in judge.cameras]
     quality = [judge.psnr(i, frame.result.image) for i, frame in enumerate(frames)]
-    about = {"mode": judge.mode, "cut": "10 % of leaves in view"}
+    about = {"mode": judge.mode, "levels": method, "cut": "10 % of leaves in view"}
     rows.append(about | {"what": "PSNR"} | judge.columns(quality))
     rows.append(about | {"what": "τ_R px"} | judge.columns([frame.selection.pixel_error for frame in frames]))
     return rows
@@ -132,6 +134,7 @@ def main() -> None:
     parser.add_argument("scene", type=Path, nargs="?", default=CHUNK)
     parser.add_argument("--mode", nargs="+", choices=("classic", "antialiased"), default=["classic", "antialiased"])
     parser.add_argument("--peer", action="store_true", help="also run splat-transform through npx")
+    parser.add_argument("--cuts", action="store_true", help="table 2 alone")
     parser.add_argument("--dilation", type=float, help="table 2 alone, for a tree made with this --merge.dilation")
     arguments = parser.parse_args()
     if arguments.peer and shutil.which("npx") is None:
@@ -143,19 +146,20 @@ def main() -> None:
     peers = {keep: decimated(arguments.scene, keep) for keep in SHARES} if arguments.peer else {}
     for mode in arguments.mode:
         judge = Judge(leaves, mode)
-        if arguments.dilation is None:
+        if arguments.dilation is None and not arguments.cuts:
             thin_rows += thinned(judge, peers)
             print(table([row for row in thin_rows if row["mode"] == mode]), end="\n\n", flush=True)
-        cut_rows += cuts(judge, arguments.dilation)
+        for method in get_args(Method) if arguments.dilation is None else ("radius",):
+            cut_rows += cuts(judge, method, arguments.dilation)
         print(table([row for row in cut_rows if row["mode"] == mode]), end="\n\n", flush=True)
     name = arguments.scene.name.split(".")[0]
-    if arguments.dilation is None:
+    if thin_rows:
         save(
             f"quality_thin_{name}",
             thin_rows,
             about="PSNR of one thinning against the full scene, six views near to far",
         )
-    else:
+    if arguments.dilation is not None:
         name += f"_dilation_{arguments.dilation:g}"
     save(f"quality_cut_{name}", cut_rows, about="PSNR of the cut against all leaves, six views near to far")
 
