@@ -1,6 +1,7 @@
 """Each verb from end to end on a small real scene."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -194,6 +195,13 @@ def test_eval_compares_with_all_leaves(splatree, small_tree):
     assert evaluated["mean"]["psnr_vs_leaves"] == pytest.approx(
         np.mean([v["psnr_vs_leaves"] for v in evaluated["views"]])
     )
+
+
+def test_means_are_said_without_powers_of_ten(splatree, small_tree):
+    words = ("eval", small_tree, "--views", "1", "--frames", "0", "--width", "1280", "--height", "720")
+    code, out, _ = splatree(*words)
+    assert code == 0
+    assert re.search(r"^mean: selected \d,\d{3}, pairs \d,\d{3}, pixel_error 3, ", out, flags=re.MULTILINE)
 
 
 def test_eval_of_equal_pictures_is_null_in_json(splatree, small_ply):

@@ -234,7 +234,10 @@ def show(evaluated: Evaluated) -> str:
 
 
 def _words(mean: Mapping[str, float | None]) -> str:
-    return ", ".join(f"{name} {value:.4g}" for name, value in mean.items() if value is not None)
+    given = {name: value for name, value in mean.items() if value is not None}
+    return ", ".join(
+        f"{name} {value:,.0f}" if abs(value) >= 1e3 else f"{name} {value:.4g}" for name, value in given.items()
+    )
 
 
 def view_of(e: Evaluation) -> View:
