@@ -201,7 +201,7 @@ def test_cost_falls_with_the_square_of_the_visibility():
 
 def test_of_two_pairs_alike_the_hidden_one_merges():
     """Opaque balls stand around the second pair, in each direction that is looked along; larger, they cost more to merge."""
-    around = [[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if x * x + y * y + z * z in (1, 3)]
+    around = [[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if x * y * z]
     means = np.concatenate([[[30, 0, 0], [30.05, 0, 0], [0, 0, 0], [0.05, 0, 0]], 3 * np.array(around)])
     n = len(means)
     small = np.arange(n) < 4

@@ -59,8 +59,8 @@ def test_alone_all_is_seen():
 
 
 def test_what_hides_is_forgotten_with_the_distance():
-    """A ball between two large ones on the x axis is hidden along x; reach lets the light recover by 1 − e^(−distance/reach)."""
-    g = balls([[0, 0, 0], [-20, 0, 0], [20, 0, 0]], log_scale=1.0)
+    """A ball between two on a diagonal is hidden along it; reach lets the light recover by 1 − e^(−distance/reach)."""
+    g = balls([[0, 0, 0], [-12, -12, -12], [12, 12, 12]], log_scale=1.0)
     hidden = reference.measure_visibilities(g, np.zeros(3), cell=1.0, reach=np.inf, width=64)
     recovered = reference.measure_visibilities(g, np.zeros(3), cell=1.0, reach=5.0, width=64)
     assert hidden[0] < hidden[1] == pytest.approx(hidden[2])

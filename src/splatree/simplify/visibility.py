@@ -1,8 +1,8 @@
 """How much of each Gaussian is seen, for thinning: what is hidden from everywhere is not worth a Gaussian.
 
-In a trained scene most Gaussians lie behind others; of a city half show less than a sixth of what they could. Spending few
-Gaussians on what is seen gains as much as half as many more would. The measure is kernels/reference/visibility.py's; here is
-the choice of its lengths from the scene. Cost: fourteen directions, about a microsecond a Gaussian.
+In a trained scene many Gaussians lie behind others. Spending few on what is seen gains as much as half as many more would (a
+city at a tenth, benchmarks/quality.py). The measure is kernels/reference/visibility.py's; here is the choice of its lengths
+from the scene. Cost: eight directions, about a microsecond a Gaussian.
 """
 
 import numpy as np
@@ -15,7 +15,7 @@ from splatree.shapes import Array, Float32
 __all__ = ["pixel_size_of", "visibilities_in", "visibilities_of"]
 
 CELL_SIZE = 4.0
-"""Edge of a cell, in sizes of the median Gaussian: from 3 to 6 the thinned city differs by less than 0.05 dB."""
+"""Edge of a cell, in sizes of the median Gaussian: from 3 to 6 the thinned city differs by less than 0.05 dB (a trial)."""
 
 REACH = 0.1
 """Distance after which what hides is forgotten, as a share of the scene's extent: a viewer may come as near."""

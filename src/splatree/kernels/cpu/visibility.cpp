@@ -1,4 +1,4 @@
-// Seven axes, each looked along both ways; kernels/reference/visibility.py is the definition.
+// Four axes, each looked along both ways; kernels/reference/visibility.py is the definition.
 //
 // For each axis the Gaussians are sorted by depth and projected, then walked through from either end (see_through.cpp). Axes are
 // independent of each other and their results are added in their order: the same bits for any number of threads.
@@ -21,11 +21,8 @@ struct Frame {
 };
 
 constexpr float R2 = 0.70710678f, R3 = 0.57735027f, R6 = 0.40824829f;
-// The axes of the world and the diagonals of its cubes.
+// The diagonals of the world's cubes.
 constexpr Frame FRAMES[] = {
-    {{0, 1, 0}, {0, 0, 1}, {1, 0, 0}},
-    {{1, 0, 0}, {0, 0, 1}, {0, 1, 0}},
-    {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}},
     {{R2, -R2, 0}, {R6, R6, -2 * R6}, {R3, R3, R3}},
     {{R2, -R2, 0}, {R6, R6, 2 * R6}, {R3, R3, -R3}},
     {{R2, R2, 0}, {R6, -R6, -2 * R6}, {R3, -R3, R3}},

@@ -1,9 +1,8 @@
 """What of each Gaussian others leave to be seen from around: as it is defined.
 
-Gaussians are looked at along fourteen directions, the axes of the world and the diagonals of its cubes, both ways, in
-parallel projection on a plane of cells. A Gaussian becomes a splat G in the plane, its covariance widened by 0.3 of a cell
-squared and its opacity α lowered so that it keeps its mass. From the front to the back, by the depth of the means, each is seen
-through those before it:
+Gaussians are looked at along eight directions, the diagonals of the world's cubes, both ways, in parallel projection on a
+plane of cells. A Gaussian becomes a splat G in the plane, its covariance widened by 0.3 of a cell squared and its opacity α
+lowered so that it keeps its mass. From the front to the back, by the depth of the means, each is seen through those before it:
 
     seen = Σ T G / Σ G over the cells within 2 σ,    then T ← T (1 − α G)
 
@@ -33,9 +32,6 @@ MOST = 15.5
 
 FRAMES = np.array(
     [
-        [[0, 1, 0], [0, 0, 1], [1, 0, 0]],
-        [[1, 0, 0], [0, 0, 1], [0, 1, 0]],
-        [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
         [[1, -1, 0], [1, 1, -2], [1, 1, 1]],
         [[1, -1, 0], [1, 1, 2], [1, 1, -1]],
         [[1, 1, 0], [1, -1, -2], [1, -1, 1]],
