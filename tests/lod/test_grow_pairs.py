@@ -205,9 +205,9 @@ class Slow:
 @pytest.mark.parametrize("mode", ["classic", "antialiased"])
 def test_levels_are_those_of_the_definition(mode):
     g = surface(50, seed=5)
-    options = MergeOptions().resolved(mode, growth=2.0)
+    options = MergeOptions().resolved(mode, growth=2.0, of_pairs=True)
     weights = weights_of(g, options.weight)
-    present = Present(g, weights, np.ones(50, np.float32), mode, options, fits_opacity=mode == "classic")
+    present = Present(g, weights, np.ones(50, np.float32), mode, options)
     slow = Slow(g, weights, mode, options)
     found = wanted = np.arange(50)
     for pixel_size in (0.15, 0.5, 0.9):
@@ -231,3 +231,13 @@ def test_gaussians_out_of_reach_of_each_other_stay_roots():
 def test_impossible_options_are_refused(wrong):
     with pytest.raises(InputError):
         BuildOptions(**wrong)
+
+
+def test_the_record_names_the_rules_that_follow_from_the_mode():
+    records = {
+        mode: json.loads(build_lod(Scene.flat(surface(200), mode=mode), PAIRS).source.metadata["levels"])
+        for mode in ("classic", "antialiased")
+    }
+    assert records["classic"]["merge"]["opacity"] == "fitted"
+    assert records["antialiased"]["merge"]["opacity"] == "optical"
+    assert records["classic"]["visibility"]

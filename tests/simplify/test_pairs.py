@@ -185,7 +185,7 @@ def test_options_say_what_was_done():
 
 
 def test_fitted_opacity_is_of_pairs_alone():
-    with pytest.raises(InputError, match="only thinning by pairs"):
+    with pytest.raises(InputError, match="only merging by pairs"):
         thin(random_gaussians(20, seed=14), ThinOptions(radius=0.1, merge=MergeOptions(opacity="fitted")))
 
 

@@ -39,6 +39,9 @@ from splatree.simplify.visibility import pixel_size_of, visibilities_in
 
 __all__ = ["BuildOptions", "build_lod"]
 
+FITTED_WIDENING = 0.4
+"""`pairs`: what saturated nodes are widened by, where one thinning takes 0.3: far views of a city gain a decibel."""
+
 WIDEST_PIXEL = 16.0
 """`pairs` ends with pixels so many times as wide as the scene: no change of the picture can be as large as one of them."""
 
@@ -99,8 +102,10 @@ def build_lod(scene: Scene, options: BuildOptions | None = None, *, threads: int
     options = options or BuildOptions()
     leaves, leaf_ids = _leaves_of(scene)
     check_finite(leaves)
-    fits_opacity = options.merge.opacity is None and scene.mode == "classic"
-    options = dataclasses.replace(options, merge=options.merge.resolved(scene.mode, growth=options.growth))
+    merge = options.merge.resolved(scene.mode, growth=options.growth, of_pairs=options.method == "pairs")
+    if merge.opacity == "fitted" and merge.widening is None:
+        merge = dataclasses.replace(merge, widening=FITTED_WIDENING)
+    options = dataclasses.replace(options, merge=merge)
     forest, diagonal = _forest_of(leaves, options), _diagonal_of(leaves)
     rules: dict[str, Any] = {"growth": options.growth, "max_roots": options.max_roots}
     if options.method == "pairs":
@@ -109,9 +114,7 @@ def build_lod(scene: Scene, options: BuildOptions | None = None, *, threads: int
         if options.visibility:
             visibilities = visibilities_in(scene.mode, leaves, threads=threads)[forest.leaf_from_node]
             forest.weights[0] *= visibilities
-        present = Present(
-            *(forest.columns[0], forest.weights[0], visibilities, scene.mode, options.merge), fits_opacity=fits_opacity
-        )
+        present = Present(forest.columns[0], forest.weights[0], visibilities, scene.mode, merge)
         pixel_sizes = _steps(pixel_size, WIDEST_PIXEL * (diagonal + _largest_reach(leaves)), options.growth)
         forest = grow_by_pairs(forest, present, pixel_sizes, max_roots=options.max_roots, threads=threads)
         rules |= {

@@ -9,13 +9,16 @@ details late, whatever their size; all cuts are near the one with the fewest nod
 
 In mode `classic` each splat grows by 0.3 px². So does each Gaussian here before a cost is computed: p is known. Far away all is
 dilation, and many opaque splats share a pixel: sums of signals then say too much, the picture is saturated. There a node that is
-smaller than a pixel, σ ≤ 0.65 p, is merged whatever the cost; opacities that fit the sum are taken below 0.98, above it
-those of the rule `standard`, which widens what is opaque already.
+smaller than a pixel, σ ≤ 0.65 p, is merged whatever the cost; `fitted` opacities are taken below 0.98, above it those of the
+rule `standard`, which widens what is opaque already.
+
+What others hide counts less (simplify/visibility.py), in costs and in what a merged one looks like.
 
 A node is at most 16 p long (σ): seen from 550 px focal lengths it then ends within a tenth of the distance, and one size of a
 pixel is true of all of it.
 
-Cost: partners are looked for where they have gone or changed, about five times a Gaussian at 2 µs, and each merge.
+Cost: neighbours are looked for once a level, by those that lost some (kernels/cpu/partners.cpp); costs, about half a microsecond
+a Gaussian, once a level in mode `classic` and where a partner has gone; visibilities once.
 """
 
 import dataclasses
@@ -92,18 +95,11 @@ class Present:
     """The Gaussians that are left of a scene, and each one's cheapest partner."""
 
     def __init__(
-        self,
-        gaussians: Gaussians,
-        weights: Array,
-        visibilities: Array,
-        mode: Mode,
-        merge: MergeOptions,
-        *,
-        fits_opacity: bool,
+        self, gaussians: Gaussians, weights: Array, visibilities: Array, mode: Mode, merge: MergeOptions
     ) -> None:
-        """``merge`` resolved; ``fits_opacity``: opacities are those that change the picture least, where one Gaussian can."""
+        """``merge`` resolved."""
         self.gaussians, self.weights, self.visibilities = gaussians, weights, visibilities
-        self.is_classic, self.merge, self.fits_opacity = mode == "classic", merge, fits_opacity
+        self.is_classic, self.merge = mode == "classic", merge
         self.partners = Partners.unknown(len(gaussians))
 
     def __len__(self) -> int:
@@ -141,7 +137,7 @@ class Present:
 
     def _merge(self, pairs: Groups, threads: int) -> None:
         opacities = None
-        if self.fits_opacity:
+        if self.merge.opacity == "fitted":
             fitted = self.partners.opacities[pairs.representatives]
             opacities = np.where(fitted < SATURATED, fitted, np.float32(0))
         self.gaussians = merge_kernel.merge(

@@ -82,7 +82,7 @@ class MergeOptions:
         """
         if self.opacity == "fitted" and not of_pairs:
             others = ", ".join(rule for rule in get_args(OpacityRule) if rule != "fitted")
-            raise InputError(f"opacity: found 'fitted', wanted one of {others}: only thinning by pairs fits it")
+            raise InputError(f"opacity: found 'fitted', wanted one of {others}: only merging by pairs fits it")
         classic = mode == "classic"
         dilation = 0.0
         if classic and growth is not None:
