@@ -1,5 +1,6 @@
 """Each verb from end to end on a small real scene."""
 
+import gzip
 import json
 import re
 from dataclasses import replace
@@ -11,6 +12,7 @@ import pytest
 from splatree.cli.render import file_names
 from splatree.io.cameras import write_cameras
 from splatree.io.images import read_image, write_image
+from splatree.io.options import WriteOptions
 from splatree.io.registry import read, write
 from splatree.render.calibrate import METADATA_KEY
 from splatree.render.paths import PathOptions, flyout
@@ -158,6 +160,18 @@ def test_every_verb_that_reads_a_scene_can_repair_it(splatree, small_scene, tmp_
     code, _, err = splatree(verb, path, *words)
     assert code == 1 and "read it with repair" in err
     assert splatree(verb, path, *words, "--repair")[0] == 0
+
+
+def test_every_verb_takes_the_axes_of_a_file_that_names_none(splatree, small_scene, tmp_path):
+    spz, ply = tmp_path / "a.spz", tmp_path / "a.ply"
+    write(Scene.flat(small_scene.gaussians.take(np.arange(50))), spz, options=WriteOptions(format_version=3))
+    raw = bytearray(gzip.decompress(spz.read_bytes()))
+    flags = 14
+    raw[flags] &= ~2  # no extension records, so that nothing names the axes
+    spz.write_bytes(gzip.compress(raw[:-12]))
+    assert splatree("thin", spz, ply, "--keep", "1", "--input-axes", "LUF")[0] == 0
+    np.testing.assert_allclose(read(ply).gaussians.means, read(spz, axes="LUF").gaussians.means)
+    assert "LUF, assumed" in splatree("info", spz, "--input-axes", "LUF")[1]
 
 
 def test_render_says_once_what_to_know_of_the_selection(splatree, small_tree, tmp_path):

@@ -10,9 +10,9 @@ from tyro.conf import arg
 
 from splatree.cli.calibrate import Views, in_words, training_views
 from splatree.cli.console import Console, UsageError, size, table
-from splatree.cli.files import Files, inputs_and_output
+from splatree.cli.files import Files, inputs_and_output, read_scene
 from splatree.clusters.build import ClusterOptions, build_clusters
-from splatree.io.registry import read, read_levels, stored_bytes, write
+from splatree.io.registry import read_levels, stored_bytes, write
 from splatree.lod.build import BuildOptions, build_lod
 from splatree.lod.link import link_levels
 from splatree.lod.report import report_levels
@@ -107,14 +107,16 @@ def run(command: Command) -> Built:
 
 
 def _read(command: Command, inputs: Sequence[Path]) -> Scene:
-    scene = _in_mode(read(inputs, repair=command.files.repair), command.mode)
+    scene = _in_mode(read_scene(inputs, command.files.reading), command.mode)
     return scene if command.flat else build_lod(scene, command.options)
 
 
 def _linked(command: Command, inputs: Sequence[Path]) -> Scene:
     if len(inputs) != 1:
         raise UsageError(f"--levels file: found {len(inputs)} inputs, wanted one, a folder with lod-meta.json")
-    return link_levels([_in_mode(scene, command.mode) for scene in read_levels(inputs[0], repair=command.files.repair)])
+    return link_levels(
+        [_in_mode(scene, command.mode) for scene in read_levels(inputs[0], repair=command.files.reading.repair)]
+    )
 
 
 def _in_mode(scene: Scene, mode: Mode | None) -> Scene:

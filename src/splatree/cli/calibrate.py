@@ -8,11 +8,11 @@ from typing import Annotated, Literal
 from tyro.conf import arg
 
 from splatree.cli.console import Console, table
-from splatree.cli.files import Files, inputs_and_output
+from splatree.cli.files import Files, inputs_and_output, read_scene
 from splatree.errors import InputError
 from splatree.io.cameras import read_cameras
 from splatree.io.photos import Photos
-from splatree.io.registry import read, write
+from splatree.io.registry import write
 from splatree.io.split import split_views
 from splatree.render.calibrate import CalibrateOptions, Calibration, calibrate, calibrated
 from splatree.render.paths import PathOptions, flyout, orbit
@@ -83,7 +83,7 @@ def run(command: Command) -> Calibrated:
     in_place = command.files.output is None and len(paths) == 1 and paths[0].suffix.lower() == ".splatree"
     inputs, output = (paths, paths[0]) if in_place else inputs_and_output(command.files, keeps_tree=True)
     views = training_views(command.views)
-    scene = read(inputs, repair=command.files.repair)
+    scene = read_scene(inputs, command.files.reading)
     if views is None:
         made = {"orbit": orbit, "flyout": flyout}[command.path](scene, command.made)
         views = TrainingViews(list(made), None, "")

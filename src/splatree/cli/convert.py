@@ -13,7 +13,6 @@ from splatree.errors import InputError
 from splatree.io.convert import ConvertOptions, convert
 from splatree.io.options import ReadOptions, WriteOptions
 from splatree.io.registry import stored_bytes
-from splatree.maths.axes import AxesName
 
 
 @dataclass(frozen=True)
@@ -29,8 +28,6 @@ class Command:
     """Level of detail to read from a format that has several; 0 is the finest."""
     depth: int | None = None
     """Write one cut of the tree to a format without levels: the nodes at this depth, 0 the roots; None: the leaves."""
-    input_axes: AxesName | None = None
-    """Where x, y, z point in an .spz that does not say it: left or right, up or down, front or back; None: RDF, as in a .ply."""
     drop_invalid: bool = False
     """Drop Gaussians with values that cannot be used, and count them, instead of stopping; --repair mends what it can."""
     edit: Annotated[EditOptions, arg(name="")] = EditOptions()
@@ -61,7 +58,8 @@ class Result:
 def run(command: Command) -> Result:
     """Read, edit, write."""
     inputs, output = inputs_and_output(command.files, options=command.options)
-    read = ReadOptions(command.level, "drop" if command.drop_invalid else command.files.repair, command.input_axes)
+    reading = command.files.reading
+    read = ReadOptions(command.level, "drop" if command.drop_invalid else reading.repair, reading.input_axes)
     try:
         options = ConvertOptions(read, command.edit, command.options, command.depth)
     except InputError as error:

@@ -10,11 +10,10 @@ import numpy as np
 from tyro.conf import Positional, arg
 
 from splatree.cli.console import Console, UsageError, table
-from splatree.cli.files import check_inputs
+from splatree.cli.files import Reading, check_inputs, read_scene
 from splatree.errors import InputError
 from splatree.io.cameras import read_cameras
 from splatree.io.photos import Photos
-from splatree.io.registry import read
 from splatree.io.split import split_views
 from splatree.lod.baselines import Baseline, BaselineOptions, Method, baseline
 from splatree.lod.blocks import with_blocks
@@ -56,13 +55,12 @@ class Command:
     """Weights of the classifier, from torchvision; None: where torch keeps them."""
     lpips_heads: Path | None = None
     """Weights of LPIPS version 0.1; None: from an installed package lpips or torchmetrics."""
-    repair: bool = False
-    """Fix or drop values that cannot be used instead of stopping."""
     device: DeviceName = "cpu"
     """Where to select and draw: `cuda` is an NVIDIA GPU; `splatree doctor` says what it needs."""
     made: Annotated[PathOptions, arg(name="")] = PathOptions(views=8)
     select: Annotated[SelectOptions, arg(name="")] = SelectOptions()
     options: Annotated[RenderOptions, arg(name="")] = RenderOptions()
+    reading: Annotated[Reading, arg(name="")] = Reading()
     console: Annotated[Console, arg(name="")] = Console()
 
 
@@ -148,7 +146,7 @@ def run(command: Command) -> Evaluated:
         raise UsageError("training: found no --data, wanted photographs; without them no view is held out")
     source = command.cameras or command.data
     named = None if source is None else read_cameras(source)
-    scene = with_blocks(read(command.paths, repair=command.repair)).to(command.device)
+    scene = with_blocks(read_scene(command.paths, command.reading)).to(command.device)
     held_out, training, compared_with = _views(flyout(scene, command.made) if named is None else named, command)
     photos = Photos(command.data, [*held_out, *training]) if command.data else None
     if photos is not None:

@@ -1,5 +1,6 @@
 """Inputs and outputs of a verb: ``verb in.ply out.ply``, or ``verb chunk_*/ -o out.ply`` for several inputs."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -9,8 +10,20 @@ from tyro.conf import Positional, arg
 from splatree.cli.console import UsageError
 from splatree.errors import InputError, OutputError
 from splatree.io.options import WriteOptions
-from splatree.io.registry import FOLDER_FILE, format_to_write, formats
+from splatree.io.registry import FOLDER_FILE, format_to_write, formats, read
 from splatree.io.replacing import check_target
+from splatree.maths.axes import AxesName
+from splatree.scene.scene import Scene
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How inputs are taken."""
+
+    repair: bool = False
+    """Fix or drop values that cannot be used, and count them, instead of stopping."""
+    input_axes: AxesName | None = None
+    """Where x, y, z point in an .spz that does not say it: left or right, up or down, front or back; None: RDF, as in a .ply."""
 
 
 @dataclass(frozen=True)
@@ -21,10 +34,9 @@ class Files:
     """Inputs, and last the output unless it is named with -o; several inputs are read as one scene."""
     output: Annotated[Path | None, arg(aliases=["-o"])] = None
     """File to write."""
-    repair: bool = False
-    """Fix or drop values that cannot be used, and count them, instead of stopping."""
     force: bool = False
     """Replace the output if it exists."""
+    reading: Annotated[Reading, arg(name="")] = Reading()
 
 
 def check_inputs(paths: tuple[Path, ...]) -> None:
@@ -35,6 +47,11 @@ def check_inputs(paths: tuple[Path, ...]) -> None:
     """
     if not paths:
         raise UsageError("found no path, wanted a scene: a file or a folder, or several which are one scene")
+
+
+def read_scene(paths: Sequence[Path], reading: Reading, *, level: int | None = None) -> Scene:
+    """One scene from all paths."""
+    return read(paths, level=level, repair=reading.repair, axes=reading.input_axes)
 
 
 def inputs_and_output(

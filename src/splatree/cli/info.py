@@ -8,8 +8,8 @@ import numpy as np
 from tyro.conf import Positional, arg
 
 from splatree.cli.console import Console, size, table
-from splatree.cli.files import check_inputs
-from splatree.io.registry import read, stored_bytes
+from splatree.cli.files import Reading, check_inputs, read_scene
+from splatree.io.registry import stored_bytes
 from splatree.render.paths import bounds_of
 from splatree.scene.scene import Scene
 
@@ -22,8 +22,7 @@ class Command:
     """Files or folders; several are read as one scene."""
     level: int | None = None
     """Level of detail to read from a format that has several; 0 is the finest."""
-    repair: bool = False
-    """Fix or drop values that cannot be used, and count them, instead of stopping."""
+    reading: Annotated[Reading, arg(name="")] = Reading()
     console: Annotated[Console, arg(name="")] = Console()
 
 
@@ -76,7 +75,7 @@ class Info:
 def run(command: Command) -> Info:
     """Read the scene and describe it."""
     check_inputs(command.paths)
-    return describe(read(command.paths, level=command.level, repair=command.repair))
+    return describe(read_scene(command.paths, command.reading, level=command.level))
 
 
 def describe(scene: Scene) -> Info:

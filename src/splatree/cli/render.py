@@ -11,11 +11,10 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg
 
 from splatree.cli.console import Console, UsageError, table
-from splatree.cli.files import check_inputs
+from splatree.cli.files import Reading, check_inputs, read_scene
 from splatree.errors import InputError, OutputError
 from splatree.io.cameras import read_cameras
 from splatree.io.images import write_image
-from splatree.io.registry import read
 from splatree.io.replacing import check_target
 from splatree.render.batch import trace_batch
 from splatree.render.counters import frame_counters, write_counters
@@ -47,8 +46,6 @@ class Command:
     """Factor on the width and height of the cameras."""
     path: Literal["orbit", "flyout"] = "orbit"
     """Path to make without --cameras: around the scene, or away from it."""
-    repair: bool = False
-    """Fix or drop values that cannot be used instead of stopping."""
     force: bool = False
     """Replace pictures and the video if they exist."""
     device: DeviceName = "cpu"
@@ -56,6 +53,7 @@ class Command:
     made: Annotated[PathOptions, arg(name="")] = PathOptions()
     select: Annotated[SelectOptions, arg(name="")] = SelectOptions()
     options: Annotated[RenderOptions, arg(name="")] = RenderOptions()
+    reading: Annotated[Reading, arg(name="")] = Reading()
     console: Annotated[Console, arg(name="")] = Console()
 
 
@@ -107,7 +105,7 @@ def run(command: Command) -> Rendered:
         except InputError as error:
             raise UsageError(str(error)) from error
     named = None if command.cameras is None else read_cameras(command.cameras)
-    scene = read(command.paths, repair=command.repair).to(command.device)
+    scene = read_scene(command.paths, command.reading).to(command.device)
     cameras = [camera.scaled(command.scale) for camera in (_made(scene, command) if named is None else named)]
     names = file_names(cameras)
     targets = [command.video] if command.video else []

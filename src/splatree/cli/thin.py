@@ -7,8 +7,8 @@ from typing import Annotated
 from tyro.conf import arg
 
 from splatree.cli.console import Console, size
-from splatree.cli.files import Files, inputs_and_output
-from splatree.io.registry import read, stored_bytes, write
+from splatree.cli.files import Files, inputs_and_output, read_scene
+from splatree.io.registry import stored_bytes, write
 from splatree.scene.scene import Scene
 from splatree.scene.thinning import ThinOptions
 from splatree.simplify.thin import thin
@@ -48,7 +48,7 @@ class Result:
 def run(command: Command) -> Result:
     """Read the leaves, thin them, write."""
     inputs, output = inputs_and_output(command.files)
-    scene = read(inputs, repair=command.files.repair)
+    scene = read_scene(inputs, command.files.reading)
     leaves = scene.gaussians if scene.tree.is_leaf.all() else scene.gaussians.take(scene.tree.is_leaf)
     thinned = thin(leaves, command.options, mode=scene.mode)
     flat = Scene.flat(thinned.gaussians, mode=scene.mode, source=scene.source)
