@@ -60,6 +60,20 @@ def test_build_makes_clusters(splatree, small_ply, tmp_path, flat):
     assert f"{info['clusters']['number']}, median of" in words
 
 
+def test_build_by_pairs_makes_levels_that_are_drawn_by_their_extents(splatree, small_ply, tmp_path):
+    target = tmp_path / "a.splatree"
+    code, words, _ = splatree("build", small_ply, target, "--method", "pairs")
+    assert code == 0
+    assert "pixel" in words
+    assert json.loads(read(target).source.metadata["levels"])["rule"] == "pairs"
+    counts = []
+    for profile in ((), ("--profile", "sphere")):
+        folder = tmp_path / f"frames{len(counts)}"
+        views = result_of(splatree("render", target, "-o", folder, "--views", "2", *SIZE, *profile, "--json"))["views"]
+        counts.append([view["selected"] for view in views])
+    assert counts[0] == counts[1]
+
+
 def test_culling_draws_the_same_pictures(splatree, small_ply, tmp_path):
     result_of(splatree("build", small_ply, tmp_path / "a.splatree", "--clusters", "60", "--flat", "--json"))
     pictures = []
