@@ -79,7 +79,11 @@ def thinned(judge: Judge, peers: dict[float, splatree.Gaussians]) -> list[dict[s
     rows: list[dict[str, object]] = []
     for keep in SHARES:
         pairs = splatree.ThinOptions("pairs", keep=keep)
-        entries = {"pairs": splatree.thin(judge.leaves, pairs, mode=judge.mode).gaussians}
+        unseen = splatree.ThinOptions("pairs", keep=keep, visibility=False)
+        entries = {
+            "pairs": splatree.thin(judge.leaves, pairs, mode=judge.mode).gaussians,
+            "pairs without visibility": splatree.thin(judge.leaves, unseen, mode=judge.mode).gaussians,
+        }
         for name, merge in RULES.items():
             color_radius = None if merge.rule == "mean" else splatree.ThinOptions().color_radius
             options = splatree.ThinOptions("radius", keep=keep, merge=merge, color_radius=color_radius)
