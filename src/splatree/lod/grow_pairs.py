@@ -1,7 +1,7 @@
 """Levels by pairs: at each size of a pixel, the merges that a view of that size does not show.
 
 Level l is made for a pixel of width p_l = p_0 g^l, world units. Two Gaussians may become one if their merging changes the
-picture by at most ε = 0.2 px² of squared signal (kernels/reference/pairs.py has the cost E, here E ≤ ε p²), the cheapest pairs
+picture by at most ε = 0.15 px² of squared signal (kernels/reference/pairs.py has the cost E, here E ≤ ε p²), the cheapest pairs
 first and each Gaussian with its cheapest partner, round after round until few are left; what became one is a family. The
 nodes of a level then stand for their leaves wherever a pixel is p_l or wider: their extent is e = τ_R p_l, so that the
 profile `sphere`, R = f e / (distance − e) ≤ τ_R, draws them from there on. Large even surfaces are merged early and small
@@ -42,7 +42,7 @@ from splatree.simplify.pairs import means_of_pairs
 
 __all__ = ["Present", "grow_by_pairs"]
 
-CHANGE_PX2 = 0.2
+CHANGE_PX2 = 0.15
 """ε: squared change of the picture that one merge may make, px², summed over colours and coverage and three views."""
 
 SMALL_PX = 0.65

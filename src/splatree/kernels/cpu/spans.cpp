@@ -90,8 +90,13 @@ void repeat_span(Span span, int num_rows, Spans& spans) {
 
 SPLATREE_FN uint32_t word_of(int low, int high) { return uint32_t(low) | uint32_t(high) << 16; }
 
+SPLATREE_FN Ellipse ellipse_at(const Planes& p, int i) {
+  return {p.column[X][i], p.column[Y][i], p.k_squared[i], p.c_squared[i], p.skew[i],
+          p.inverse_a[i], p.height[i], p.dy_of_right[i], p.margin[i]};
+}
+
 // The tiles of lane i's ellipse in the first of its rows, or of its box.
-template <Extent EXTENT, bool FLOORS>
+template <Extent EXTENT>
 SPLATREE_FN void cover_ellipse(const BinJob& job, int i, Planes& p) {
   const float width = job.width, height = job.height;
   const float log2_threshold =
@@ -104,7 +109,6 @@ SPLATREE_FN void cover_ellipse(const BinJob& job, int i, Planes& p) {
   p.inverse_a[i] = e.inverse_a, p.height[i] = e.height, p.dy_of_right[i] = e.dy_of_right, p.margin[i] = e.margin;
   const Tiles rows = tiles_in({e.y - e.height - e.margin, e.y + e.height + e.margin}, height);
   const int num_rows = rows.end - rows.first;
-  float nearest = FLOORS ? nearest_above_or_below(e, rows, job.num_tiles_y) : FAR;
 #pragma GCC unroll 3
   for (int r = 0; r < NEAR_ROWS; ++r) {
     const Interval strip = strip_of(rows.first + r, height);
@@ -112,13 +116,24 @@ SPLATREE_FN void cover_ellipse(const BinJob& job, int i, Planes& p) {
     const Interval reach = EXTENT == Extent::BOX ? Interval{e.x - box, e.x + box} : reach_of(e, strip.low, strip.high);
     const Tiles columns = tiles_in(reach, width);
     p.tiles[1 + r][i] = r < num_rows ? word_of(columns.first, columns.end) : 0;
-    if (FLOORS) {
-      const float beside = nearest_beside(e, columns, strip, job.num_tiles_x);
-      nearest = r < num_rows ? least(beside, nearest) : nearest;
-    }
   }
   p.first_row[i] = rows.first, p.num_rows[i] = num_rows;
   p.tiles[0][i] = word_of(rows.first, num_rows);
+}
+
+// The smallest |L d|² of lane i's ellipse in a tile around those of its first rows.
+SPLATREE_FN void find_nearest(const BinJob& job, int i, Planes& p) {
+  const Ellipse e = ellipse_at(p, i);
+  const float height = job.height;
+  const int first_row = p.first_row[i], num_rows = p.num_rows[i];
+  float nearest = nearest_above_or_below(e, {first_row, first_row + num_rows}, job.num_tiles_y);
+#pragma GCC unroll 3
+  for (int r = 0; r < NEAR_ROWS; ++r) {
+    const uint32_t word = p.tiles[1 + r][i];
+    const Tiles columns = {int(word & 0xffff), int(word >> 16)};
+    const float beside = nearest_beside(e, columns, strip_of(first_row + r, height), job.num_tiles_x);
+    nearest = least(r < num_rows ? beside : FAR, nearest);
+  }
   p.nearest[i] = nearest;
 }
 
@@ -140,11 +155,7 @@ SPLATREE_FN void cover_square(const BinJob& job, int i, Planes& p) {
 template <Extent EXTENT, bool FLOORS>
 float list_far_rows(const BinJob& job, int i, const Planes& p, Spans& spans) {
   const int num_rows = p.num_rows[i];
-  if (EXTENT == Extent::ELLIPSE) {
-    const Ellipse ellipse = {p.column[X][i], p.column[Y][i], p.k_squared[i], p.c_squared[i], p.skew[i],
-                             p.inverse_a[i], p.height[i], p.dy_of_right[i], p.margin[i]};
-    return list_rows<FLOORS>(job, ellipse, p.first_row[i], num_rows, spans);
-  }
+  if (EXTENT == Extent::ELLIPSE) return list_rows<FLOORS>(job, ellipse_at(p, i), p.first_row[i], num_rows, spans);
   repeat_span({uint16_t(p.tiles[1][i]), uint16_t(p.tiles[1][i] >> 16)}, num_rows, spans);
   return FAR;
 }
@@ -160,8 +171,12 @@ void list_all(const BinJob& job, int64_t begin, int64_t end, SplatTiles* tiles, 
         if constexpr (EXTENT == Extent::SQUARE)
           cover_square(job, i, p);
         else
-          cover_ellipse<EXTENT, FLOORS>(job, i, p);
+          cover_ellipse<EXTENT>(job, i, p);
       }
+    }
+    if constexpr (FLOORS) {
+#pragma omp simd
+      for (int i = 0; i < num_blocks * LANES; ++i) find_nearest(job, i, p);
     }
     const int used = end - batch < BATCH ? int(end - batch) : BATCH;
     for (int i = 0; i < used; ++i) {
