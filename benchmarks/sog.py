@@ -23,7 +23,7 @@ import numpy as np
 from PIL import Image
 
 import splatree
-from harness import DATA, measure, save, table
+from harness import DATA, Cost, measure, save, table
 from splatree import Scene
 from splatree.io.palette import find_palette
 from splatree.io.sog_writer import WEBP_METHOD, WEBP_QUALITY
@@ -117,19 +117,22 @@ def gaussforge_rows(scene: Scene, python: str, count: int, folder: Path) -> list
     ):
         cost, out = measure(command), Path(command[-1])
         db = quality(few, splatree.read(out))
-        rows.append(
-            {
-                "work": f"{name}, degree 3, from .ply",
-                "Gaussians": len(few),
-                "CPU s": cost.cpu_s,
-                "wall s": cost.wall_s,
-                "peak MB": round(cost.peak_bytes / 1e6),
-                "MB": out.stat().st_size / 1e6,
-                "PSNR mean": float(db.mean()),
-                "PSNR least": float(db.min()),
-            }
-        )
+        rows.append(written_row(f"{name}, degree 3, from .ply", len(few), cost, out, db))
     return rows
+
+
+def written_row(work: str, num_gaussians: int, cost: Cost, path: Path, db: np.ndarray) -> dict[str, Any]:
+    """A line of the table: what writing a file took, and how near it is."""
+    return {
+        "work": work,
+        "Gaussians": num_gaussians,
+        "CPU s": cost.cpu_s,
+        "wall s": cost.wall_s,
+        "peak MB": round(cost.peak_bytes / 1e6),
+        "MB": path.stat().st_size / 1e6,
+        "PSNR mean": float(db.mean()),
+        "PSNR least": float(db.min()),
+    }
 
 
 def main() -> None:
@@ -150,19 +153,8 @@ def main() -> None:
             wrote = measure(lambda s=s, path=path: splatree.write(s, path))
             read = measure(lambda path=path: splatree.read(path))
             db = quality(s, read.value)
-            rows.append(
-                {
-                    "work": f"splatree, degree {degree}",
-                    "Gaussians": len(s),
-                    "CPU s": wrote.cpu_s,
-                    "wall s": wrote.wall_s,
-                    "peak MB": round(wrote.peak_bytes / 1e6),
-                    "read CPU s": read.cpu_s,
-                    "MB": path.stat().st_size / 1e6,
-                    "PSNR mean": float(db.mean()),
-                    "PSNR least": float(db.min()),
-                }
-            )
+            written = written_row(f"splatree, degree {degree}", len(s), wrote, path, db)
+            rows.append(written | {"read CPU s": read.cpu_s})
             rows.append({"work": f"WebP alone, degree {degree}", "Gaussians": len(s), **webp_alone(path)})
         if arguments.gaussforge:
             rows += gaussforge_rows(scene, arguments.gaussforge, arguments.gaussforge_count, Path(folder))
@@ -171,18 +163,7 @@ def main() -> None:
             splatree.write(flat_colour, ply)
             cost = measure([tool, "-q", "-g", "cpu", ply, out])
             db = quality(flat_colour, splatree.read(out))
-            rows.append(
-                {
-                    "work": "splat-transform, degree 0, from .ply",
-                    "Gaussians": len(scene),
-                    "CPU s": cost.cpu_s,
-                    "wall s": cost.wall_s,
-                    "peak MB": round(cost.peak_bytes / 1e6),
-                    "MB": out.stat().st_size / 1e6,
-                    "PSNR mean": float(db.mean()),
-                    "PSNR least": float(db.min()),
-                }
-            )
+            rows.append(written_row("splat-transform, degree 0, from .ply", len(scene), cost, out, db))
     rows += palette_rows(scene)
     print(table(rows))
     save(

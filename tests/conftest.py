@@ -5,6 +5,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from splatree.errors import DeviceError
+from splatree.kernels.cpu import _core
 from splatree.kernels.cuda.device import open_device
 from splatree.kernels.cuda.driver import Device
 
@@ -32,6 +33,15 @@ def emulator(compiled_emulator: Emulator) -> Iterator[Emulator]:
     yield compiled_emulator
     compiled_emulator.limit_memory(1 << 30)
     compiled_emulator.forget_failure()
+
+
+@pytest.fixture(params=_core.isas())
+def isa(request: pytest.FixtureRequest) -> Iterator[str]:
+    """Each instruction set that this processor runs, in turn."""
+    before = _core.isa()
+    _core.use_isa(request.param)
+    yield request.param
+    _core.use_isa(before)
 
 
 @pytest.fixture(params=["emulator", "gpu"])

@@ -1,21 +1,11 @@
-"""Scenes that are hard for a renderer, and the instruction sets of this processor."""
+"""Scenes that are hard for a renderer."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 
 import splatree as st
-from splatree.kernels.cpu import _core
-
-
-@pytest.fixture(params=_core.isas())
-def isa(request: pytest.FixtureRequest) -> Iterator[str]:
-    """Each level that this processor runs, in turn."""
-    before = _core.isa()
-    _core.use_isa(request.param)
-    yield request.param
-    _core.use_isa(before)
 
 
 def gaussians(

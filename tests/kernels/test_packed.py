@@ -2,19 +2,10 @@ import numpy as np
 import pytest
 
 from splatree import Gaussians
-from splatree.kernels.cpu import _core
 from splatree.kernels.cpu import packed as cpu
 from splatree.kernels.reference import packed as reference
 
 LOGITS = np.linspace(-9, 9, 256, dtype=np.float32)
-
-
-@pytest.fixture(params=_core.isas())
-def isa(request):
-    before = _core.isa()
-    _core.use_isa(request.param)
-    yield request.param
-    _core.use_isa(before)
 
 
 def gaussians(n, degree, seed=0):

@@ -3,19 +3,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from splatree.kernels.cpu import _core
 from splatree.kernels.cpu import quantize as cpu
 from splatree.kernels.reference import quantize as reference
 
 SIGNS = np.array([1, -1, 1, -1], np.float32)
-
-
-@pytest.fixture(params=_core.isas())
-def isa(request):
-    before = _core.isa()
-    _core.use_isa(request.param)
-    yield request.param
-    _core.use_isa(before)
 
 
 def away_from_steps(values, distance=1e-3):

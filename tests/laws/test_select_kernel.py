@@ -8,7 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from splatree import Camera, Gaussians, GaussianTree, RenderOptions, Scene, SelectOptions, ShapeError, select
-from splatree.kernels.cpu import _core
 from splatree.kernels.cpu.bin import bin as bin_splats
 from splatree.kernels.cpu.blocks import index_blocks
 from splatree.kernels.cpu.project import project
@@ -81,13 +80,6 @@ def random_camera(seed: int) -> Camera:
 
 def random_tau(seed: int) -> float:
     return float(np.random.default_rng(seed + 2).choice([0.0, 1.0, 1.7, 3.0, 8.0, 40.0, 300.0, 1e7, np.inf]))
-
-
-@pytest.fixture(params=_core.isas())
-def isa(request):
-    _core.use_isa(request.param)
-    yield request.param
-    _core.use_isa(_core.isas()[0])
 
 
 def visible_within(scene: Scene, camera: Camera, visibility: str, dilation: float, slack: float) -> np.ndarray:

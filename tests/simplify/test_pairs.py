@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from splatree import Gaussians, InputError, MergeOptions, ThinOptions, thin
-from splatree.kernels.cpu import _core, pairs
+from splatree.kernels.cpu import pairs
 from splatree.kernels.reference import pairs as reference
 from splatree.simplify.merge import weights_of
 
@@ -18,14 +18,6 @@ def random_gaussians(n: int, seed: int, *, spread: float = 1.0, degree: int = 0)
         rng.normal(0, 2, size=n).astype(np.float32),
         rng.normal(size=(n, (degree + 1) ** 2, 3)).astype(np.float32),
     )
-
-
-@pytest.fixture(params=_core.isas())
-def isa(request):
-    before = _core.isa()
-    _core.use_isa(request.param)
-    yield request.param
-    _core.use_isa(before)
 
 
 @pytest.mark.parametrize("n", [2, 3, 9, 60])

@@ -2,20 +2,12 @@ import numpy as np
 import pytest
 
 from splatree import Gaussians
-from splatree.kernels.cpu import _core, visibility
+from splatree.kernels.cpu import visibility
 from splatree.kernels.reference import visibility as reference
 from splatree.simplify.visibility import VISIBILITY_MIN, pixel_size_of, visibilities_of
 
 OPAQUE = 6.0
 """Logit of an opacity of 0.998."""
-
-
-@pytest.fixture(params=_core.isas())
-def isa(request):
-    before = _core.isa()
-    _core.use_isa(request.param)
-    yield request.param
-    _core.use_isa(before)
 
 
 def random_gaussians(n: int, seed: int, *, spread: float = 1.0) -> Gaussians:

@@ -9,6 +9,7 @@
 #include <cstring>
 #include <vector>
 
+#include "cpu/covariance.h"
 #include "cpu/pool.h"
 
 namespace splatree {
@@ -42,15 +43,6 @@ double dilated_area(const double* variance, double added) {
   double log_variance[3];
   for (int a = 0; a < 3; ++a) log_variance[a] = std::log(variance[a] + added);
   return mean_area(log_variance);
-}
-
-void rotation_from_quat(const float* quat, double* R) {
-  double w = quat[0], x = quat[1], y = quat[2], z = quat[3];
-  const double norm2 = w * w + x * x + y * y + z * z;
-  const double s = norm2 > 0 ? 2 / norm2 : 0;
-  R[0] = 1 - s * (y * y + z * z), R[1] = s * (x * y - w * z), R[2] = s * (x * z + w * y);
-  R[3] = s * (x * y + w * z), R[4] = 1 - s * (x * x + z * z), R[5] = s * (y * z - w * x);
-  R[6] = s * (x * z - w * y), R[7] = s * (y * z + w * x), R[8] = 1 - s * (x * x + y * y);
 }
 
 // Shepperd's method: the largest of the four squares is divided by, so no cancellation. w ≥ 0.

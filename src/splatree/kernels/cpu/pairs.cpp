@@ -8,6 +8,7 @@
 #include <cstring>
 
 #include "cpu/box_tree.h"
+#include "cpu/covariance.h"
 #include "cpu/isa.h"
 #include "cpu/neighbors.h"
 #include "cpu/pool.h"
@@ -32,16 +33,8 @@ PairRecord record_of(const PairJob& job, int64_t row) {
     largest = std::max(largest, variance[a]);
   }
   const float added = static_cast<float>(job.dilation) + kRoundness * kRoundness * largest;
-  const float* q = job.quats + 4 * row;
-  const float norm2 = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3], s = norm2 > 0 ? 2 / norm2 : 0;
-  const float w = q[0], x = q[1], y = q[2], z = q[3];
-  const float R[3][3] = {{1 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y)},
-                         {s * (x * y + w * z), 1 - s * (x * x + z * z), s * (y * z - w * x)},
-                         {s * (x * z - w * y), s * (y * z + w * x), 1 - s * (x * x + y * y)}};
-  for (int i = 0, k = 0; i < 3; ++i)
-    for (int j = i; j < 3; ++j, ++k)
-      r.covariance[k] = R[i][0] * R[j][0] * variance[0] + R[i][1] * R[j][1] * variance[1] +
-                        R[i][2] * R[j][2] * variance[2] + (i == j ? added : 0);
+  covariance_from(job.quats + 4 * row, variance, r.covariance);
+  for (const int diagonal : {0, 3, 5}) r.covariance[diagonal] += added;
   r.visibility = job.visibilities ? job.visibilities[row] : 1;
   r.opacity = r.visibility / (1 + std::exp(-job.logit_opacities[row]));
   r.weight = job.weights[row];

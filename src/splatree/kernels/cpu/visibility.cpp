@@ -8,6 +8,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "cpu/covariance.h"
 #include "cpu/isa.h"
 #include "cpu/pool.h"
 #include "cpu/radix.h"
@@ -52,16 +53,7 @@ Source source_of(const VisibilityJob& job, int64_t row) {
     source.mean[a] = std::min(std::max(cells, -FARTHEST), FARTHEST);
     variance[a] = std::exp(2 * std::min(std::max(job.log_scales[3 * row + a] - log_cell, SMALLEST), LARGEST));
   }
-  const float* q = job.quats + 4 * row;
-  const float norm2 = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3], s = norm2 > 0 ? 2 / norm2 : 0;
-  const float w = q[0], x = q[1], y = q[2], z = q[3];
-  const float R[3][3] = {{1 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y)},
-                         {s * (x * y + w * z), 1 - s * (x * x + z * z), s * (y * z - w * x)},
-                         {s * (x * z - w * y), s * (y * z + w * x), 1 - s * (x * x + y * y)}};
-  for (int i = 0, k = 0; i < 3; ++i)
-    for (int j = i; j < 3; ++j, ++k)
-      source.covariance[k] =
-          R[i][0] * R[j][0] * variance[0] + R[i][1] * R[j][1] * variance[1] + R[i][2] * R[j][2] * variance[2];
+  covariance_from(job.quats + 4 * row, variance, source.covariance);
   source.opacity = 1 / (1 + std::exp(-job.logit_opacities[row]));
   return source;
 }
