@@ -1,3 +1,3 @@
-from ..kernels.conftest import isa, view
+from ..kernels.conftest import view
 
-__all__ = ["isa", "view"]
+__all__ = ["view"]
