@@ -5,7 +5,7 @@ without a scene, one chunk of the shared city. Six views at growing distance (ea
 around the median of the scene. Table 1: one thinning to 50, 25, 10 % by pairs and by a radius with
 each named rule, and splat-transform's output of the same share with ``--peer`` (npm).
 Table 2, for levels by a radius and by pairs: the cut at τ_R = 3 px and more with its share of the leaves over the whole
-scene, and the cut at a budget of 10 % of the leaves drawn in view. All PSNRs are against all leaves, drawn by the
+scene, and the cut that draws at most 10 % of the leaves. All PSNRs are against all leaves, drawn by the
 same renderer.
 """
 
@@ -127,7 +127,7 @@ def cuts(judge: Judge, method: Method, dilation: float | None) -> list[dict[str,
     options = splatree.SelectOptions(budget=num_leaves // 10)
     frames = [splatree.trace(scene, camera, select=options) for camera in judge.cameras]
     quality = [judge.psnr(i, frame.result.image) for i, frame in enumerate(frames)]
-    about = {"mode": judge.mode, "levels": method, "cut": "10 % of leaves in view"}
+    about = {"mode": judge.mode, "levels": method, "cut": "budget: 10 % of leaves"}
     rows.append(about | {"what": "PSNR"} | judge.columns(quality))
     rows.append(about | {"what": "τ_R px"} | judge.columns([frame.selection.pixel_error for frame in frames]))
     return rows
