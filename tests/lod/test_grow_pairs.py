@@ -175,18 +175,19 @@ class Slow:
                     representatives[[i, j]] = i
                     num_pairs += 1
             if num_pairs:
-                went = self.merge(representatives)[went]
+                went = self.merge(representatives, dilation)[went]
             if num_pairs < LAST_SHARE * len(self.g):
                 break
         return went
 
-    def merge(self, representatives: np.ndarray) -> np.ndarray:
+    def merge(self, representatives: np.ndarray, dilation: float) -> np.ndarray:
         alone = representatives < 0
         representatives[alone] = np.flatnonzero(alone)
         groups = group(representatives)
         fitted = np.array([self.partners[i][2] for i in groups.representatives])
         given_opacities = np.where(fitted < SATURATED, fitted, 0) if self.mode == "classic" else None
-        self.g = reference_merge.merge(self.g, groups, self.weights, self.options, opacities=given_opacities)
+        options = replace(self.options, dilation=None)
+        self.g = reference_merge.merge(self.g, groups, self.weights, options, added=dilation, opacities=given_opacities)
         self.weights = np.add.reduceat(self.weights[groups.rows], groups.start[:-1])
         to = groups.group_from_row
         # A row keeps its partner until one of the two is merged, and its candidates as what they became.

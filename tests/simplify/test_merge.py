@@ -48,9 +48,9 @@ RULES = [
 ]
 
 
-@given(grouped(), st.sampled_from(RULES))
-def test_merge_agrees_with_the_reference(data, options):
-    expected, found = reference.merge(*data, options), fast.merge(*data, options)
+@given(grouped(), st.sampled_from(RULES), st.sampled_from([0.0, 0.7]))
+def test_merge_agrees_with_the_reference(data, options, added):
+    expected, found = (merge(*data, options, added=added) for merge in (reference.merge, fast.merge))
     for name in ("means", "log_scales", "logit_opacities", "sh"):
         # Both compute in float64 and round to float32; an eigenvalue 1e-6 of the largest has 1e-10 of relative rounding.
         np.testing.assert_allclose(getattr(found, name), getattr(expected, name), rtol=2e-6, atol=2e-6, err_msg=name)
@@ -208,6 +208,7 @@ def test_rules_follow_the_mode_unless_given():
     assert (classic.weight, classic.opacity, classic.dilation) == ("opacity", "standard", 0.0)
     assert (antialiased.weight, antialiased.opacity, antialiased.dilation) == ("opacity-area", "optical", 0.0)
     assert MergeOptions().resolved("classic", growth=2.0).dilation == pytest.approx(0.6 / 0.7)
+    assert MergeOptions().resolved("classic", growth=2.0, of_pairs=True).dilation == 0.3
     given = MergeOptions(weight="opacity-scale", opacity="mass", dilation=0.1)
     assert given.resolved("antialiased", growth=2.0) == given
 

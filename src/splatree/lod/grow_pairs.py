@@ -1,16 +1,16 @@
 """Levels by pairs: at each size of a pixel, the merges that a view of that size does not show.
 
 Level l is made for a pixel of width p_l = p_0 g^l, world units. Two Gaussians may become one if their merging changes the
-picture by at most ε = 0.15 px² of squared signal (kernels/reference/pairs.py has the cost E, here E ≤ ε p²), the cheapest pairs
+picture by at most ε = 0.2 px² of squared signal (kernels/reference/pairs.py has the cost E, here E ≤ ε p²), the cheapest pairs
 first and each Gaussian with its cheapest partner, round after round until few are left; what became one is a family. The
 nodes of a level then stand for their leaves wherever a pixel is p_l or wider: their extent is e = τ_R p_l, so that the
 profile `sphere`, R = f e / (distance − e) ≤ τ_R, draws them from there on. Large even surfaces are merged early and small
 details late, whatever their size; all cuts are near the one with the fewest nodes for its squared error.
 
-In mode `classic` each splat grows by 0.3 px². So does each Gaussian here before a cost is computed: p is known. Far away all is
-dilation, and many opaque splats share a pixel: sums of signals then say too much, the picture is saturated. There a node that is
-smaller than a pixel, σ ≤ 0.65 p, is merged whatever the cost; `fitted` opacities are taken below 0.98, above it those of the
-rule `standard`, which widens what is opaque already.
+In mode `classic` each splat grows by 0.3 px². So does each Gaussian here before costs are computed and areas compared: p is
+known. Far away all is dilation, and many opaque splats share a pixel: sums of signals then say too much, the picture is
+saturated. There a node that is smaller than a pixel, σ ≤ 0.68 p, is merged whatever the cost; `fitted` opacities are taken below
+0.98, above it those of the rule `standard`, which widens what is opaque already.
 
 What others hide counts less (simplify/visibility.py), in costs and in what a merged one looks like.
 
@@ -42,10 +42,10 @@ from splatree.simplify.pairs import means_of_pairs
 
 __all__ = ["Present", "grow_by_pairs"]
 
-CHANGE_PX2 = 0.15
+CHANGE_PX2 = 0.2
 """ε: squared change of the picture that one merge may make, px², summed over colours and coverage and three views."""
 
-SMALL_PX = 0.65
+SMALL_PX = 0.68
 """`classic`: a merged Gaussian of at most this standard deviation is merged whatever the change."""
 
 LARGE_PX = 16.0
@@ -99,7 +99,8 @@ class Present:
     ) -> None:
         """``merge`` resolved."""
         self.gaussians, self.weights, self.visibilities = gaussians, weights, visibilities
-        self.is_classic, self.merge = mode == "classic", merge
+        self.is_classic = mode == "classic"
+        self.dilation, self.merge = merge.dilation or 0.0, dataclasses.replace(merge, dilation=0.0)
         self.partners = Partners.unknown(len(gaussians))
 
     def __len__(self) -> int:
@@ -115,7 +116,7 @@ class Present:
             pairs = self._match(pixel_size, search, threads)
             num_merged = len(self) - len(pairs)
             if num_merged:
-                self._merge(pairs, threads)
+                self._merge(pairs, pixel_size, threads)
                 group_from_row = pairs.group_from_row[group_from_row]
             if num_merged < LAST_SHARE * len(self):
                 break
@@ -135,13 +136,16 @@ class Present:
         rows = np.where(allowed, partners.rows, np.int32(-1))
         return group(match_pairs(rows, partners.costs, int(ROUND_SHARE * len(self)) + 1, threads=threads))
 
-    def _merge(self, pairs: Groups, threads: int) -> None:
+    def _merge(self, pairs: Groups, pixel_size: float, threads: int) -> None:
         opacities = None
         if self.merge.opacity == "fitted":
             fitted = self.partners.opacities[pairs.representatives]
             opacities = np.where(fitted < SATURATED, fitted, np.float32(0))
         self.gaussians = merge_kernel.merge(
-            self.gaussians, pairs, self.weights, self.merge, opacities=opacities, threads=threads
+            *(self.gaussians, pairs, self.weights, self.merge),
+            added=self.dilation * pixel_size**2,
+            opacities=opacities,
+            threads=threads,
         )
         self.visibilities = means_of_pairs(self.visibilities, pairs, self.weights)
         self.weights = np.add.reduceat(self.weights[pairs.rows], pairs.start[:-1])

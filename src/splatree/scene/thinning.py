@@ -56,8 +56,9 @@ class MergeOptions:
     mass_limit: float = 5.0
     """`standard`, `fitted`: mass above this is not drawn."""
     dilation: float | None = None
-    """Added to variances where areas are compared, in units of the merged σ_max²; None: what the renderer's dilation amounts
-    to where a node is drawn, for the levels of a scene of mode `classic`, else 0."""
+    """Added to variances where areas are compared, in units of the merged σ_max², for levels by pairs of the squared width of
+    their pixel; None: what the renderer's dilation amounts to where a node is drawn, for the levels of a scene of mode
+    `classic`, else 0."""
 
     def __post_init__(self) -> None:
         if self.scale_bound is not None and not self.scale_bound > 0:
@@ -74,8 +75,8 @@ class MergeOptions:
 
         `antialiased` splats keep their mass at any distance, so true areas weigh and compare. `classic` ones are dilated by
         0.3 px². A node is drawn from where σ² + 0.3 = 1 px² (3 σ is τ_R = 3 px) to g times as far, where its parent takes
-        over; in the middle, at p² = g σ² / 0.7, the dilation is 0.3 p², which makes all small members count alike. A scene
-        that is thinned once has no such distance.
+        over; in the middle, at p² = g σ² / 0.7, the dilation is 0.3 p², which makes all small members count alike. Levels by
+        pairs know their p. A scene that is thinned once has no such distance.
 
         Raises:
             InputError: `fitted` opacity of larger groups.
@@ -87,7 +88,7 @@ class MergeOptions:
         dilation = 0.0
         if classic and growth is not None:
             drawn_px2 = (PIXEL_ERROR / SIGMAS) ** 2
-            dilation = DILATION_PX2 * growth / (drawn_px2 - DILATION_PX2)
+            dilation = DILATION_PX2 if of_pairs else DILATION_PX2 * growth / (drawn_px2 - DILATION_PX2)
         return dataclasses.replace(
             self,
             weight=self.weight or ("opacity" if classic else "opacity-area"),

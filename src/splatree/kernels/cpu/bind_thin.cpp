@@ -29,8 +29,9 @@ std::tuple<int, int64_t> thin_rows(In<float> means, In<float> colors, In<float> 
 void merge_groups(In<float> means, In<float> quats, In<float> log_scales, In<float> logit_opacities, In<float> sh,
                   In<float> weights, In<int64_t> start, In<int32_t> rows, In<int32_t> representatives,
                   const std::string& rule, const std::string& opacity, bool keep_position, double scale_bound,
-                  double widening, double mass_limit, double dilation, std::optional<In<float>> opacities, Out<float> out_means, Out<float> out_quats, Out<float> out_log_scales,
-                  Out<float> out_logit_opacities, Out<float> out_sh, int threads) {
+                  double widening, double mass_limit, double dilation, double added,
+                  std::optional<In<float>> opacities, Out<float> out_means, Out<float> out_quats,
+                  Out<float> out_log_scales, Out<float> out_logit_opacities, Out<float> out_sh, int threads) {
   MergeJob job{static_cast<int64_t>(representatives.shape(0)),
                static_cast<int64_t>(sh.shape(1)),
                {means.data(), quats.data(), log_scales.data(), logit_opacities.data(), sh.data()},
@@ -48,6 +49,7 @@ void merge_groups(In<float> means, In<float> quats, In<float> log_scales, In<flo
                widening,
                mass_limit,
                dilation,
+               added,
                opacities ? opacities->data() : nullptr,
                out_means.data(),
                out_quats.data(),

@@ -276,7 +276,7 @@ class Merger {
       return 0;
     }
     double log_through = 0, mass = 0;  // log Π (1 − α_i); Σ α_i A_i or Σ Li₂(α_i) A_i
-    const double added = job_.dilation * std::max({variance[0], variance[1], variance[2]});
+    const double added = job_.added + job_.dilation * std::max({variance[0], variance[1], variance[2]});
     for (const Member& m : members_) {
       log_through -= m.depth;
       if (job_.opacity == OpacityRule::kUnion) continue;

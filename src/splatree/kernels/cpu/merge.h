@@ -25,6 +25,7 @@ struct MergeJob {
   double scale_bound;              // κ; infinity: none
   double widening, mass_limit;     // of OpacityRule::kStandard
   double dilation;                 // variance added to areas, in units of the merged σ_max²
+  double added;                    // and in world units²
   const float* opacities;          // num_groups, may be null: where above 0, what a group of two or more gets in place of the rule's
   float *means, *quats, *log_scales, *logit_opacities, *sh;  // out, one row a group
   int threads;

@@ -16,12 +16,14 @@ def merge(
     weights: Float32[Array, "n"],
     options: MergeOptions,
     *,
+    added: float = 0.0,
     opacities: Float32[Array, "g"] | None = None,
     threads: int = 0,
 ) -> Gaussians:
     """One Gaussian for each group, in the order of the groups; ``options`` resolved. `fitted` is `standard` here:
     the caller has the opacities.
 
+    ``added`` is added to variances where areas are compared, world units², besides the options' dilation.
     Where ``opacities`` is above 0, it is what a group of two or more gets in place of the rule's.
     """
     assert options.opacity is not None
@@ -32,7 +34,7 @@ def merge(
         *(gaussians.means, gaussians.quats, gaussians.log_scales, gaussians.logit_opacities, gaussians.sh),
         *(weights, groups.start, groups.rows, groups.representatives),
         *(options.rule, options.opacity, options.position == "representative"),
-        *(options.bound, options.power, options.mass_limit, options.dilation or 0.0, opacities),
+        *(options.bound, options.power, options.mass_limit, options.dilation or 0.0, added, opacities),
         *(out.means, out.quats, out.log_scales, out.logit_opacities, out.sh),
         threads,
     )

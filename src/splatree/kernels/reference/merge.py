@@ -40,15 +40,17 @@ def merge(
     weights: Float32[Array, "n"],
     options: MergeOptions,
     *,
+    added: float = 0.0,
     opacities: Float32[Array, "g"] | None = None,
 ) -> Gaussians:
     """One Gaussian for each group, in the order of the groups; ``options`` resolved.
 
+    ``added`` is added to variances where areas are compared, world units², besides the options' dilation.
     Where ``opacities`` is above 0, it is what a group of two or more gets in place of the rule's.
     """
     given = np.zeros(len(groups)) if opacities is None else opacities.astype(np.float64)
     rows = [
-        _merge_members(gaussians, groups.rows[begin:end], int(representative), weights, options, alpha)
+        _merge_members(gaussians, groups.rows[begin:end], int(representative), weights, options, added, alpha)
         for begin, end, representative, alpha in zip(
             groups.start[:-1], groups.start[1:], groups.representatives, given, strict=True
         )
@@ -59,7 +61,13 @@ def merge(
 
 
 def _merge_members(
-    gaussians: Gaussians, rows: Array, representative: int, weights: Array, options: MergeOptions, alpha: float
+    gaussians: Gaussians,
+    rows: Array,
+    representative: int,
+    weights: Array,
+    options: MergeOptions,
+    added: float,
+    alpha: float,
 ) -> tuple[Array, Array, Array, Array, Array]:
     if len(rows) == 1:
         i = rows[0]
@@ -97,13 +105,13 @@ def _merge_members(
     logits = gaussians.logit_opacities[rows].astype(np.float64)
     logit, widening = float(np.log(alpha) - np.log1p(-alpha)) if alpha > 0 else 0.0, 0.0
     if not alpha > 0:
-        logit, widening = _merge_opacity(logits, sigmas**2, variances, options)
+        logit, widening = _merge_opacity(logits, sigmas**2, variances, options, added)
     sh = np.einsum("n,nkc->kc", share, gaussians.sh[rows].astype(np.float64))
     return mean, quat, 0.5 * np.log(variances) + widening, np.asarray(logit), sh
 
 
 def _merge_opacity(
-    logits: Array, member_variances: Array, variances: Array, options: MergeOptions
+    logits: Array, member_variances: Array, variances: Array, options: MergeOptions, added: float
 ) -> tuple[float, float]:
     """Logit of the merged opacity, and what is added to the logarithm of the scales."""
     alphas = 1 / (1 + np.exp(-logits))
@@ -112,7 +120,7 @@ def _merge_opacity(
     limit = float(np.log(MERGED_ALPHA_MAX / (1 - MERGED_ALPHA_MAX)))
     if options.opacity == "union":
         return min(union_logit, limit), 0.0
-    added = (options.dilation or 0.0) * variances.max()
+    added += (options.dilation or 0.0) * variances.max()
     areas = np.array([mean_projected_area(v + added) for v in member_variances])
     if options.opacity == "optical":
         depth = float(sum(dilogarithm(a) * area for a, area in zip(alphas, areas, strict=True)))
