@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.lod.test_build import NAMES, parents_of, surface
+from tests.lod.test_build import NAMES, check_moments, parents_of, surface
 
 from splatree import BuildOptions, Gaussians, InputError, MergeOptions, Scene, build_lod
 from splatree.kernels.cpu.thin import group
@@ -96,23 +96,8 @@ def test_a_large_node_waits_for_large_pixels_however_little_it_changes():
 
 
 def test_an_inner_node_has_the_mean_and_covariance_of_its_leaves():
-    gaussians = surface(300, degree=1)
-    merge = MergeOptions(opacity="union", weight="opacity")
-    scene = build_lod(Scene.flat(gaussians), replace(PAIRS, max_roots=4, merge=merge, visibility=False))
-    g = scene.gaussians
-    covariances = covariances_from_gaussians(g.quats, g.log_scales)
-    for i in np.flatnonzero(~scene.tree.is_leaf):
-        rows = np.arange(i, scene.tree.subtree_end[i])
-        rows = rows[scene.tree.is_leaf[rows]]
-        w = 1 / (1 + np.exp(-g.logit_opacities[rows].astype(np.float64)))
-        w /= w.sum()
-        x = g.means[rows].astype(np.float64)
-        mean = w @ x
-        expected = np.einsum("n,nij->ij", w, covariances[rows] + np.einsum("ni,nj->nij", x - mean, x - mean))
-        # Float32 rounding at each of up to thirty merges.
-        np.testing.assert_allclose(g.means[i], mean, atol=3e-5)
-        np.testing.assert_allclose(covariances[i], expected, atol=6e-5 * expected.max())
-        np.testing.assert_allclose(g.sh[i], np.einsum("n,nkc->kc", w, g.sh[rows].astype(np.float64)), atol=1e-5)
+    options = replace(PAIRS, max_roots=4, merge=MergeOptions(opacity="union", weight="opacity"), visibility=False)
+    check_moments(build_lod(Scene.flat(surface(300, degree=1)), options), num_merges=30)
 
 
 @pytest.mark.parametrize("mode", ["classic", "antialiased"])

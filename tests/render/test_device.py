@@ -1,8 +1,6 @@
 """Scenes that are moved to a GPU: what a user calls, on the emulator, and on the GPU if there is one."""
 
 import json
-from collections.abc import Iterator
-from functools import partial
 
 import numpy as np
 import pytest
@@ -15,19 +13,9 @@ from splatree.kernels import backend_for
 from splatree.kernels.cuda import device as cuda_device
 from splatree.kernels.cuda import library as cuda_library
 from splatree.kernels.cuda.driver import Device
-from splatree.kernels.cuda.renderer import Renderer
 from splatree.lod.baselines import baseline
 
 from ..kernels.conftest import camera, gaussians
-
-
-@pytest.fixture
-def at_hand(device: Device, monkeypatch: pytest.MonkeyPatch) -> Iterator[Device]:
-    """The device is what the library finds; with little room at first, as the emulator watches every word."""
-    monkeypatch.setattr(cuda_device, "open_device", lambda ordinal: device)
-    monkeypatch.setattr(cuda_device, "Renderer", partial(Renderer, rows=256, pairs=1024))
-    yield device
-    cuda_device._renderers.clear()
 
 
 @pytest.fixture

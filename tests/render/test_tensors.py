@@ -1,9 +1,7 @@
 """Tensors in and out without a copy: DLPack, ``__cuda_array_interface__``, torch."""
 
 import gc
-from collections.abc import Iterator
 from dataclasses import fields
-from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -14,7 +12,6 @@ import splatree as st
 from splatree.kernels.cpu import _core
 from splatree.kernels.cuda import device as cuda_device
 from splatree.kernels.cuda.driver import DeviceArray
-from splatree.kernels.cuda.renderer import Renderer
 
 from ..kernels.conftest import camera, gaussians
 from ..kernels.simt_device import Emulator
@@ -23,12 +20,9 @@ NAMES = [field.name for field in fields(st.Gaussians)]
 
 
 @pytest.fixture
-def at_hand(emulator: Emulator, monkeypatch: pytest.MonkeyPatch) -> Iterator[Emulator]:
-    """The emulator is every GPU that the library opens."""
-    monkeypatch.setattr(cuda_device, "open_device", lambda ordinal: emulator)
-    monkeypatch.setattr(cuda_device, "Renderer", partial(Renderer, rows=256, pairs=1024))
-    yield emulator
-    cuda_device._renderers.clear()
+def device(emulator: Emulator) -> Emulator:
+    """The emulator alone, which tells what is held."""
+    return emulator
 
 
 class ByInterface:

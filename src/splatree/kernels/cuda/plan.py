@@ -15,11 +15,11 @@ Blend = Literal["blend_16", "blend_8"]
 SORT_TILE = SCAN_CHUNK = 4096
 """Keys of a tile of the sort, values of a chunk of a scan (order.cu, scan.h)."""
 DIGITS, DIGIT_BITS = 256, 8
-KEPT_SCAN = 0
 MAX_PASSES = 4
 FIRST_SPLAT_SCAN, PAIR_SCAN = 1, 1 + 2 * MAX_PASSES
 FIRST_PAIR_SCAN = PAIR_SCAN + 1
 NUM_SCANS = FIRST_PAIR_SCAN + MAX_PASSES
+"""Places of a frame's scans: that of the selection is 0."""
 
 
 class Launch(NamedTuple):
