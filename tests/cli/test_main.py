@@ -111,6 +111,13 @@ def test_options_that_contradict_each_other_are_a_wrong_line(splatree, small_ply
     assert "--flat without --clusters" in wrong_line(splatree(*build, "--flat"))
     assert "contradict" in wrong_line(splatree(*build, "--flat", "--clusters", "9", "--levels", "file"))
     assert "found 2 inputs" in wrong_line(splatree("build", small_ply, *build[1:], "--levels", "file"))
+    assert "--flat and radius, growth, which" in wrong_line(
+        splatree(*build, "--flat", "--clusters", "9", "--radius", "1", "--growth", "3")
+    )
+    assert "visibility: found False" in wrong_line(splatree(*build, "--no-visibility"))
+    assert "importance: found 'opacity'" in wrong_line(
+        splatree("thin", *build[1:], "--keep", "0.5", "--importance", "opacity")
+    )
     assert "depth: found -1" in wrong_line(
         splatree("convert", tmp_path / "gone.ply", tmp_path / "b.ply", "--depth", "-1")
     )

@@ -194,6 +194,21 @@ def test_impossible_options_are_refused(wrong):
         BuildOptions(**wrong)
 
 
+@pytest.mark.parametrize(
+    ("given", "found"),
+    [
+        ({"visibility": False}, "visibility: found False, but the method 'radius' does not use it"),
+        ({"pixel_size": 0.1}, r"pixel_size: found 0\.1"),
+        ({"method": "pairs", "radius": 0.1}, r"radius: found 0\.1, .* wanted 'auto'; leave it out, or .* 'radius'"),
+        ({"method": "pairs", "importance": "opacity"}, "importance: found 'opacity'"),
+        ({"method": "pairs", "color_radius": None}, "color_radius: found None"),
+    ],
+)
+def test_options_of_the_other_method_are_refused(given, found):
+    with pytest.raises(InputError, match=found):
+        BuildOptions(**given)
+
+
 def test_not_finite_rows_are_named():
     g = surface(10)
     means = g.means.copy()

@@ -205,3 +205,24 @@ def test_zero_quaternion_is_named():
 def test_impossible_options_are_refused(wrong):
     with pytest.raises(InputError):
         ThinOptions(**wrong)
+
+
+@pytest.mark.parametrize(
+    ("given", "found"),
+    [
+        ({"method": "radius", "keep": 0.5, "visibility": False}, "visibility: found False, but the method 'radius'"),
+        ({"radius": 1.0, "pixel_size": 0.1}, r"pixel_size: found 0\.1, but the method 'radius'"),
+        ({"pixel_size": 0.1}, r"pixel_size: found 0\.1, but the method 'radius'"),
+        (
+            {"method": "pairs", "count": 9, "importance": "opacity"},
+            "importance: found 'opacity', but the method 'pairs'",
+        ),
+        (
+            {"keep": 0.5, "color_radius": None},
+            r"color_radius: found None, .* wanted 0\.5; leave it out, or .* 'radius'",
+        ),
+    ],
+)
+def test_options_of_the_other_method_are_refused(given, found):
+    with pytest.raises(InputError, match=found):
+        ThinOptions(**given)

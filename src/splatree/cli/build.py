@@ -80,6 +80,11 @@ def run(command: Command) -> Built:
         raise UsageError("found --flat without --clusters, which leaves nothing to build; wanted --clusters auto too")
     if command.flat and command.levels == "file":
         raise UsageError("found --flat and --levels file, which contradict each other; wanted one of them")
+    if (command.flat or command.levels == "file") and (changed := _changed(command.options)):
+        raise UsageError(
+            f"found {'--flat' if command.flat else '--levels file'} and {', '.join(changed)}, which only levels that grow use; "
+            "wanted one of them"
+        )
     views = training_views(command.views)
     scene = _linked(command, inputs) if command.levels == "file" else _read(command, inputs)
     if command.clusters is not None:
@@ -104,6 +109,12 @@ def run(command: Command) -> Built:
         lost=lost,
         calibration=calibration,
     )
+
+
+def _changed(options: BuildOptions) -> list[str]:
+    """Names of the options that are not what they are by default."""
+    usual = BuildOptions()
+    return [name for name, value in vars(options).items() if value != getattr(usual, name)]
 
 
 def _read(command: Command, inputs: Sequence[Path]) -> Scene:

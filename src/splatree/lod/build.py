@@ -31,7 +31,7 @@ from splatree.maths.morton import morton_codes
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Scene
-from splatree.scene.thinning import Importance, MergeOptions, Method, rules_of
+from splatree.scene.thinning import METHOD_FROM_OPTION, Importance, MergeOptions, Method, check_used, rules_of
 from splatree.shapes import Array
 from splatree.simplify.merge import check_finite, importance_of, weights_of
 from splatree.simplify.thin import auto_radius, linear_colors
@@ -88,6 +88,7 @@ class BuildOptions:
             raise InputError(
                 f"color_radius: found {self.color_radius}, wanted more than 0, or none to leave colour out"
             )
+        check_used(self, self.method, {**METHOD_FROM_OPTION, "radius": "radius"})
 
 
 def build_lod(scene: Scene, options: BuildOptions | None = None, *, threads: int = 0) -> Scene:

@@ -5,8 +5,9 @@ Defaults live here alone; the command line's help is these docstrings. What a ru
 """
 
 import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -115,6 +116,25 @@ Method = Literal["pairs", "radius"]
 """How Gaussians are chosen for merging: `pairs` merges the two whose merging changes the picture least, again and again
 (simplify/pairs.py); `radius` keeps an even distance: all within r of a more important one join it."""
 
+METHOD_FROM_OPTION: Mapping[str, Method] = {
+    "importance": "radius",
+    "color_radius": "radius",
+    "pixel_size": "pairs",
+    "visibility": "pairs",
+}
+"""Options that one method alone uses."""
+
+
+def check_used(options: Any, method: Method, method_from_option: Mapping[str, Method]) -> None:
+    """Refuse options that are not what they are by default although the method does not use them."""
+    for option in dataclasses.fields(options):
+        user, value = method_from_option.get(option.name, method), getattr(options, option.name)
+        if user != method and value != option.default:
+            raise InputError(
+                f"{option.name}: found {value!r}, but the method {method!r} does not use it, wanted {option.default!r}; "
+                f"leave it out, or choose the method {user!r}"
+            )
+
 
 @dataclass(frozen=True)
 class ThinOptions:
@@ -163,6 +183,12 @@ class ThinOptions:
             raise InputError(
                 f"color_radius: found {self.color_radius}, wanted more than 0, or none to leave colour out"
             )
+        check_used(self, self.chosen_method, METHOD_FROM_OPTION)
+
+    @property
+    def chosen_method(self) -> Method:
+        """`method`, or what follows where it is None."""
+        return self.method or ("radius" if (self.keep, self.count) == (None, None) else "pairs")
 
 
 @dataclass(frozen=True, eq=False)

@@ -66,8 +66,8 @@ def thin(
     count = options.count
     if options.keep is not None:
         count = max(1, round(options.keep * len(gaussians)))
-    method = options.method or ("radius" if count is None else "pairs")
-    if method == "pairs" and count is not None:
+    method = options.chosen_method
+    if method == "pairs" and count is not None:  # which it has: a count is all that `pairs` meets
         options = dataclasses.replace(options, method=method, merge=options.merge.resolved(mode, of_pairs=True))
         merged, groups = merge_pairs(gaussians, count, options, mode=mode, threads=threads)
         return Thinned(merged, groups, None, options)
