@@ -52,14 +52,14 @@ def quality(scene: Scene, written: Scene) -> np.ndarray:
     return np.array([splatree.psnr(a, b) for a, b in zip(*pictures, strict=True)])
 
 
-def exact_kmeans_error(x: np.ndarray) -> float:
+def exact_kmeans_error(x: np.ndarray, entries: int) -> float:
     """Mean squared error of Lloyd's rounds with a full search."""
-    centres = x[np.random.default_rng(0).choice(len(x), ENTRIES, replace=False)]
+    centres = x[np.random.default_rng(0).choice(len(x), entries, replace=False)]
     for _ in range(ROUNDS + 1):
         scores = (centres**2).sum(axis=1) - 2 * x @ centres.T
         labels = scores.argmin(axis=1)
         error = float(np.mean(scores[np.arange(len(x)), labels] + (x**2).sum(axis=1)))
-        counts = np.bincount(labels, minlength=ENTRIES)
+        counts = np.bincount(labels, minlength=entries)
         sums = np.zeros_like(centres)
         np.add.at(sums, labels, x)
         centres = np.where(counts[:, None] > 0, sums / np.maximum(counts, 1)[:, None], centres)
@@ -67,14 +67,16 @@ def exact_kmeans_error(x: np.ndarray) -> float:
 
 
 def palette_rows(scene: Scene) -> list[dict[str, Any]]:
-    """Cost and error of the palette and of exact K-means on a subset, without weights."""
-    sh = scene.gaussians.sh[: SUBSET * (len(scene) // SUBSET) : len(scene) // SUBSET].copy()
+    """Cost and error of the palette and of exact K-means on a subset, or on all of a small scene, without weights."""
+    step = max(1, len(scene) // SUBSET)
+    sh = scene.gaussians.sh[: SUBSET * step : step].copy()
     x = sh[:, 1:].reshape(len(sh), -1)
+    entries = min(ENTRIES, len(sh))
     spread = float(np.mean(((x - x.mean(axis=0)) ** 2).sum(axis=1)))
-    ours = measure(lambda: find_palette(lambda: [sh], np.ones(len(sh), np.float32), ENTRIES))
-    exact = measure(lambda: exact_kmeans_error(x))
+    ours = measure(lambda: find_palette(lambda: [sh], np.ones(len(sh), np.float32), entries))
+    exact = measure(lambda: exact_kmeans_error(x, entries))
     error = float(np.mean(((sh[:, 1:] - ours.value.entries[ours.value.labels]) ** 2).sum(axis=(1, 2))))
-    about = f"{SUBSET:,} rows, {ENTRIES:,} entries"
+    about = f"{len(sh):,} rows, {entries:,} entries"
     return [
         {"work": f"palette, {about}", "CPU s": ours.cpu_s, "error / variance": error / spread},
         {"work": f"exact K-means, {about}", "CPU s": exact.cpu_s, "error / variance": exact.value / spread},
