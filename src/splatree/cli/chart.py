@@ -1,15 +1,13 @@
 """The demo's chart: quality over nodes drawn, one line a distance, as SVG."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from splatree.cli.demo import DemoView
+from splatree.cli.flight import DemoView
 
 
-def quality_chart(views: Sequence["DemoView"]) -> str:
+def quality_chart(views: Sequence[DemoView]) -> str:
     """Quality over nodes drawn, one line a distance, as SVG of 720 × 300."""
     points = [(nodes, quality) for view in views for _, nodes, quality in view.curve if np.isfinite(quality)]
     if not points:

@@ -16,7 +16,8 @@ import numpy as np
 from tyro.conf import arg
 
 from splatree.cli.console import Console, table
-from splatree.cli.eval import View, row_of, view_of
+from splatree.cli.eval import row_of, view_of
+from splatree.cli.flight import Demo, DemoView
 from splatree.cli.report import write_report
 from splatree.errors import OutputError
 from splatree.io.registry import read
@@ -49,44 +50,6 @@ class Command:
     made: Annotated[PathOptions, arg(name="")] = PathOptions(views=6, elevation_deg=40.0)
     select: Annotated[SelectOptions, arg(name="")] = SelectOptions()
     console: Annotated[Console, arg(name="")] = Console()
-
-
-@dataclass(frozen=True)
-class DemoView(View):
-    """One distance of the flight."""
-
-    distance: float = 0.0
-    """From the camera to the centre of the scene, world units (about a metre here)."""
-    psnr_where_covered: float = 0.0
-    """PSNR over the pixels that the scene covers: what the black around a distant scene would flatter."""
-    curve: tuple[tuple[float, int, float], ...] = ()
-    """Quality at other settings: τ_R, nodes drawn, PSNR against all leaves."""
-
-
-@dataclass(frozen=True)
-class Demo:
-    """What the demo found."""
-
-    num_gaussians: int
-    """Leaves: the Gaussians of the scene as it was trained."""
-    num_nodes: int
-    """Leaves and merged nodes."""
-    levels: int
-    """Largest depth + 1."""
-    nodes_per_depth: tuple[int, ...]
-    """Nodes at each depth, roots first."""
-    mode: str
-    """How the scene is drawn."""
-    select: SelectOptions
-    """How the cuts were chosen."""
-    seconds: dict[str, float]
-    """Wall time of reading, building, and drawing and comparing all views."""
-    views: tuple[DemoView, ...]
-    """The flight, from near to far."""
-    report: Path
-    """The page with the pictures."""
-    credit: str
-    """Whose scene it is."""
 
 
 def run(command: Command) -> Demo:

@@ -8,13 +8,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 from importlib.resources import files
 from string import Template
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from splatree.bench.provenance import machine
 from splatree.cli.chart import quality_chart
 from splatree.cli.console import program_version
+from splatree.cli.flight import Demo, DemoView
 from splatree.constants import SH_C0
 from splatree.io.images import write_image
 from splatree.io.replacing import replacing
@@ -22,9 +22,6 @@ from splatree.render.evaluate import Evaluation
 from splatree.render.pipeline import trace
 from splatree.scene.scene import Scene
 from splatree.shapes import Array, Float32
-
-if TYPE_CHECKING:
-    from splatree.cli.demo import Demo, DemoView
 
 ERROR_GAIN = 4.0
 """Differences are shown this many times brighter, or hardly any could be seen."""
@@ -46,7 +43,7 @@ LEAF_GREY = 0.82
 """Leaves themselves are this grey."""
 
 
-def write_report(demo: "Demo", scene: Scene, evaluations: Sequence[Evaluation]) -> None:
+def write_report(demo: Demo, scene: Scene, evaluations: Sequence[Evaluation]) -> None:
     """Write the pictures and the page into the folder of ``demo.report``."""
     folder = demo.report.parent
     coloured = with_level_colors(scene)
@@ -148,7 +145,7 @@ def _data_uri(image: Float32[Array, "h w 3"]) -> str:
     return "data:image/jpeg;base64," + base64.b64encode(buffer.getvalue()).decode()
 
 
-def _words(view: "DemoView") -> dict[str, str]:
+def _words(view: DemoView) -> dict[str, str]:
     return {
         "distance": f"{view.distance:,.0f}",
         "selected": f"{view.selected:,}",
@@ -158,7 +155,7 @@ def _words(view: "DemoView") -> dict[str, str]:
     }
 
 
-def _table(views: Sequence["DemoView"]) -> str:
+def _table(views: Sequence[DemoView]) -> str:
     stages = list(views[0].ms)
     head = [
         "distance",
