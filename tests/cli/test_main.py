@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from splatree import Scene, read, write
 from splatree.cli.main import VERBS
 
 COMMAND = [sys.executable, "-m", "splatree"]
@@ -152,6 +153,42 @@ def test_installed_command_runs_and_reads_no_standard_input(small_ply):
     )
     assert run.returncode == 0, run.stderr
     assert json.loads(run.stdout)["num_gaussians"] == 3161
+
+
+def test_a_plain_verb_loads_and_starts_nothing_that_it_does_not_need(small_ply, tmp_path):
+    """What tyro would check defaults with, and threads of linear algebra, took a third of the start."""
+    code = (
+        "import sys, threading; from pathlib import Path; from splatree.cli.main import main; assert main() == 0\n"
+        "print(*(name for name in ('typeguard', 'unittest', 'asyncio', 'ssl', 'rich', 'PIL') if name in sys.modules))\n"
+        "print(len(list(Path('/proc/self/task').iterdir())) if sys.platform == 'linux' else 1)"
+    )
+    few = tmp_path / "few.ply"
+    write(Scene.flat(read(small_ply).gaussians.take([0, 1, 2])), few)  # too few for the kernels to take a second thread
+    words = [sys.executable, "-c", code, "convert", few, tmp_path / "out.ply", "--quiet"]
+    done = subprocess.run(words, capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines() == ["", "1"], done
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("--rotate", "1", "2", "3", "--crop-box", "0", "0", "0", "1", "1", "1"),
+        ("--rotate", "1", "2"),
+        ("--rotate", "1", "2", "east"),
+        ("--order", "random"),
+        ("--output",),
+    ],
+)
+def test_a_line_means_the_same_whether_defaults_are_checked(splatree, small_ply, tmp_path, words, monkeypatch):
+    found = []
+    for is_checked in (False, True):
+        with monkeypatch.context() as patch:
+            if is_checked:
+                patch.setitem(sys.modules, "typeguard", pytest.importorskip("typeguard"))
+            else:
+                patch.delitem(sys.modules, "typeguard", raising=False)
+            found.append(splatree("convert", small_ply, tmp_path / "out.ply", "--force", *words))
+    assert found[0] == found[1]
 
 
 def test_reader_that_leaves_early_is_no_error(small_ply):

@@ -19,8 +19,10 @@ import math
 import os
 import sys
 import traceback
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from types import ModuleType
 from typing import Any, get_args
 
 from splatree.errors import InputError, OutputError, SplatreeError
@@ -59,6 +61,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; return its exit code. Without ``argv`` it is the program itself that runs, once."""
     if argv is None:
         gc.disable()  # looking for garbage among what is being loaded takes a tenth of the start
+        # NumPy's linear algebra would start a thread for each processor, which spin for a fifth of the start before they sleep;
+        # no verb has work for them, the kernels have threads of their own.
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         return _main(list(sys.argv[1:] if argv is None else argv))
     except KeyboardInterrupt:
@@ -125,13 +130,14 @@ def _run(verb: str, words: list[str], module: Any, command_type: Any, descriptio
     from splatree.cli.console import UsageError, progress_shown
 
     try:
-        command = tyro.cli(
-            command_type,
-            prog=f"splatree {verb}",
-            description=description,
-            args=words,
-            config=(tyro.conf.FlagCreatePairsOff,),
-        )
+        with _defaults_trusted():
+            command = tyro.cli(
+                command_type,
+                prog=f"splatree {verb}",
+                description=description,
+                args=words,
+                config=(tyro.conf.FlagCreatePairsOff,),
+            )
     except SystemExit as stop:  # tyro has printed the help, or what is wrong
         return int(stop.code or 0)
     except InputError as error:  # a value that its option refuses
@@ -164,6 +170,24 @@ def _run(verb: str, words: list[str], module: Any, command_type: Any, descriptio
     if text:
         _say(text)
     return 0
+
+
+@contextmanager
+def _defaults_trusted() -> Iterator[None]:
+    """Let tyro take the defaults of tuples as they are.
+
+    It would load typeguard, and with that a fifth of the start, to hold them against their types; the type checker has.
+    """
+    if "typeguard" in sys.modules:
+        yield
+        return
+    stand_in: Any = ModuleType("typeguard")
+    stand_in.check_type, stand_in.TypeCheckError = lambda value, expected_type: value, TypeError
+    sys.modules["typeguard"] = stand_in
+    try:
+        yield
+    finally:
+        del sys.modules["typeguard"]
 
 
 def _say(text: str) -> None:
