@@ -26,6 +26,7 @@ from splatree.io.chunks import ROWS_PER_CHUNK, Chunks, repaired_chunks
 from splatree.io.options import ReadOptions, WriteOptions
 from splatree.io.ply_header import HEADER_MAX, Header, parse_header
 from splatree.kernels.cpu.columns import deinterleave, interleave
+from splatree.kernels.cpu.files import reserve
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Scene, Source
@@ -106,7 +107,9 @@ def write_chunks(chunks: Chunks, path: Path, options: WriteOptions) -> tuple[str
     lines += [f"element vertex {len(chunks)}", *(f"property float {name}" for name in names), "end_header", ""]
     records = np.zeros(0, [(name, "<f4") for name in names])
     with path.open("wb", buffering=0) as file, task(f"write {path.name}", len(chunks)) as advance:
-        file.write("\n".join(lines).encode())
+        header = "\n".join(lines).encode()
+        reserve(file, len(header) + len(chunks) * records.itemsize)
+        _write_all(file, memoryview(header))
         for g in chunks:
             if len(records) < len(g):
                 records = np.zeros(len(g), records.dtype)

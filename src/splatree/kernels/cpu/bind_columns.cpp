@@ -2,9 +2,7 @@
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/vector.h>
 
-#include <cerrno>
 #include <stdexcept>
-#include <system_error>
 #include <vector>
 
 #include "cpu/columns.h"
@@ -56,13 +54,9 @@ std::vector<float> bind_deinterleave(int file, int64_t start, int64_t stride, co
   if (start < 0) throw std::invalid_argument("deinterleave: no such place");
   std::vector<Column> columns = columns_of(stride, offsets, types, outputs);
   const int64_t num_rows = outputs.empty() ? 0 : static_cast<int64_t>(outputs[0].shape(0));
-  try {
+  {
     nb::gil_scoped_release released;
     deinterleave(file, start, num_rows, stride, columns.data(), static_cast<int>(columns.size()), threads);
-  } catch (const std::system_error& error) {
-    errno = error.code().value();
-    PyErr_SetFromErrno(PyExc_OSError);
-    throw nb::python_error();
   }
   std::vector<float> magnitudes;
   for (const Column& column : columns) magnitudes.push_back(column.largest_magnitude);

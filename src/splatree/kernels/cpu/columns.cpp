@@ -1,16 +1,12 @@
 #include "cpu/columns.h"
 
-#include <unistd.h>
-
 #include <algorithm>
 #include <atomic>
-#include <cerrno>
 #include <cmath>
 #include <cstring>
-#include <stdexcept>
-#include <system_error>
 #include <vector>
 
+#include "cpu/files.h"
 #include "cpu/isa.h"
 #include "cpu/pool.h"
 
@@ -153,16 +149,7 @@ void place_column(const float* from, const Column& column, Layout layout, uint8_
 const uint8_t* read_bytes(int file, int64_t at, int64_t num_bytes) {
   thread_local std::vector<uint8_t> buffer;
   if (static_cast<int64_t>(buffer.size()) < num_bytes) buffer.resize(num_bytes);
-  int64_t have = 0;
-  while (have < num_bytes) {
-    const ssize_t got = pread(file, buffer.data() + have, num_bytes - have, at + have);
-    if (got > 0)
-      have += got;
-    else if (got == 0)
-      throw std::runtime_error("the file ends before its last record");
-    else if (errno != EINTR)
-      throw std::system_error(errno, std::generic_category());
-  }
+  read_at(file, buffer.data(), num_bytes, at);
   return buffer.data();
 }
 

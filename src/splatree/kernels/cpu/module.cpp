@@ -16,6 +16,7 @@ namespace splatree {
 void bind_render(nb::module_& m);
 void bind_palette(nb::module_& m);
 void bind_sog(nb::module_& m);
+void bind_files(nb::module_& m);
 void bind_columns(nb::module_& m);
 void bind_thin(nb::module_& m);
 void bind_select(nb::module_& m);
@@ -52,6 +53,7 @@ NB_MODULE(_core, m) {
   bind_render(m);
   bind_palette(m);
   bind_sog(m);
+  bind_files(m);
   bind_columns(m);
   bind_thin(m);
   bind_select(m);
