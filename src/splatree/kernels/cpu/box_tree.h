@@ -1,4 +1,4 @@
-// A balanced tree of boxes over points: what the searches for near points walk (pairs.cpp, nearest.cpp).
+// A balanced tree of boxes over points: what the searches for near points walk (neighbors.cpp, nearest.cpp).
 //
 // Each node halves its points at the median of the longest side of their box; node i has the children 2 i + 1 and 2 i + 2, and
 // all leaves are at one depth. Cost: O(n log n), half a microsecond a point.
@@ -50,6 +50,33 @@ SPLATREE_FN float least_squared_distance(const Box& a, const Box& b) {
     sum += gap * gap;
   }
   return sum;
+}
+
+// Calls visit(leaf) for the leaves whose boxes are at most `limit` from the given box, squared; the nearer child of a node first.
+// Each visit returns the limit from then on; one below zero ends the walk.
+template <class Visit>
+SPLATREE_FN void each_leaf(const BoxTree& tree, const Box& box, float limit, const Visit& visit) {
+  constexpr int STACK = 64;  // twice the depth of a tree of 2^31 points
+  struct Entry {
+    int64_t node;
+    float distance2;
+  } stack[STACK];
+  int size = 0;
+  stack[size++] = {0, 0.f};
+  while (size > 0) {
+    const Entry entry = stack[--size];
+    if (entry.distance2 > limit) continue;
+    if (is_leaf(tree, entry.node)) {
+      limit = visit(entry.node - (tree.num_leaves - 1));
+      continue;
+    }
+    const int64_t left = 2 * entry.node + 1, right = left + 1;
+    const float to_left = least_squared_distance(tree.boxes[left], box);
+    const float to_right = least_squared_distance(tree.boxes[right], box);
+    const bool left_first = to_left <= to_right;
+    stack[size++] = left_first ? Entry{right, to_right} : Entry{left, to_left};
+    stack[size++] = left_first ? Entry{left, to_left} : Entry{right, to_right};
+  }
 }
 
 }  // namespace splatree

@@ -18,7 +18,6 @@ constexpr int RUN = 64, LANES = 16;
 constexpr int MAX_CANDIDATES = 1024;  // of a run of points
 constexpr int MAX_VISITS = 512;       // leaves that are seen before a run counts as spread too far
 constexpr int FEW = 64;               // candidates that are not worth halving a run
-constexpr int STACK = 64;             // twice the depth of a tree of 2^31 centres
 constexpr float SLACK = 1.00001f;     // what float32 may lose of a squared distance
 
 struct alignas(64) Run {
@@ -60,33 +59,6 @@ LeafDistances distances_of(const BoxLeaf& leaf, const Box& box) {
   return found;
 }
 
-// Calls visit(leaf, its distances, bound) for the leaves that may hold the nearest centre of a point of the box, near ones first.
-// `bound` is at least the largest squared distance to the nearest centre; visit returns one that is no larger.
-template <class Visit>
-SPLATREE_FN float each_leaf(const BoxTree& tree, const Box& box, float bound, const Visit& visit) {
-  struct Entry {
-    int64_t node;
-    float distance;
-  } stack[STACK];
-  int size = 0;
-  stack[size++] = {0, 0.f};
-  while (size) {
-    const Entry entry = stack[--size];
-    if (entry.distance > bound * SLACK) continue;
-    if (is_leaf(tree, entry.node)) {
-      bound = visit(entry.node - (tree.num_leaves - 1), bound);
-      continue;
-    }
-    const int64_t left = 2 * entry.node + 1, right = left + 1;
-    const float to_left = least_squared_distance(tree.boxes[left], box);
-    const float to_right = least_squared_distance(tree.boxes[right], box);
-    const bool left_first = to_left <= to_right;
-    stack[size++] = left_first ? Entry{right, to_right} : Entry{left, to_left};
-    stack[size++] = left_first ? Entry{left, to_left} : Entry{right, to_right};
-  }
-  return bound;
-}
-
 // The best so far of points [begin, end) against the candidates; equal distances go to the smaller label.
 void compare(const Candidates& from, int begin, int end, Run& run) {
   for (int first = begin; first < end; first += LANES) {
@@ -122,17 +94,21 @@ bool is_point(const Box& box) {
 
 // Points [begin, end) against the centres that can be the nearest of a point of the box, which is theirs or that of one of them.
 void label_run(const BoxTree& tree, const Box& box, int begin, int end, Run& run) {
-  // First the bound, which falls while leaves are visited; then what lies within it. A bound below zero ends a walk.
+  // First the bound, the largest squared distance to the nearest centre, which falls while leaves are visited; then what lies
+  // within it.
   const int most_visits = is_point(box) ? 0x7fffffff : MAX_VISITS;
   int visits = 0;
   bool crowded = false;
-  const float bound = each_leaf(tree, box, float_of(0x7f800000), [&](int64_t leaf, float current) {
+  float bound = float_of(0x7f800000);
+  each_leaf(tree, box, bound, [&](int64_t leaf) {
     crowded = ++visits > most_visits;
-    return crowded ? -1.f : least(distances_of(tree.leaves[leaf], box).smallest_largest, current);
+    bound = crowded ? -1.f : least(distances_of(tree.leaves[leaf], box).smallest_largest, bound);
+    return bound * SLACK;
   });
+  const float limit = bound * SLACK;
   Candidates candidates;
   candidates.size = 0;
-  each_leaf(tree, box, bound, [&](int64_t index, float current) {
+  each_leaf(tree, box, limit, [&](int64_t index) {
     const BoxLeaf& leaf = tree.leaves[index];
     if (candidates.size > MAX_CANDIDATES - LEAF_POINTS) {
       crowded = !is_point(box);
@@ -145,9 +121,9 @@ void label_run(const BoxTree& tree, const Box& box, int begin, int end, Run& run
       const int place = candidates.size;
       candidates.x[place] = leaf.x[i], candidates.y[place] = leaf.y[i], candidates.z[place] = leaf.z[i];
       candidates.label[place] = leaf.row[i];
-      candidates.size += distances.least[i] <= current * SLACK;
+      candidates.size += distances.least[i] <= limit;
     }
-    return current;
+    return limit;
   });
   if (end - begin > LANES && (crowded || candidates.size > FEW)) {
     const int middle = begin + (end - begin) / 2 / LANES * LANES;

@@ -11,7 +11,6 @@
 namespace splatree::SPLATREE_ISA {
 namespace {
 
-constexpr int STACK = 128;  // twice the depth of a tree
 constexpr int LAST = kPairNeighbors - 1;
 
 SPLATREE_FN float squared(float x) { return x * x; }
@@ -68,35 +67,17 @@ void offer(float x, float y, float z, int32_t place, int self, const BoxLeaf& ow
 
 void nearest_of_leaf(const BoxTree& tree, int64_t leaf, LeafNeighbors& found) {
   const BoxLeaf& own = tree.leaves[leaf];
-  const Box& own_box = tree.boxes[tree.num_leaves - 1 + leaf];
-  struct Entry {
-    int64_t node;
-    float distance2;
-  } stack[STACK];
-  int size = 0;
-  stack[size++] = {0, 0.f};
+  const Box* leaf_boxes = tree.boxes + (tree.num_leaves - 1);
   float bound = farthest(found);
-  while (size > 0) {
-    const Entry entry = stack[--size];
-    if (entry.distance2 > bound) continue;
-    const Box& box = tree.boxes[entry.node];
-    if (!is_leaf(tree, entry.node)) {
-      const int64_t left = 2 * entry.node + 1, right = left + 1;
-      const float to_left = least_squared_distance(tree.boxes[left], own_box);
-      const float to_right = least_squared_distance(tree.boxes[right], own_box);
-      const bool left_first = to_left <= to_right;
-      stack[size++] = left_first ? Entry{right, to_right} : Entry{left, to_left};
-      stack[size++] = left_first ? Entry{left, to_left} : Entry{right, to_right};
-      continue;
-    }
-    if (!is_near(own, box, found)) continue;
-    const int64_t other = entry.node - (tree.num_leaves - 1), first = first_of(tree, other);
+  each_leaf(tree, leaf_boxes[leaf], bound, [&](int64_t other) {
+    if (!is_near(own, leaf_boxes[other], found)) return bound;
     const BoxLeaf& there = tree.leaves[other];
+    const int64_t first = first_of(tree, other);
     const int count = static_cast<int>(first_of(tree, other + 1) - first);
     for (int i = 0; i < count; ++i)
       offer(there.x[i], there.y[i], there.z[i], static_cast<int32_t>(first + i), other == leaf ? i : -1, own, found);
-    bound = farthest(found);
-  }
+    return bound = farthest(found);
+  });
 }
 
 }  // namespace splatree::SPLATREE_ISA
