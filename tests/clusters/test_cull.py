@@ -1,6 +1,7 @@
 """The laws of culling: an exact rule changes no bit of any picture, whatever the scene, and the paper's own rule does."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from splatree.lod.select import in_runs
 from splatree.scene.options import Cull
 
 from ..kernels.conftest import SCENES, gaussians
+from .conftest import balls
 
 RULES: tuple[Cull, ...] = ("exact", "exact-inria", "exact-gsplat")
 
@@ -212,7 +214,7 @@ def test_planes_meet_a_sphere_where_geometry_says(axis: int, side: int) -> None:
     for distance, seen in ((0.99, True), (1.01, False)):
         center = np.zeros((1, 3), np.float32)
         center[0, axis], center[0, 2] = side * (5 + distance / np.sqrt(2)), 5 - distance / np.sqrt(2)
-        index = st.ClusterIndex(np.int32([0, 1]), center, *np.ones((3, 1), np.float32))
+        index = balls(np.int32([0, 1]), center)
         assert cull(index, camera, "planes").kept[0] == seen
         # Eq. 3 leaves out what is farther than f R / Z px from the border: here x − z > 1, at a distance of 0.71.
         assert cull(index, camera, "paper").kept[0] == (distance < np.sqrt(0.5))
@@ -243,11 +245,54 @@ def test_margins_of_a_rasteriser_are_as_wide_as_they_must_be(
             assert at[seen].max() <= at[kept].max() <= at[seen].max() + slack_px
 
 
+def beams(n: int, seed: int, camera: st.Camera) -> st.Gaussians:
+    """Gaussians 100,000 times as long as thick, about parallel to a border of the view, on either side of it."""
+    rng = np.random.default_rng(seed)
+    g = gaussians(n, seed, degree=0)
+    (fx, _, cx), (_, fy, cy), _ = camera.K
+    borders = np.array([-cx, camera.width - cx, -cy, camera.height - cy]) / (fx, fx, fy, fy)  # slopes
+    border, depth = rng.integers(0, 4, n), 10.0 ** rng.uniform(-0.5, 3, n)
+    across = border // 2
+    along, means = np.zeros((2, n, 3))
+    rows = np.arange(n)
+    # Directions in the plane through the eye and the border, and slopes a little off it.
+    along[rows, 1 - across], along[:, 2] = rng.normal(size=n), rng.normal(size=n)
+    along[rows, across] = borders[border] * along[:, 2]
+    means[rows, across] = (borders[border] + rng.normal(0, 0.05, n)) * depth
+    means[rows, 1 - across], means[:, 2] = rng.normal(0, 1, n) * depth, depth
+    along += rng.normal(size=(n, 3)) * 10.0 ** rng.uniform(-7, -2, (n, 1))
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    R, eye = camera.camera_from_world[:3, :3], camera.position
+    turned = along @ R  # the quaternion (1 + x, 0, −z, y) turns the x axis to (x, y, z)
+    quats = np.stack([1 + turned[:, 0], np.zeros(n), -turned[:, 2], turned[:, 1]], axis=1)
+    lengths = np.log(depth * 10.0 ** rng.uniform(-1, 2, n))
+    log_scales = np.stack([lengths, lengths - np.log(1e5), lengths - np.log(1e5)], axis=1)
+    return st.Gaussians(
+        *((x.astype(np.float32)) for x in (means @ R + eye, quats, log_scales)), g.logit_opacities + 3, g.sh
+    )
+
+
+def test_beams_along_a_border_are_kept_where_they_are_drawn_and_left_out_where_a_sphere_would_not_be() -> None:
+    drawn = by_boxes = by_spheres = 0
+    for seed, camera in enumerate(views(20, 30)):
+        scene = st.build_clusters(st.Scene.flat(beams(500, seed, camera)), 500)
+        assert scene.clusters is not None
+        seen = survivors(scene.gaussians, camera, "exact", st.RenderOptions().resolved(scene))
+        kept = np.zeros(len(scene), bool)
+        kept[cull(scene.clusters, camera).rows] = True
+        assert not (seen & ~kept).any()
+        everything = np.full_like(scene.clusters.centers, np.inf)
+        spheres = replace(scene.clusters, box_low=-everything, box_high=everything)
+        drawn += int(seen.sum())
+        by_boxes += len(scene) - int(kept.sum())
+        by_spheres += len(scene) - cull(spheres, camera).num_rows
+    assert drawn > 1000
+    assert by_boxes > 1.5 * by_spheres
+
+
 def test_behind_the_eye_the_rules_differ_as_they_say() -> None:
     camera = st.Camera(np.eye(4), np.array([[50.0, 0, 50], [0, 50, 50], [0, 0, 1]]), 100, 100)
-    index = st.ClusterIndex(
-        np.int32([0, 1]), np.float32([[0, 0, -0.5]]), *np.ones((3, 1), np.float32)
-    )  # a unit ball that reaches half a unit before the eye
+    index = balls(np.int32([0, 1]), np.float32([[0, 0, -0.5]]))  # a unit ball that reaches half a unit before the eye
     kept = {rule: bool(cull(index, camera, rule).kept[0]) for rule in (*RULES, "planes", "paper", "paper-guard")}
     assert kept == dict.fromkeys((*RULES, "planes", "paper-guard"), True) | {"paper": False}
 

@@ -193,7 +193,7 @@ def test_clusters_are_kept_but_their_radii_made_anew(tmp_path):
     scene = splatree.build_clusters(Scene.flat(random_gaussians(40, 3)), 6)
     splatree.write(scene, tmp_path / "a.splatree")
     back = splatree.read(tmp_path / "a.splatree")
-    for name in ("start", "centers", "radii", "mean_radii", "footprint_radii"):
+    for name in ("start", "centers", "radii", "mean_radii", "footprint_radii", "box_low", "box_high"):
         assert same_bits(getattr(scene.clusters, name), getattr(back.clusters, name))
     assert json.loads(back.source.metadata["clusters"])["clusters"] == 6
     # A file that says its spheres are smaller would hide what reaches out of them.
@@ -206,6 +206,28 @@ def test_clusters_are_kept_but_their_radii_made_anew(tmp_path):
     (tmp_path / "c.splatree").write_bytes(content)
     with pytest.raises(FormatError, match="clusters of other Gaussians"):
         splatree.read(tmp_path / "c.splatree")
+
+
+def test_clusters_of_a_file_without_boxes_get_them(tmp_path):
+    scene = splatree.build_clusters(Scene.flat(random_gaussians(40, 3)), 6)
+    splatree.write(scene, tmp_path / "a.splatree")
+    content = (tmp_path / "a.splatree").read_bytes()
+    size = int.from_bytes(content[:8], "little")
+    header, body = json.loads(content[8 : 8 + size]), content[8 + size :]
+    kept = {name: header.pop(name) for name in list(header) if name != "__metadata__"}
+    columns = b""
+    for name, entry in kept.items():
+        if "box" not in name:
+            begin, end = entry["data_offsets"]
+            header[name] = entry | {"data_offsets": [len(columns), len(columns) + end - begin]}
+            columns += body[begin:end]
+    text = json.dumps(header, separators=(",", ":")).encode()
+    text += b" " * (-(8 + len(text)) % 64)
+    (tmp_path / "old.splatree").write_bytes(len(text).to_bytes(8, "little") + text + columns)
+    back = splatree.read(tmp_path / "old.splatree")
+    for name in ("box_low", "box_high"):
+        assert f"clusters.{name}" in kept
+        assert same_bits(getattr(scene.clusters, name), getattr(back.clusters, name))
 
 
 def test_clusters_that_do_not_cover_the_rows_are_refused(tmp_path):

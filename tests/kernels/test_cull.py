@@ -34,6 +34,41 @@ def test_radii_hold_those_of_the_reference_and_little_more(isa: str, log_scales:
         assert np.all(found <= getattr(above, name) * (1 + 5e-5))  # 2e-5 is added for the exponential
 
 
+@pytest.mark.parametrize("log_scales", [(-5, -1.5), (-12, 2)])
+def test_boxes_hold_those_of_the_reference_and_little_more(isa: str, log_scales: tuple[float, float]) -> None:
+    g = gaussians(500, 1, log_scales=log_scales)
+    start = starts(500, 2)
+    centers = g.means[start[:-1]]
+    fast = cpu.spheres.bound_clusters(g, start, centers)
+    slow = reference.spheres.bound_clusters(g, start, centers)
+    # Float32 loses 1e-6 of the longest axis, which culling adds (BOX_SLACK), and rounds coordinates outwards by 2.4e-7.
+    lost = 1e-6 * slow.footprint_radii[:, None]
+    assert np.all(fast.box_low <= slow.box_low + lost) and np.all(fast.box_high >= slow.box_high - lost)
+    # 2e-5 is added to reaches for the exponential, and 1e-5 to k².
+    more = 1e-4 * slow.footprint_radii[:, None] + 1e-6 * np.abs(slow.box_low) + 1e-6 * np.abs(slow.box_high)
+    assert np.all(fast.box_low >= slow.box_low - more) and np.all(fast.box_high <= slow.box_high + more)
+
+
+def test_a_box_has_the_extents_of_a_turned_gaussian() -> None:
+    # Half axes of 2, 1 and ¼, turned by 30° about z; k = 3 at this opacity.
+    opacity = np.exp(4.5) / 255
+    half = np.radians(15)
+    g = st.Gaussians(
+        np.float32([[1, -2, 5]]),
+        np.float32([[np.cos(half), 0, 0, np.sin(half)]]),
+        np.log(np.float32([[2, 1, 0.25]])),
+        np.float32([np.log(opacity / (1 - opacity))]),
+        np.zeros((1, 1, 3), np.float32),
+    )
+    wanted = 3 * np.array(
+        [np.hypot(2 * np.cos(2 * half), np.sin(2 * half)), np.hypot(np.sin(2 * half) * 2, np.cos(2 * half)), 0.25]
+    )
+    for spheres in (cpu.spheres, reference.spheres):
+        found = spheres.bound_clusters(g, np.int32([0, 1]), g.means)
+        np.testing.assert_allclose(found.box_high - g.means, [wanted], rtol=1e-4)
+        np.testing.assert_allclose(g.means - found.box_low, [wanted], rtol=1e-4)
+
+
 def test_rows_that_are_never_drawn_widen_no_sphere() -> None:
     g = gaussians(32, 3)
     g.means[5] = np.nan
@@ -41,12 +76,13 @@ def test_rows_that_are_never_drawn_widen_no_sphere() -> None:
     found = cpu.spheres.bound_clusters(g, np.int32([0, 32]), np.zeros((1, 3), np.float32))
     assert found.mean_radii[0] < 10 and found.footprint_radii[0] < 10
     assert found.radii[0] > 3 * np.exp(5)  # Eq. 2 does not look at opacity
+    assert np.abs([found.box_low, found.box_high]).max() < 10
 
 
 def test_absurd_rows_give_no_nan() -> None:
     g = absurd()
     found = cpu.spheres.bound_clusters(g, np.arange(0, 41, 2, dtype=np.int32), np.zeros((20, 3), np.float32))
-    assert not any(np.isnan(getattr(found, name)).any() for name in RADII)
+    assert not any(np.isnan(getattr(found, name)).any() for name in (*RADII, "box_low", "box_high"))
 
 
 @pytest.mark.parametrize("rule", ["exact", "exact-inria", "exact-gsplat", "planes", "paper", "paper-guard"])
@@ -61,6 +97,21 @@ def test_culling_agrees_with_the_reference(isa: str, rule: Cull) -> None:
         fast = cpu.cull.cull(centers, radii, near_radii, sides, threads=threads)
         np.testing.assert_array_equal(fast, slow)
     assert 0 < slow.sum() < 1000
+
+
+def test_culling_by_boxes_agrees_with_the_reference(isa: str) -> None:
+    rng = np.random.default_rng(7)
+    centers = (rng.normal(size=(1000, 3)) * 10.0 ** rng.uniform(-1, 3, (1000, 1))).astype(np.float32)
+    half = (10.0 ** rng.uniform(-3, 2, (1000, 3))).astype(np.float32)
+    half[::100] = np.inf
+    sides = sides_of(camera(shift_x=30.0), "exact", dilation_px2=0.3, threshold=1 / 255)
+    slow = reference.cull.cull_boxes(centers - half, centers + half, sides)
+    # Both compute in float64: only a tie could fall either way.
+    for threads in (1, 2):
+        fast = cpu.cull.cull_boxes(centers - half, centers + half, sides, threads=threads)
+        np.testing.assert_array_equal(fast, slow)
+    assert 10 < slow.sum() < 900
+    assert slow[::100].all()
 
 
 def test_more_clusters_than_a_thread_takes_at_once() -> None:

@@ -40,7 +40,7 @@ def test_columns_of_other_gaussians_are_refused():
         replace(scene, ids=np.arange(299, dtype=np.uint32))
 
 
-def test_clusters_fit_only_if_each_sphere_holds_its_first_row():
+def test_clusters_fit_only_if_each_sphere_and_box_holds_its_first_row():
     scene = st.build_clusters(st.Scene.flat(gaussians(300, 1)), 5)
     clusters = scene.clusters
     assert clusters.fits(scene.gaussians)
@@ -50,6 +50,12 @@ def test_clusters_fit_only_if_each_sphere_holds_its_first_row():
         first = scene.gaussians.take(clusters.start[:1])
         away = np.linalg.norm(first.means[0] - clusters.centers[0])
         smaller[0] = 0.99 * away  # less than what any of the radii must hold, as σ > 0
+        assert not replace(clusters, **{name: smaller}).fits(scene.gaussians)
+    row = int(np.argmax(scene.gaussians.logit_opacities[clusters.start[:-1]]))  # a first row that is drawn
+    mean = scene.gaussians.means[clusters.start[row]]
+    for name in ("box_low", "box_high"):
+        smaller = getattr(clusters, name).copy()
+        smaller[row, 1] = mean[1]
         assert not replace(clusters, **{name: smaller}).fits(scene.gaussians)
 
 

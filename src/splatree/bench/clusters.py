@@ -45,10 +45,11 @@ RULES: tuple[Cull, ...] = (
 )
 DRAWN: tuple[Cull, ...] = ("paper-distance", "paper", "exact")
 """Rules whose pictures are drawn and compared."""
-OPERATIONS = 5 * 7 + 3 * 2 + 4
-"""Of a cluster: five planes of three products, three sums and a comparison; distance from the eye; radii with margins."""
-RECORD_BYTES = 12 + 4 + 4
-"""Of a cluster: centre, radius, radius for the near plane."""
+OPERATIONS = 5 * 7 + 3 * 2 + 4 + 5 * (7 + 7) + 3 * (2 + 2) + 3 * 2 + 2
+"""Of a cluster: five planes of three products, three sums and a comparison; distance from the eye; radii with margins. Of its box
+the same, and the half sizes on each plane; its centre and half sizes."""
+RECORD_BYTES = 12 + 4 + 4 + 24
+"""Of a cluster: centre, radius, radius for the near plane, box."""
 ROW_BYTES = 12 + 16 + 12 + 4
 """Of a Gaussian in step 1, before its colour: mean, quaternion, log-scales, opacity."""
 PSNR_MAX = 100.0

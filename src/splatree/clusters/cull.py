@@ -6,9 +6,11 @@ A sphere with view coordinates (X, Y, Z) and radius R lies beyond the right bord
     f X − w Z > f R                                                      (Jo 2024, Eq. 3: r = R f / Z)
 
 and likewise for the other borders. Eq. 3 misses the factor sec φ of the border's angle, so it leaves out spheres that reach into
-the image. The rules:
+the image. A box with half sizes h along the world's axes takes Σ |n_a| h_a in the place of √(f² + w²) R, n = f x − w z in the
+world; it knows the shapes of its Gaussians, a sphere only their largest axes. The rules:
 
-``exact``        no row that our projection would draw is left out, whatever its extents; the picture keeps every bit
+``exact``        no row that our projection would draw is left out, whatever its extents; the picture keeps every bit. By spheres,
+                 and by boxes too where splats end as ellipses at τ ≥ 1/255
 ``exact-inria``  the same for the rasteriser of Kerbl 2023: squares of 3σ, rounded up, over tiles
 ``exact-gsplat`` the same for gsplat: boxes of √(2 ln 255 o) σ, at most 3.33 σ, rounded up
 ``planes``       the half-spaces with the radii of Eq. 2, without the rasteriser's margins
@@ -16,8 +18,8 @@ the image. The rules:
 ``paper-guard``  the same, but spheres that reach the plane of the eye are kept
 ``paper-distance``  Eq. 3 with radii that hold the means only: the ablation "only distance" of Table I
 
-docs/algorithms/clusters.md has the proof. Cost: five dot products a cluster, 5 ns; rows of Gaussians are never touched, and the
-result is a list of runs of rows.
+docs/algorithms/clusters.md has the proof. Cost: five dot products a sphere, ten a box, 5 ns each; rows of Gaussians are never
+touched, and the result is a list of runs of rows.
 """
 
 import math
@@ -42,7 +44,7 @@ from splatree.scene.cameras import Camera
 from splatree.scene.clusters import ClusterIndex, Culling, Sides
 from splatree.scene.options import Cull
 from splatree.scene.scene import Extent
-from splatree.shapes import Array, Float32, Int32
+from splatree.shapes import Array, Float32, Float64, Int32
 
 __all__ = ["cull", "sides_of"]
 
@@ -54,6 +56,9 @@ REACH_SCALE = 1.002
 """Factor on projected standard deviations: the selection's test widens footprints by 0.1 %, and must agree."""
 BORDER_PX = 0.02
 """Likewise its 0.01 px, and the rounding of pixel coordinates."""
+BOX_SLACK = 2e-5
+"""Reach added for each unit of half size, of that of a unit of radius: what float32 loses of a long thin Gaussian, whose extent
+across its axis is a difference of larger numbers. 30 roundings of its length, each 6e-8, over √3, and ten times as much again."""
 STRETCH = 1.0002
 """Rotations may be off by 1e-4 in each entry of R Rᵀ (`Camera`), so they lengthen vectors by 1.6e-4 at most."""
 
@@ -95,6 +100,8 @@ def cull(
         sides = sides_of(camera, rule, dilation_px2=dilation_px2, threshold=threshold, extent=extent)
         radii, near_radii = _radii(clusters, rule, threshold, extent)
         kept = kernel.cull(clusters.centers, radii, near_radii, sides, threads=threads)
+        if sides.box_reaches is not None:
+            kept &= kernel.cull_boxes(clusters.box_low, clusters.box_high, sides, threads=threads)
     return Culling(kept, runs_of(clusters.start, kept), rule)
 
 
@@ -126,7 +133,8 @@ def sides_of(camera: Camera, rule: Cull, *, dilation_px2: float, threshold: floa
         raise InputError(f"cull: found rule {rule!r}, wanted one of {', '.join(get_args(Cull))}")
     sides = _sides(camera, axes, margins, scale=RADIUS_SCALE, slack=POSITION_SLACK)
     if rule == "exact":
-        return sides
+        has_boxes = extent in ("ellipse", "balanced") and threshold >= ALPHA_THRESHOLD
+        return replace(sides, box_reaches=_box_reaches(camera, axes, sides)) if has_boxes else sides
     # These transform by R x + t in float32, so they lose digits of x and of t, not of their difference as ours does.
     return replace(sides, margin=2 * POSITION_SLACK * float(np.abs(sides.eye).sum()))
 
@@ -188,6 +196,19 @@ def _sides(camera: Camera, axes: Axes, margins: list[Margins], *, scale: float =
     planes[4, 3] += camera.near
     reaches[4] = STRETCH
     return Sides(planes, reaches, camera.position, scale, slack)
+
+
+def _box_reaches(camera: Camera, axes: Axes, sides: Sides) -> Float64[Array, "5 3"]:
+    """max(|n_a|, |n'_a|) along each axis a of the world: n the plane, n' the plane at the last slope of the Jacobian."""
+    x_and_y, depth = camera.camera_from_world[:2, :3], camera.camera_from_world[2, :3]
+    reaches = np.abs(sides.planes[:, :3])
+    for i, (focal, centre, size) in enumerate(axes):
+        margin = (FRUSTUM_CLAMP - 1) * size / (2 * focal)
+        for side, slope in ((2 * i, (size - centre) / focal + margin), (2 * i + 1, centre / focal + margin)):
+            sign = 1 if side % 2 == 0 else -1
+            last = focal * (sign * x_and_y[i] - slope * depth)
+            reaches[side] = np.maximum(reaches[side], np.abs(last))
+    return np.asarray(REACH_SCALE * reaches + BOX_SLACK * sides.reaches[:, None])
 
 
 def _sides_of_paper(camera: Camera, axes: Axes, *, guard: bool) -> Sides:

@@ -1,4 +1,4 @@
-"""Clusters of Gaussians: runs of consecutive rows with spheres around them, and what K-means and culling leave."""
+"""Clusters of Gaussians: runs of consecutive rows with spheres and boxes around them, and what K-means and culling leave."""
 
 from dataclasses import dataclass
 
@@ -6,6 +6,7 @@ import numpy as np
 
 from splatree.constants import ALPHA_THRESHOLD, SIGMAS
 from splatree.errors import ShapeError
+from splatree.maths.covariance import axes_from_gaussians
 from splatree.scene.gaussians import Gaussians
 from splatree.shapes import Array, Bool, Float32, Float64, Int32, Int64, check_fields
 
@@ -14,8 +15,8 @@ from splatree.shapes import Array, Bool, Float32, Float64, Int32, Int64, check_f
 class ClusterIndex:
     """Clusters: run ``j`` is the rows ``start[j] : start[j + 1]``; each row is in one.
 
-    All radii are around the same centre, over the rows of the cluster, rounded upwards. In a tree a row's descendants that lie in
-    other clusters are held by those.
+    All radii are around the same centre, over the rows of the cluster; radii and boxes are rounded outwards. In a tree a row's
+    descendants that lie in other clusters are held by those.
     """
 
     start: Int32[Array, "c+1"]
@@ -28,6 +29,10 @@ class ClusterIndex:
     """Holds the means: largest |μ − centre| (the ablation "only distance" of Jo 2024)."""
     footprint_radii: Float32[Array, "c"]
     """Holds what is drawn at τ = 1/255: largest |μ − centre| + k σ with k = √(2 ln 255 o), of rows of opacity o ≥ 1/255."""
+    box_low: Float32[Array, "c 3"]
+    """Least coordinates of the boxes along the world's axes that hold the centre and the kσ ellipsoids of the same rows."""
+    box_high: Float32[Array, "c 3"]
+    """Largest coordinates of these boxes: largest μ + k √Σ_ii along axis i."""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -53,8 +58,9 @@ class ClusterIndex:
             return False
         first = self.start[:-1]
         logits = gaussians.logit_opacities[first].astype(np.float64)
+        means = gaussians.means[first].astype(np.float64)
         with np.errstate(invalid="ignore", over="ignore"):
-            distances = np.linalg.norm(gaussians.means[first].astype(np.float64) - self.centers, axis=1)
+            distances = np.linalg.norm(means - self.centers, axis=1)
             scales = np.exp(gaussians.log_scales[first].max(axis=1, initial=-np.inf).astype(np.float64))
             log_opacities = -np.logaddexp(0.0, -logits)
             reach = np.sqrt(2 * np.maximum(log_opacities - np.log(ALPHA_THRESHOLD), 0))
@@ -64,6 +70,12 @@ class ClusterIndex:
                 (distances + SIGMAS * scales, self.radii),
                 (np.where(drawn, distances + reach * scales, 0), self.footprint_radii),
             )
+            axes = axes_from_gaussians(gaussians.quats[first], gaussians.log_scales[first])  # [c 3 3]
+            spreads = np.where(drawn, reach, 0)[:, None] * np.sqrt((axes * axes).sum(axis=2))
+            low, high = means - spreads, means + spreads
+            slack = 1e-6 * (np.abs(means) + spreads + scales[:, None])
+            if np.any(drawn[:, None] & ((low < self.box_low - slack) | (high > self.box_high + slack))):
+                return False
             # NaN, which is never drawn, is above nothing; 1e-6 is the rounding of float32.
             return not any(np.any(needed > (1 + 1e-6) * radii.astype(np.float64)) for needed, radii in held)
 
@@ -94,7 +106,8 @@ class Assignment:
 class Sides:
     """The borders of a view as planes in the world: a sphere that lies beyond one of them is out of view.
 
-    Sphere (c, R) lies beyond side s if ``n_s · c + d_s > reach_s R'`` with R' = scale R + slack |c − eye|₁ + margin.
+    Sphere (c, R) lies beyond side s if ``n_s · c + d_s > reach_s R'`` with R' = scale R + slack |c − eye|₁ + margin, the box
+    with centre c and half sizes h if ``n_s · c + d_s > box_reach_s · h + reach_s (slack |c − eye|₁ + margin)``.
     """
 
     planes: Float64[Array, "5 4"]
@@ -111,6 +124,8 @@ class Sides:
     """Radius added, for what float32 loses of the view's own translation."""
     guard: bool = False
     """Whether spheres that reach the plane of the eye are kept whatever the sides say."""
+    box_reaches: Float64[Array, "5 3"] | None = None
+    """How far a unit of half size along each axis of the world reaches over each plane; None: spheres alone decide."""
 
     def __post_init__(self) -> None:
         check_fields(self)

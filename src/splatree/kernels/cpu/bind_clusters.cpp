@@ -10,6 +10,8 @@
 namespace splatree {
 namespace {
 
+constexpr int64_t CLUSTERS_AT_LEAST = 16384;  // of a thread that culls: fewer are done before another has woken up
+
 void kmeans(In<float> points, In<float> centers, Out<int32_t> labels, Out<float> squared_distances, Out<double> sums,
             Out<int64_t> counts, int threads) {
   const KmeansJob job{points.data(), int64_t(points.shape(0)), centers.data(), int32_t(centers.shape(0)), threads,
@@ -18,10 +20,12 @@ void kmeans(In<float> points, In<float> centers, Out<int32_t> labels, Out<float>
   kmeans_step(job);
 }
 
-void bound_clusters(In<float> means, In<float> log_scales, In<float> logit_opacities, In<int32_t> start, In<float> centers,
-                    Out<float> radii, Out<float> mean_radii, Out<float> footprint_radii, int threads) {
-  const SpheresJob job{means.data(), log_scales.data(), logit_opacities.data(), start.data(),
-                       centers.data(), radii.data(), mean_radii.data(), footprint_radii.data()};
+void bound_clusters(In<float> means, In<float> quats, In<float> log_scales, In<float> logit_opacities, In<int32_t> start,
+                    In<float> centers, Out<float> radii, Out<float> mean_radii, Out<float> footprint_radii,
+                    Out<float> box_low, Out<float> box_high, int threads) {
+  const SpheresJob job{means.data(), quats.data(), log_scales.data(), logit_opacities.data(),
+                       start.data(), centers.data(), radii.data(), mean_radii.data(),
+                       footprint_radii.data(), box_low.data(), box_high.data()};
   const int64_t num_clusters = int64_t(centers.shape(0));
   nb::gil_scoped_release release;
   parallel_ranges(num_clusters, 64, threads,
@@ -40,17 +44,33 @@ void cull_clusters(In<float> centers, In<float> radii, In<float> near_radii, In<
   job.kept = reinterpret_cast<uint8_t*>(kept.data());
   const int64_t num_clusters = int64_t(centers.shape(0));
   nb::gil_scoped_release release;
-  // Fewer are done before another thread has woken up.
-  parallel_ranges(num_clusters, 16384, threads,
+  parallel_ranges(num_clusters, CLUSTERS_AT_LEAST, threads,
                   [&](int64_t begin, int64_t end) { kernels().cull_spheres(job, begin, end); });
+}
+
+void cull_cluster_boxes(In<float> low, In<float> high, In<double> planes, In<double> reaches, In<double> box_reaches,
+                        In<double> eye, In<double> margins, Out<bool> kept, int threads) {
+  CullBoxesJob job{};
+  job.low = low.data(), job.high = high.data();
+  std::copy_n(planes.data(), 4 * CULL_SIDES, &job.plane[0][0]);
+  std::copy_n(reaches.data(), CULL_SIDES, job.reach);
+  std::copy_n(box_reaches.data(), 3 * CULL_SIDES, &job.box_reach[0][0]);
+  std::copy_n(eye.data(), 3, job.eye);
+  job.slack = margins.data()[0], job.margin = margins.data()[1];
+  job.kept = reinterpret_cast<uint8_t*>(kept.data());
+  const int64_t num_clusters = int64_t(low.shape(0));
+  nb::gil_scoped_release release;
+  parallel_ranges(num_clusters, CLUSTERS_AT_LEAST, threads,
+                  [&](int64_t begin, int64_t end) { kernels().cull_boxes(job, begin, end); });
 }
 
 }  // namespace
 
 void bind_clusters(nb::module_& m) {
   m.def("kmeans", &kmeans, "Fill the nearest centre of each point, and the sum and number of each centre's points.");
-  m.def("bound_spheres", &bound_clusters, "Fill the radii of clusters around their centres.");
+  m.def("bound_spheres", &bound_clusters, "Fill the radii of clusters around their centres, and their boxes.");
   m.def("cull_spheres", &cull_clusters, "Fill whether each sphere can be seen.");
+  m.def("cull_boxes", &cull_cluster_boxes, "Fill whether each box can be seen.");
 }
 
 }  // namespace splatree

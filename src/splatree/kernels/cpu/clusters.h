@@ -1,14 +1,15 @@
-// Jobs of the clusters' spheres (spheres.cpp) and of culling them (cull.cpp).
+// Jobs of the clusters' spheres and boxes (spheres.cpp) and of culling them (cull.cpp).
 #pragma once
 #include <cstdint>
 
 namespace splatree {
 
 struct SpheresJob {
-  const float *means, *log_scales, *logit_opacities;  // n rows
-  const int32_t* start;                               // c + 1
-  const float* centers;                               // c 3
-  float *radii, *mean_radii, *footprint_radii;        // c
+  const float *means, *quats, *log_scales, *logit_opacities;  // n rows
+  const int32_t* start;                                       // c + 1
+  const float* centers;                                       // c 3
+  float *radii, *mean_radii, *footprint_radii;                // c
+  float *box_low, *box_high;                                  // c 3
 };
 
 constexpr int CULL_SIDES = 5;  // right, left, bottom, top, near
@@ -18,6 +19,12 @@ struct CullJob {
   const float *centers, *radii, *near_radii;  // c
   double plane[CULL_SIDES][4], reach[CULL_SIDES], eye[3], scale, slack, margin;
   bool guard;
+  uint8_t* kept;  // c
+};
+
+struct CullBoxesJob {
+  const float *low, *high;  // c 3
+  double plane[CULL_SIDES][4], reach[CULL_SIDES], box_reach[CULL_SIDES][3], eye[3], slack, margin;
   uint8_t* kept;  // c
 };
 

@@ -1,4 +1,4 @@
-"""Which spheres can be seen: glue over cull.cpp; kernels/reference/cull.py is the definition."""
+"""Which spheres or boxes can be seen: glue over cull.cpp; kernels/reference/cull.py is the definition."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from splatree.kernels.cpu import _core
 from splatree.scene.clusters import Sides
 from splatree.shapes import Array, Bool, Float32
 
-__all__ = ["cull"]
+__all__ = ["cull", "cull_boxes"]
 
 
 def cull(
@@ -21,4 +21,15 @@ def cull(
     kept = np.empty(len(centers), bool)
     margins = np.array([sides.scale, sides.slack, sides.margin, sides.guard], np.float64)
     _core.cull_spheres(centers, radii, near_radii, sides.planes, sides.reaches, sides.eye, margins, kept, threads)
+    return kept
+
+
+def cull_boxes(
+    low: Float32[Array, "c 3"], high: Float32[Array, "c 3"], sides: Sides, *, threads: int = 0
+) -> Bool[Array, "c"]:
+    """Whether each box is on none of the outer sides."""
+    assert sides.box_reaches is not None
+    kept = np.empty(len(low), bool)
+    margins = np.array([sides.slack, sides.margin], np.float64)
+    _core.cull_boxes(low, high, sides.planes, sides.reaches, sides.box_reaches, sides.eye, margins, kept, threads)
     return kept

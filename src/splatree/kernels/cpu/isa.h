@@ -32,6 +32,7 @@ struct LaneMinima;
 struct NearestCentres;
 struct AxesJob;
 struct SpheresJob;
+struct CullBoxesJob;
 struct CullJob;
 struct SightJob;
 
@@ -61,6 +62,7 @@ struct SightJob;
   kernel(void, unpack_chunk, (const PackedJob& job, int64_t chunk))                                            \
   kernel(void, bound_spheres, (const SpheresJob& job, int64_t begin, int64_t end))                             \
   kernel(void, cull_spheres, (const CullJob& job, int64_t begin, int64_t end))                                 \
+  kernel(void, cull_boxes, (const CullBoxesJob& job, int64_t begin, int64_t end))                              \
   kernel(void, see_through, (const SightJob& job))
 
 struct Kernels {

@@ -1,4 +1,4 @@
-"""Radii of clusters: glue over spheres.cpp; kernels/reference/spheres.py is the definition."""
+"""Spheres and boxes of clusters: glue over spheres.cpp; kernels/reference/spheres.py is the definition."""
 
 import numpy as np
 
@@ -13,8 +13,9 @@ __all__ = ["bound_clusters"]
 def bound_clusters(
     gaussians: Gaussians, start: Int32[Array, "c+1"], centers: Float32[Array, "c 3"], *, threads: int = 0
 ) -> ClusterIndex:
-    """Spheres around the rows of each cluster; ``start`` ends with the number of rows."""
+    """Spheres and boxes around the rows of each cluster; ``start`` ends with the number of rows."""
     radii = [np.empty(len(centers), np.float32) for _ in range(3)]
-    columns = gaussians.means, gaussians.log_scales, gaussians.logit_opacities
-    _core.bound_spheres(*columns, start, centers, *radii, threads)
-    return ClusterIndex(start, centers, *radii)
+    boxes = [np.empty((len(centers), 3), np.float32) for _ in range(2)]
+    columns = gaussians.means, gaussians.quats, gaussians.log_scales, gaussians.logit_opacities
+    _core.bound_spheres(*columns, start, centers, *radii, *boxes, threads)
+    return ClusterIndex(start, centers, *radii, *boxes)

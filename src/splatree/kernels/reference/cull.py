@@ -1,11 +1,11 @@
-"""Which spheres can be seen, by definition (scene/clusters.py: `Sides`)."""
+"""Which spheres or boxes can be seen, by definition (scene/clusters.py: `Sides`)."""
 
 import numpy as np
 
 from splatree.scene.clusters import Sides
 from splatree.shapes import Array, Bool, Float32
 
-__all__ = ["cull"]
+__all__ = ["cull", "cull_boxes"]
 
 
 def cull(
@@ -25,3 +25,16 @@ def cull(
     if sides.guard:
         kept |= np.abs(beyond[:, 4]) <= radii
     return np.asarray(kept)
+
+
+def cull_boxes(
+    low: Float32[Array, "c 3"], high: Float32[Array, "c 3"], sides: Sides, *, threads: int = 0
+) -> Bool[Array, "c"]:
+    """Whether each box is on none of the outer sides."""
+    assert sides.box_reaches is not None
+    with np.errstate(invalid="ignore"):  # an infinite box has no centre, and is kept
+        center = (low.astype(np.float64) + high) / 2
+        half = (high.astype(np.float64) - low) / 2
+        beyond = center @ sides.planes[:, :3].T + sides.planes[:, 3]  # [c 5]
+        added = sides.slack * np.abs(center - sides.eye).sum(axis=1)[:, None] + sides.margin
+        return np.asarray(~(beyond > half @ sides.box_reaches.T + sides.reaches * added).any(axis=1))
