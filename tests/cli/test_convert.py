@@ -1,6 +1,7 @@
 import json
 
 import numpy as np
+import pytest
 
 from splatree.io.registry import read, write
 from splatree.scene.scene import Scene
@@ -37,3 +38,17 @@ def test_drop_invalid_drops_where_repair_mends(splatree, small_scene, tmp_path):
     ]
     assert [c["num_gaussians"] for c in counts] == [50, 49]
     assert [c["repairs"] for c in counts] == [{"clamped_scales": 1}, {"dropped_rows": 1}]
+
+
+@pytest.mark.parametrize(
+    "words",
+    [("convert", "out.spz"), ("thin", "out.ply", "--keep", "0.5"), ("build", "out.splatree", "--method", "radius")],
+)
+def test_infinite_logits_are_read_and_told(splatree, small_scene, tmp_path, words):
+    g = small_scene.gaussians.take(np.arange(50))
+    g.logit_opacities[[3, 9]] = np.inf, -np.inf
+    write(Scene.flat(g), tmp_path / "certain.ply")
+    verb, output, *options = words
+    code, said, _ = splatree(verb, tmp_path / "certain.ply", tmp_path / output, *options)
+    assert code == 0 and "repaired: clamped_opacities 2" in said
+    assert np.isfinite(read(tmp_path / output).gaussians.logit_opacities).all()

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 import splatree
-from splatree import FormatError, Gaussians, Scene
-from splatree.io.check import LOGIT_CERTAIN, checked
+from splatree import FormatError, Gaussians, GaussianTree, Scene
+from splatree.io.check import LOGIT_CERTAIN, LOGIT_FROM_BYTE, checked, refuse_unusable
 
 from .conftest import COLUMNS, random_gaussians, same_bits
 
@@ -26,7 +26,6 @@ BAD = [
     ("log_scales", (4, 2), 31, r"row 4, log_scales\[2\]: found 31.0, wanted between"),
     ("log_scales", (4, 2), -np.inf, r"row 4, log_scales\[2\]"),
     ("log_scales", (4, 0), np.nan, r"row 4, log_scales\[0\]"),
-    ("logit_opacities", 4, np.inf, "row 4, logit_opacities: found inf"),
     ("logit_opacities", 4, np.nan, "row 4, logit_opacities: found nan"),
     ("quats", 4, 0, r"row 4, quats: found \[0.0, 0.0, 0.0, 0.0\], wanted a finite length"),
     ("quats", 4, 1e-30, "row 4, quats"),
@@ -45,10 +44,9 @@ def test_one_bad_value_is_refused_with_its_place(column, index, value, message):
 
 
 REPAIRS = {
-    "dropped_rows": [0, 1, 2, 5, 7, 11, 12, 13],
+    "dropped_rows": [0, 1, 2, 5, 6, 10, 11, 12],
     "clamped_scales": [3, 4],
-    "clamped_opacities": [6],
-    "repaired_quaternions": [8, 9, 10],
+    "repaired_quaternions": [7, 8, 9],
 }
 
 
@@ -69,12 +67,45 @@ def test_repair_follows_the_documented_rule_and_counts_it(rule, case):
 def test_repaired_values():
     fixed = checked(Scene.flat(spoiled("log_scales", (4, 2), -np.inf)), "", repair=True).gaussians
     assert fixed.log_scales[4, 2] == -30
-    fixed = checked(Scene.flat(spoiled("logit_opacities", 4, -np.inf)), "", repair=True).gaussians
-    assert fixed.logit_opacities[4] == np.float32(-LOGIT_CERTAIN)
     fixed = checked(Scene.flat(spoiled("quats", 4, 0)), "", repair=True).gaussians
     np.testing.assert_array_equal(fixed.quats[4], [1, 0, 0, 0])
     fixed = checked(Scene.flat(spoiled("quats", 4, [3e-30, 0, 4e-30, 0])), "", repair=True).gaussians
     np.testing.assert_allclose(fixed.quats[4], [0.6, 0, 0.8, 0], rtol=1e-6)
+
+
+@pytest.mark.parametrize("repair", [False, True, "drop"])
+def test_infinite_logits_are_opacities_of_0_and_1(repair):
+    g = random_gaussians(9, 1)
+    g.logit_opacities[[2, 5, 7]] = np.inf, -np.inf, np.inf
+    tree = GaussianTree(
+        np.array([9, *range(2, 10)], np.int32), np.array([0] + 8 * [1], np.uint8), np.ones(9, np.float32)
+    )
+    for scene in (Scene.flat(g), Scene(g, tree)):  # no row is dropped, so levels stay
+        read = checked(scene, "", repair=repair)
+        logits = read.gaussians.logit_opacities
+        np.testing.assert_array_equal(logits[[2, 5, 7]], LOGIT_FROM_BYTE[[255, 0, 255]])
+        others = np.isfinite(g.logit_opacities)
+        assert same_bits(logits[others], g.logit_opacities[others])
+        assert all(same_bits(getattr(read.gaussians, c), getattr(g, c)) for c in COLUMNS if c != "logit_opacities")
+        assert read.tree is scene.tree
+        assert json.loads(read.source.metadata["repairs"]) == {"clamped_opacities": 3}
+    assert LOGIT_FROM_BYTE[255] == np.float32(LOGIT_CERTAIN)
+
+
+def test_an_infinite_logit_does_not_hide_what_else_is_wrong():
+    g = spoiled("logit_opacities", 4, np.inf)
+    g.logit_opacities[6] = np.nan
+    with pytest.raises(FormatError, match=r"row 6, logit_opacities: found nan.*1 of 9 rows"):
+        checked(Scene.flat(g), "a.ply", repair=False)
+    for repair in (True, "drop"):
+        scene = checked(Scene.flat(g), "a.ply", repair=repair)
+        assert json.loads(scene.source.metadata["repairs"]) == {"clamped_opacities": 1, "dropped_rows": 1}
+        assert len(scene) == 8 and scene.gaussians.logit_opacities[4] == np.float32(LOGIT_CERTAIN)
+
+
+def test_writers_refuse_infinite_logits():
+    with pytest.raises(FormatError, match="scene to write: row 4, logit_opacities: found inf"):
+        refuse_unusable(spoiled("logit_opacities", 4, np.inf), "scene to write")
 
 
 def test_values_at_the_limits_are_accepted():

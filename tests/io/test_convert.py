@@ -93,6 +93,16 @@ def test_repairs_are_counted_and_rows_that_are_dropped_are_not_written(tmp_path,
     assert len(splatree.read(tmp_path / "b.ply")) == done.num_written == 555 - wanted["dropped_rows"]
 
 
+def test_infinite_logits_are_counted_without_repair(tmp_path, small_chunks):
+    g = random_gaussians(555, 1)
+    g.logit_opacities[[3, 4, 500]] = np.inf
+    splatree.write(Scene.flat(g), tmp_path / "a.ply")
+    for inputs, count in (([tmp_path / "a.ply"], 3), ([tmp_path / "a.ply"] * 2, 6)):
+        for edits in (EditOptions(), EditOptions(min_opacity=0.5), EditOptions(order="morton")):
+            done = convert(inputs, tmp_path / "b.spz", ConvertOptions(edit=edits), force=True)
+            assert done.in_chunks == (edits.order == "kept") and done.repairs == {"clamped_opacities": count}
+
+
 def test_what_the_reader_lost_is_said(tmp_path):
     path = tmp_path / "a.ply"
     splatree.write(Scene.flat(random_gaussians(5, 0)), path)

@@ -220,6 +220,7 @@ def chunked(path, repair=False):
 def test_chunks_hold_what_read_gives(tmp_path, monkeypatch, repair):
     monkeypatch.setattr(ply, "ROWS_PER_CHUNK", 100)
     g = random_gaussians(1030, 1)
+    g.logit_opacities[[3, 500]] = np.inf, -np.inf
     if repair:
         g.means[::7, 1] = np.nan
         g.quats[5] = 0
@@ -227,7 +228,8 @@ def test_chunks_hold_what_read_gives(tmp_path, monkeypatch, repair):
     chunks, back = chunked(tmp_path / "a.ply", repair)
     whole = ply.read(tmp_path / "a.ply", ReadOptions(repair=repair))
     assert all(same_bits(getattr(whole.gaussians, c), getattr(back, c)) for c in COLUMNS)
-    assert chunks.metadata == whole.source.metadata and chunks.mode == "antialiased"
+    assert chunks.repairs == json.loads(whole.source.metadata["repairs"]) and chunks.mode == "antialiased"
+    assert chunks.repairs["clamped_opacities"] == 2
     assert len(chunks) == 1030 - {False: 0, True: 148, "drop": 149}[repair]
 
 

@@ -41,9 +41,9 @@ def picture(gaussians: Gaussians, block: Gaussians) -> np.ndarray:
 
 
 def transform(source: Path, target: Path, *options: str) -> Gaussians:
-    """What we read of the file that the peer makes. Opacities of 0 and 1 are infinite logits there, hence the repair."""
+    """What we read of the file that the peer makes."""
     subprocess.run([str(TOOL), "-q", str(source), *options, str(target)], check=True, capture_output=True)
-    return splatree.read(target, repair=True).gaussians
+    return splatree.read(target).gaussians
 
 
 @pytest.mark.parametrize("suffix", READ_BY_PEER)

@@ -10,7 +10,7 @@ from tyro.conf import arg
 
 from splatree.cli.calibrate import Views, in_words, training_views
 from splatree.cli.console import Console, UsageError, size, table
-from splatree.cli.files import Files, inputs_and_output, read_scene
+from splatree.cli.files import Files, inputs_and_output, read_scene, repairs_of, told
 from splatree.clusters.build import ClusterOptions, build_clusters
 from splatree.io.registry import read_levels, stored_bytes, write
 from splatree.lod.build import BuildOptions, build_lod
@@ -67,6 +67,8 @@ class Built:
     """Number and rules of the clusters, as they are written into the file; None without clusters."""
     bytes: int
     """Size of the file."""
+    repairs: dict[str, int]
+    """How many values or rows each rule of repair touched."""
     lost: tuple[str, ...]
     """What the file does not hold, a sentence each."""
     calibration: Calibration | None = None
@@ -106,6 +108,7 @@ def run(command: Command) -> Built:
         rules=_metadata(scene, "levels"),
         clusters=_metadata(scene, "clusters"),
         bytes=stored_bytes(output),
+        repairs=repairs_of(scene),
         lost=lost,
         calibration=calibration,
     )
@@ -157,4 +160,4 @@ def show(built: Built) -> str:
         f"{size(built.bytes)}"
     )
     calibration = [] if built.calibration is None else [in_words(built.calibration)]
-    return "\n".join([wrote, *calibration, *(f"lost: {sentence}" for sentence in built.lost)])
+    return "\n".join([wrote, *calibration, *told(built.repairs, built.lost)])

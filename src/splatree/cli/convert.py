@@ -7,7 +7,7 @@ from typing import Annotated
 from tyro.conf import arg
 
 from splatree.cli.console import Console, UsageError, size
-from splatree.cli.files import Files, inputs_and_output
+from splatree.cli.files import Files, inputs_and_output, told
 from splatree.edit.options import EditOptions
 from splatree.errors import InputError
 from splatree.io.convert import ConvertOptions, convert
@@ -79,8 +79,5 @@ def run(command: Command) -> Result:
 def show(result: Result) -> str:
     """The result in words."""
     of = f" of {result.num_read:,}" if result.num_read != result.num_gaussians else ""
-    lines = [f"wrote {result.output}: {result.num_gaussians:,}{of} Gaussians, {size(result.bytes)}"]
-    if result.repairs:
-        lines.append("repaired: " + ", ".join(f"{rule} {count:,}" for rule, count in result.repairs.items()))
-    lines += [f"lost: {sentence}" for sentence in result.lost]
-    return "\n".join(lines)
+    wrote = f"wrote {result.output}: {result.num_gaussians:,}{of} Gaussians, {size(result.bytes)}"
+    return "\n".join([wrote, *told(result.repairs, result.lost)])

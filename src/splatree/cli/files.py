@@ -1,6 +1,7 @@
 """Inputs and outputs of a verb: ``verb in.ply out.ply``, or ``verb chunk_*/ -o out.ply`` for several inputs."""
 
-from collections.abc import Sequence
+import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -52,6 +53,17 @@ def check_inputs(paths: tuple[Path, ...]) -> None:
 def read_scene(paths: Sequence[Path], reading: Reading, *, level: int | None = None) -> Scene:
     """One scene from all paths."""
     return read(paths, level=level, repair=reading.repair, axes=reading.input_axes)
+
+
+def repairs_of(scene: Scene) -> dict[str, int]:
+    """How many values or rows each rule of repair touched when the scene was read."""
+    return dict(json.loads(scene.source.metadata.get("repairs", "{}")))
+
+
+def told(repairs: Mapping[str, int], lost: Sequence[str]) -> list[str]:
+    """What reading changed and writing lost, a line each."""
+    counts = ", ".join(f"{rule} {count:,}" for rule, count in repairs.items())
+    return [*([f"repaired: {counts}"] if repairs else []), *(f"lost: {sentence}" for sentence in lost)]
 
 
 def inputs_and_output(

@@ -7,7 +7,7 @@ from typing import Annotated
 from tyro.conf import arg
 
 from splatree.cli.console import Console, size
-from splatree.cli.files import Files, inputs_and_output, read_scene
+from splatree.cli.files import Files, inputs_and_output, read_scene, repairs_of, told
 from splatree.io.registry import stored_bytes, write
 from splatree.scene.scene import Scene
 from splatree.scene.thinning import ThinOptions
@@ -41,6 +41,8 @@ class Result:
     """The rules."""
     bytes: int
     """Size of the file; of a folder of SOG, of all files that its meta.json names."""
+    repairs: dict[str, int]
+    """How many values or rows each rule of repair touched."""
     lost: tuple[str, ...]
     """What the file does not hold, a sentence each."""
 
@@ -61,6 +63,7 @@ def run(command: Command) -> Result:
         rounds=thinned.groups.rounds,
         options=thinned.options,
         bytes=stored_bytes(output),
+        repairs=repairs_of(scene),
         lost=lost,
     )
 
@@ -73,4 +76,4 @@ def show(result: Result) -> str:
         f"wrote {result.output}: {result.num_gaussians:,} of {result.num_read:,} Gaussians ({share:.1f} %), "
         f"{how}, {size(result.bytes)}"
     )
-    return "\n".join([wrote, *(f"lost: {sentence}" for sentence in result.lost)])
+    return "\n".join([wrote, *told(result.repairs, result.lost)])

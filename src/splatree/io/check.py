@@ -6,16 +6,19 @@ column             wanted                                         repair
 means              finite, magnitude ≤ 1e15                       the row is dropped
 sh                 finite, magnitude ≤ 1e6                        the row is dropped
 log_scales         finite, magnitude ≤ 30                         clamped; the row is dropped if NaN
-logit_opacities    finite                                         ±∞ becomes ±13.8; the row is dropped if NaN
+logit_opacities    not NaN                                        the row is dropped
 quats              length 1e-12 to 1e12                           normalised; zero becomes the identity; the
                                                                   row is dropped if not finite
 =================  =============================================  ===========================================
 
+An infinite logit is an opacity of 0 or 1, which other tools write for the codes 0 and 255 of formats of 8 bits: readers take it
+for ±13.8, as our own readers of such formats take these codes, and count it like a repair. Writers want finite logits.
+
 The limits keep squares and products of float32 finite all through a frame. Repairs are counted in the scene's metadata under
 ``repairs``. The rows of a scene with levels cannot be dropped (its tree counts on them): such a scene is refused instead.
 
-Every reader ends with `checked`. Cost: each byte of the scene is read once, unless the reader brings the largest magnitudes
-along; the masks of the diagnosis are built only for a bad scene.
+Every reader ends with `checked`; writers begin with `refuse_unusable`. Cost: each byte of the scene is read once, unless the
+reader brings the largest magnitudes along; the masks of the diagnosis are built only for a bad scene.
 """
 
 import json
@@ -29,8 +32,8 @@ from splatree.errors import FormatError
 from splatree.io.options import Repair
 from splatree.kernels.cpu.columns import largest_magnitude, shortest
 from splatree.scene.gaussians import Gaussians
-from splatree.scene.scene import Scene
-from splatree.shapes import Array
+from splatree.scene.scene import Scene, Source
+from splatree.shapes import Array, Float32
 
 MEAN_MAX = 1e15
 """World units; squared distances stay below 3.4e38."""
@@ -62,16 +65,15 @@ def checked(scene: Scene, where: str, *, repair: Repair, magnitudes: Magnitudes 
     Raises:
         FormatError: with the first bad row, its column, the value found and what was wanted.
     """
-    if _is_clean(scene.gaussians, magnitudes or magnitudes_of(scene.gaussians)):
-        return scene
+    gaussians, magnitudes, repairs = _with_finite_logits(scene.gaussians, magnitudes or magnitudes_of(scene.gaussians))
+    if _is_clean(gaussians, magnitudes):
+        return replace(scene, gaussians=gaussians, source=_noted(scene.source, repairs)) if repairs else scene
     if repair and scene.tree.num_leaves != len(scene):
         raise FormatError(
-            f"{_describe(scene.gaussians, where)}; a scene with levels cannot be repaired, build it again from its source"
+            f"{_describe(gaussians, where)}; a scene with levels cannot be repaired, build it again from its source"
         )
-    gaussians, repairs = _mended(scene.gaussians, where, repair, first_row=0)
-    source = scene.source
-    metadata = {**source.metadata, "repairs": json.dumps(add_counts(source.metadata.get("repairs"), repairs))}
-    flat = Scene.flat(gaussians, mode=scene.mode, source=replace(source, metadata=metadata))
+    gaussians, more = _mended(gaussians, where, repair, first_row=0)
+    flat = Scene.flat(gaussians, mode=scene.mode, source=_noted(scene.source, repairs | more))
     return replace(flat, threshold=scene.threshold, extent=scene.extent)
 
 
@@ -79,9 +81,43 @@ def checked_rows(
     gaussians: Gaussians, where: str, *, repair: Repair, magnitudes: Magnitudes | None = None, first_row: int = 0
 ) -> tuple[Gaussians, dict[str, int]]:
     """As `checked`, of a part of a file that starts at ``first_row``; also how many values or rows each rule touched."""
-    if _is_clean(gaussians, magnitudes or magnitudes_of(gaussians)):
-        return gaussians, {}
-    return _mended(gaussians, where, repair, first_row)
+    gaussians, magnitudes, repairs = _with_finite_logits(gaussians, magnitudes or magnitudes_of(gaussians))
+    if _is_clean(gaussians, magnitudes):
+        return gaussians, repairs
+    gaussians, more = _mended(gaussians, where, repair, first_row)
+    return gaussians, repairs | more
+
+
+def refuse_unusable(
+    gaussians: Gaussians, where: str, *, magnitudes: Magnitudes | None = None, first_row: int = 0
+) -> None:
+    """Refuse values that cannot be used, infinite logits too: of rows to be written, of which ``first_row`` is the first.
+
+    Raises:
+        FormatError: as `checked`.
+    """
+    if not _is_clean(gaussians, magnitudes or magnitudes_of(gaussians)):
+        raise FormatError(_describe(gaussians, where, first_row))
+
+
+def _with_finite_logits(gaussians: Gaussians, magnitudes: Magnitudes) -> tuple[Gaussians, Magnitudes, dict[str, int]]:
+    """Infinite logits as ±13.8, the magnitudes after that, and how many there were. NaN stays."""
+    logits = gaussians.logit_opacities
+    if math.isfinite(magnitudes["logit_opacities"]) or not (infinite := np.isinf(logits)).any():
+        return gaussians, magnitudes, {}
+    logits = finite_logits(logits)
+    magnitudes = {**magnitudes, "logit_opacities": largest_magnitude(logits)}
+    return replace(gaussians, logit_opacities=logits), magnitudes, {"clamped_opacities": int(infinite.sum())}
+
+
+def finite_logits(logits: Array) -> Float32[Array, "n"]:
+    """Those of opacities of 0 and 1 as ±13.8, the others as they are."""
+    return np.asarray(np.where(np.isinf(logits), np.copysign(LOGIT_CERTAIN, logits), logits), np.float32)
+
+
+def _noted(source: Source, repairs: dict[str, int]) -> Source:
+    counts = json.dumps(add_counts(source.metadata.get("repairs"), repairs))
+    return replace(source, metadata={**source.metadata, "repairs": counts})
 
 
 def _mended(gaussians: Gaussians, where: str, repair: Repair, first_row: int) -> tuple[Gaussians, dict[str, int]]:
@@ -125,14 +161,12 @@ def repaired(gaussians: Gaussians) -> tuple[Gaussians, dict[str, int]]:
 
     log_scales = np.clip(g.log_scales, -LOG_SCALE_MAX, LOG_SCALE_MAX).astype(np.float32)
     counts["clamped_scales"] = int((log_scales != g.log_scales).any(axis=1).sum())
-    logits = np.where(np.isinf(g.logit_opacities), np.copysign(LOGIT_CERTAIN, g.logit_opacities), g.logit_opacities)
-    counts["clamped_opacities"] = int(np.isinf(g.logit_opacities).sum())
     quats = g.quats.copy()
     odd = (lengths < QUAT_MIN) | (lengths > QUAT_MAX)
     counts["repaired_quaternions"] = int(odd.sum())
     quats[odd & (lengths > 0)] = (g.quats / np.where(lengths > 0, lengths, 1)[:, None])[odd & (lengths > 0)]
     quats[lengths == 0] = (1, 0, 0, 0)
-    fixed = Gaussians(g.means, quats, log_scales, logits.astype(np.float32), g.sh)
+    fixed = Gaussians(g.means, quats, log_scales, g.logit_opacities, g.sh)
     return fixed, {rule: count for rule, count in counts.items() if count}
 
 

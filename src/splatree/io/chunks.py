@@ -5,9 +5,9 @@ stream, so both give the same bytes. One that can be read so has ``read_chunks``
 the two; its memory is a few chunks.
 """
 
-import json
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from splatree.errors import InputError
 from splatree.scene.gaussians import Gaussians
@@ -35,6 +35,8 @@ class Chunks:
     """Start again from the first row; values have been checked, and a chunk is valid until the next is asked for."""
     metadata: Mapping[str, str] = field(default_factory=dict)
     """As that of `Source`."""
+    repairs: Counts = field(default_factory=dict)
+    """What reading had to change, by rule; whole after the first pass."""
 
     def __len__(self) -> int:
         return self.num_gaussians
@@ -68,13 +70,25 @@ def chunks_of(scene: Scene, *, rows: int = ROWS_PER_CHUNK) -> Chunks:
     return Chunks(len(g), g.sh_degree, scene.mode, make, scene.source.metadata)
 
 
-def repaired_chunks(chunks: Chunks, parts: Callable[[], Iterable[tuple[Gaussians, Counts]]]) -> Chunks:
-    """Chunks of which repair may drop rows: ``parts``, with what was repaired in each, is gone through once to count them."""
-    num_rows = 0
-    repairs: Counts = json.loads(chunks.metadata.get("repairs", "{}"))
-    for part, counts in parts():
-        num_rows += len(part)
-        for rule, count in counts.items():
-            repairs[rule] = repairs.get(rule, 0) + count
-    metadata = {**chunks.metadata, **({"repairs": json.dumps(repairs)} if repairs else {})}
-    return replace(chunks, num_gaussians=num_rows, metadata=metadata)
+def counted_chunks(
+    parts: Callable[[], Iterable[tuple[Gaussians, Counts]]],
+    num_rows: int,
+    sh_degree: int,
+    mode: Mode,
+    metadata: Mapping[str, str],
+    *,
+    drops_rows: bool,
+) -> Chunks:
+    """The chunks of ``parts``, which come with what reading had to change in each; where it may drop some of the ``num_rows``,
+    they are gone through once to count those that are left."""
+    repairs: Counts = {}
+
+    def make() -> Iterator[Gaussians]:
+        counts: Counter[str] = Counter()
+        for part, more in parts():
+            counts.update(more)
+            yield part
+        repairs.update(counts)  # each pass finds the same
+
+    num_left = sum(map(len, make())) if drops_rows else num_rows
+    return Chunks(num_left, sh_degree, mode, make, metadata, repairs)

@@ -23,7 +23,7 @@ from typing import BinaryIO
 import numpy as np
 
 from splatree.errors import FormatError
-from splatree.io.check import LOGIT_FROM_BYTE, checked
+from splatree.io.check import LOGIT_FROM_BYTE, refuse_unusable
 from splatree.io.chunks import ROWS_PER_CHUNK, Chunks
 from splatree.io.options import ReadOptions, WriteOptions
 from splatree.io.ply_header import HEADER_MAX, Element, Text, parse_text
@@ -79,7 +79,8 @@ def _rows(path: Path, options: ReadOptions) -> FileRows:
 
 def write(scene: Scene, path: Path, options: WriteOptions) -> tuple[str, ...]:
     """Write all rows along a Z-curve; count those with values beyond the codes."""
-    g = checked(scene, "scene to write", repair=False).gaussians
+    g = scene.gaussians
+    refuse_unusable(g, "scene to write")
     order = np.argsort(morton_codes(g.means), kind="stable")
     n, num_rest = len(g), 3 * (g.sh.shape[1] - 1)
     lines = ["ply", "format binary_little_endian 1.0"]

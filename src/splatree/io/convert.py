@@ -8,6 +8,7 @@ twice, first to count what is left.
 
 import json
 import os
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -92,7 +93,7 @@ def convert(
     num_read = scene.tree.num_leaves
     scene = edit(scene, options.edit)
     lost = write(scene, target, depth=options.depth, force=force, options=options.write)
-    return _converted(num_read, scene.tree.num_leaves, scene.source.metadata, lost, in_chunks=False)
+    return _converted(num_read, scene.tree.num_leaves, scene.source.metadata, lost)
 
 
 def _opened(paths: Sequence[Path], options: ReadOptions) -> list[Chunks] | None:
@@ -113,14 +114,22 @@ def _in_chunks(
     chunks = _joined_chunks(parts, paths)
     edited = _edited_chunks(chunks, options.edit)
     lost = write_chunks(edited, target, force=force, options=options.write)
-    return _converted(len(chunks), len(edited), chunks.metadata, lost, in_chunks=True)
+    return _converted(len(chunks), len(edited), chunks.metadata, lost, parts)
 
 
 def _converted(
-    num_read: int, num_written: int, metadata: Mapping[str, str], lost: tuple[str, ...], *, in_chunks: bool
+    num_read: int,
+    num_written: int,
+    metadata: Mapping[str, str],
+    lost: tuple[str, ...],
+    parts: Sequence[Chunks] = (),
 ) -> Converted:
+    """``parts`` are the inputs, if they were read in chunks."""
     lost = (*json.loads(metadata.get("lost", "[]")), *lost)
-    return Converted(num_read, num_written, lost, json.loads(metadata.get("repairs", "{}")), in_chunks)
+    repairs: Counter[str] = Counter(json.loads(metadata.get("repairs", "{}")))
+    for part in parts:
+        repairs.update(part.repairs)
+    return Converted(num_read, num_written, lost, dict(repairs), in_chunks=bool(parts))
 
 
 def _joined_chunks(parts: Sequence[Chunks], paths: Sequence[Path]) -> Chunks:

@@ -17,7 +17,7 @@ import numpy as np
 from splatree.constants import SH_C0
 from splatree.errors import InputError
 from splatree.io import spz
-from splatree.io.check import checked_rows
+from splatree.io.check import refuse_unusable
 from splatree.io.chunks import Chunks
 from splatree.io.gltf import EXTENSION, GLTF_AXES, SPZ_EXTENSION
 from splatree.io.gltf_file import GLB_BYTES_MAX, MAGIC
@@ -91,7 +91,7 @@ def _write_plain(chunks: Chunks, file: BinaryIO, path: Path) -> tuple[str, ...]:
     begin = 0
     with task(f"write {path.name}", n) as advance:
         for g in chunks:
-            checked_rows(g, "scene to write", repair=False, first_row=begin)
+            refuse_unusable(g, "scene to write", first_row=begin)
             for attribute, start, values in zip(attributes, starts, _columns(g), strict=False):
                 _write_at(file, at + start + begin * attribute.row_bytes, values)
             means = g.means * _SIGNS

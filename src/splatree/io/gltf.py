@@ -29,7 +29,7 @@ from splatree.constants import SH_C0
 from splatree.edit.similarity import Similarity
 from splatree.errors import FormatError
 from splatree.io import spz, untrusted
-from splatree.io.check import LOGIT_CERTAIN, checked
+from splatree.io.check import checked, finite_logits
 from splatree.io.chunks import ROWS_PER_CHUNK
 from splatree.io.gltf_file import MAGIC, Accessor, GltfFile
 from splatree.io.mirror import mirror
@@ -278,5 +278,4 @@ def _decoded(where: str, a: _Attributes, path: Path) -> Gaussians:
 def _logits(opacities: Array) -> Array:
     """Logits, in float64 so that those of opacities near 1 keep what float32 has of them."""
     share = opacities.astype(np.float64)
-    logits = np.log(share / (1 - share))
-    return np.asarray(np.where(np.isinf(logits), np.copysign(LOGIT_CERTAIN, logits), logits), np.float32)
+    return finite_logits(np.log(share / (1 - share)))

@@ -35,7 +35,7 @@ import numpy as np
 
 from splatree.constants import SIGMAS
 from splatree.errors import FormatError, InputError
-from splatree.io.check import checked
+from splatree.io.check import refuse_unusable
 from splatree.io.levels import preorder_of_file, scene_with_levels
 from splatree.io.opacities import areas_of_clamped, logits_from_opacities, opacities_from_logits
 from splatree.io.options import ReadOptions, WriteOptions
@@ -225,8 +225,8 @@ def write(scene: Scene, path: Path, options: WriteOptions) -> tuple[str, ...]:
             f"{path.name}: found compression {options.compression}, wanted 0 (float32) or 1 (half precision)"
         )
     is_half = options.compression == 1
-    scene = checked(scene, "scene to write", repair=False)
     g, n = scene.gaussians, len(scene)
+    refuse_unusable(g, "scene to write")
     nodes, copied = _nodes(scene)
     low, high = _corners(scene)
     if is_half and n:

@@ -27,7 +27,7 @@ import numpy as np
 
 from splatree.constants import SH_C0
 from splatree.errors import FormatError, InputError
-from splatree.io.check import checked_rows
+from splatree.io.check import refuse_unusable
 from splatree.io.chunks import Chunks
 from splatree.io.opacities import CODE_STEP, logits_from_opacities, opacities_from_logits
 from splatree.io.options import ReadOptions, WriteOptions
@@ -348,7 +348,7 @@ def _look(chunks: Chunks, degree: int) -> _Seen:
     means, begin, every = np.empty((len(chunks), 3), np.float32), 0, len(chunks) // _SAMPLE + 1
     sample, low, high = [np.zeros(0, np.float32)], 0.0, 0.0
     for g in chunks:
-        checked_rows(g, "scene to write", repair=False, first_row=begin)
+        refuse_unusable(g, "scene to write", first_row=begin)
         means[begin : begin + len(g)] = g.means
         sample.append(np.sort(g.log_scales[-begin % every :: every], axis=1)[:, 1])
         rest = g.sh[:, 1 : (degree + 1) ** 2]

@@ -22,7 +22,7 @@ import numpy as np
 from splatree.constants import SH_C0
 from splatree.errors import FormatError
 from splatree.io.check import Magnitudes, checked, checked_rows, magnitudes_of
-from splatree.io.chunks import ROWS_PER_CHUNK, Chunks, repaired_chunks
+from splatree.io.chunks import ROWS_PER_CHUNK, Chunks, counted_chunks
 from splatree.io.options import ReadOptions, WriteOptions
 from splatree.io.ply_header import HEADER_MAX, Header, parse_header
 from splatree.kernels.cpu.columns import deinterleave, interleave
@@ -89,10 +89,8 @@ def read_chunks(path: Path, options: ReadOptions) -> Chunks:
                     _gaussians(columns), str(path), repair=options.repair, magnitudes=magnitudes, first_row=begin
                 )
 
-    whole = Chunks(
-        ply.num_rows, ply.degree, ply.header.mode, lambda: (part for part, _ in parts()), metadata=ply.metadata
-    )
-    return repaired_chunks(whole, parts) if options.repair else whole
+    drops_rows = bool(options.repair)
+    return counted_chunks(parts, ply.num_rows, ply.degree, ply.header.mode, ply.metadata, drops_rows=drops_rows)
 
 
 def write_chunks(chunks: Chunks, path: Path, options: WriteOptions) -> tuple[str, ...]:

@@ -15,7 +15,7 @@ import numpy as np
 
 from splatree.constants import ALPHA_THRESHOLD, SH_C0
 from splatree.errors import InputError
-from splatree.io.check import checked, checked_rows
+from splatree.io.check import refuse_unusable
 from splatree.io.chunks import Chunks, chunks_of
 from splatree.io.opacities import opacities_from_logits
 from splatree.io.options import WriteOptions
@@ -65,7 +65,7 @@ def write(scene: Scene, path: Path, options: WriteOptions) -> tuple[str, ...]:
     if scene.tree.num_leaves == n:
         _write(path, _Head(n, g.sh_degree, scene.mode, scene.threshold), _parts(chunks_of(scene)), None, options)
         return ()
-    checked(scene, "scene to write", repair=False)
+    refuse_unusable(scene.gaussians, "scene to write")
     links = links_from_preorder(scene.tree.depth)
     roots = np.flatnonzero(scene.tree.depth == 0)
     root = _joined_root(g, roots) if len(roots) > 1 else Gaussians.empty(g.sh_degree)
@@ -105,7 +105,7 @@ def _parts(chunks: Chunks) -> Iterator[Gaussians]:
     part = columns_to_fill(size, chunks.sh_degree)
     num_filled = begin = 0
     for g in chunks:
-        checked_rows(g, "scene to write", repair=False, first_row=begin)
+        refuse_unusable(g, "scene to write", first_row=begin)
         begin += len(g)
         while len(g):
             count = min(len(g), size - num_filled)

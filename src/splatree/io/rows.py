@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from splatree.io.check import checked, checked_rows
-from splatree.io.chunks import ROWS_PER_CHUNK, Chunks, Counts, repaired_chunks
+from splatree.io.chunks import ROWS_PER_CHUNK, Chunks, Counts, counted_chunks
 from splatree.io.options import ReadOptions
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
@@ -66,9 +66,10 @@ class FileRows:
                     fill(begin, part)
                     yield checked_rows(part, self.where, repair=options.repair, first_row=begin)
 
-        metadata = self.metadata or {}
-        whole = Chunks(self.num_rows, self.sh_degree, self.mode, lambda: (part for part, _ in parts()), metadata)
-        return repaired_chunks(whole, parts) if options.repair else whole
+        drops_rows = bool(options.repair)
+        return counted_chunks(
+            parts, self.num_rows, self.sh_degree, self.mode, self.metadata or {}, drops_rows=drops_rows
+        )
 
 
 def columns_to_fill(num_rows: int, sh_degree: int) -> Gaussians:

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from splatree.errors import InputError
-from splatree.io.check import checked_rows
+from splatree.io.check import refuse_unusable
 from splatree.io.chunks import Chunks
 from splatree.io.codebook import CODES, Codebook, find_codebook, sampled_rows
 from splatree.io.options import WriteOptions
@@ -154,7 +154,7 @@ def _look(chunks: Chunks) -> _Seen:
     log_scales, dc = [np.empty((0, 3), np.float32)], [np.empty((0, 3), np.float32)]
     ends, begin = np.array([[np.inf] * 3, [-np.inf] * 3]) if n else np.zeros((2, 3)), 0
     for g in chunks:
-        checked_rows(g, "scene to write", repair=False, first_row=begin)
+        refuse_unusable(g, "scene to write", first_row=begin)
         rows = slice(begin, begin + len(g))
         means[rows] = g.means
         ends = np.stack([np.minimum(ends[0], g.means.min(axis=0)), np.maximum(ends[1], g.means.max(axis=0))])

@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 
 from splatree.errors import FormatError
-from splatree.io.check import checked_rows
+from splatree.io.check import refuse_unusable
 from splatree.io.chunks import ROWS_PER_CHUNK, Chunks
 from splatree.io.options import ReadOptions, WriteOptions
 from splatree.io.rows import FileRows, Fill
@@ -75,7 +75,7 @@ def write_chunks(chunks: Chunks, path: Path, options: WriteOptions) -> tuple[str
             for begin in range(0, len(chunk), _ROWS_AT_ONCE):
                 g = chunk.rows(begin, begin + _ROWS_AT_ONCE)
                 # What cannot be used has no code either.
-                checked_rows(g.with_sh_degree(0), "scene to write", repair=False, first_row=first_row)
+                refuse_unusable(g.with_sh_degree(0), "scene to write", first_row=first_row)
                 splat.encode(g, records[: len(g)])
                 splat.ranks(g, ranks[: len(g)])
                 counts += np.bincount(ranks[: len(g)], minlength=_NUM_RANKS)

@@ -29,7 +29,7 @@ import numpy as np
 
 from splatree.constants import SH_MAX_DEGREE
 from splatree.errors import InputError
-from splatree.io.check import LOGIT_FROM_BYTE, checked_rows, magnitudes_of
+from splatree.io.check import LOGIT_FROM_BYTE, magnitudes_of, refuse_unusable
 from splatree.io.chunks import Chunks
 from splatree.io.mirror import mirror
 from splatree.io.options import ReadOptions, WriteOptions
@@ -189,7 +189,7 @@ class _Encoder:
         with task(f"write {path.name}", len(chunks)) as advance:
             for g in chunks:
                 magnitudes = magnitudes_of(g)
-                checked_rows(g, "scene to write", repair=False, magnitudes=magnitudes, first_row=begin)
+                refuse_unusable(g, "scene to write", magnitudes=magnitudes, first_row=begin)
                 largest = magnitudes["means"]
                 bits = self._header.fractional_bits
                 while largest * 2.0**bits > _POSITION_MAX:
