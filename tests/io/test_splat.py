@@ -6,6 +6,8 @@ import pytest
 import splatree
 from splatree import FormatError, Gaussians, Scene
 from splatree.constants import SH_C0
+from splatree.io.chunks import chunks_of
+from splatree.io.registry import write_chunks
 from splatree.maths.rotations import matrices_from_quats
 
 from .conftest import random_gaussians
@@ -60,6 +62,17 @@ def test_rows_of_equal_rank_keep_their_order(tmp_path):
     g.log_scales[:], g.logit_opacities[:] = -3, 1
     splatree.write(Scene.flat(g), tmp_path / "a.splat")
     np.testing.assert_array_equal(splatree.read(tmp_path / "a.splat").gaussians.means, g.means)
+
+
+def test_rows_that_wait_in_a_file_come_in_the_same_order(tmp_path, monkeypatch):
+    scene = Scene.flat(random_gaussians(1000, 0))
+    splatree.write(scene, tmp_path / "a.splat")
+    monkeypatch.setattr("splatree.io.splat._ROWS_IN_MEMORY", 300)
+    monkeypatch.setattr("splatree.io.splat._ROWS_PLACED", 70)
+    splatree.write(scene, tmp_path / "b.splat")
+    write_chunks(chunks_of(scene, rows=130), tmp_path / "c.splat")  # which do not fill the memory
+    a, b, c = ((tmp_path / f"{name}.splat").read_bytes() for name in "abc")
+    assert a == b == c and len(list(tmp_path.iterdir())) == 3
 
 
 @pytest.mark.parametrize("axis", range(4))

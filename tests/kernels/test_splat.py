@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from splatree import Gaussians
+from splatree.kernels.cpu import _core
 from splatree.kernels.cpu import splat as cpu
 from splatree.kernels.reference import splat as reference
 
@@ -32,6 +33,52 @@ def test_records_are_the_reference(make):
     for field in ("rgba", "quat"):  # steps: float32 may fall to the other side of a half, one time in thousands
         difference = np.abs(a[field].astype(int) - b[field])
         assert difference.max() <= 1 and difference.mean() < 1e-3
+
+
+@pytest.mark.parametrize("make", [lambda: gaussians(1000, 0, degree=3), hostile])
+def test_bytes_depend_on_neither_the_processor_nor_the_place_of_a_row(make, isa):
+    g = make()
+    wanted = splats_of(g, "v2" if "v2" in _core.isas() else isa)
+    np.testing.assert_array_equal(splats_of(g, isa), wanted)
+    np.testing.assert_array_equal(splats_of(g.rows(7, len(g)), isa), wanted[7:])
+
+
+def splats_of(g, isa):
+    """Records, and ranks behind them."""
+    _core.use_isa(isa)
+    records, ranks = np.zeros((len(g), 32), np.uint8), np.zeros(len(g), np.uint16)
+    cpu.encode(g, records)
+    cpu.ranks(g, ranks)
+    return np.hstack([records, ranks[:, None].view(np.uint8)])
+
+
+def test_encoding_finds_the_largest_dc():
+    g = gaussians(200, 0, degree=2)
+    g.sh[:, 1:] = 1e9
+    records = np.zeros((200, 32), np.uint8)
+    assert cpu.encode(g, records) == np.abs(g.sh[:, 0]).max()
+    g.sh[70, 0, 2] = -1e7
+    assert cpu.encode(g, records) == 1e7
+    g.sh[3, 0, 1] = np.nan
+    assert np.isnan(cpu.encode(g, records))
+
+
+def test_records_of_one_rank_lie_together_in_their_order(tmp_path):
+    rng = np.random.default_rng(0)
+    records = rng.integers(0, 256, (500, 32)).astype(np.uint8)
+    ranks = rng.choice(np.array([0, 3, 4, 4095], np.uint16), 500)
+    counts = np.bincount(ranks, minlength=4096)
+    places = np.cumsum(counts) - counts
+    with (tmp_path / "a").open("wb") as file:
+        for rows in (slice(0, 200), slice(200, 500)):
+            cpu.place(records[rows], ranks[rows], places, file)
+    found = np.fromfile(tmp_path / "a", np.uint8).reshape(-1, 32)
+    np.testing.assert_array_equal(found, records[np.argsort(ranks, kind="stable")])
+    np.testing.assert_array_equal(places, np.cumsum(counts))
+    with (tmp_path / "a").open("rb") as file, pytest.raises(OSError, match="Bad file descriptor"):
+        cpu.place(records, ranks, places, file)
+    with (tmp_path / "b").open("wb") as file, pytest.raises(ValueError, match="no such rank"):
+        cpu.place(records[:1], np.array([4096], np.uint16), places, file)
 
 
 def test_decoded_records_are_the_reference():

@@ -134,9 +134,13 @@ def without_unusable(gaussians: Gaussians) -> tuple[Gaussians, dict[str, int]]:
     return (gaussians.take(~bad), {"dropped_rows": int(bad.sum())}) if bad.any() else (gaussians, {})
 
 
-def magnitudes_of(gaussians: Gaussians) -> Magnitudes:
-    """Largest magnitude of each column."""
-    return {column.name: largest_magnitude(getattr(gaussians, column.name)) for column in fields(gaussians)}
+def magnitudes_of(gaussians: Gaussians, **known: float) -> Magnitudes:
+    """Largest magnitude of each column; those that are ``known`` are taken as they are."""
+    return known | {
+        column.name: largest_magnitude(getattr(gaussians, column.name))
+        for column in fields(gaussians)
+        if column.name not in known
+    }
 
 
 def add_counts(old: str | None, more: dict[str, int]) -> dict[str, int]:
@@ -170,7 +174,8 @@ def repaired(gaussians: Gaussians) -> tuple[Gaussians, dict[str, int]]:
     return fixed, {rule: count for rule, count in counts.items() if count}
 
 
-def _is_clean(g: Gaussians, magnitudes: Magnitudes) -> bool:
+def are_within(g: Gaussians, magnitudes: Magnitudes) -> bool:
+    """Whether the largest magnitudes, and the shortest quaternion, say that all values can be used; else look at each."""
     return (
         magnitudes["means"] <= MEAN_MAX
         and magnitudes["sh"] <= SH_MAX
@@ -178,7 +183,11 @@ def _is_clean(g: Gaussians, magnitudes: Magnitudes) -> bool:
         and math.isfinite(magnitudes["logit_opacities"])
         and magnitudes["quats"] <= QUAT_MAX / 2  # then no length is above the limit
         and shortest(g.quats) >= 2 * QUAT_MIN  # nor below: float32 squares lose nothing near here
-    ) or not any(problem.mask.any() for problem in _problems(g))
+    )
+
+
+def _is_clean(g: Gaussians, magnitudes: Magnitudes) -> bool:
+    return are_within(g, magnitudes) or not any(problem.mask.any() for problem in _problems(g))
 
 
 @dataclass(frozen=True)

@@ -52,6 +52,8 @@ class Chunks:
             count += len(chunk)
             if chunk.sh_degree != self.sh_degree:
                 raise InputError(f"chunks: found harmonics of degree {chunk.sh_degree}, wanted {self.sh_degree}")
+            if count > self.num_gaussians:  # writers have room for no more
+                break
             yield chunk
         if count != self.num_gaussians:
             raise InputError(

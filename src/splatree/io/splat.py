@@ -10,37 +10,39 @@ offset  type  value
 ======  ====  ==========================================================
 
 Rows go by descending opacity × volume, so that a viewer that loads them one after the other shows the scene early. It is a
-counting sort over quarters of an octave: records go to a temporary file and are counted by rank, then each is put in its place;
-so a scene larger than memory takes a few MB of it. Nothing in the file says what it is: it is known by its suffix and a size
+counting sort over quarters of an octave: records are counted by rank as they are made, then each is put in its place; of a
+scene larger than memory they wait in a temporary file. Nothing in the file says what it is: it is known by its suffix and a size
 that is a multiple of 32. docs/formats/splat.md.
 """
 
 import json
-import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import BinaryIO, Self
 
 import numpy as np
 
 from splatree.errors import FormatError
-from splatree.io.check import refuse_unusable
+from splatree.io.check import are_within, magnitudes_of, refuse_unusable
 from splatree.io.chunks import ROWS_PER_CHUNK, Chunks
 from splatree.io.options import ReadOptions, WriteOptions
 from splatree.io.rows import FileRows, Fill
 from splatree.kernels.cpu import splat
+from splatree.kernels.cpu.files import reserve
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Scene
+from splatree.shapes import Array
 
 _RECORD_BYTES = 32
 _NUM_RANKS = 4096
 
-_ROWS_AT_ONCE = 1 << 17
-"""4 MB of records are put in order at a time: the larger, the longer the runs of one rank, each a call of the system."""
+_ROWS_IN_MEMORY = 1 << 20
+"""36 MB of records and ranks; those of a larger scene wait in a temporary file beside the target."""
 
-_SPOOL_BYTES = 1 << 23
-"""What is written to a temporary file beside the target if it is more than this."""
+_ROWS_PLACED = 1 << 17
+"""4 MB of records are put in order at a time: the larger, the longer the runs of one rank, each a call of the system."""
 
 
 def sniff(path: Path, head: bytes) -> bool:
@@ -60,51 +62,78 @@ def read_chunks(path: Path, options: ReadOptions) -> Chunks:
 
 def write_chunks(chunks: Chunks, path: Path, options: WriteOptions) -> tuple[str, ...]:
     """Write all rows by descending opacity × volume, equal ones in their order."""
-    from tempfile import SpooledTemporaryFile
-
     counts = np.zeros(_NUM_RANKS, np.int64)
-    records, ranks = np.empty((_ROWS_AT_ONCE, _RECORD_BYTES), np.uint8), np.empty(_ROWS_AT_ONCE, np.uint16)
-    with (
-        SpooledTemporaryFile(_SPOOL_BYTES, dir=str(path.parent)) as all_records,
-        SpooledTemporaryFile(_SPOOL_BYTES, dir=str(path.parent)) as all_ranks,
-        path.open("wb") as file,
-        task(f"write {path.name}", 2 * len(chunks)) as advance,
-    ):
-        first_row = 0
-        for chunk in chunks:
-            for begin in range(0, len(chunk), _ROWS_AT_ONCE):
-                g = chunk.rows(begin, begin + _ROWS_AT_ONCE)
-                # What cannot be used has no code either.
-                refuse_unusable(g.with_sh_degree(0), "scene to write", first_row=first_row)
-                splat.encode(g, records[: len(g)])
-                splat.ranks(g, ranks[: len(g)])
-                counts += np.bincount(ranks[: len(g)], minlength=_NUM_RANKS)
-                all_records.write(records[: len(g)].data)
-                all_ranks.write(ranks[: len(g)].data)
-                first_row += len(g)
-                advance(len(g))
-        places = np.cumsum(counts) - counts  # of the next row of each rank
-        all_records.seek(0)
-        all_ranks.seek(0)
-        while num_bytes := all_ranks.readinto(ranks.data):
-            count = num_bytes // ranks.itemsize
-            all_records.readinto(records[:count].data)
-            in_order = np.take(records, np.argsort(ranks[:count], kind="stable"), axis=0)
-            sizes = np.bincount(ranks[:count], minlength=_NUM_RANKS)
-            found = np.flatnonzero(sizes)
-            for rank, end in zip(found, np.cumsum(sizes[found]), strict=True):
-                _write_at(file.fileno(), in_order[end - sizes[rank] : end].data, _RECORD_BYTES * int(places[rank]))
-            places += sizes
-            advance(count)
+    with path.open("wb") as file, _Rows(path.parent, len(chunks)) as rows:
+        reserve(file, len(chunks) * _RECORD_BYTES)
+        with task(f"write {path.name}", 2 * len(chunks)) as advance:
+            first_row = 0
+            for chunk in chunks:
+                for begin in range(0, len(chunk), _ROWS_IN_MEMORY):
+                    g = chunk.rows(begin, begin + _ROWS_IN_MEMORY)
+                    records, ranks = rows.more(len(g))
+                    largest = splat.encode(g, records)
+                    if not are_within(g, magnitudes_of(g, sh=largest)):  # what cannot be used has no code either
+                        refuse_unusable(g.with_sh_degree(0), "scene to write", first_row=first_row)
+                    splat.ranks(g, ranks)
+                    counts += np.bincount(ranks, minlength=_NUM_RANKS)
+                    first_row += len(g)
+                    advance(len(g))
+            places = np.cumsum(counts) - counts  # of the next row of each rank
+            for records, ranks in rows.all():
+                splat.place(records, ranks, places, file)
+                advance(len(ranks))
     return ()
 
 
-def _write_at(file: int, data: memoryview, offset: int) -> None:
-    """All bytes: the system may take a part of them."""
-    data = data.cast("B")
-    while len(data):
-        written = os.pwrite(file, data, offset)
-        data, offset = data[written:], offset + written
+class _Rows:
+    """Records and their ranks, in the order in which they came; all but the last ones wait in a file if they are many."""
+
+    def __init__(self, folder: Path, num_rows: int) -> None:
+        self._folder, self._stack = folder, ExitStack()
+        self._is_large = num_rows > _ROWS_IN_MEMORY
+        self._records = np.empty((min(num_rows, _ROWS_IN_MEMORY), _RECORD_BYTES), np.uint8)
+        self._ranks = np.empty(len(self._records), np.uint16)
+        self._held = 0
+        self._file: BinaryIO | None = None
+        self._num_in_file: list[int] = []
+
+    def __enter__(self) -> Self:
+        if self._is_large:
+            import tempfile
+
+            self._file = self._stack.enter_context(tempfile.TemporaryFile(dir=self._folder))
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._stack.close()
+
+    def more(self, count: int) -> tuple[Array, Array]:
+        """Room for the next rows, valid until it is asked for again."""
+        if self._held + count > len(self._records):
+            self._put_aside()
+        rows = slice(self._held, self._held + count)
+        self._held += count
+        return self._records[rows], self._ranks[rows]
+
+    def all(self) -> Iterator[tuple[Array, Array]]:
+        """All rows, some at a time."""
+        if self._file is not None:
+            self._put_aside()
+            self._file.seek(0)
+        for count in self._num_in_file or [self._held]:
+            if self._file is not None:
+                self._file.readinto(self._records[:count].data)  # type: ignore[attr-defined]
+                self._file.readinto(self._ranks[:count].data)  # type: ignore[attr-defined]
+            for begin in range(0, count, _ROWS_PLACED):
+                rows = slice(begin, min(begin + _ROWS_PLACED, count))
+                yield self._records[rows], self._ranks[rows]
+
+    def _put_aside(self) -> None:
+        assert self._file is not None  # the others hold all rows
+        self._file.write(self._records[: self._held].data)
+        self._file.write(self._ranks[: self._held].data)
+        self._num_in_file.append(self._held)
+        self._held = 0
 
 
 def _open(path: Path, options: ReadOptions) -> FileRows:

@@ -35,6 +35,8 @@ struct SpheresJob;
 struct CullBoxesJob;
 struct CullJob;
 struct SightJob;
+struct SplatColumns;
+struct SplatTables;
 
 // Every vector kernel: what it returns, its name, its arguments.
 #define SPLATREE_KERNELS(kernel)                                                                               \
@@ -63,7 +65,11 @@ struct SightJob;
   kernel(void, bound_spheres, (const SpheresJob& job, int64_t begin, int64_t end))                             \
   kernel(void, cull_spheres, (const CullJob& job, int64_t begin, int64_t end))                                 \
   kernel(void, cull_boxes, (const CullBoxesJob& job, int64_t begin, int64_t end))                              \
-  kernel(void, see_through, (const SightJob& job))
+  kernel(void, see_through, (const SightJob& job))                                                             \
+  kernel(int32_t, encode_splats, (const SplatColumns& from, int64_t begin, int64_t end, uint8_t* records))     \
+  kernel(void, decode_splats,                                                                                  \
+         (const uint8_t* records, const SplatTables& tables, const SplatColumns& to, int64_t begin, int64_t end))\
+  kernel(void, rank_splats, (const SplatColumns& from, int64_t begin, int64_t end, uint16_t* ranks))
 
 struct Kernels {
   const char* isa;

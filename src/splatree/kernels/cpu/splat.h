@@ -4,10 +4,8 @@
 
 namespace splatree {
 
-struct SplatRecords {
-  uint8_t* bytes;  // num_rows × 32
-  int64_t num_rows;
-};
+constexpr int64_t kSplatBytes = 32;
+constexpr int kSplatRanks = 4096;
 
 // Columns of Gaussians; harmonics have `sh_stride` floats a row, of which the first three are the DC.
 struct SplatColumns {
@@ -15,10 +13,14 @@ struct SplatColumns {
   int64_t sh_stride;
 };
 
-void encode_splats(const SplatColumns& from, const SplatRecords& to, int threads);
-void decode_splats(const SplatRecords& from, const SplatColumns& to, int threads);
+// What a byte of a record stands for.
+struct SplatTables {
+  float logits[256], colors[256];
+};
+SplatTables splat_tables();
 
-// Place of each row in the file, coarsely: 0 to 4095, the smaller the larger opacity × volume is, in quarters of an octave.
-void rank_splats(const SplatColumns& from, int64_t num_rows, uint16_t* ranks, int threads);
+// Puts records that are listed with their ranks into a file in which `places` tells where the next record of each rank goes, and
+// moves these on. Records of one rank keep their order and are written at once.
+void place_splats(const uint8_t* records, const uint16_t* ranks, int64_t num_rows, int64_t* places, int file);
 
 }  // namespace splatree
