@@ -51,14 +51,6 @@ class Compiler:
         self._check(self._library.nvrtcVersion(ctypes.byref(major), ctypes.byref(minor)), "version")
         self.version = major.value, minor.value
 
-    def architectures(self) -> tuple[int, ...]:
-        """Compute capabilities that it compiles for, as 75, 80, ..."""
-        count = ctypes.c_int()
-        self._check(self._library.nvrtcGetNumSupportedArchs(ctypes.byref(count)), "architectures")
-        found = (ctypes.c_int * count.value)()
-        self._check(self._library.nvrtcGetSupportedArchs(found), "architectures")
-        return tuple(found)
-
     def compile(self, stage: str, architecture: str, *options: str) -> Compiled:
         """Compile a file of kernels.
 
