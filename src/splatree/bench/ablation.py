@@ -20,7 +20,7 @@ __all__ = ["AblationOptions", "filters", "shrinkings"]
 class AblationOptions:
     """What Tables 2 and 3 are made with."""
 
-    subject: Annotated[SubjectOptions, arg(name="")] = SubjectOptions()
+    subject: Annotated[SubjectOptions, arg(name="", help="")] = SubjectOptions()
     pixel_error: float = 3.0
     """τ_R, px."""
     lambda_g: float = 0.2

@@ -62,10 +62,10 @@ REPEAT = 5
 class Options:
     """Measure cluster culling: exclusion, quality, survivors lost, time of each step (Jo 2024, Table I and Fig. 6)."""
 
-    subject: Annotated[SubjectOptions, arg(name="")] = SubjectOptions()
+    subject: Annotated[SubjectOptions, arg(name="", help="")] = SubjectOptions()
     clusters: tuple[int, ...] = (2048, 8192, 32768)
     """Numbers of clusters; more than Gaussians are left out."""
-    clustering: Annotated[ClusterOptions, arg(name="")] = ClusterOptions()
+    clustering: Annotated[ClusterOptions, arg(name="", help="")] = ClusterOptions()
     levels: bool = False
     """Also measure culling in front of the selection in a tree of levels, which is built if the scene has none."""
 

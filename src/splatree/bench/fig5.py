@@ -26,7 +26,7 @@ __all__ = ["Options", "run"]
 class Options:
     """Compare ways to end splats on all leaves and on the cut: PSNR, FPS, N_P, details (FilterGS, Figure 5)."""
 
-    subject: Annotated[SubjectOptions, arg(name="")] = SubjectOptions(views=4)
+    subject: Annotated[SubjectOptions, arg(name="", help="")] = SubjectOptions(views=4)
     pixel_error: float = 3.0
     """τ_R of the cut, px."""
     lambda_g: float = 0.2

@@ -34,7 +34,7 @@ LOW_PX = 0.05
 class Options:
     """Sweep λ_G, τ and the allowed loss: PSNR, FPS, N_P; and the histogram of contributions (FilterGS, Figure 6)."""
 
-    subject: Annotated[SubjectOptions, arg(name="")] = SubjectOptions(views=4)
+    subject: Annotated[SubjectOptions, arg(name="", help="")] = SubjectOptions(views=4)
     pixel_error: float = 3.0
     """τ_R of the cut, px."""
     lambdas: tuple[float, ...] = (0.03, 0.1, 0.2, 0.4)

@@ -30,7 +30,7 @@ __all__ = ["Options", "run"]
 class Options:
     """Show details of the picture as τ grows, with pairs of little contribution, PSNR, FPS (FilterGS, Figure 7)."""
 
-    subject: Annotated[SubjectOptions, arg(name="")] = SubjectOptions(views=3, size=640)
+    subject: Annotated[SubjectOptions, arg(name="", help="")] = SubjectOptions(views=3, size=640)
     pixel_error: float = 3.0
     """τ_R of the cut, px."""
     thresholds: tuple[float, ...] = (0.02, 0.05, 0.1, 0.2, 0.4)

@@ -49,8 +49,8 @@ OURS = "splatree"
 class Options:
     """Compare methods of selection: PSNR, SSIM, t_f, FPS, N_P (FilterGS, Table 1)."""
 
-    subject: Annotated[SubjectOptions, arg(name="")] = SubjectOptions()
-    methods: Annotated[BaselineOptions, arg(name="")] = BaselineOptions()
+    subject: Annotated[SubjectOptions, arg(name="", help="")] = SubjectOptions()
+    methods: Annotated[BaselineOptions, arg(name="", help="")] = BaselineOptions()
     frames: int = 100
     """Frames timed for each method, along a path through the views, after as many, at most 20, to warm up."""
     lpips: Net | None = None

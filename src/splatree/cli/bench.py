@@ -21,12 +21,12 @@ T = TypeVar("T")
 class Command(Generic[T]):
     """The options of one experiment, and what all of them have."""
 
-    experiment: Annotated[T, arg(name="")]
+    experiment: Annotated[T, arg(name="", help="")]
     output: Annotated[Path | None, arg(aliases=["-o"])] = None
     """Folder for the tables (CSV, JSON) and figures (PNG, needs the extra `bench`); None: the tables are printed only."""
     force: bool = False
     """Replace results that are there."""
-    console: Annotated[Console, arg(name="")] = Console()
+    console: Annotated[Console, arg(name="", help="")] = Console()
 
 
 COMMANDS = {

@@ -27,7 +27,7 @@ STEPS = {"radii": "radius", "pixel_sizes": "pixel"}
 class Command:
     """Build levels of detail, clusters or both, and write one file: in.ply out.splatree, or chunk_*/ -o city.splatree."""
 
-    files: Annotated[Files, arg(name="")]
+    files: Annotated[Files, arg(name="", help="")]
     levels: Literal["grow", "file"] = "grow"
     """`grow`: merge the Gaussians, by the options below; `file`: link the levels that the input has, those of a streamed SOG."""
     mode: Mode | None = None
@@ -36,11 +36,11 @@ class Command:
     """Make so many clusters, which views then leave out whole; `auto`: one for 128 rows, 1,024 to 32,768. None: no clusters."""
     flat: bool = False
     """Make no levels: only clusters, of the Gaussians as they are; a scene that has levels keeps them."""
-    options: Annotated[BuildOptions, arg(name="")] = BuildOptions()
-    clustering: Annotated[ClusterOptions, arg(name="")] = ClusterOptions()
-    views: Annotated[Views, arg(name="")] = Views()
-    calibration: Annotated[CalibrateOptions, arg(name="")] = CalibrateOptions()
-    console: Annotated[Console, arg(name="")] = Console()
+    options: Annotated[BuildOptions, arg(name="", help="")] = BuildOptions()
+    clustering: Annotated[ClusterOptions, arg(name="", help="")] = ClusterOptions()
+    views: Annotated[Views, arg(name="", help="")] = Views()
+    calibration: Annotated[CalibrateOptions, arg(name="", help="")] = CalibrateOptions()
+    console: Annotated[Console, arg(name="", help="")] = Console()
 
 
 @dataclass(frozen=True)

@@ -54,15 +54,15 @@ class TrainingViews:
 class Command:
     """Choose the τ of a scene and keep it: in.splatree out.splatree; with one path, a .splatree is changed in place."""
 
-    files: Annotated[Files, arg(name="")]
-    views: Annotated[Views, arg(name="")] = Views()
+    files: Annotated[Files, arg(name="", help="")]
+    views: Annotated[Views, arg(name="", help="")] = Views()
     path: Literal["orbit", "flyout"] = "flyout"
     """Path to make without --cameras and --data: away from the scene, or around it."""
-    made: Annotated[PathOptions, arg(name="")] = PathOptions(views=16)
-    calibration: Annotated[CalibrateOptions, arg(name="")] = CalibrateOptions()
-    select: Annotated[SelectOptions, arg(name="")] = SelectOptions()
-    options: Annotated[RenderOptions, arg(name="")] = RenderOptions()
-    console: Annotated[Console, arg(name="")] = Console()
+    made: Annotated[PathOptions, arg(name="", help="")] = PathOptions(views=16)
+    calibration: Annotated[CalibrateOptions, arg(name="", help="")] = CalibrateOptions()
+    select: Annotated[SelectOptions, arg(name="", help="")] = SelectOptions()
+    options: Annotated[RenderOptions, arg(name="", help="")] = RenderOptions()
+    console: Annotated[Console, arg(name="", help="")] = Console()
 
 
 @dataclass(frozen=True)

@@ -23,16 +23,16 @@ class Command:
     --sh-degree, --order. Files larger than memory are converted in chunks where both formats allow it (see `formats`).
     """
 
-    files: Annotated[Files, arg(name="")]
+    files: Annotated[Files, arg(name="", help="")]
     level: int | None = None
     """Level of detail to read from a format that has several; 0 is the finest."""
     depth: int | None = None
     """Write one cut of the tree to a format without levels: the nodes at this depth, 0 the roots; None: the leaves."""
     drop_invalid: bool = False
     """Drop Gaussians with values that cannot be used, and count them, instead of stopping; --repair mends what it can."""
-    edit: Annotated[EditOptions, arg(name="")] = EditOptions()
-    options: Annotated[WriteOptions, arg(name="")] = WriteOptions()
-    console: Annotated[Console, arg(name="")] = Console()
+    edit: Annotated[EditOptions, arg(name="", help="")] = EditOptions()
+    options: Annotated[WriteOptions, arg(name="", help="")] = WriteOptions()
+    console: Annotated[Console, arg(name="", help="")] = Console()
 
 
 @dataclass(frozen=True)

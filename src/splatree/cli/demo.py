@@ -47,9 +47,9 @@ class Command:
 
     output: Annotated[Path, arg(aliases=["-o"])] = Path("splatree-demo")
     """Folder for report.html and its pictures; an earlier report there is replaced."""
-    made: Annotated[PathOptions, arg(name="")] = PathOptions(views=6, elevation_deg=40.0)
-    select: Annotated[SelectOptions, arg(name="")] = SelectOptions()
-    console: Annotated[Console, arg(name="")] = Console()
+    made: Annotated[PathOptions, arg(name="", help="")] = PathOptions(views=6, elevation_deg=40.0)
+    select: Annotated[SelectOptions, arg(name="", help="")] = SelectOptions()
+    console: Annotated[Console, arg(name="", help="")] = Console()
 
 
 def run(command: Command) -> Demo:

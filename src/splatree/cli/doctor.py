@@ -30,7 +30,7 @@ class Command:
     """Say what was found on this machine for drawing on the processor and on a GPU, draw a small picture on both, and say what to
     do about what is missing or too old."""
 
-    console: Annotated[Console, arg(name="")] = Console()
+    console: Annotated[Console, arg(name="", help="")] = Console()
 
 
 @dataclass(frozen=True)

@@ -57,11 +57,11 @@ class Command:
     """Weights of LPIPS version 0.1; None: from an installed package lpips or torchmetrics."""
     device: DeviceName = "cpu"
     """Where to select and draw: `cuda` is an NVIDIA GPU; `splatree doctor` says what it needs."""
-    made: Annotated[PathOptions, arg(name="")] = PathOptions(views=8)
-    select: Annotated[SelectOptions, arg(name="")] = SelectOptions()
-    options: Annotated[RenderOptions, arg(name="")] = RenderOptions()
-    reading: Annotated[Reading, arg(name="")] = Reading()
-    console: Annotated[Console, arg(name="")] = Console()
+    made: Annotated[PathOptions, arg(name="", help="")] = PathOptions(views=8)
+    select: Annotated[SelectOptions, arg(name="", help="")] = SelectOptions()
+    options: Annotated[RenderOptions, arg(name="", help="")] = RenderOptions()
+    reading: Annotated[Reading, arg(name="", help="")] = Reading()
+    console: Annotated[Console, arg(name="", help="")] = Console()
 
 
 @dataclass(frozen=True)

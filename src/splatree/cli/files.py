@@ -37,7 +37,7 @@ class Files:
     """File to write."""
     force: bool = False
     """Replace the output if it exists."""
-    reading: Annotated[Reading, arg(name="")] = Reading()
+    reading: Annotated[Reading, arg(name="", help="")] = Reading()
 
 
 def check_inputs(paths: tuple[Path, ...]) -> None:

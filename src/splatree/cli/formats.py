@@ -13,7 +13,7 @@ from splatree.io.registry import Format, formats
 class Command:
     """List the formats that are read and written."""
 
-    console: Annotated[Console, arg(name="")] = Console()
+    console: Annotated[Console, arg(name="", help="")] = Console()
 
 
 @dataclass(frozen=True)

@@ -22,8 +22,8 @@ class Command:
     """Files or folders; several are read as one scene."""
     level: int | None = None
     """Level of detail to read from a format that has several; 0 is the finest."""
-    reading: Annotated[Reading, arg(name="")] = Reading()
-    console: Annotated[Console, arg(name="")] = Console()
+    reading: Annotated[Reading, arg(name="", help="")] = Reading()
+    console: Annotated[Console, arg(name="", help="")] = Console()
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,9 @@ A verb is a module of this package with three names: ``Command``, a dataclass wh
 docstrings are the help), ``run(command)``, which returns a result struct, and ``show(result)``, which says it in words. With
 ``--json`` the struct itself is printed. Results go to stdout, everything else to stderr.
 
+A struct within a ``Command`` is marked ``arg(name="", help="")``: its fields are options like the others, without a prefix, and
+without a heading, for which tyro would read the sources at every start.
+
 A verb with several commands, such as ``splatree bench table1``, is listed in GROUPS and has ``COMMANDS``, dataclasses by name, in
 the place of ``Command``.
 

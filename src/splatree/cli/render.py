@@ -50,11 +50,11 @@ class Command:
     """Replace pictures and the video if they exist."""
     device: DeviceName = "cpu"
     """Where to select and draw: `cuda` is an NVIDIA GPU; `splatree doctor` says what it needs."""
-    made: Annotated[PathOptions, arg(name="")] = PathOptions()
-    select: Annotated[SelectOptions, arg(name="")] = SelectOptions()
-    options: Annotated[RenderOptions, arg(name="")] = RenderOptions()
-    reading: Annotated[Reading, arg(name="")] = Reading()
-    console: Annotated[Console, arg(name="")] = Console()
+    made: Annotated[PathOptions, arg(name="", help="")] = PathOptions()
+    select: Annotated[SelectOptions, arg(name="", help="")] = SelectOptions()
+    options: Annotated[RenderOptions, arg(name="", help="")] = RenderOptions()
+    reading: Annotated[Reading, arg(name="", help="")] = Reading()
+    console: Annotated[Console, arg(name="", help="")] = Console()
 
 
 @dataclass(frozen=True)

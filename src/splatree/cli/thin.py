@@ -18,9 +18,9 @@ from splatree.simplify.thin import thin
 class Command:
     """Merge Gaussians that are close or alike: to a share, a count or a radius; to the radius `auto` if none is given."""
 
-    files: Annotated[Files, arg(name="")]
-    options: Annotated[ThinOptions, arg(name="")] = ThinOptions()
-    console: Annotated[Console, arg(name="")] = Console()
+    files: Annotated[Files, arg(name="", help="")]
+    options: Annotated[ThinOptions, arg(name="", help="")] = ThinOptions()
+    console: Annotated[Console, arg(name="", help="")] = Console()
 
 
 @dataclass(frozen=True)
