@@ -10,27 +10,13 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from importlib import import_module
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from splatree.errors import InputError, OutputError, SplatreeError
-from splatree.io import (
-    compressed_ply,
-    glb_writer,
-    gltf,
-    hier,
-    ksplat,
-    ply,
-    rad,
-    rad_writer,
-    sog,
-    sog_writer,
-    splat,
-    spz,
-    store,
-    streamed_sog,
-)
 from splatree.io.chunks import Chunks, chunks_of
 from splatree.io.holds import Holds, losses
 from splatree.io.inputs import find_inputs
@@ -39,6 +25,49 @@ from splatree.io.options import ReadOptions, Repair, WriteOptions
 from splatree.io.replacing import replacing
 from splatree.maths.axes import AxesName
 from splatree.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from splatree.io import (
+        compressed_ply,
+        glb_writer,
+        gltf,
+        hier,
+        ksplat,
+        ply,
+        rad,
+        rad_writer,
+        sog,
+        sog_writer,
+        splat,
+        spz,
+        store,
+        streamed_sog,
+    )
+else:
+
+    class _Later:
+        """The module of a format, loaded when one of its functions is first called: most commands need two of them."""
+
+        def __init__(self, module: str) -> None:
+            self._module = f"splatree.io.{module}"
+
+        def __getattr__(self, name: str) -> Callable[..., Any]:
+            return lambda *arguments: getattr(import_module(self._module), name)(*arguments)
+
+    compressed_ply = _Later("compressed_ply")
+    glb_writer = _Later("glb_writer")
+    gltf = _Later("gltf")
+    hier = _Later("hier")
+    ksplat = _Later("ksplat")
+    ply = _Later("ply")
+    rad = _Later("rad")
+    rad_writer = _Later("rad_writer")
+    sog = _Later("sog")
+    sog_writer = _Later("sog_writer")
+    splat = _Later("splat")
+    spz = _Later("spz")
+    store = _Later("store")
+    streamed_sog = _Later("streamed_sog")
 
 FOLDER_FILE = "meta.json"
 """Name of a new file that asks for a folder of files."""

@@ -9,6 +9,7 @@
 #include "cpu/files.h"
 #include "cpu/isa.h"
 #include "cpu/pool.h"
+#include "cpu/quad.h"
 
 namespace splatree {
 namespace {
@@ -76,12 +77,25 @@ void copy_runs(const uint8_t* from, int64_t stride, float* out, int64_t num_rows
   for (int64_t row = 0; row < num_rows; ++row) std::memcpy(out + row * kWidth, from + row * stride, kWidth * 4);
 }
 
+Quad load_loose(const void* from) { return load<Quad>(static_cast<const uint8_t*>(from)); }
+void store_loose(void* to, Quad quad) { std::memcpy(to, &quad, sizeof quad); }
+
+// Harmonics four at a time; the last four overlap those before where their number is no multiple of four. The three of degree 1
+// go one by one.
 template <int kPerChannel>
 void copy_channels(const uint8_t* first, const uint8_t* rest, int64_t stride, float* out, int64_t num_rows) {
   for (int64_t row = 0; row < num_rows; ++row, first += stride, rest += stride, out += 3 * (kPerChannel + 1)) {
     std::memcpy(out, first, 12);
-    for (int j = 0; j < kPerChannel; ++j)
+    for (int j = 0; kPerChannel < 4 && j < kPerChannel; ++j)
       for (int c = 0; c < 3; ++c) out[3 + 3 * j + c] = load<float>(rest + 4 * (c * kPerChannel + j));
+    for (int next = 0; kPerChannel >= 4 && next < kPerChannel; next += 4) {
+      const int j = std::min(next, kPerChannel - 4);
+      const uint8_t* at = rest + 4 * j;
+      Quad r = load_loose(at), g = load_loose(at + 4 * kPerChannel), b = load_loose(at + 8 * kPerChannel);
+      interleave_triples(r, g, b);
+      float* triples = out + 3 + 3 * j;
+      store_loose(triples, r), store_loose(triples + 4, g), store_loose(triples + 8, b);
+    }
   }
 }
 
@@ -117,8 +131,16 @@ template <int kPerChannel>
 void place_channels(const float* from, uint8_t* first, uint8_t* rest, int64_t stride, int64_t num_rows) {
   for (int64_t row = 0; row < num_rows; ++row, first += stride, rest += stride, from += 3 * (kPerChannel + 1)) {
     std::memcpy(first, from, 12);
-    for (int c = 0; c < 3; ++c)
-      for (int j = 0; j < kPerChannel; ++j) std::memcpy(rest + 4 * (c * kPerChannel + j), from + 3 + 3 * j + c, 4);
+    for (int j = 0; kPerChannel < 4 && j < kPerChannel; ++j)
+      for (int c = 0; c < 3; ++c) std::memcpy(rest + 4 * (c * kPerChannel + j), from + 3 + 3 * j + c, 4);
+    for (int next = 0; kPerChannel >= 4 && next < kPerChannel; next += 4) {
+      const int j = std::min(next, kPerChannel - 4);
+      const float* triples = from + 3 + 3 * j;
+      Quad r = load_loose(triples), g = load_loose(triples + 4), b = load_loose(triples + 8);
+      transpose_triples(r, g, b);
+      uint8_t* at = rest + 4 * j;
+      store_loose(at, r), store_loose(at + 4 * kPerChannel, g), store_loose(at + 8 * kPerChannel, b);
+    }
   }
 }
 

@@ -1,7 +1,8 @@
 // Interleaved records into float32 columns and back, and the extremes of a column.
 //
-// Copying runs at the speed of memory on baseline instructions: a record of 248 bytes costs 62 loads and 62 stores, about as
-// long as its cache lines take to arrive. Only the magnitudes gain from wider vectors (magnitude.cpp).
+// Copying runs at the speed of memory on baseline instructions: the harmonics of a record of 248 bytes are turned in registers,
+// four coefficients at a time, about as fast as its cache lines arrive. Only the magnitudes gain from wider vectors
+// (magnitude.cpp).
 #pragma once
 #include <cstdint>
 

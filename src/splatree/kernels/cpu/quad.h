@@ -45,5 +45,14 @@ inline void transpose_triples(Quad& a, Quad& b, Quad& c) {
   c = SPLATREE_SHUFFLE(yz, c, 1, 3, 4, 7);
 }
 
+// The reverse: three columns to four rows of three floats.
+inline void interleave_triples(Quad& a, Quad& b, Quad& c) {
+  const Quad ab_low = SPLATREE_SHUFFLE(a, b, 0, 4, 1, 5), ab_high = SPLATREE_SHUFFLE(a, b, 2, 6, 3, 7);
+  const Quad bc = SPLATREE_SHUFFLE(b, c, 1, 5, 1, 5);
+  a = SPLATREE_SHUFFLE(ab_low, c, 0, 1, 4, 2);
+  b = SPLATREE_SHUFFLE(bc, ab_high, 0, 1, 4, 5);
+  c = SPLATREE_SHUFFLE(c, ab_high, 2, 6, 7, 3);
+}
+
 }  // namespace
 }  // namespace splatree
