@@ -57,6 +57,14 @@ def test_every_way_to_draw_is_timed(report) -> None:
     rows = report.tables[1].rows
     assert [row["frame"] for row in rows] == list(clusters.BREAKDOWNS) * 2
     assert all(row["packing"] > 0 for row in rows if row["frame"] == "exact, packing")
+    excluded = {row["frame"]: row["excluded %"] for row in rows if row["K"] == 3000}
+    by_rule = {row["rule"]: row["excluded %"] for row in report.tables[0].rows if row["K"] == 3000}
+    assert excluded["without step 0"] == excluded["squares"] == 0
+    assert excluded["exact"] == excluded["exact, packing"] == pytest.approx(by_rule["exact"])
+    assert excluded["paper"] == excluded["squares, paper"] == pytest.approx(by_rule["paper"])
+    assert 0 < excluded["squares, exact"] < excluded["exact"]
+    saved = {row["frame"]: row["step 1 saved %"] for row in rows}
+    assert saved["without step 0"] == saved["squares"] == 0
     assert [row["K"] for row in report.tables[2].rows] == [300, 3000]
     assert len(report.tables[3].rows) == 4  # with levels: two numbers of clusters, two views
 

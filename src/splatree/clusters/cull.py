@@ -201,13 +201,16 @@ def _sides(camera: Camera, axes: Axes, margins: list[Margins], *, scale: float =
 def _box_reaches(camera: Camera, axes: Axes, sides: Sides) -> Float64[Array, "5 3"]:
     """max(|n_a|, |n'_a|) along each axis a of the world: n the plane, n' the plane at the last slope of the Jacobian."""
     x_and_y, depth = camera.camera_from_world[:2, :3], camera.camera_from_world[2, :3]
+    focal, slope = np.array(
+        [
+            (sign * focal, to_border / focal + (FRUSTUM_CLAMP - 1) * size / (2 * focal))
+            for focal, centre, size in axes
+            for sign, to_border in ((1, size - centre), (-1, centre))
+        ]
+    ).T[:, :, None]  # [4 1] each
+    last = focal * x_and_y[[0, 0, 1, 1]] - np.abs(focal) * slope * depth  # [4 3]
     reaches = np.abs(sides.planes[:, :3])
-    for i, (focal, centre, size) in enumerate(axes):
-        margin = (FRUSTUM_CLAMP - 1) * size / (2 * focal)
-        for side, slope in ((2 * i, (size - centre) / focal + margin), (2 * i + 1, centre / focal + margin)):
-            sign = 1 if side % 2 == 0 else -1
-            last = focal * (sign * x_and_y[i] - slope * depth)
-            reaches[side] = np.maximum(reaches[side], np.abs(last))
+    np.maximum(reaches[:4], np.abs(last), out=reaches[:4])
     return np.asarray(REACH_SCALE * reaches + BOX_SLACK * sides.reaches[:, None])
 
 
