@@ -71,8 +71,9 @@ def _rows(path: Path, options: ReadOptions) -> FileRows:
 
     @contextmanager
     def start() -> Iterator[Fill]:
-        with path.open("rb") as file:
-            yield lambda begin, out: packed.fill(file, begin, out)
+        buffers: dict[str, Array] = {}
+        with path.open("rb", buffering=0) as file:
+            yield lambda begin, out: packed.fill(file, begin, out, buffers)
 
     return FileRows(str(path), packed.num_rows, packed.degree, start, packed.text.mode, packed.metadata)
 
@@ -138,25 +139,30 @@ class _Packed:
     types: dict[str, np.dtype[np.void]]  # a row of each element
     metadata: dict[str, str]
 
-    def fill(self, file: BinaryIO, begin: int, out: Gaussians) -> None:
-        """Decode the rows from ``begin`` on, a multiple of 256, into the columns of ``out``."""
+    def fill(self, file: BinaryIO, begin: int, out: Gaussians, buffers: dict[str, Array]) -> None:
+        """Decode the rows from ``begin`` on, a multiple of 256, into the columns of ``out``; keep ``buffers`` for the next."""
         n = len(out)
-        vertices = self._matrix(file, "vertex", begin, n, _VERTEX, np.uint32)
+        vertices = _matrix(self._records(file, "vertex", begin, n, buffers), _VERTEX, np.uint32)
         names = [f"f_rest_{i}" for i in range(3 * ((self.degree + 1) ** 2 - 1))]
-        rest = self._matrix(file, "sh", begin, n, names, np.uint8) if names else np.empty((n, 0), np.uint8)
+        rest = np.empty((n, 0), np.uint8)
+        if names:
+            rest = _matrix(self._records(file, "sh", begin, n, buffers), names, np.uint8)
         first = begin // CHUNK
         bounds = self.bounds[first : first + -(-n // CHUNK)]
         unpack(
             bounds, vertices, rest, LOGIT_FROM_BYTE, (out.means, out.quats, out.log_scales, out.logit_opacities, out.sh)
         )
 
-    def _matrix(self, file: BinaryIO, element: str, begin: int, count: int, names: list[str], dtype: type) -> Array:
+    def _records(self, file: BinaryIO, element: str, begin: int, count: int, buffers: dict[str, Array]) -> Array:
+        """Rows of an element, valid until the next ones are read."""
         row = self.types[element]
+        if element not in buffers or len(buffers[element]) < count:
+            buffers[element] = np.empty(count, row)
+        records = buffers[element][:count]
         file.seek(self.starts[element] + begin * row.itemsize)
-        records = np.fromfile(file, row, count)
-        if len(records) < count:
+        if file.readinto(records.view(np.uint8).data) != count * row.itemsize:  # type: ignore[attr-defined]
             raise FormatError(f"{self.path}: cannot be read to its end; did it change meanwhile?")
-        return _matrix(records, names, dtype)
+        return records
 
 
 def _matrix(records: Array, names: list[str], dtype: type) -> Array:
