@@ -23,7 +23,6 @@ touched, and the result is a list of runs of rows.
 """
 
 import math
-from dataclasses import replace
 from typing import NamedTuple, get_args
 
 import numpy as np
@@ -131,12 +130,12 @@ def sides_of(camera: Camera, rule: Cull, *, dilation_px2: float, threshold: floa
         margins = [_margins_of_square(axes, size, dilation_px2) for _, _, size in axes]
     else:
         raise InputError(f"cull: found rule {rule!r}, wanted one of {', '.join(get_args(Cull))}")
-    sides = _sides(camera, axes, margins, scale=RADIUS_SCALE, slack=POSITION_SLACK)
     if rule == "exact":
         has_boxes = extent in ("ellipse", "balanced") and threshold >= ALPHA_THRESHOLD
-        return replace(sides, box_reaches=_box_reaches(camera, axes, sides)) if has_boxes else sides
+        return _sides(camera, axes, margins, scale=RADIUS_SCALE, slack=POSITION_SLACK, has_boxes=has_boxes)
     # These transform by R x + t in float32, so they lose digits of x and of t, not of their difference as ours does.
-    return replace(sides, margin=2 * POSITION_SLACK * float(np.abs(sides.eye).sum()))
+    lost = 2 * POSITION_SLACK * float(np.abs(camera.position).sum())
+    return _sides(camera, axes, margins, scale=RADIUS_SCALE, slack=POSITION_SLACK, margin=lost)
 
 
 def _radii(
@@ -182,23 +181,33 @@ def _slope(focal: float, centre: float, size: int) -> float:
     return max(centre, size - centre) / focal + (FRUSTUM_CLAMP - 1) * size / (2 * focal)
 
 
-def _sides(camera: Camera, axes: Axes, margins: list[Margins], *, scale: float = 1.0, slack: float = 0.0) -> Sides:
+def _sides(
+    camera: Camera,
+    axes: Axes,
+    margins: list[Margins],
+    *,
+    scale: float = 1.0,
+    slack: float = 0.0,
+    margin: float = 0.0,
+    has_boxes: bool = False,
+) -> Sides:
     """f X − (w + δ) Z > R max(√(f² + (w + δ)²), f g) for each border; and Z + R ≤ near."""
     x_and_y, depth = camera.camera_from_world[:2], camera.camera_from_world[2]
     planes, reaches = np.empty((5, 4)), np.ones(5)
-    for i, ((focal, centre, _), margin) in enumerate(zip(axes, margins, strict=True)):
-        for side, border in ((2 * i, margin.upper - centre), (2 * i + 1, margin.lower - centre)):
+    for i, ((focal, centre, _), around) in enumerate(zip(axes, margins, strict=True)):
+        for side, border in ((2 * i, around.upper - centre), (2 * i + 1, around.lower - centre)):
             sign = 1 if side % 2 == 0 else -1
-            offset = sign * border + margin.extra
+            offset = sign * border + around.extra
             planes[side] = sign * focal * x_and_y[i] - offset * depth
-            reaches[side] = max(STRETCH * math.hypot(focal, offset), REACH_SCALE * margin.gain)
+            reaches[side] = max(STRETCH * math.hypot(focal, offset), REACH_SCALE * around.gain)
     planes[4] = -depth
     planes[4, 3] += camera.near
     reaches[4] = STRETCH
-    return Sides(planes, reaches, camera.position, scale, slack)
+    box_reaches = _box_reaches(camera, axes, planes, reaches) if has_boxes else None
+    return Sides(planes, reaches, camera.position, scale, slack, margin, box_reaches=box_reaches)
 
 
-def _box_reaches(camera: Camera, axes: Axes, sides: Sides) -> Float64[Array, "5 3"]:
+def _box_reaches(camera: Camera, axes: Axes, planes: Array, reaches: Array) -> Float64[Array, "5 3"]:
     """max(|n_a|, |n'_a|) along each axis a of the world: n the plane, n' the plane at the last slope of the Jacobian."""
     x_and_y, depth = camera.camera_from_world[:2, :3], camera.camera_from_world[2, :3]
     focal, slope = np.array(
@@ -209,9 +218,9 @@ def _box_reaches(camera: Camera, axes: Axes, sides: Sides) -> Float64[Array, "5 
         ]
     ).T[:, :, None]  # [4 1] each
     last = focal * x_and_y[[0, 0, 1, 1]] - np.abs(focal) * slope * depth  # [4 3]
-    reaches = np.abs(sides.planes[:, :3])
-    np.maximum(reaches[:4], np.abs(last), out=reaches[:4])
-    return np.asarray(REACH_SCALE * reaches + BOX_SLACK * sides.reaches[:, None])
+    normals = np.abs(planes[:, :3])
+    np.maximum(normals[:4], np.abs(last), out=normals[:4])
+    return np.asarray(REACH_SCALE * normals + BOX_SLACK * reaches[:, None])
 
 
 def _sides_of_paper(camera: Camera, axes: Axes, *, guard: bool) -> Sides:
