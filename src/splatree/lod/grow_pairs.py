@@ -100,7 +100,7 @@ class Present:
         """``merge`` resolved."""
         self.gaussians, self.weights, self.visibilities = gaussians, weights, visibilities
         self.is_classic = mode == "classic"
-        self.dilation, self.merge = merge.dilation or 0.0, dataclasses.replace(merge, dilation=0.0)
+        self.dilation_px2, self.merge = merge.dilation or 0.0, dataclasses.replace(merge, dilation=0.0)
         self.partners = Partners.unknown(len(gaussians))
 
     def __len__(self) -> int:
@@ -143,7 +143,7 @@ class Present:
             opacities = np.where(fitted < SATURATED, fitted, np.float32(0))
         self.gaussians = merge_kernel.merge(
             *(self.gaussians, pairs, self.weights, self.merge),
-            added=self.dilation * pixel_size**2,
+            added=self.dilation_px2 * pixel_size**2,
             opacities=opacities,
             threads=threads,
         )
