@@ -21,7 +21,7 @@ import numpy as np
 
 from harness import DATA, measure, save, table
 from splatree import read
-from splatree.kernels.cpu.kmeans import assign
+from splatree.kernels.cpu.build.kmeans import assign
 from splatree.maths.morton import morton_codes
 
 CITY = DATA / "trained" / "semarang_city"

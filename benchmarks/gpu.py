@@ -33,7 +33,7 @@ import numpy as np
 import splatree as st
 from gsplat_paths import gsplat_rows
 from harness import ROOT, save, table
-from splatree.kernels.cpu.kmeans import assign
+from splatree.kernels.cpu.build.kmeans import assign
 from splatree.kernels.cuda.baselines import Baselines
 from splatree.kernels.cuda.compile import load_compiler
 from splatree.kernels.cuda.device import open_device

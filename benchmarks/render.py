@@ -18,9 +18,9 @@ import numpy as np
 
 import splatree as st
 from harness import DATA, measure, save, table
-from splatree.kernels import cpu
 from splatree.kernels.cpu import _core
-from splatree.kernels.cpu.view import pack_view
+from splatree.kernels.cpu import frame as cpu
+from splatree.kernels.cpu.frame.view import pack_view
 
 WIDTH, HEIGHT = 960, 540
 REPEAT = 9

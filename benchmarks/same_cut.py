@@ -14,7 +14,7 @@ import numpy as np
 
 from harness import DATA, save, table
 from splatree import PathOptions, Scene, SelectOptions, build_lod, flyout, orbit, read, read_cameras, select
-from splatree.kernels.cpu import select as cpu
+from splatree.kernels.cpu.frame import select as cpu
 from splatree.lod.serial import levels_of, select_serial
 from splatree.scene.cameras import Camera
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from harness import DATA, measure, save, table
 from splatree import Camera, Gaussians, GaussianTree, Scene, SelectOptions, build_lod, read, read_cameras, select
-from splatree.kernels.cpu import select as cpu
+from splatree.kernels.cpu.frame import select as cpu
 from splatree.lod.baselines import Baseline, BaselineOptions, baseline
 from splatree.lod.blocks import with_blocks
 from splatree.lod.serial import levels_of, select_serial

@@ -21,7 +21,7 @@ import numpy as np
 
 import splatree as st
 from harness import DATA, ROOT, save, table
-from splatree.kernels import cpu
+from splatree.kernels.cpu import frame as cpu
 from splatree.scene.options import RenderOptions
 
 THRESHOLDS = (1 / 255, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3)

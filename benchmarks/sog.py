@@ -25,8 +25,8 @@ from PIL import Image
 import splatree
 from harness import DATA, Cost, measure, save, table
 from splatree import Scene
-from splatree.io.palette import find_palette
-from splatree.io.sog_writer import WEBP_METHOD, WEBP_QUALITY
+from splatree.io.formats.sog.palette import find_palette
+from splatree.io.formats.sog.writer import WEBP_METHOD, WEBP_QUALITY
 
 CITY = DATA / "trained" / "semarang_city"
 CHUNKS = ("5_1", "5_4", "5_7", "5_9")

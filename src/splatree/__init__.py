@@ -22,7 +22,7 @@ if TYPE_CHECKING:
         ShapeError,
         SplatreeError,
     )
-    from splatree.io.cameras import read_cameras, write_cameras
+    from splatree.io.cameras.files import read_cameras, write_cameras
     from splatree.io.convert import Converted, ConvertOptions, convert
     from splatree.io.images import read_image, write_image
     from splatree.io.options import ReadOptions, WriteOptions
@@ -199,7 +199,7 @@ _HOME = {
     "orbit": "splatree.render.paths",
     "psnr": "splatree.metrics.psnr",
     "read": "splatree.io.registry",
-    "read_cameras": "splatree.io.cameras",
+    "read_cameras": "splatree.io.cameras.files",
     "read_image": "splatree.io.images",
     "read_levels": "splatree.io.registry",
     "render": "splatree.render.pipeline",
@@ -214,7 +214,7 @@ _HOME = {
     "trace": "splatree.render.pipeline",
     "trace_batch": "splatree.render.batch",
     "write": "splatree.io.registry",
-    "write_cameras": "splatree.io.cameras",
+    "write_cameras": "splatree.io.cameras.files",
     "write_counters": "splatree.render.counters",
     "write_image": "splatree.io.images",
 }

@@ -8,7 +8,7 @@ import pytest
 from splatree.bench.measure import Judge
 from splatree.bench.subject import SubjectOptions, subject_of
 from splatree.cli.main import commands_of
-from splatree.io.cameras import write_cameras
+from splatree.io.cameras.files import write_cameras
 from splatree.io.images import write_image
 from splatree.io.registry import read
 from splatree.render.paths import PathOptions, flyout

@@ -5,7 +5,7 @@ import shutil
 
 import pytest
 
-from splatree.io.cameras import write_cameras
+from splatree.io.cameras.files import write_cameras
 from splatree.io.registry import read
 from splatree.render.paths import PathOptions, orbit
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from splatree.cli.render import file_names
-from splatree.io.cameras import write_cameras
+from splatree.io.cameras.files import write_cameras
 from splatree.io.images import read_image, write_image
 from splatree.io.options import WriteOptions
 from splatree.io.registry import read, write

@@ -157,7 +157,16 @@ def test_installed_command_runs_and_reads_no_standard_input(small_ply):
 
 def test_a_plain_verb_loads_and_starts_nothing_that_it_does_not_need(small_ply, tmp_path):
     """What tyro would check defaults with, and threads of linear algebra, took a third of the start."""
-    unneeded = ("typeguard", "unittest", "asyncio", "ssl", "rich", "PIL", "splatree.io.sog", "splatree.io.gltf")
+    unneeded = (
+        "typeguard",
+        "unittest",
+        "asyncio",
+        "ssl",
+        "rich",
+        "PIL",
+        "splatree.io.formats.sog.reader",
+        "splatree.io.formats.glb.reader",
+    )
     code = (
         "import sys; from pathlib import Path; from splatree.cli.main import main; assert main() == 0\n"
         f"print(*(name for name in {unneeded} if name in sys.modules))\n"

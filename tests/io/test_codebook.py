@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from splatree.io.codebook import Codebook, sampled_rows
-from splatree.io.codebook import find_codebook as find_codebook_of_sample
+from splatree.io.formats.sog.codebook import Codebook, sampled_rows
+from splatree.io.formats.sog.codebook import find_codebook as find_codebook_of_sample
 
 
 def find_codebook(x, weights=None):

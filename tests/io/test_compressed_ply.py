@@ -5,7 +5,7 @@ import pytest
 
 import splatree
 from splatree import FormatError, Gaussians, Scene
-from splatree.io import compressed_ply
+from splatree.io.formats.compressed_ply import format as compressed_ply
 from splatree.io.options import ReadOptions
 
 from .conftest import COLUMNS, random_gaussians, same_bits

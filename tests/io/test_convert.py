@@ -21,7 +21,9 @@ from splatree import (
     convert,
     edit,
 )
-from splatree.io import chunks, ply, rows, splat
+from splatree.io import chunks, rows
+from splatree.io.formats.ply import format as ply
+from splatree.io.formats.splat import format as splat
 from splatree.io.registry import formats
 
 from .conftest import random_gaussians

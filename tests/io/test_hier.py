@@ -5,7 +5,7 @@ import pytest
 
 import splatree
 from splatree import FormatError, Gaussians, GaussianTree, InputError, Scene, WriteOptions
-from splatree.io import hier
+from splatree.io.formats.hier import format as hier
 from splatree.io.levels import reaches
 from splatree.maths.forests import subtree_radii
 

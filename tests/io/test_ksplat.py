@@ -4,7 +4,7 @@ import pytest
 import splatree
 from splatree import FormatError, InputError, Scene, WriteOptions
 from splatree.constants import SH_C0
-from splatree.io import ksplat
+from splatree.io.formats.ksplat import format as ksplat
 
 from .conftest import random_gaussians, same_bits
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from splatree.io.palette import find_palette as find_palette_of_parts
+from splatree.io.formats.sog.palette import find_palette as find_palette_of_parts
 
 
 def find_palette(sh, weights, count, **options):

@@ -7,7 +7,7 @@ import pytest
 import splatree
 from splatree import FormatError, Gaussians, Scene
 from splatree.constants import SH_C0
-from splatree.io import ply
+from splatree.io.formats.ply import format as ply
 from splatree.io.options import ReadOptions
 
 from .conftest import COLUMNS, random_gaussians, same_bits

@@ -7,8 +7,8 @@ import pytest
 import splatree
 from splatree import FormatError, InputError, Scene, WriteOptions
 from splatree.constants import SH_C0
-from splatree.io.rad_container import open_rad, values_of
-from splatree.io.rad_properties import decode, encode_rotations
+from splatree.io.formats.rad.container import open_rad, values_of
+from splatree.io.formats.rad.properties import decode, encode_rotations
 from splatree.maths.rotations import matrices_from_quats
 
 from .conftest import random_gaussians, same_bits

@@ -80,7 +80,9 @@ def test_another_scene_in_the_folder_is_whole_until_it_is_replaced(tmp_path, mon
     other = Scene.flat(random_gaussians(30))
     with pytest.raises(splatree.OutputError, match="exists already"):
         splatree.write(other, target)
-    monkeypatch.setattr("splatree.io.sog_writer.json.dumps", lambda meta: 1 / 0)  # fails when all pictures are written
+    monkeypatch.setattr(
+        "splatree.io.formats.sog.writer.json.dumps", lambda meta: 1 / 0
+    )  # fails when all pictures are written
     with pytest.raises(ZeroDivisionError):
         splatree.write(other, target, force=True)
     monkeypatch.undo()

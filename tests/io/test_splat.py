@@ -67,8 +67,8 @@ def test_rows_of_equal_rank_keep_their_order(tmp_path):
 def test_rows_that_wait_in_a_file_come_in_the_same_order(tmp_path, monkeypatch):
     scene = Scene.flat(random_gaussians(1000, 0))
     splatree.write(scene, tmp_path / "a.splat")
-    monkeypatch.setattr("splatree.io.splat._ROWS_IN_MEMORY", 300)
-    monkeypatch.setattr("splatree.io.splat._ROWS_PLACED", 70)
+    monkeypatch.setattr("splatree.io.formats.splat.format._ROWS_IN_MEMORY", 300)
+    monkeypatch.setattr("splatree.io.formats.splat.format._ROWS_PLACED", 70)
     splatree.write(scene, tmp_path / "b.splat")
     write_chunks(chunks_of(scene, rows=130), tmp_path / "c.splat")  # which do not fill the memory
     a, b, c = ((tmp_path / f"{name}.splat").read_bytes() for name in "abc")

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from splatree import Camera, FormatError, InputError
-from splatree.io.split import split_views
+from splatree.io.cameras.split import split_views
 
 
 def views(*names):

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 import splatree
 from splatree import FormatError, Gaussians, InputError, Scene, WriteOptions
 from splatree.constants import SH_C0
-from splatree.io import spz
 from splatree.io.chunks import Chunks
+from splatree.io.formats.spz import format as spz
 from splatree.maths.axes import AXES
 
 from .conftest import COLUMNS, random_gaussians, same_bits

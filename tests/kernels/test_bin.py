@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 import splatree as st
-from splatree.kernels import cpu, reference
+from splatree.kernels import reference
+from splatree.kernels.cpu import frame as cpu
 from splatree.kernels.reference.bin import smallest_distances
 from splatree.scene.frame import Splats, TileBins
 

@@ -3,7 +3,8 @@ import pytest
 
 import splatree as st
 from splatree.constants import ALPHA_MAX
-from splatree.kernels import cpu, reference
+from splatree.kernels import reference
+from splatree.kernels.cpu import frame as cpu
 from splatree.scene.frame import Picture, Splats, TileBins
 
 from .conftest import camera, gaussians

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from splatree.kernels.cpu import columns as cpu
+from splatree.kernels.cpu.codec import columns as cpu
 from splatree.kernels.reference import columns as reference
 
 SCALARS = ["<i1", "<u1", "<i2", "<u2", "<i4", "<u4", "<f4", "<f8"]

@@ -3,7 +3,9 @@ import pytest
 
 import splatree as st
 from splatree.clusters.cull import sides_of
-from splatree.kernels import cpu, reference
+from splatree.kernels import reference
+from splatree.kernels.cpu import frame as cpu
+from splatree.kernels.cpu.build import spheres
 from splatree.scene.options import Cull
 
 from .conftest import absurd, camera, gaussians
@@ -23,7 +25,7 @@ def test_radii_hold_those_of_the_reference_and_little_more(isa: str, log_scales:
     g.logit_opacities[:40] = np.log(1 / 254) + np.linspace(-2e-3, 2e-3, 40)  # about 1/255
     start = starts(500, 2)
     centers = g.means[start[:-1]] + np.float32(0.1)
-    fast = cpu.spheres.bound_clusters(g, start, centers)
+    fast = spheres.bound_clusters(g, start, centers)
     slow = reference.spheres.bound_clusters(g, start, centers)
     # Rows within 1e-3 below the threshold's logit count as drawn, and 1e-5 is added to k².
     brighter = st.Gaussians(g.means, g.quats, g.log_scales, g.logit_opacities + np.float32(2e-3), g.sh)
@@ -39,7 +41,7 @@ def test_boxes_hold_those_of_the_reference_and_little_more(isa: str, log_scales:
     g = gaussians(500, 1, log_scales=log_scales)
     start = starts(500, 2)
     centers = g.means[start[:-1]]
-    fast = cpu.spheres.bound_clusters(g, start, centers)
+    fast = spheres.bound_clusters(g, start, centers)
     slow = reference.spheres.bound_clusters(g, start, centers)
     # Float32 loses 1e-6 of the longest axis, which culling adds (BOX_SLACK), and rounds coordinates outwards by 2.4e-7.
     lost = 1e-6 * slow.footprint_radii[:, None]
@@ -63,8 +65,8 @@ def test_a_box_has_the_extents_of_a_turned_gaussian() -> None:
     wanted = 3 * np.array(
         [np.hypot(2 * np.cos(2 * half), np.sin(2 * half)), np.hypot(np.sin(2 * half) * 2, np.cos(2 * half)), 0.25]
     )
-    for spheres in (cpu.spheres, reference.spheres):
-        found = spheres.bound_clusters(g, np.int32([0, 1]), g.means)
+    for kernel in (spheres, reference.spheres):
+        found = kernel.bound_clusters(g, np.int32([0, 1]), g.means)
         np.testing.assert_allclose(found.box_high - g.means, [wanted], rtol=1e-4)
         np.testing.assert_allclose(g.means - found.box_low, [wanted], rtol=1e-4)
 
@@ -73,7 +75,7 @@ def test_rows_that_are_never_drawn_widen_no_sphere() -> None:
     g = gaussians(32, 3)
     g.means[5] = np.nan
     g.logit_opacities[6], g.log_scales[6] = -9, 5
-    found = cpu.spheres.bound_clusters(g, np.int32([0, 32]), np.zeros((1, 3), np.float32))
+    found = spheres.bound_clusters(g, np.int32([0, 32]), np.zeros((1, 3), np.float32))
     assert found.mean_radii[0] < 10 and found.footprint_radii[0] < 10
     assert found.radii[0] > 3 * np.exp(5)  # Eq. 2 does not look at opacity
     assert np.abs([found.box_low, found.box_high]).max() < 10
@@ -81,7 +83,7 @@ def test_rows_that_are_never_drawn_widen_no_sphere() -> None:
 
 def test_absurd_rows_give_no_nan() -> None:
     g = absurd()
-    found = cpu.spheres.bound_clusters(g, np.arange(0, 41, 2, dtype=np.int32), np.zeros((20, 3), np.float32))
+    found = spheres.bound_clusters(g, np.arange(0, 41, 2, dtype=np.int32), np.zeros((20, 3), np.float32))
     assert not any(np.isnan(getattr(found, name)).any() for name in (*RADII, "box_low", "box_high"))
 
 

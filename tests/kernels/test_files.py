@@ -2,7 +2,7 @@ import sys
 
 import pytest
 
-from splatree.kernels.cpu.files import reserve
+from splatree.kernels.cpu.runtime.files import reserve
 
 TOO_MUCH = 1 << 61
 """Bytes; no disk has them."""

@@ -3,7 +3,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from splatree.kernels.cpu import intervals as cpu
+from splatree.kernels.cpu.codec import intervals as cpu
 from splatree.kernels.reference import intervals as reference
 
 

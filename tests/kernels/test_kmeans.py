@@ -3,7 +3,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as some
 
 from splatree.kernels import reference
-from splatree.kernels.cpu.kmeans import assign
+from splatree.kernels.cpu.build.kmeans import assign
 from splatree.maths.morton import morton_codes
 
 

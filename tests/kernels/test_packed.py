@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from splatree import Gaussians
-from splatree.kernels.cpu import packed as cpu
+from splatree.kernels.cpu.codec import packed as cpu
 from splatree.kernels.reference import packed as reference
 
 LOGITS = np.linspace(-9, 9, 256, dtype=np.float32)

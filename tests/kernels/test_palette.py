@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from splatree.kernels.cpu import palette as cpu
+from splatree.kernels.cpu.codec import palette as cpu
 from splatree.kernels.reference import palette as reference
 
 

@@ -3,7 +3,9 @@ import pytest
 
 import splatree as st
 from splatree.constants import SH_C0
-from splatree.kernels import cpu, reference
+from splatree.kernels import reference
+from splatree.kernels.cpu import _core
+from splatree.kernels.cpu import frame as cpu
 from splatree.scene.frame import Splats
 from splatree.scene.options import ResolvedOptions
 
@@ -92,7 +94,7 @@ def test_large_sets_are_ordered_too(spread: str) -> None:
     orders = []
     for threads in (1, 3):
         order = np.empty(n, np.int32)
-        cpu._core.order_splats(depths, np.arange(n, dtype=np.int32), ids, order, threads)
+        _core.order_splats(depths, np.arange(n, dtype=np.int32), ids, order, threads)
         orders.append(order)
     np.testing.assert_array_equal(orders[0], np.lexsort((ids, depths)))
     np.testing.assert_array_equal(orders[0], orders[1])

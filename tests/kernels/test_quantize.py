@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from splatree.kernels.cpu import quantize as cpu
+from splatree.kernels.cpu.codec import quantize as cpu
 from splatree.kernels.reference import quantize as reference
 
 SIGNS = np.array([1, -1, 1, -1], np.float32)

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from splatree.kernels.cpu.rotate import rotate_harmonics
+from splatree.kernels.cpu.codec.rotate import rotate_harmonics
 from splatree.kernels.reference.rotate import rotate_harmonics as rotate_slowly
 from splatree.maths.harmonics import rotations_of_harmonics
 from splatree.maths.rotations import matrix_from_angles

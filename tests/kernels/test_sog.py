@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from splatree.kernels.cpu import sog as cpu
+from splatree.kernels.cpu.codec import sog as cpu
 from splatree.kernels.reference import sog as reference
 
 from .conftest import gaussians

@@ -3,7 +3,7 @@ import pytest
 
 from splatree import Gaussians
 from splatree.kernels.cpu import _core
-from splatree.kernels.cpu import splat as cpu
+from splatree.kernels.cpu.codec import splat as cpu
 from splatree.kernels.reference import splat as reference
 
 from .conftest import gaussians

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 import splatree as st
-from splatree.kernels import cpu, reference
+from splatree.kernels import reference
+from splatree.kernels.cpu import frame as cpu
 from splatree.kernels.reference.square import half_sides, rule_of
 from splatree.scene.frame import Splats
 

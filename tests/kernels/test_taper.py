@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import splatree as st
-from splatree.kernels import cpu, reference
+from splatree.kernels import reference
+from splatree.kernels.cpu import frame as cpu
 from splatree.scene.frame import Picture, Splats, TileBins
 
 from .conftest import camera, gaussians

@@ -8,8 +8,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from splatree import Camera, Gaussians, GaussianTree, InputError, Scene, SelectOptions, render, select
-from splatree.kernels.cpu import baselines as cpu
-from splatree.kernels.cpu import select as cpu_select
+from splatree.kernels.cpu.frame import baselines as cpu
+from splatree.kernels.cpu.frame import select as cpu_select
 from splatree.kernels.reference import baselines as reference
 from splatree.kernels.reference import select as reference_select
 from splatree.lod.baselines import BaselineOptions, Method, View, baseline, log_serial, violations

@@ -100,7 +100,7 @@ def stored_files(folder: Path) -> Iterator[tuple[str, str]]:
 
 def found() -> dict[str, str]:
     before = _core.isa()
-    _core.use_isa(_core.isas()[0])
+    _core.use_isa(_core.isas()[-1])
     try:
         with tempfile.TemporaryDirectory() as folder:
             return {"rounding": rounding(), **dict(frames()), **dict(stored_files(Path(folder)))}
@@ -110,7 +110,7 @@ def found() -> dict[str, str]:
 
 def test_pictures_selections_and_files_keep_their_bits():
     stored = json.loads(STORED.read_text())
-    if stored["isa"] != _core.isas()[0]:
+    if stored["isa"] != _core.isas()[-1]:
         pytest.skip(f"hashes are of instruction set {stored['isa']}")
     if stored["hashes"]["rounding"] != rounding():
         pytest.skip("NumPy's elementary functions round otherwise here than where the hashes were stored")
@@ -119,4 +119,4 @@ def test_pictures_selections_and_files_keep_their_bits():
 
 
 if __name__ == "__main__":
-    STORED.write_text(json.dumps({"isa": _core.isas()[0], "hashes": found()}, indent=1) + os.linesep)
+    STORED.write_text(json.dumps({"isa": _core.isas()[-1], "hashes": found()}, indent=1) + os.linesep)

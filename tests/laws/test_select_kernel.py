@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from splatree import Camera, Gaussians, GaussianTree, RenderOptions, Scene, SelectOptions, ShapeError, select
-from splatree.kernels.cpu.bin import bin as bin_splats
-from splatree.kernels.cpu.blocks import index_blocks
-from splatree.kernels.cpu.project import project
+from splatree.kernels.cpu.frame.bin import bin as bin_splats
+from splatree.kernels.cpu.frame.blocks import index_blocks
+from splatree.kernels.cpu.frame.project import project
 from splatree.kernels.reference import blocks as reference_blocks
 from splatree.kernels.reference import select as reference
 from splatree.lod.blocks import with_blocks

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from tests.lod.test_build import NAMES, check_moments, parents_of, surface
 
 from splatree import BuildOptions, Gaussians, InputError, MergeOptions, Scene, build_lod
-from splatree.kernels.cpu.thin import group
+from splatree.kernels.cpu.build.thin import group
 from splatree.kernels.reference import merge as reference_merge
 from splatree.kernels.reference import pairs as reference
 from splatree.lod.grow_pairs import CHANGE_PX2, LARGE_PX, LAST_SHARE, ROUND_SHARE, SATURATED, SMALL_PX, Present

@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from splatree import Gaussians, MergeOptions, merge
-from splatree.kernels.cpu import merge as fast
-from splatree.kernels.cpu.thin import group
+from splatree.kernels.cpu.build import merge as fast
+from splatree.kernels.cpu.build.thin import group
 from splatree.kernels.reference import merge as reference
 from splatree.maths.covariance import covariances_from_gaussians
 from splatree.maths.rotations import matrices_from_quats

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from splatree import Gaussians, InputError, MergeOptions, ThinOptions, thin
-from splatree.kernels.cpu import pairs
+from splatree.kernels.cpu.build import pairs
 from splatree.kernels.reference import pairs as reference
 from splatree.simplify.merge import weights_of
 

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from splatree import Gaussians, InputError, ThinOptions, thin
-from splatree.kernels.cpu import thin as fast
+from splatree.kernels.cpu.build import thin as fast
 from splatree.kernels.reference import thin as reference
 from splatree.simplify.merge import importance_of
 from splatree.simplify.thin import auto_radius

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from splatree import Gaussians
-from splatree.kernels.cpu import visibility
+from splatree.kernels.cpu.build import visibility
 from splatree.kernels.reference import visibility as reference
 from splatree.simplify.visibility import VISIBILITY_MIN, pixel_size_of, visibilities_of
 

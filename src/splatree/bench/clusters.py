@@ -20,7 +20,7 @@ from splatree.bench.subject import Subject, SubjectOptions, subject_of
 from splatree.clusters.build import ClusterOptions, build_clusters
 from splatree.clusters.cull import cull
 from splatree.errors import InputError
-from splatree.kernels.cpu.project import project
+from splatree.kernels.cpu.frame.project import project
 from splatree.lod.blocks import with_blocks
 from splatree.lod.build import build_lod
 from splatree.lod.select import cull_scene, select

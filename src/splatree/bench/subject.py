@@ -9,10 +9,10 @@ import numpy as np
 
 from splatree.bench.provenance import machine, program
 from splatree.errors import InputError
-from splatree.io.cameras import read_cameras
+from splatree.io.cameras.files import read_cameras
+from splatree.io.cameras.split import split_views
 from splatree.io.photos import Photos
 from splatree.io.registry import read
-from splatree.io.split import split_views
 from splatree.lod.blocks import with_blocks
 from splatree.lod.build import build_lod
 from splatree.render.paths import PathOptions, flyout

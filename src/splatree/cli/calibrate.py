@@ -10,10 +10,10 @@ from tyro.conf import arg
 from splatree.cli.console import Console, table
 from splatree.cli.files import Files, inputs_and_output, read_scene
 from splatree.errors import InputError
-from splatree.io.cameras import read_cameras
+from splatree.io.cameras.files import read_cameras
+from splatree.io.cameras.split import split_views
 from splatree.io.photos import Photos
 from splatree.io.registry import write
-from splatree.io.split import split_views
 from splatree.render.calibrate import CalibrateOptions, Calibration, calibrate, calibrated
 from splatree.render.paths import PathOptions, flyout, orbit
 from splatree.scene.cameras import Camera

@@ -12,9 +12,9 @@ from tyro.conf import Positional, arg
 from splatree.cli.console import Console, UsageError, table
 from splatree.cli.files import Reading, check_inputs, read_scene
 from splatree.errors import InputError
-from splatree.io.cameras import read_cameras
+from splatree.io.cameras.files import read_cameras
+from splatree.io.cameras.split import split_views
 from splatree.io.photos import Photos
-from splatree.io.split import split_views
 from splatree.lod.baselines import Baseline, BaselineOptions, Method, baseline
 from splatree.lod.blocks import with_blocks
 from splatree.metrics.lpips import Lpips, Net

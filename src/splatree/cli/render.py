@@ -13,7 +13,7 @@ from tyro.conf import Positional, arg
 from splatree.cli.console import Console, UsageError, table
 from splatree.cli.files import Reading, check_inputs, read_scene
 from splatree.errors import InputError, OutputError
-from splatree.io.cameras import read_cameras
+from splatree.io.cameras.files import read_cameras
 from splatree.io.images import write_image
 from splatree.io.replacing import check_target
 from splatree.render.batch import trace_batch

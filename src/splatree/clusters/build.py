@@ -20,8 +20,8 @@ import numpy as np
 
 from splatree.clusters.kmeans import kmeans
 from splatree.errors import InputError
-from splatree.kernels.cpu.blocks import index_blocks
-from splatree.kernels.cpu.spheres import bound_clusters
+from splatree.kernels.cpu.build.spheres import bound_clusters
+from splatree.kernels.cpu.frame.blocks import index_blocks
 from splatree.maths.morton import morton_codes
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import DeviceName, Scene

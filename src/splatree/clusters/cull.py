@@ -38,7 +38,7 @@ from splatree.constants import (
     TILE_PX,
 )
 from splatree.errors import InputError
-from splatree.kernels.cpu import cull as kernel
+from splatree.kernels.cpu.frame import cull as kernel
 from splatree.scene.cameras import Camera
 from splatree.scene.clusters import ClusterIndex, Culling, Sides
 from splatree.scene.options import Cull

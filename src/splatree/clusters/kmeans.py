@@ -17,7 +17,7 @@ from typing import Protocol
 import numpy as np
 
 from splatree.errors import InputError
-from splatree.kernels.cpu.kmeans import assign
+from splatree.kernels.cpu.build.kmeans import assign
 from splatree.progress import task
 from splatree.scene.scene import DeviceName
 from splatree.shapes import Array, Float32, Float64, Int32, Int64, check_fields

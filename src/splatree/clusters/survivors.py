@@ -15,7 +15,7 @@ import numpy as np
 
 from splatree.constants import ALPHA_THRESHOLD, DILATION_PX2, EIGENVALUE_FLOOR_PX4, FRUSTUM_CLAMP, SIGMAS, TILE_PX
 from splatree.errors import InputError
-from splatree.kernels.cpu.project import project
+from splatree.kernels.cpu.frame.project import project
 from splatree.maths.rotations import matrices_from_quats
 from splatree.scene.cameras import Camera
 from splatree.scene.gaussians import Gaussians

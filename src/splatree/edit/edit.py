@@ -12,7 +12,7 @@ import numpy as np
 from splatree.edit.options import EditOptions
 from splatree.edit.rows import in_morton_order, keep_leaves
 from splatree.edit.similarity import Similarity, similarity_from_options
-from splatree.kernels.cpu.blocks import index_blocks
+from splatree.kernels.cpu.frame.blocks import index_blocks
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Scene
 from splatree.scene.tree import GaussianTree

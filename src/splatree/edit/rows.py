@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from splatree.errors import InputError
-from splatree.kernels.cpu.blocks import index_blocks
+from splatree.kernels.cpu.frame.blocks import index_blocks
 from splatree.maths.morton import morton_codes
 from splatree.scene.scene import Scene
 from splatree.scene.tree import GaussianTree

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from splatree.edit.options import EditOptions
-from splatree.kernels.cpu.rotate import rotate_harmonics
+from splatree.kernels.cpu.codec.rotate import rotate_harmonics
 from splatree.maths.harmonics import rotations_of_harmonics
 from splatree.maths.rotations import matrix_from_angles, quat_from_matrix
 from splatree.scene.gaussians import Gaussians

@@ -31,7 +31,7 @@ import numpy as np
 
 from splatree.errors import FormatError
 from splatree.io.options import Repair
-from splatree.kernels.cpu.columns import largest_magnitude, shortest
+from splatree.kernels.cpu.codec.columns import largest_magnitude, shortest
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Scene, Source
 from splatree.shapes import Array, Float32

@@ -9,7 +9,7 @@ from splatree.constants import SIGMAS
 from splatree.errors import FormatError, InputError
 from splatree.io.check import checked
 from splatree.io.options import Repair
-from splatree.kernels.cpu.blocks import index_blocks
+from splatree.kernels.cpu.frame.blocks import index_blocks
 from splatree.maths.forests import Preorder, preorder_from_links, subtree_radii
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Mode, Scene, Source

@@ -27,22 +27,20 @@ from splatree.maths.axes import AxesName
 from splatree.scene.scene import Scene
 
 if TYPE_CHECKING:
-    from splatree.io import (
-        compressed_ply,
-        glb_writer,
-        gltf,
-        hier,
-        ksplat,
-        ply,
-        rad,
-        rad_writer,
-        sog,
-        sog_writer,
-        splat,
-        spz,
-        store,
-        streamed_sog,
-    )
+    from splatree.io.formats.compressed_ply import format as compressed_ply
+    from splatree.io.formats.glb import reader as gltf
+    from splatree.io.formats.glb import writer as glb_writer
+    from splatree.io.formats.hier import format as hier
+    from splatree.io.formats.ksplat import format as ksplat
+    from splatree.io.formats.ply import format as ply
+    from splatree.io.formats.rad import reader as rad
+    from splatree.io.formats.rad import writer as rad_writer
+    from splatree.io.formats.sog import reader as sog
+    from splatree.io.formats.sog import writer as sog_writer
+    from splatree.io.formats.splat import format as splat
+    from splatree.io.formats.splatree import format as store
+    from splatree.io.formats.spz import format as spz
+    from splatree.io.formats.streamed_sog import format as streamed_sog
 else:
 
     class _Later:
@@ -54,20 +52,20 @@ else:
         def __getattr__(self, name: str) -> Callable[..., Any]:
             return lambda *arguments: getattr(import_module(self._module), name)(*arguments)
 
-    compressed_ply = _Later("compressed_ply")
-    glb_writer = _Later("glb_writer")
-    gltf = _Later("gltf")
-    hier = _Later("hier")
-    ksplat = _Later("ksplat")
-    ply = _Later("ply")
-    rad = _Later("rad")
-    rad_writer = _Later("rad_writer")
-    sog = _Later("sog")
-    sog_writer = _Later("sog_writer")
-    splat = _Later("splat")
-    spz = _Later("spz")
-    store = _Later("store")
-    streamed_sog = _Later("streamed_sog")
+    compressed_ply = _Later("formats.compressed_ply.format")
+    glb_writer = _Later("formats.glb.writer")
+    gltf = _Later("formats.glb.reader")
+    hier = _Later("formats.hier.format")
+    ksplat = _Later("formats.ksplat.format")
+    ply = _Later("formats.ply.format")
+    rad = _Later("formats.rad.reader")
+    rad_writer = _Later("formats.rad.writer")
+    sog = _Later("formats.sog.reader")
+    sog_writer = _Later("formats.sog.writer")
+    splat = _Later("formats.splat.format")
+    spz = _Later("formats.spz.format")
+    store = _Later("formats.splatree.format")
+    streamed_sog = _Later("formats.streamed_sog.format")
 
 FOLDER_FILE = "meta.json"
 """Name of a new file that asks for a folder of files."""

@@ -1,7 +1,7 @@
 """The hot stages: one contract, several implementations with the same file names.
 
 A stage ``x`` is a function of the same name and signature in ``kernels/reference/x.py`` (NumPy float64, the specification)
-and in ``kernels/cpu/x.py`` (glue) over ``kernels/cpu/x.cpp`` (loops) with the maths in ``kernels/shared/x.h``; on a GPU it is
+and in ``kernels/cpu/frame/x.py`` (glue) over ``x.cpp`` beside it (loops) with the maths in ``kernels/shared/x.h``; on a GPU it is
 ``kernels/cuda/x.cu``, launched by ``kernels/cuda/renderer.py``:
 
 ==========  =====================================================================================
@@ -23,7 +23,8 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from splatree.errors import InputError
-from splatree.kernels import cpu, reference
+from splatree.kernels import reference
+from splatree.kernels.cpu import frame
 
 if TYPE_CHECKING:
     from splatree.scene.frame import Picture, Splats, TileBins
@@ -47,7 +48,7 @@ class FrameStages(NamedTuple):
 
 def backend_for(name: Backend) -> FrameStages:
     """The stages of the implementation ``name``."""
-    modules = {"cpu": cpu, "reference": reference}
+    modules = {"cpu": frame, "reference": reference}
     if name == "cuda":
         from splatree.kernels.cuda.device import open_device
         from splatree.kernels.cuda.stages import Stages

@@ -34,8 +34,8 @@ import numpy as np
 
 from splatree.constants import DILATION_PX2
 from splatree.errors import InputError
-from splatree.kernels.cpu import baselines as cpu
-from splatree.kernels.cpu import select as cpu_select
+from splatree.kernels.cpu.frame import baselines as cpu
+from splatree.kernels.cpu.frame import select as cpu_select
 from splatree.lod.select import count_nested, count_uncovered
 from splatree.lod.serial import levels_of, select_serial
 from splatree.scene.cameras import Camera

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from splatree.constants import BLOCK_ROWS
 from splatree.errors import InputError
-from splatree.kernels.cpu.blocks import index_blocks
+from splatree.kernels.cpu.frame.blocks import index_blocks
 from splatree.scene.scene import Scene
 
 __all__ = ["with_blocks"]

@@ -21,9 +21,9 @@ import numpy as np
 
 from splatree.constants import MERGED_LOG_SCALE_MAX, SIGMAS
 from splatree.errors import InputError
-from splatree.kernels.cpu import merge as merge_kernel
-from splatree.kernels.cpu import thin as thin_kernel
-from splatree.kernels.cpu.blocks import index_blocks
+from splatree.kernels.cpu.build import merge as merge_kernel
+from splatree.kernels.cpu.build import thin as thin_kernel
+from splatree.kernels.cpu.frame.blocks import index_blocks
 from splatree.lod.forest import Forest
 from splatree.lod.grow_pairs import Present, grow_by_pairs
 from splatree.lod.order import Level, preorder

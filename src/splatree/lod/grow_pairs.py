@@ -17,7 +17,7 @@ What others hide counts less (simplify/visibility.py), in costs and in what a me
 A node is at most 16 p long (σ): seen from 550 px focal lengths it then ends within a tenth of the distance, and one size of a
 pixel is true of all of it.
 
-Cost: neighbours are looked for once a level, by those that lost some (kernels/cpu/partners.cpp); costs, about half a microsecond
+Cost: neighbours are looked for once a level, by those that lost some (`build/partners.cpp`); costs, about half a microsecond
 a Gaussian, once a level in mode `classic` and where a partner has gone; visibilities once.
 """
 
@@ -27,10 +27,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from splatree.constants import DILATION_PX2, PIXEL_ERROR
-from splatree.kernels.cpu import merge as merge_kernel
-from splatree.kernels.cpu.pairs import match_pairs
-from splatree.kernels.cpu.partners import Partners
-from splatree.kernels.cpu.thin import group, rows_by_group
+from splatree.kernels.cpu.build import merge as merge_kernel
+from splatree.kernels.cpu.build.pairs import match_pairs
+from splatree.kernels.cpu.build.partners import Partners
+from splatree.kernels.cpu.build.thin import group, rows_by_group
 from splatree.lod.forest import Forest
 from splatree.lod.order import Level
 from splatree.progress import task

@@ -23,8 +23,8 @@ import numpy as np
 
 from splatree.constants import SIGMAS
 from splatree.errors import InputError
-from splatree.kernels.cpu.blocks import index_blocks
-from splatree.kernels.cpu.kmeans import assign
+from splatree.kernels.cpu.build.kmeans import assign
+from splatree.kernels.cpu.frame.blocks import index_blocks
 from splatree.lod.order import Level, preorder
 from splatree.maths.morton import morton_codes
 from splatree.progress import task

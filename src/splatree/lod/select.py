@@ -21,8 +21,8 @@ import numpy as np
 from splatree.clusters.cull import cull
 from splatree.constants import DILATION_PX2, EIGENVALUE_FLOOR_PX4, SIGMAS
 from splatree.errors import InputError
-from splatree.kernels.cpu import select as cpu
-from splatree.kernels.cpu.blocks import index_blocks
+from splatree.kernels.cpu.frame import select as cpu
+from splatree.kernels.cpu.frame.blocks import index_blocks
 from splatree.kernels.reference import select as reference
 from splatree.lod.serial import select_serial
 from splatree.scene.cameras import Camera

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from splatree.kernels.cpu import select as cpu
+from splatree.kernels.cpu.frame import select as cpu
 from splatree.scene.cameras import Camera
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.options import SelectOptions

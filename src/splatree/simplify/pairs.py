@@ -21,9 +21,9 @@ import numpy as np
 
 from splatree.constants import DILATION_PX2
 from splatree.errors import InputError
-from splatree.kernels.cpu import merge as merge_kernel
-from splatree.kernels.cpu import pairs as kernel
-from splatree.kernels.cpu.thin import group
+from splatree.kernels.cpu.build import merge as merge_kernel
+from splatree.kernels.cpu.build import pairs as kernel
+from splatree.kernels.cpu.build.thin import group
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Mode

@@ -13,7 +13,7 @@ import numpy as np
 
 from splatree.constants import SH_C0
 from splatree.errors import InputError
-from splatree.kernels.cpu import thin as kernel
+from splatree.kernels.cpu.build import thin as kernel
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Mode

@@ -7,7 +7,7 @@ from the scene. Cost: eight directions, about a microsecond a Gaussian.
 
 import numpy as np
 
-from splatree.kernels.cpu.visibility import measure_visibilities
+from splatree.kernels.cpu.build.visibility import measure_visibilities
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Mode
 from splatree.shapes import Array, Float32

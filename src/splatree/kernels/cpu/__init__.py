@@ -1,17 +1,7 @@
-"""The stages on the processor: Python glue, one file a stage, over the compiled loops in ``_core``. Loaded when used."""
+"""The stages on the processor: Python glue, one file a stage, over the compiled loops in ``_core``.
 
-import importlib
-from types import ModuleType
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from splatree.kernels.cpu import bin, blend, blocks, cull, kmeans, project, select, spheres
-
-__all__ = ["bin", "blend", "blocks", "cull", "kmeans", "project", "select", "spheres"]
-
-if not TYPE_CHECKING:
-
-    def __getattr__(name: str) -> ModuleType:
-        if name not in __all__:
-            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        return importlib.import_module(f"{__name__}.{name}")
+``frame/``    what a frame runs: selection, culling, projection, binning, blending
+``build/``    what builds levels and clusters: thinning, pairs, merging, visibility, K-means
+``codec/``    what file formats need: columns, quantisation, palettes, rotation of harmonics
+``runtime/``  what all of them stand on: threads, instruction sets, memory, files
+"""

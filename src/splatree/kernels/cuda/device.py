@@ -5,7 +5,7 @@ from dataclasses import replace
 from functools import cache
 from weakref import WeakKeyDictionary
 
-from splatree.kernels.cpu.blocks import index_blocks
+from splatree.kernels.cpu.frame.blocks import index_blocks
 from splatree.kernels.cuda.compile import load_compiler
 from splatree.kernels.cuda.driver import Device, DeviceArray
 from splatree.kernels.cuda.library import load_driver

@@ -1,6 +1,6 @@
 // What every kernel of a frame gets: one struct in device memory, so that a recorded frame can be replayed with other numbers.
 //
-// The numbers of the view are laid out by the compiler of the CPU core (kernels/cpu/bind_cuda.cpp), the arrays by
+// The numbers of the view are laid out by the compiler of the CPU core (kernels/cpu/frame/bind_cuda.cpp), the arrays by
 // kernels/cuda/job.py, which reads their names and types from the lines `Global<...> name;` below.
 #pragma once
 #include "shared/select.h"

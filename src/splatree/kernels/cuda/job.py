@@ -12,8 +12,8 @@ import numpy as np
 
 from splatree.errors import InputError
 from splatree.kernels.cpu import _core
-from splatree.kernels.cpu.select import VISIBILITIES, is_culled, pack_rule, view_planes
-from splatree.kernels.cpu.view import pack_square, pack_view
+from splatree.kernels.cpu.frame.select import VISIBILITIES, is_culled, pack_rule, view_planes
+from splatree.kernels.cpu.frame.view import pack_square, pack_view
 from splatree.kernels.cuda.sources import headers
 from splatree.scene.cameras import Camera
 from splatree.scene.options import ResolvedOptions, SelectOptions

@@ -1,4 +1,4 @@
-// The visible cut by blocks of consecutive rows; kernels/reference/select.py is the definition, kernels/cpu/select.cpp the
+// The visible cut by blocks of consecutive rows; kernels/reference/select.py is the definition, kernels/cpu/frame/select.cpp the
 // same on the processor.
 //
 // select_blocks   a warp a block: is it in the image, and does the shadow of an ancestor of its first row cover it?

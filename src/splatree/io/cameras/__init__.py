@@ -1,0 +1,1 @@
+"""Files of cameras, a module for each kind."""

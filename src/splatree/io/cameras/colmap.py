@@ -1,0 +1,171 @@
+"""Views of a COLMAP sparse model, binary or text.
+
+``images`` holds for each picture the unit quaternion wxyz and the translation of world-to-camera, and its camera's number;
+``cameras`` the model, size and parameters of each camera. Axes are OpenCV's and the centre of the first pixel is (½, ½), as
+here. Points are not read. Layouts: colmap.github.io/format.html.
+"""
+
+import struct
+from pathlib import Path
+
+import numpy as np
+
+from splatree.errors import FormatError, InputError
+from splatree.io.cameras.distortion import MODELS, intrinsics
+from splatree.scene.cameras import Camera, Cameras
+from splatree.shapes import Array
+
+_Intrinsics = dict[int, tuple[Array, int, int]]  # K, width, height by the camera's number
+_Pose = tuple[str, tuple[float, ...], int]  # name of the picture, quaternion and translation, the camera's number
+
+
+def is_model(folder: Path) -> bool:
+    """Whether a folder holds the cameras and images of a model."""
+    return any(
+        all((folder / f"{name}{suffix}").is_file() for name in ("cameras", "images")) for suffix in (".bin", ".txt")
+    )
+
+
+@np.errstate(over="ignore", invalid="ignore")  # absurd numbers become infinite, which Camera refuses
+def read(folder: Path) -> Cameras:
+    """Read all views, ordered by the names of their pictures; binary files are preferred to text."""
+    if (folder / "images.bin").is_file() and (folder / "cameras.bin").is_file():
+        intrinsics_of, poses = _cameras_bin(folder / "cameras.bin"), _images_bin(folder / "images.bin")
+    else:
+        intrinsics_of, poses = _cameras_txt(folder / "cameras.txt"), _images_txt(folder / "images.txt")
+    views = []
+    for name, numbers, camera in sorted(poses, key=lambda pose: pose[0]):
+        where = f"{folder}: picture {name!r}"
+        if camera not in intrinsics_of:
+            raise FormatError(f"{where}: found camera number {camera}, wanted one of {sorted(intrinsics_of)[:12]}")
+        K, width, height = intrinsics_of[camera]
+        try:
+            views.append(Camera(_pose(numbers, where), K, width, height, name=name))
+        except InputError as error:
+            raise FormatError(f"{where}: {error}") from error
+    return Cameras(tuple(views))
+
+
+def _pose(numbers: tuple[float, ...], where: str) -> Array:
+    q = np.array(numbers[:4])
+    length = np.linalg.norm(q)
+    if not (np.isfinite(numbers).all() and 0.5 < length < 2):
+        raise FormatError(
+            f"{where}: found quaternion and translation {numbers}, wanted finite ones and a quaternion of length 1"
+        )
+    w, x, y, z = q / length
+    pose = np.eye(4)
+    pose[:3, :3] = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    pose[:3, 3] = numbers[4:]
+    return pose
+
+
+class _Bytes:
+    """A binary file, taken piece by piece; running over its end is an error."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.data, self.at = path, path.read_bytes(), 0
+
+    def take(self, layout: str) -> tuple[int | float, ...]:
+        end = self.at + struct.calcsize(layout)
+        if end > len(self.data):
+            raise FormatError(f"{self.path}: found {len(self.data)} bytes, wanted at least {end}; the file is cut off")
+        values = struct.unpack_from(layout, self.data, self.at)
+        self.at = end
+        return values
+
+    def skip(self, num_bytes: int) -> None:
+        self.at += num_bytes
+        if self.at > len(self.data):
+            raise FormatError(
+                f"{self.path}: found {len(self.data)} bytes, wanted at least {self.at}; the file is cut off"
+            )
+
+    def name(self) -> str:
+        end = self.data.find(b"\0", self.at)
+        if end < 0:
+            raise FormatError(f"{self.path}: found a name without an end at byte {self.at}; the file is cut off")
+        try:
+            name = self.data[self.at : end].decode("utf-8")
+        except UnicodeDecodeError as error:
+            raise FormatError(f"{self.path}: found a name that is not text at byte {self.at} ({error})") from error
+        self.at = end + 1
+        return name
+
+
+def _cameras_bin(path: Path) -> _Intrinsics:
+    file = _Bytes(path)
+    models = list(MODELS)
+    found: _Intrinsics = {}
+    (count,) = file.take("<Q")
+    for _ in range(int(count)):
+        number, model, width, height = (int(value) for value in file.take("<iiQQ"))
+        where = f"{path}: camera {number}"
+        if not 0 <= model < len(models):
+            raise FormatError(f"{where}: found model number {model}, wanted 0 to {len(models) - 1} (and a pinhole)")
+        parameters = file.take(f"<{len(MODELS[models[model]])}d")
+        found[number] = intrinsics(models[model], parameters, where), width, height
+    return found
+
+
+def _images_bin(path: Path) -> list[_Pose]:
+    file = _Bytes(path)
+    found: list[_Pose] = []
+    (count,) = file.take("<Q")
+    for _ in range(int(count)):
+        _, *numbers, camera = file.take("<i7di")
+        name = file.name()
+        (num_points,) = file.take("<Q")
+        file.skip(24 * int(num_points))  # x, y and the number of a point, 8 bytes each
+        found.append((name, tuple(numbers), int(camera)))
+    return found
+
+
+def _cameras_txt(path: Path) -> _Intrinsics:
+    found: _Intrinsics = {}
+    for number, line in enumerate(_lines(path), start=1):
+        if not line:
+            continue
+        where = f"{path}: line {number} (comments not counted)"
+        try:
+            camera, model, width, height, *parameters = line.split()
+            K = intrinsics(model, [float(p) for p in parameters], where)
+            found[int(camera)] = K, int(width), int(height)
+        except ValueError as error:
+            if isinstance(error, FormatError):
+                raise
+            raise FormatError(f"{where}: found {line[:80]!r}, wanted CAMERA_ID MODEL WIDTH HEIGHT PARAMS…") from error
+    return found
+
+
+def _images_txt(path: Path) -> list[_Pose]:
+    """Two lines a picture: the pose, then its points, of which there may be none."""
+    found: list[_Pose] = []
+    lines = enumerate(_lines(path), start=1)
+    for number, line in lines:
+        if not line:
+            continue
+        try:
+            _, *numbers, camera, name = line.split(maxsplit=9)
+            if len(numbers) != 7:
+                raise ValueError("too few numbers")
+            found.append((name, tuple(float(v) for v in numbers), int(camera)))
+        except ValueError as error:
+            raise FormatError(
+                f"{path}: line {number} (comments not counted): found {line[:80]!r}, wanted "
+                "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME"
+            ) from error
+        next(lines, None)
+    return found
+
+
+def _lines(path: Path) -> list[str]:
+    try:
+        text = path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise FormatError(f"{path}: not text ({error})") from error
+    return [line.strip() for line in text.split("\n") if not line.startswith("#")]

@@ -1,0 +1,121 @@
+"""Cameras of a scene from the files that training and reconstruction leave: INRIA, COLMAP, nerfstudio.
+
+All become world-to-camera poses with OpenCV axes (x right, y down, z forward) and intrinsics without distortion. A camera
+with distortion is refused: a Gaussian is projected by a pinhole, so its pictures have to be undistorted first.
+"""
+
+import json
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from splatree.constants import NEAR
+from splatree.errors import FormatError, InputError
+from splatree.io import untrusted
+from splatree.io.cameras import colmap, nerfstudio
+from splatree.io.replacing import replacing
+from splatree.scene.cameras import Camera, Cameras
+
+_COLMAP_FOLDERS = ("sparse/0", "colmap/sparse/0", "sparse", "")
+"""Where a model lies in a folder of pictures, in the order in which they are tried."""
+
+
+def read_cameras(path: str | os.PathLike[str]) -> Cameras:
+    """Read the views of a file or folder.
+
+    - ``cameras.json`` of a 3DGS training: rotation is camera-to-world, position its centre; in the order of the file;
+    - a COLMAP sparse model, binary or text, or a folder with one in ``sparse/0``; in the order of the pictures' names,
+      as the 3DGS code holds every eighth of them out for tests;
+    - ``transforms.json`` of nerfstudio or instant-ngp, whose axes are OpenGL's; in the order of the file.
+
+    A folder is searched for a COLMAP model, then transforms.json, then cameras.json.
+
+    Raises:
+        FormatError: the file is damaged or holds no camera, or a camera has distortion or is no pinhole.
+        InputError: there is nothing of these kinds.
+    """
+    cameras = _read(Path(path))
+    if not len(cameras):
+        raise FormatError(f"{path}: found no camera in it, wanted at least one")
+    return cameras
+
+
+def _read(root: Path) -> Cameras:
+    if root.is_dir():
+        for folder in _COLMAP_FOLDERS:
+            if colmap.is_model(root / folder):
+                return colmap.read(root / folder)
+        for name in ("transforms.json", "cameras.json"):
+            if (root / name).is_file():
+                return _read(root / name)
+        raise InputError(
+            f"{root}: found no cameras in this folder; wanted a COLMAP model (cameras.bin and images.bin, or .txt) in it or in "
+            "sparse/0, transforms.json or cameras.json"
+        )
+    if not root.is_file():
+        raise InputError(f"{root}: not found; wanted cameras.json, transforms.json or a folder with a COLMAP model")
+    if root.suffix.lower() in (".bin", ".txt"):
+        if colmap.is_model(root.parent):
+            return colmap.read(root.parent)
+        raise InputError(f"{root}: found no COLMAP model in its folder, wanted cameras and images beside each other")
+    content = untrusted.read_json(root)
+    if isinstance(content, dict) and "frames" in content:
+        return nerfstudio.parse(content, root)
+    if isinstance(content, list):
+        return _parse_inria(content, root)
+    raise FormatError(
+        f"{root}: found other JSON, wanted a list of cameras (INRIA) or an object with frames (nerfstudio)"
+    )
+
+
+def write_cameras(cameras: Cameras | Sequence[Camera], path: str | os.PathLike[str], *, force: bool = False) -> None:
+    """Write the JSON of the 3DGS code; ``cx cy near`` are added where they are not its half sizes and default.
+
+    Raises:
+        OutputError: the file exists and ``force`` is not set, or it cannot be written.
+    """
+    records = []
+    for i, camera in enumerate(cameras):
+        record = {
+            "id": i,
+            "img_name": camera.name,
+            "width": camera.width,
+            "height": camera.height,
+            "position": camera.position.tolist(),
+            "rotation": camera.camera_from_world[:3, :3].T.tolist(),
+            "fy": float(camera.K[1, 1]),
+            "fx": float(camera.K[0, 0]),
+        }
+        if (camera.K[0, 2], camera.K[1, 2]) != (camera.width / 2, camera.height / 2):
+            record |= {"cx": float(camera.K[0, 2]), "cy": float(camera.K[1, 2])}
+        if camera.near != NEAR:
+            record["near"] = camera.near
+        records.append(record)
+    with replacing(path, force=force) as temporary:
+        temporary.write_text(json.dumps(records, indent=1) + "\n", encoding="utf-8")
+
+
+@np.errstate(over="ignore", invalid="ignore")  # absurd numbers become infinite, which Camera refuses
+def _parse_inria(records: list[object], path: Path) -> Cameras:
+    views = []
+    for i, value in enumerate(records):
+        where = f"{path}: camera {i}"
+        record = untrusted.as_object(value, where)
+        width, height = (untrusted.integer(record, key, where, low=1) for key in ("width", "height"))
+        rotation = untrusted.numbers(record, "rotation", where, (3, 3)).T
+        pose = np.eye(4)
+        pose[:3, :3] = rotation
+        pose[:3, 3] = -rotation @ untrusted.numbers(record, "position", where, (3,))
+        fx, fy = untrusted.number(record, "fx", where), untrusted.number(record, "fy", where)
+        cx = untrusted.number(record, "cx", where) if "cx" in record else width / 2
+        cy = untrusted.number(record, "cy", where) if "cy" in record else height / 2
+        near = untrusted.number(record, "near", where) if "near" in record else NEAR
+        name = untrusted.text(record, "img_name", where) if "img_name" in record else ""
+        K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+        try:
+            views.append(Camera(pose, K, width, height, near, name))
+        except InputError as error:
+            raise FormatError(f"{where}: {error}") from error
+    return Cameras(tuple(views))

@@ -1,0 +1,1 @@
+"""File formats, a folder each: reader, writer and container together."""

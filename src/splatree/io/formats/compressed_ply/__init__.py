@@ -1,0 +1,1 @@
+"""The `.compressed.ply` of PlayCanvas."""

@@ -1,0 +1,1 @@
+"""The `.hier` of hierarchical 3DGS."""

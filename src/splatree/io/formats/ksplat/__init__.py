@@ -1,0 +1,1 @@
+"""The `.ksplat` of mkkellogg."""

@@ -1,0 +1,1 @@
+"""The `.ply` of 3DGS."""

@@ -1,0 +1,1 @@
+"""The `.rad` of Spark, with its tree."""

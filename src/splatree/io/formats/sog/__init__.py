@@ -1,0 +1,1 @@
+"""SOG, a folder or a bundle of pictures."""

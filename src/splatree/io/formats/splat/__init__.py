@@ -1,0 +1,1 @@
+"""The `.splat` of antimatter15."""

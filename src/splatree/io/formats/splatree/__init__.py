@@ -1,0 +1,1 @@
+"""The native `.splatree`: one file that holds all of a scene."""

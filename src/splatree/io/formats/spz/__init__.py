@@ -1,0 +1,1 @@
+"""The `.spz` of Niantic, versions 1 to 4."""

@@ -1,0 +1,1 @@
+"""Streamed SOG: `lod-meta.json` over units of SOG."""

@@ -1,0 +1,158 @@
+"""Streamed SOG (PlayCanvas): ``lod-meta.json`` and one SOG folder for each unit of a level. Reads any one level;
+`splatree.lod.link` makes a tree of all.
+
+The manifest holds a binary tree of boxes; each leaf names, for each level, a range of rows of one of ``filenames``. A level
+is all of its ranges in the order of the tree, so its rows lie close together in space; level 0 is the finest. An
+``environment`` (far surroundings without levels) belongs to every level and comes last. docs/formats/streamed_sog.md.
+"""
+
+import json
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from splatree.errors import FormatError, InputError
+from splatree.io import untrusted
+from splatree.io.check import checked
+from splatree.io.formats.sog import reader as sog
+from splatree.io.options import ReadOptions
+from splatree.scene.gaussians import Gaussians
+from splatree.scene.scene import Scene, Source
+
+_NAME = "lod-meta.json"
+_LEVELS_MAX = 64
+_DEPTH_MAX = 200
+"""A box halved this often is smaller than an atom."""
+
+
+def sniff(path: Path, head: bytes) -> bool:
+    """Whether the path is a folder with lod-meta.json, or that file."""
+    if path.is_dir():
+        return (path / _NAME).is_file()
+    return path.name == _NAME
+
+
+def files(path: Path) -> list[Path]:
+    """The manifest, and the files of all units, of every level."""
+    manifest = path / _NAME if path.is_dir() else path
+    meta = untrusted.as_object(untrusted.read_json(manifest), str(manifest))
+    units = [manifest.parent / name for name in _file_names(meta, str(manifest))]
+    if meta.get("environment") is not None:
+        units.append(manifest.parent / _environment(meta, str(manifest)))
+    return [manifest, *(file for unit in units if unit.exists() for file in sog.files(unit))]
+
+
+def read(path: Path, options: ReadOptions) -> Scene:
+    """Read one level: all ranges of all units."""
+    manifest = path / _NAME if path.is_dir() else path
+    where = str(manifest)
+    meta = untrusted.as_object(untrusted.read_json(manifest), where)
+    if "version" in meta:
+        untrusted.integer(meta, "version", where, low=1, high=1)
+    num_levels = untrusted.integer(meta, "lodLevels", where, low=1, high=_LEVELS_MAX)
+    level = options.level or 0
+    if not 0 <= level < num_levels:
+        raise InputError(f"{where}: found level {level}, wanted 0 (finest) to {num_levels - 1}")
+    names = _file_names(meta, where)
+    tree = untrusted.as_object(untrusted.field(meta, "tree", where), f"{where}: tree")
+    ranges = [r for r in _ranges(tree, str(level), len(names), where) if r[2] > 0]
+    _check_counts(meta, level, num_levels, sum(count for _, _, count in ranges), where)
+
+    units = {index: _read_unit(manifest.parent / names[index], options) for index in sorted({r[0] for r in ranges})}
+    parts = []
+    covered: dict[int, list[tuple[int, int]]] = {}
+    for index, offset, count in ranges:
+        gaussians = units[index].gaussians
+        if offset + count > len(gaussians):
+            raise FormatError(
+                f"{where}: level {level}: found rows {offset} to {offset + count} of {names[index]}, "
+                f"wanted at most its {len(gaussians)}"
+            )
+        covered.setdefault(index, []).append((offset, offset + count))
+        parts.append(_rows(gaussians, offset, count))
+    for index, spans in covered.items():
+        spans.sort()
+        if any(end > begin for (_, end), (begin, _) in pairwise(spans)):
+            raise FormatError(
+                f"{where}: level {level}: ranges of {names[index]} overlap; its rows would be drawn twice"
+            )
+
+    scenes = list(units.values())
+    if meta.get("environment") is not None:
+        scenes.append(_read_unit(manifest.parent / _environment(meta, where), options))
+        parts.append(scenes[-1].gaussians)
+    modes = {scene.mode for scene in scenes} or {"classic"}
+    if len(modes) > 1:
+        raise FormatError(f"{where}: found units trained in different modes {sorted(modes)}, wanted one")
+    metadata = {
+        "level": str(level),
+        "level_counts": json.dumps([_num_rows(tree, i, len(names), where) for i in range(num_levels)]),
+        "units": json.dumps([names[i] for i in units]),
+    }
+    scene = Scene.flat(Gaussians.concatenate(parts), mode=modes.pop(), source=Source(metadata=metadata))
+    return checked(scene, where, repair=options.repair)
+
+
+def _file_names(meta: dict[str, Any], where: str) -> list[str]:
+    return [
+        untrusted.inner_path(untrusted.as_text(name, f"{where}: filenames"), f"{where}: filenames")
+        for name in untrusted.as_list(untrusted.field(meta, "filenames", where), f"{where}: filenames")
+    ]
+
+
+def _environment(meta: dict[str, Any], where: str) -> str:
+    return untrusted.inner_path(untrusted.text(meta, "environment", where), f"{where}: environment")
+
+
+def _read_unit(path: Path, options: ReadOptions) -> Scene:
+    if not path.exists():
+        raise FormatError(f"{path}: not found, but lod-meta.json names it; fetch the whole folder")
+    return sog.read_unchecked(path, options)
+
+
+def _rows(gaussians: Gaussians, offset: int, count: int) -> Gaussians:
+    if count == len(gaussians):
+        return gaussians
+    rows = slice(offset, offset + count)
+    g = gaussians
+    return Gaussians(g.means[rows], g.quats[rows], g.log_scales[rows], g.logit_opacities[rows], g.sh[rows])
+
+
+def _ranges(root: dict[str, Any], level: str, num_files: int, where: str) -> Iterator[tuple[int, int, int]]:
+    """File, offset and count of each leaf that has rows at the level, in depth-first order."""
+    stack: list[tuple[Any, int]] = [(root, 0)]
+    while stack:
+        value, depth = stack.pop()
+        node = untrusted.as_object(value, f"{where}: a node of the tree")
+        if depth > _DEPTH_MAX:
+            raise FormatError(f"{where}: found a tree of more than {_DEPTH_MAX} levels")
+        if node.get("children") is not None:
+            children = untrusted.as_list(node["children"], f"{where}: children of a node")
+            stack.extend((child, depth + 1) for child in reversed(children))
+        lods = untrusted.as_object(node.get("lods", {}), f"{where}: lods of a node")
+        if level in lods:
+            entry = untrusted.as_object(lods[level], f"{where}: lods.{level}")
+            yield (
+                untrusted.integer(entry, "file", f"{where}: lods.{level}", high=num_files - 1),
+                untrusted.integer(entry, "offset", f"{where}: lods.{level}"),
+                untrusted.integer(entry, "count", f"{where}: lods.{level}"),
+            )
+
+
+def _num_rows(root: dict[str, Any], level: int, num_files: int, where: str) -> int:
+    return sum(count for _, _, count in _ranges(root, str(level), num_files, where))
+
+
+def _check_counts(meta: dict[str, Any], level: int, num_levels: int, found: int, where: str) -> None:
+    """Manifests of version 1 also say how many rows each level has."""
+    if meta.get("counts") is None:
+        return
+    counts = untrusted.as_list(meta["counts"], f"{where}: counts")
+    if len(counts) != num_levels:
+        raise FormatError(f"{where}: found {len(counts)} counts, wanted one for each of {num_levels} levels")
+    wanted = untrusted.as_integer(counts[level], f"{where}: counts[{level}]")
+    if found != wanted:
+        raise FormatError(
+            f"{where}: level {level}: found ranges of {found} rows in its tree, wanted {wanted} by its counts"
+        )

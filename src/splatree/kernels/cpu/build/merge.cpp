@@ -1,0 +1,375 @@
+// One Gaussian from each group, in double precision, a group at a time.
+//
+// Cost: a few hundred nanoseconds a group (one 3×3 eigen-decomposition) and about a hundred a member (an exponential an axis,
+// the area's powers). Not vectorised: groups have two to a dozen members, of varying number.
+#include "cpu/build/merge.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <vector>
+
+#include "cpu/build/covariance.h"
+#include "cpu/runtime/pool.h"
+
+namespace splatree {
+namespace {
+
+constexpr double kLogScaleMax = 80;    // constants.MERGED_LOG_SCALE_MAX
+constexpr double kAlphaMax = 0.999;    // constants.MERGED_ALPHA_MAX
+constexpr double kAreaPower = 1.6075;  // Thomsen's exponent
+
+struct Member {
+  double mean[3], variance[3], weight;
+  double alpha, depth, log_alpha;  // opacity α, −log(1 − α), log α
+};
+
+double clamped_log_scale(float log_scale) {
+  return std::min(std::max<double>(log_scale, -kLogScaleMax), kLogScaleMax);
+}
+
+// Mean projected area / π of an ellipsoid over all directions: a quarter of its surface (Cauchy), the surface by Thomsen's
+// formula, within 1.1 %. `log_variance` are twice the logarithms of the semi-axes.
+double mean_area(const double* log_variance) {
+  const double a = log_variance[0], b = log_variance[1], c = log_variance[2];
+  const double largest = std::max({a + b, a + c, b + c});
+  const double half = 0.5 * kAreaPower;
+  const double sum = std::exp(half * (a + b - largest)) + std::exp(half * (a + c - largest)) +
+                     std::exp(half * (b + c - largest));
+  return std::exp(0.5 * largest + std::log(sum / 3) / kAreaPower);
+}
+
+double dilated_area(const double* variance, double added) {
+  double log_variance[3];
+  for (int a = 0; a < 3; ++a) log_variance[a] = std::log(variance[a] + added);
+  return mean_area(log_variance);
+}
+
+// Shepperd's method: the largest of the four squares is divided by, so no cancellation. w ≥ 0.
+void quat_from_rotation(const double* R, float* quat) {
+  const double trace = R[0] + R[4] + R[8];
+  double q[4];
+  if (trace > 0) {
+    const double s = 2 * std::sqrt(1 + trace);
+    q[0] = s / 4, q[1] = (R[7] - R[5]) / s, q[2] = (R[2] - R[6]) / s, q[3] = (R[3] - R[1]) / s;
+  } else if (R[0] >= R[4] && R[0] >= R[8]) {
+    const double s = 2 * std::sqrt(std::max(1 + R[0] - R[4] - R[8], 0.0));
+    q[0] = (R[7] - R[5]) / s, q[1] = s / 4, q[2] = (R[1] + R[3]) / s, q[3] = (R[2] + R[6]) / s;
+  } else if (R[4] >= R[8]) {
+    const double s = 2 * std::sqrt(std::max(1 + R[4] - R[0] - R[8], 0.0));
+    q[0] = (R[2] - R[6]) / s, q[1] = (R[1] + R[3]) / s, q[2] = s / 4, q[3] = (R[5] + R[7]) / s;
+  } else {
+    const double s = 2 * std::sqrt(std::max(1 + R[8] - R[0] - R[4], 0.0));
+    q[0] = (R[3] - R[1]) / s, q[1] = (R[2] + R[6]) / s, q[2] = (R[5] + R[7]) / s, q[3] = s / 4;
+  }
+  const double sign = q[0] < 0 ? -1 : 1;
+  for (int i = 0; i < 4; ++i) quat[i] = static_cast<float>(sign * q[i]);
+}
+
+// Eigenvalues, largest first, and eigenvectors (columns of a proper rotation V) of a symmetric 3×3 matrix: cyclic Jacobi. It
+// ends when each element off the diagonal is below 1e-10 of its two on it (Demmel and Veselić 1992): what is left changes an
+// eigenvalue by 1e-20 of itself, small ones too.
+void eigen_symmetric(double A[3][3], double* values, double* R) {
+  double V[3][3] = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}};
+  for (int sweep = 0; sweep < 16; ++sweep) {
+    bool rotated = false;
+    for (int p = 0; p < 2; ++p)
+      for (int q = p + 1; q < 3; ++q) {
+        if (A[p][q] * A[p][q] <= 1e-20 * std::abs(A[p][p] * A[q][q])) continue;
+        rotated = true;
+        const double theta = (A[q][q] - A[p][p]) / (2 * A[p][q]);
+        const double t = (theta >= 0 ? 1 : -1) / (std::abs(theta) + std::sqrt(theta * theta + 1));
+        const double c = 1 / std::sqrt(t * t + 1), s = t * c;
+        const double apq = A[p][q];
+        A[p][p] -= t * apq;
+        A[q][q] += t * apq;
+        A[p][q] = A[q][p] = 0;
+        const int r = 3 - p - q;
+        const double arp = A[r][p], arq = A[r][q];
+        A[r][p] = A[p][r] = c * arp - s * arq;
+        A[r][q] = A[q][r] = s * arp + c * arq;
+        for (int i = 0; i < 3; ++i) {
+          const double vip = V[i][p], viq = V[i][q];
+          V[i][p] = c * vip - s * viq;
+          V[i][q] = s * vip + c * viq;
+        }
+      }
+    if (!rotated) break;
+  }
+  int order[3] = {0, 1, 2};
+  std::sort(order, order + 3, [&](int a, int b) { return A[a][a] > A[b][b]; });
+  for (int a = 0; a < 3; ++a) {
+    values[a] = A[order[a]][order[a]];
+    for (int i = 0; i < 3; ++i) R[3 * i + a] = V[i][order[a]];
+  }
+  const double determinant = R[0] * (R[4] * R[8] - R[5] * R[7]) - R[1] * (R[3] * R[8] - R[5] * R[6]) +
+                             R[2] * (R[3] * R[7] - R[4] * R[6]);
+  if (determinant < 0)
+    for (int i = 0; i < 3; ++i) R[3 * i + 2] = -R[3 * i + 2];
+}
+
+// Li₂(1 − e^−u) by its series in u (Bernoulli numbers), for 0 ≤ u ≤ 2: the first term left out is below 1e-12.
+double dilogarithm_series(double u) {
+  constexpr double kBernoulli[] = {1.0 / 36,          -1.0 / 3600,          1.0 / 211680,         -1.0 / 10886400,
+                                   1.0 / 526901760,   -4.0647616451442e-11, 8.9216910204564e-13, -1.9939295860721e-14,
+                                   4.5189800296199e-16, -1.0356517612182e-17};
+  const double u2 = u * u;
+  double sum = 0;
+  for (int k = 9; k >= 0; --k) sum = sum * u2 + kBernoulli[k];
+  return u - 0.25 * u2 + u * u2 * sum;
+}
+
+// Dilogarithm Li₂(α) from u = −log(1 − α) and v = −log α; above u = 2 by Euler's reflection formula.
+double dilogarithm(double u, double v) {
+  return u <= 2 ? dilogarithm_series(u) : 1.6449340668482264 - u * v - dilogarithm_series(v);
+}
+
+double dilogarithm(double u) { return dilogarithm(u, u <= 2 ? 0 : -std::log1p(-std::exp(-u))); }
+
+// u = −log(1 − α) of the opacity with the given dilogarithm, by Newton's method. Li₂(1 − e^−u) is concave in u, so it comes from
+// below, beginning with the inverse series.
+double inverse_dilogarithm(double value) {
+  double u = value + 0.25 * value * value + 7.0 / 72 * value * value * value;
+  for (int i = 0; i < 24; ++i) {
+    const double step = (value - dilogarithm(u)) * (u > 1e-12 ? std::expm1(u) / u : 1);
+    u += step;
+    if (std::abs(step) < 1e-10 * u) break;
+  }
+  return u;
+}
+
+// What a stack of Gaussians of optical depth T covers, ∫ 1 − exp(−T g) over a Gaussian g of area 1: Ein(T) = E₁(T) + ln T + γ.
+double coverage(double depth) {
+  if (depth > 8) return std::log(depth) + 0.57721566490153286;  // E₁ is below 4e-5
+  double sum = 0, term = 1;
+  for (int k = 1; term > 1e-11; ++k) {
+    term *= depth / k;
+    sum += (k % 2 ? term : -term) / k;
+  }
+  return sum;
+}
+
+double logit_of_alpha(double alpha) { return std::log(alpha) - std::log1p(-alpha); }
+
+class Merger {
+ public:
+  explicit Merger(const MergeJob& job) : job_(job), sum_(3 * job.k) {}
+
+  void merge_group(int64_t group) {
+    const int64_t begin = job_.start[group], size = job_.start[group + 1] - begin;
+    const int32_t* rows = job_.rows + begin;
+    if (size == 1)
+      copy(rows[0], group);
+    else
+      merge_members(rows, size, job_.representatives[group], group);
+  }
+
+ private:
+  void copy(int64_t row, int64_t group) {
+    const int64_t width = 3 * job_.k;
+    std::memcpy(job_.means + 3 * group, job_.in.means + 3 * row, 3 * sizeof(float));
+    std::memcpy(job_.quats + 4 * group, job_.in.quats + 4 * row, 4 * sizeof(float));
+    std::memcpy(job_.log_scales + 3 * group, job_.in.log_scales + 3 * row, 3 * sizeof(float));
+    std::memcpy(job_.logit_opacities + group, job_.in.logit_opacities + row, sizeof(float));
+    std::memcpy(job_.sh + width * group, job_.in.sh + width * row, width * sizeof(float));
+  }
+
+  void merge_members(const int32_t* rows, int64_t size, int64_t representative, int64_t group) {
+    read_members(rows, size);
+    double mean[3] = {0, 0, 0};
+    for (const Member& m : members_)
+      for (int a = 0; a < 3; ++a) mean[a] += m.weight * m.mean[a];
+    for (int a = 0; a < 3; ++a) {
+      mean[a] = job_.keep_position ? job_.in.means[3 * representative + a] : mean[a] / total_;
+      job_.means[3 * group + a] = static_cast<float>(mean[a]);
+    }
+    double variance[3];
+    if (job_.rule == MergeRule::kMoments)
+      merge_moments(rows, mean, variance, group);
+    else
+      merge_axes(rows, mean, representative, variance, group);
+    const double widening = merge_opacity(variance, group);
+    for (int a = 0; a < 3; ++a)
+      job_.log_scales[3 * group + a] = static_cast<float>(0.5 * std::log(variance[a]) + widening);
+    merge_harmonics(rows, size, group);
+  }
+
+  void read_members(const int32_t* rows, int64_t size) {
+    members_.resize(size);
+    total_ = 0;
+    for (int64_t i = 0; i < size; ++i) {
+      const int64_t row = rows[i];
+      Member& m = members_[i];
+      for (int a = 0; a < 3; ++a) {
+        m.mean[a] = job_.in.means[3 * row + a];
+        m.variance[a] = std::exp(2 * clamped_log_scale(job_.in.log_scales[3 * row + a]));
+      }
+      const double logit = job_.in.logit_opacities[row], e = std::exp(-std::abs(logit));
+      m.alpha = (logit > 0 ? 1 : e) / (1 + e);
+      m.depth = std::max(logit, 0.0) + std::log1p(e);
+      m.log_alpha = logit - m.depth;
+      m.weight = job_.weights[row];
+      total_ += m.weight;
+    }
+  }
+
+  // Mean and covariance of the group as one distribution: Σ = Σ w (Σ_i + d dᵀ) / W.
+  void merge_moments(const int32_t* rows, const double* mean, double* variance, int64_t group) {
+    double A[3][3] = {};
+    double mean_sigma = 0;
+    for (size_t i = 0; i < members_.size(); ++i) {
+      const Member& m = members_[i];
+      double R[9];
+      rotation_from_quat(job_.in.quats + 4 * int64_t{rows[i]}, R);
+      const double d[3] = {m.mean[0] - mean[0], m.mean[1] - mean[1], m.mean[2] - mean[2]};
+      const double share = m.weight / total_;
+      for (int p = 0; p < 3; ++p)
+        for (int q = p; q < 3; ++q)
+          A[p][q] += share * (R[3 * p] * R[3 * q] * m.variance[0] + R[3 * p + 1] * R[3 * q + 1] * m.variance[1] +
+                              R[3 * p + 2] * R[3 * q + 2] * m.variance[2] + d[p] * d[q]);
+      mean_sigma += share * std::sqrt(std::max({m.variance[0], m.variance[1], m.variance[2]}));
+    }
+    A[1][0] = A[0][1], A[2][0] = A[0][2], A[2][1] = A[1][2];
+    double R[9];
+    eigen_symmetric(A, variance, R);
+    // Below this share of the largest, an eigenvalue is rounding.
+    const double floor = std::max(variance[0] * 1e-15, std::exp(-2 * kLogScaleMax));
+    const double bound = job_.scale_bound * mean_sigma;
+    for (int a = 0; a < 3; ++a) variance[a] = std::min(std::max(variance[a], floor), bound * bound);
+    quat_from_rotation(R, job_.quats + 4 * group);
+  }
+
+  // Axis by axis: σ_a² = Σ w (|x − x̄|² + σ_{i,a}²) / W, bounded by κ times the weighted mean of σ_a; quaternions averaged in
+  // the hemisphere of the representative's.
+  void merge_axes(const int32_t* rows, const double* mean, int64_t representative, double* variance, int64_t group) {
+    double spread = 0, mean_sigma[3] = {0, 0, 0}, q[4] = {0, 0, 0, 0};
+    for (int a = 0; a < 3; ++a) variance[a] = 0;
+    const float* reference = job_.in.quats + 4 * representative;
+    for (size_t i = 0; i < members_.size(); ++i) {
+      const Member& m = members_[i];
+      const double share = m.weight / total_;
+      const float* quat = job_.in.quats + 4 * int64_t{rows[i]};
+      double dot = 0, norm2 = 0;
+      for (int a = 0; a < 3; ++a) {
+        const double d = m.mean[a] - mean[a];
+        spread += share * d * d;
+        variance[a] += share * m.variance[a];
+        mean_sigma[a] += share * std::sqrt(m.variance[a]);
+      }
+      for (int a = 0; a < 4; ++a) dot += double{quat[a]} * reference[a], norm2 += double{quat[a]} * quat[a];
+      const double factor = share * (dot < 0 ? -1 : 1) / std::sqrt(norm2);
+      for (int a = 0; a < 4; ++a) q[a] += factor * quat[a];
+    }
+    for (int a = 0; a < 3; ++a) {
+      const double bound = job_.scale_bound * mean_sigma[a];
+      variance[a] = std::min(variance[a] + spread, bound * bound);
+    }
+    const double norm = std::sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
+    for (int a = 0; a < 4; ++a)
+      job_.quats[4 * group + a] = norm > 1e-9 ? static_cast<float>(q[a] / norm) : reference[a];
+  }
+
+  // Writes the opacity and returns what is to be added to the logarithm of the scales.
+  double merge_opacity(const double* variance, int64_t group) {
+    if (job_.opacities && job_.opacities[group] > 0) {
+      job_.logit_opacities[group] = static_cast<float>(logit_of_alpha(job_.opacities[group]));
+      return 0;
+    }
+    double log_through = 0, mass = 0;  // log Π (1 − α_i); Σ α_i A_i or Σ Li₂(α_i) A_i
+    const double added = job_.added + job_.dilation * std::max({variance[0], variance[1], variance[2]});
+    for (const Member& m : members_) {
+      log_through -= m.depth;
+      if (job_.opacity == OpacityRule::kUnion) continue;
+      const double depth = job_.opacity == OpacityRule::kOptical ? dilogarithm(m.depth, -m.log_alpha) : m.alpha;
+      mass += depth * dilated_area(m.variance, added);
+    }
+    const double limit = logit_of_alpha(kAlphaMax);
+    // logit(1 − e^L) = log(e^−L − 1)
+    const double union_logit = log_through < -700 ? -log_through : std::log(std::expm1(-log_through));
+    double logit = std::min(union_logit, limit), widening = 0;
+    if (job_.opacity != OpacityRule::kUnion) {
+      mass /= dilated_area(variance, added);
+      if (job_.opacity == OpacityRule::kOptical) {
+        static const double most = dilogarithm(-std::log1p(-kAlphaMax)), most_covered = coverage(most);
+        logit = mass >= most ? limit : mass > 0 ? std::log(std::expm1(inverse_dilogarithm(mass))) : union_logit;
+        if (mass > most) widening = 0.5 * std::log(coverage(mass) / most_covered);
+      } else if (job_.opacity == OpacityRule::kMass) {
+        logit = mass > 0 ? logit_of_alpha(std::min(mass, kAlphaMax)) : union_logit;
+      } else {
+        if (mass > -std::expm1(log_through)) logit = logit_of_alpha(std::min(mass, kAlphaMax));
+        if (mass > 1) widening = job_.widening * std::log(std::min(mass, job_.mass_limit));
+      }
+    }
+    job_.logit_opacities[group] = static_cast<float>(std::max(logit, -1e30));
+    return widening;
+  }
+
+  void merge_harmonics(const int32_t* rows, int64_t size, int64_t group) {
+    const int64_t width = 3 * job_.k;
+    std::fill(sum_.begin(), sum_.end(), 0.0);
+    for (int64_t i = 0; i < size; ++i) {
+      const float* sh = job_.in.sh + width * int64_t{rows[i]};
+      const double share = members_[i].weight / total_;
+      for (int64_t j = 0; j < width; ++j) sum_[j] += share * sh[j];
+    }
+    for (int64_t j = 0; j < width; ++j) job_.sh[width * group + j] = static_cast<float>(sum_[j]);
+  }
+
+  const MergeJob& job_;
+  std::vector<Member> members_;
+  std::vector<double> sum_;
+  double total_ = 0;
+};
+
+}  // namespace
+
+void merge(const MergeJob& job) {
+  parallel_ranges(job.num_groups, 1 << 11, job.threads, [&](int64_t begin, int64_t end) {
+    Merger merger(job);
+    for (int64_t group = begin; group < end; ++group) merger.merge_group(group);
+  });
+}
+
+void group_rows(int64_t n, const int32_t* group_from_row, int64_t num_groups, int64_t* start, int32_t* rows) {
+  std::fill(start, start + num_groups + 1, int64_t{0});
+  for (int64_t i = 0; i < n; ++i) ++start[group_from_row[i] + 1];
+  for (int64_t g = 0; g < num_groups; ++g) start[g + 1] += start[g];
+  std::vector<int64_t> next(start, start + num_groups);
+  for (int64_t i = 0; i < n; ++i) rows[next[group_from_row[i]]++] = static_cast<int32_t>(i);
+}
+
+void average_children(int64_t n, int64_t width, const int32_t* subtree_end, const float* weights, float* values,
+                      int threads) {
+  // Children of i start at i + 1 and follow each other; going backwards, they are finished before their parent.
+  const auto average = [&](int64_t i) {
+    const int64_t end = subtree_end[i];
+    if (end == i + 1) return;
+    float* mean = values + width * i;
+    double total = 0;
+    for (int64_t child = i + 1; child < end; child = subtree_end[child]) total += weights[child];
+    for (int64_t j = 0; j < width; ++j) mean[j] = 0;
+    for (int64_t child = i + 1; child < end; child = subtree_end[child]) {
+      const float share = static_cast<float>(weights[child] / total);
+      const float* value = values + width * child;
+      for (int64_t j = 0; j < width; ++j) mean[j] += share * value[j];
+    }
+  };
+  // Subtrees of at most kGrain rows are independent of each other; what lies above them follows.
+  constexpr int64_t kGrain = 1 << 14;
+  std::vector<int64_t> small, large;
+  for (int64_t i = 0; i < n;) {
+    if (subtree_end[i] - i <= kGrain) {
+      small.push_back(i);
+      i = subtree_end[i];
+    } else {
+      large.push_back(i++);
+    }
+  }
+  parallel_ranges(static_cast<int64_t>(small.size()), 64, threads, [&](int64_t begin, int64_t end) {
+    for (int64_t s = begin; s < end; ++s)
+      for (int64_t i = subtree_end[small[s]] - 1; i >= small[s]; --i) average(i);
+  });
+  for (size_t s = large.size(); s-- > 0;) average(large[s]);
+}
+
+}  // namespace splatree

@@ -1,0 +1,1 @@
+"""What file formats need: columns, quantisation, palettes, rotation of harmonics."""

@@ -1,0 +1,225 @@
+// Blending of a tile: splats outside, 16 lanes inside. A tile of 16 × 16 px is 16 blocks of 4 × 4 px; a lane is a pixel
+// of a block. A splat first finds the blocks that it touches (16 lanes, one a block), then is evaluated in these. A block
+// is finished when all its pixels are; that is looked up every 32 splats.
+//
+// The transmittance of a finished pixel is kept with a minus sign, so one comparison tells that it takes no more light.
+#include "cpu/frame/blend.h"
+
+#include <string.h>
+
+#include "cpu/runtime/isa.h"
+#include "cpu/runtime/pool.h"
+#include "shared/elementary.h"
+#include "shared/record.h"
+
+namespace splatree::SPLATREE_ISA {
+namespace {
+
+constexpr int TILE = 16, BLOCKS = 16, LANES = 16;
+constexpr int GROUP = 8;    // pairs whose blocks are found before the first of them is blended
+constexpr int AHEAD = 8;    // pairs between the fetch of a record and its use
+constexpr int PERIOD = 32;  // pairs between looks for finished blocks
+constexpr float ALPHA_MAX = 0.99f, ALPHA_THRESHOLD = 1.f / 255, TRANSMITTANCE_MIN = 1e-4f;
+constexpr float TAPER_SLOPE = 2;
+constexpr float SQRT_HALF_LOG2E = 0.849321800f;  // √(½ log2 e): exp(-½ q²) = 2^-(this q)²
+
+struct alignas(64) Tile {
+  float transmittance[BLOCKS][LANES];
+  float red[BLOCKS][LANES], green[BLOCKS][LANES], blue[BLOCKS][LANES], depth[BLOCKS][LANES];
+  int32_t blended[LANES];
+};
+
+// What one splat needs, in units in which the exponent is a power of 2.
+struct alignas(64) Brush {
+  float u_of_lane[LANES], v_of_lane[LANES];    // from the centre of a block
+  float u_of_block[BLOCKS], v_of_block[BLOCKS];  // of the centre of each block
+  float log2_opacity, log2_threshold;
+  float red, green, blue, depth;
+  float floor;                 // opacity that is tapered to 1/255
+  float contribution[LANES];  // Σ α T over the blocks
+};
+
+// A number that the compiler does not know. Of a minimum with a constant GCC makes a comparison and a blend.
+float unknown(float x) {
+  asm("" : "+m"(x));
+  return x;
+}
+
+struct Limits {
+  float alpha_max, zero;
+};
+
+// Sets up the brush for a tile at (x, y) and returns a bit for each block that the splat may touch.
+SPLATREE_FN int load_brush(const float* record, float x, float y, float log2_threshold, const Limits& limits,
+                           Brush& brush) {
+  const float a = SQRT_HALF_LOG2E * record[FACTOR_A], b = SQRT_HALF_LOG2E * record[FACTOR_B];
+  const float c = SQRT_HALF_LOG2E * record[FACTOR_C];
+  brush.log2_opacity = record[LOG2_OPACITY];
+  brush.log2_threshold = log2_threshold;
+  brush.red = record[RED], brush.green = record[GREEN], brush.blue = record[BLUE], brush.depth = record[DEPTH];
+
+  const float abs_b = __builtin_fabsf(b);
+  // |u| and |v| are at least those of the block's centre less these; the second terms are what float32 may lose.
+  const float u_reach = 1.5f * (a + abs_b) + 2e-6f * (a * (record[EXTENT_X] + 16) + abs_b * (record[EXTENT_Y] + 16));
+  const float v_reach = 1.5f * c + 2e-6f * c * (record[EXTENT_Y] + 16);
+  const float limit = (record[LOG2_OPACITY] - log2_threshold) * (1 + 1e-5f) + 1e-5f;
+  const float x_reach = record[EXTENT_X] * (1 + 1e-5f) + 1.501f;
+  const float offset_x = x + 2 - record[X], offset_y = y + 2 - record[Y];
+  int touched = 0;
+#pragma omp simd reduction(| : touched)
+  for (int l = 0; l < LANES; ++l) {
+    const float column = l & 3, row = l >> 2;
+    brush.u_of_lane[l] = a * (column - 1.5f) + b * (row - 1.5f);
+    brush.v_of_lane[l] = c * (row - 1.5f);
+    const float dx = 4 * column + offset_x, dy = 4 * row + offset_y;
+    const float u = a * dx + b * dy, v = c * dy;
+    brush.u_of_block[l] = u;
+    brush.v_of_block[l] = v;
+    const float u_least = greatest(__builtin_fabsf(u) - u_reach, limits.zero);
+    const float v_least = greatest(__builtin_fabsf(v) - v_reach, limits.zero);
+    const bool touches = (u_least * u_least + v_least * v_least <= limit) & (__builtin_fabsf(dx) <= x_reach);
+    touched |= touches ? 1 << l : 0;
+  }
+  return touched;
+}
+
+template <bool TAPER, bool CONTRIBUTIONS>
+SPLATREE_FN void blend_block(Brush& brush, int block, const Limits& limits, Tile& tile) {
+  const float u_of_block = brush.u_of_block[block], v_of_block = brush.v_of_block[block];
+  float* transmittance = tile.transmittance[block];
+  float *red = tile.red[block], *green = tile.green[block], *blue = tile.blue[block], *depth = tile.depth[block];
+#pragma omp simd
+  for (int l = 0; l < LANES; ++l) {
+    const float u = u_of_block + brush.u_of_lane[l], v = v_of_block + brush.v_of_lane[l];
+    const float log2_alpha = brush.log2_opacity - (u * u + v * v);
+    // Where it is not exact, far outside, the splat does not pass.
+    const float whole = TAPER ? exp2_of(log2_alpha) : exp2_within(log2_alpha);
+    const float left = TAPER ? least(TAPER_SLOPE * (whole - brush.floor) + ALPHA_THRESHOLD, whole) : whole;
+    const float alpha = least(left, limits.alpha_max);
+    const float before = transmittance[l];
+    const float after = before * (1.f - alpha);
+    const bool passes = TAPER ? whole >= brush.floor : log2_alpha >= brush.log2_threshold;
+    const bool seen = passes & (before > 0.f);
+    const bool drawn = seen & (after >= TRANSMITTANCE_MIN);
+    const float weight = drawn ? before * alpha : 0.f;
+    transmittance[l] = drawn ? after : seen ? -before : before;
+    red[l] += weight * brush.red;
+    green[l] += weight * brush.green;
+    blue[l] += weight * brush.blue;
+    depth[l] += weight * brush.depth;
+    tile.blended[l] += drawn ? 1 : 0;
+    if (CONTRIBUTIONS) brush.contribution[l] += weight;
+  }
+}
+
+int64_t smallest(int64_t a, int64_t b, int64_t c) {
+  const int64_t ab = a < b ? a : b;
+  return ab < c ? ab : c;
+}
+
+// The sum of the lanes, always in the same order.
+float sum_of(const float (&lanes)[LANES]) {
+  float halves[LANES / 2], sum = 0.f;
+  for (int l = 0; l < LANES / 2; ++l) halves[l] = lanes[l] + lanes[l + LANES / 2];
+  for (int l = 0; l < LANES / 2; ++l) sum += halves[l];
+  return sum;
+}
+
+// The blocks in which a pixel can still take light.
+int open_blocks(const Tile& tile) {
+  int open = 0;
+  for (int block = 0; block < BLOCKS; ++block) {
+    int any = 0;
+#pragma omp simd reduction(| : any)
+    for (int l = 0; l < LANES; ++l) any |= tile.transmittance[block][l] > 0.f ? 1 : 0;
+    open |= any << block;
+  }
+  return open;
+}
+
+template <bool TAPER, bool CONTRIBUTIONS>
+void blend_tile(const BlendJob& job, int64_t index) {
+  const int x0 = int(index % job.num_tiles_x) * TILE, y0 = int(index / job.num_tiles_x) * TILE;
+  Tile tile;
+  memset(&tile, 0, sizeof tile);
+  for (int block = 0; block < BLOCKS; ++block)
+    for (int l = 0; l < LANES; ++l) {
+      const int x = x0 + 4 * (block & 3) + (l & 3), y = y0 + 4 * (block >> 2) + (l >> 2);
+      tile.transmittance[block][l] = x < job.width && y < job.height ? 1.f : -1.f;  // outside: finished
+    }
+
+  const int64_t begin = job.tile_start[index], end = job.tile_start[index + 1];
+  int64_t num_evaluated = 0;
+  int open = open_blocks(tile);
+  Brush brushes[GROUP];
+  const Limits limits = {unknown(ALPHA_MAX), unknown(0.f)};
+  int blocks[GROUP];
+  if (CONTRIBUTIONS && begin < end) memset(job.contributions + begin, 0, (end - begin) * sizeof(float));
+  int64_t i = begin;
+  while (i < end) {
+    const int since_look = int((i - begin + 1) % PERIOD);
+    if (since_look == 0) {
+      open = open_blocks(tile);
+      if (!open) break;
+    }
+    const int count = int(smallest(GROUP, PERIOD - since_look, end - i));
+    // How many blocks a pair has decides a branch that is mostly guessed wrongly; it costs less if they are known by then.
+    for (int j = 0; j < count; ++j) {
+      const int32_t splat = job.splat_from_pair[i + j];
+      if (i + j + AHEAD < end)
+        __builtin_prefetch(job.records + int64_t(job.splat_from_pair[i + j + AHEAD]) * NUM_COLUMNS);
+      const float* record = job.records + int64_t(splat) * NUM_COLUMNS;
+      Brush& brush = brushes[j];
+      if (TAPER) brush.floor = job.floors[splat];
+      blocks[j] = load_brush(record, x0, y0, TAPER ? log2_of(brush.floor) : job.log2_threshold, limits, brush);
+      if (job.whole_tile) blocks[j] = (1 << BLOCKS) - 1;
+    }
+    for (int j = 0; j < count; ++j) {
+      Brush& brush = brushes[j];
+      if (CONTRIBUTIONS) memset(brush.contribution, 0, sizeof brush.contribution);
+      for (int left = blocks[j] & open; left; left &= left - 1) {
+        blend_block<TAPER, CONTRIBUTIONS>(brush, __builtin_ctz(left), limits, tile);
+        num_evaluated += LANES;
+      }
+      if (CONTRIBUTIONS) job.contributions[i + j] = sum_of(brush.contribution);
+    }
+    i += count;
+  }
+
+  job.num_consumed[index] = i - begin;
+  job.num_evaluated[index] = num_evaluated;
+  int64_t num_blended = 0;
+  for (int l = 0; l < LANES; ++l) num_blended += tile.blended[l];
+  job.num_blended[index] = num_blended;
+  for (int block = 0; block < BLOCKS; ++block)
+    for (int l = 0; l < LANES; ++l) {
+      const int x = x0 + 4 * (block & 3) + (l & 3), y = y0 + 4 * (block >> 2) + (l >> 2);
+      if (x >= job.width || y >= job.height) continue;
+      const int64_t pixel = int64_t(y) * job.width + x;
+      const float signed_left = tile.transmittance[block][l];
+      const float left = signed_left < 0 ? -signed_left : signed_left;
+      const float alpha = 1.f - left;
+      job.image[3 * pixel] = tile.red[block][l] + left * job.background[0];
+      job.image[3 * pixel + 1] = tile.green[block][l] + left * job.background[1];
+      job.image[3 * pixel + 2] = tile.blue[block][l] + left * job.background[2];
+      job.alpha[pixel] = alpha;
+      job.depth[pixel] = alpha > 0.f ? tile.depth[block][l] / alpha : 0.f;
+    }
+}
+
+template <bool TAPER, bool CONTRIBUTIONS>
+void blend_all(const BlendJob& job) {
+  parallel_chunks(int64_t(job.num_tiles_x) * job.num_tiles_y, job.threads,
+                  [&](int64_t index) { blend_tile<TAPER, CONTRIBUTIONS>(job, index); });
+}
+
+}  // namespace
+
+void blend(const BlendJob& job) {
+  if (job.floors)
+    job.contributions ? blend_all<true, true>(job) : blend_all<true, false>(job);
+  else
+    job.contributions ? blend_all<false, true>(job) : blend_all<false, false>(job);
+}
+
+}  // namespace splatree::SPLATREE_ISA

@@ -1,0 +1,102 @@
+// The block index of a tree; kernels/reference/blocks.py is the definition. One pass over the rows, limited by memory.
+#include <cmath>
+#include <limits>
+#include <vector>
+
+#include "cpu/frame/select.h"
+#include "cpu/runtime/pool.h"
+
+namespace splatree {
+namespace {
+
+constexpr float INFINITE = std::numeric_limits<float>::infinity();
+
+// Corners of a box that grows; NaN is never drawn and passed over.
+struct Box {
+  float lower[3] = {INFINITE, INFINITE, INFINITE}, upper[3] = {-INFINITE, -INFINITE, -INFINITE};
+
+  void add(const float* low, const float* high) {
+    for (int i = 0; i < 3; ++i) {
+      lower[i] = low[i] < lower[i] ? low[i] : lower[i];
+      upper[i] = high[i] > upper[i] ? high[i] : upper[i];
+    }
+  }
+
+  void store(float* low, float* high) const {
+    for (int i = 0; i < 3; ++i) low[i] = lower[i], high[i] = upper[i];
+  }
+};
+
+float lesser(float a, float b) { return a < b ? a : b; }   // a NaN in a gives b
+float greater(float a, float b) { return a > b ? a : b; }  // and here
+
+// Of the middle standard deviation, or of a third of the extent if that is less.
+uint8_t class_of(const float* log_scales, float log_third) {
+  const float a = log_scales[0], b = log_scales[1], c = log_scales[2];
+  const float middle = lesser(log_third, greater(lesser(a, b), lesser(greater(a, b), c)));
+  const double size_class = std::floor(middle * (CLASSES_PER_OCTAVE / M_LN2)) + CLASS_OF_UNIT;
+  return uint8_t(size_class > 0 ? size_class < LEAF_CLASS - 1 ? size_class : LEAF_CLASS - 1 : 0);
+}
+
+void bound_block(const BoundsJob& job, int64_t block, int64_t begin, int64_t end) {
+  Box box;
+  float leaf = -INFINITE, logit = INFINITE;
+  for (int64_t i = begin; i < end; ++i) {
+    const float* s = job.log_scales + 3 * i;
+    box.add(job.means + 3 * i, job.means + 3 * i);
+    logit = lesser(job.logit_opacities[i], logit);
+    const bool is_leaf = job.subtree_end[i] == i + 1;
+    const float largest = greater(greater(s[0], s[1]), s[2]);
+    if (is_leaf) {
+      leaf = greater(largest, leaf);
+      job.size_classes[i] = LEAF_CLASS;
+      continue;
+    }
+    const float log_third = std::log(job.extents[i] / 3.f);
+    if (largest > log_third + 1e-5f) leaf = greater(largest, leaf);  // an extent that is 3σ may have been rounded
+    job.size_classes[i] = class_of(s, log_third);
+  }
+  box.store(job.lower + 3 * block, job.upper + 3 * block);
+  // A reserve for the rounding of any exponential in float32.
+  job.leaf_scales[block] = std::exp(leaf) * (1.f + 1e-5f);
+  job.min_logits[block] = logit;
+}
+
+}  // namespace
+
+void bound_blocks(const BoundsJob& job) {
+  const int64_t num_blocks = (job.num_rows + job.rows_per_block - 1) / job.rows_per_block;
+  const int64_t num_groups = (num_blocks + BLOCKS_PER_GROUP - 1) / BLOCKS_PER_GROUP;
+  parallel_chunks(num_groups, job.threads, [&](int64_t group) {
+    Box box;
+    float leaf = 0;
+    for (int64_t b = group * BLOCKS_PER_GROUP; b < num_blocks && b < (group + 1) * BLOCKS_PER_GROUP; ++b) {
+      const int64_t begin = b * job.rows_per_block, end = begin + job.rows_per_block;
+      bound_block(job, b, begin, end < job.num_rows ? end : job.num_rows);
+      box.add(job.lower + 3 * b, job.upper + 3 * b);
+      leaf = greater(job.leaf_scales[b], leaf);
+    }
+    box.store(job.group_lower + 3 * group, job.group_upper + 3 * group);
+    job.group_leaf_scales[group] = leaf;
+  });
+}
+
+void each_ancestors(const int32_t* subtree_end, int64_t num_rows, int rows_per_block,
+                    void (*visit)(void*, const int32_t*, int64_t), void* context) {
+  std::vector<int32_t> path;
+  int64_t row = 0;  // the path holds the ancestors of this row
+  for (int64_t first = 0; first < num_rows; first += rows_per_block) {
+    while (row < first) {
+      if (subtree_end[row] <= first) {
+        row = subtree_end[row];
+      } else {
+        path.push_back(int32_t(row));
+        ++row;
+      }
+      while (!path.empty() && subtree_end[path.back()] <= row) path.pop_back();
+    }
+    visit(context, path.data(), int64_t(path.size()));
+  }
+}
+
+}  // namespace splatree

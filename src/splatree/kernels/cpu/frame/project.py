@@ -1,0 +1,62 @@
+"""Project Gaussians to splats: glue over project.cpp and order.cpp; kernels/reference/project.py is the definition."""
+
+import numpy as np
+
+from splatree.errors import InputError
+from splatree.kernels.cpu import _core
+from splatree.kernels.cpu.frame.view import pack_square, pack_view
+from splatree.scene.cameras import Camera
+from splatree.scene.frame import Splats
+from splatree.scene.gaussians import Gaussians
+from splatree.scene.options import ResolvedOptions
+from splatree.shapes import Array, Float32, Int32, UInt32
+
+__all__ = ["project"]
+
+
+def project(
+    gaussians: Gaussians,
+    ids: UInt32[Array, "n"] | None,
+    rows: Int32[Array, "v"],
+    camera: Camera,
+    options: ResolvedOptions,
+    *,
+    threads: int = 0,
+) -> Splats:
+    """Splats of the rows that touch the image."""
+    if len(rows) and not (rows.min() >= 0 and rows.max() < len(gaussians)):
+        raise InputError(f"rows: found {rows.min()} to {rows.max()}, wanted 0 to {len(gaussians) - 1}")
+    out_rows, depths, records = (
+        np.empty(len(rows), np.int32),
+        np.empty(len(rows), np.float32),
+        _empty_records(len(rows)),
+    )
+    num_splats = _core.project_rows(
+        gaussians.means,
+        gaussians.quats,
+        gaussians.log_scales,
+        gaussians.logit_opacities,
+        gaussians.sh,
+        rows,
+        pack_view(camera, options.dilation_px2),
+        options.pixel_threshold,
+        options.least_opacity,
+        pack_square(options),
+        options.mode == "antialiased",
+        min(options.sh_degree, gaussians.sh_degree),
+        out_rows,
+        records,
+        depths,
+        threads,
+    )
+    out_rows, records = out_rows[:num_splats], records[:num_splats]
+    order = np.empty(num_splats, np.int32)
+    _core.order_splats(depths, out_rows, ids, order, threads)
+    return Splats(out_rows, records, order)
+
+
+def _empty_records(num_rows: int) -> Float32[Array, "v 16"]:
+    """Space for records that starts at a cache line; pages that are never written cost nothing."""
+    space = np.empty(16 * num_rows + 16, np.float32)
+    skip = -space.ctypes.data % 64 // 4
+    return space[skip : skip + 16 * num_rows].reshape(num_rows, 16)

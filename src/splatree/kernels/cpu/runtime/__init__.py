@@ -1,0 +1,1 @@
+"""What all kernels stand on: threads, instruction sets, memory, files."""
