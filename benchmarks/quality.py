@@ -116,7 +116,7 @@ def cuts(judge: Judge, method: Method, dilation: float | None) -> list[dict[str,
     rows: list[dict[str, object]] = []
     for tau in (2.5, 3.0, 4.0, 6.0):
         options = splatree.SelectOptions(pixel_error=tau)
-        everywhere = splatree.SelectOptions(pixel_error=tau, visibility="none")
+        everywhere = splatree.SelectOptions(pixel_error=tau, view_test="none")
         quality = [judge.psnr(i, splatree.render(scene, c, select=options).image) for i, c in enumerate(judge.cameras)]
         shares = [100 * len(splatree.select(scene, c, everywhere)) / num_leaves for c in judge.cameras]
         about = {"mode": judge.mode, "levels": method, "cut": f"τ_R = {tau:g} px"}

@@ -1,12 +1,12 @@
 """Selection on a real city: CPU-ms of the exact visible cut by blocks, beside the serial traversal and FilterGS's own scheme.
 
 The tree is that of the whole semarang_city, twice side by side, so that it has more than 8 M nodes whatever the levels. All
-four find the same rows bit for bit, which is checked; all use the same compiled radius and visibility on one thread:
+four find the same rows bit for bit, which is checked; all use the same compiled radius and view test on one thread:
 
 blocks   kernels/cpu/select: work follows the blocks that can be seen
 serial   lod/serial: from the roots down, level by level, with a table of children (12 bytes a node) made beforehand
 filtergs as published: one pass over all rows with a table of the ancestors of each (4 bytes a row and level, made beforehand)
-flat     radius of every row with children, one prefix maximum over all rows, visibility of the cut
+flat     radius of every row with children, one prefix maximum over all rows, the view test of the cut
 
 Run: python benchmarks/selection.py [scene.splatree]      (without a file the tree is built first: a minute of processor time)
 """

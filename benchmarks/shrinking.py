@@ -117,7 +117,7 @@ def frontier_rows(subject: Subject) -> list[dict[str, Any]]:
         np.clip(st.render(subject.scene, v, RenderOptions(threshold=1 / 255), subject.select).image, 0, 1)
         for v in subject.views
     ]
-    squares = draw(subject, RenderOptions(extent="3sigma"), lossless)
+    squares = draw(subject, RenderOptions(tile_rule="3sigma"), lossless)
     rows = []
 
     def add(rule: str, options: RenderOptions, policy: str = "range") -> None:
@@ -127,32 +127,34 @@ def frontier_rows(subject: Subject) -> list[dict[str, Any]]:
                 "scene": subject.name,
                 "rule": rule,
                 "policy": policy,
-                "τ": options.threshold if options.extent != "3sigma" else "",
+                "τ": options.threshold if options.tile_rule != "3sigma" else "",
                 "pairs": drawn.pairs,
                 "of 3sigma": drawn.pairs / squares.pairs,
                 "PSNR": drawn.psnr,
             }
         )
 
-    add("3sigma", RenderOptions(extent="3sigma"), "3DGS")
+    add("3sigma", RenderOptions(tile_rule="3sigma"), "3DGS")
     for policy in ("paper", "release"):
         asked = st.CalibrateOptions(policy=policy, lambda_g=LAMBDA_G, lists="3sigma")
-        tau = st.calibrate(subject.scene, subject.views, asked, RenderOptions(extent="tau"), subject.select).threshold
-        add("tau", RenderOptions(extent="tau", threshold=tau), f"{policy}, λ_G {LAMBDA_G}")
+        tau = st.calibrate(
+            subject.scene, subject.views, asked, RenderOptions(tile_rule="tau"), subject.select
+        ).threshold
+        add("tau", RenderOptions(tile_rule="tau", threshold=tau), f"{policy}, λ_G {LAMBDA_G}")
     ours = [
-        RenderOptions(extent=extent, pixels=pixels)
-        for extent in ("ellipse", "balanced")
+        RenderOptions(tile_rule=tile_rule, pixels=pixels)
+        for tile_rule in ("ellipse", "balanced")
         for pixels in ("hard", "taper")
     ]
     for options in ours:
         asked = st.CalibrateOptions(loss_db=BUDGET_DB)
         tau = st.calibrate(subject.scene, subject.views, asked, options, subject.select).threshold
-        add(f"{options.extent} {options.pixels}", replace(options, threshold=tau), f"target, {BUDGET_DB} dB")
+        add(f"{options.tile_rule} {options.pixels}", replace(options, threshold=tau), f"target, {BUDGET_DB} dB")
     for tau in THRESHOLDS:
-        add("tau", RenderOptions(extent="tau", threshold=tau))
+        add("tau", RenderOptions(tile_rule="tau", threshold=tau))
         for options in ours:
             if tau > 1 / 255 or options.pixels == "hard":
-                add(f"{options.extent} {options.pixels}", replace(options, threshold=tau))
+                add(f"{options.tile_rule} {options.pixels}", replace(options, threshold=tau))
     return rows
 
 
@@ -204,11 +206,11 @@ def stage_rows(subject: Subject) -> list[dict[str, Any]]:
         subject.scene, subject.views, st.CalibrateOptions(loss_db=BUDGET_DB), None, subject.select
     )
     rules = {
-        "3sigma": RenderOptions(extent="3sigma"),
+        "3sigma": RenderOptions(tile_rule="3sigma"),
         "ellipse, 1/255": RenderOptions(threshold=1 / 255),
-        f"balanced hard, {BUDGET_DB} dB": RenderOptions(threshold=view_target.threshold, extent="balanced"),
+        f"balanced hard, {BUDGET_DB} dB": RenderOptions(threshold=view_target.threshold, tile_rule="balanced"),
         f"balanced taper, τ of hard at {BUDGET_DB} dB": RenderOptions(
-            threshold=view_target.threshold, extent="balanced", pixels="taper"
+            threshold=view_target.threshold, tile_rule="balanced", pixels="taper"
         ),
     }
     rows = []

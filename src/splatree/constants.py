@@ -40,20 +40,20 @@ TAPER_SLOPE: Final = 2.0
 """Slope of a tapered opacity above the splat's floor: twice the floor is where the splat is drawn as it is."""
 
 SHRINK_AREA_POWER: Final = 0.4
-"""In the extent `balanced` τ falls with this power of a splat's area √det Σ': between ½, at which a lost tile costs all splats
+"""By the tile rule `balanced` τ falls with this power of a splat's area √det Σ': between ½, at which a lost tile costs all splats
 the same squared error while they are smaller than a tile, and less for those that are larger."""
 
 SHRINK_AREA_PX2: Final = 0.3
-"""Area √det Σ', px², at which the extent `balanced` has τ itself: the smallest that there is with the usual dilation."""
+"""Area √det Σ', px², at which the tile rule `balanced` has τ itself: the smallest that there is with the usual dilation."""
 
 SHRINK_ENERGY_MIN: Final = 0.01
-"""Floor of ln(α/τ) in the extent `tau`; never in force beside SHRINK_RATIO_MIN (code of FilterGS)."""
+"""Floor of ln(α/τ) by the tile rule `tau`; never in force beside SHRINK_RATIO_MIN (code of FilterGS)."""
 
 SHRINK_RATIO_MIN: Final = 0.1
-"""The extent `tau` is at least this share of 3 σ (code of FilterGS, for rendering)."""
+"""The squares of `tau` are at least this share of 3 σ (code of FilterGS, for rendering)."""
 
 SHRINK_PAD_PX: Final = 1.0
-"""Added to the radius of the extent `tau`, px (code of FilterGS)."""
+"""Added to the radius of a square of `tau`, px (code of FilterGS)."""
 
 PIXEL_ERROR: Final = 3.0
 """Default τ_R: a node whose projected radius is at most this, px, stands for its subtree (FilterGS §3.2)."""
@@ -65,7 +65,7 @@ EIGENVALUE_FLOOR_PX4: Final = 0.1
 """Floor, px⁴, under the root in the larger eigenvalue of a splat's covariance (Kerbl 2023, rasterizer)."""
 
 CENTRE_PAD: Final = 0.1
-"""Share of the half image by which a centre may lie outside in the visibility test `centre` (code of FilterGS)."""
+"""Share of the half image by which a centre may lie outside in the view test `centre` (code of FilterGS)."""
 
 BLOCK_ROWS: Final = 256
 """Rows of a block of the selection: its bounds and ancestors take about 0.4 bytes a row."""

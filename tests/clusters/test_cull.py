@@ -100,11 +100,11 @@ def test_other_thresholds_and_dilations_keep_every_bit(threshold: float, dilatio
         assert same_picture(st.trace(scene, camera, options, NO_CULL), st.trace(scene, camera, options))
 
 
-@pytest.mark.parametrize("extent", ["3sigma", "tau", "balanced"])
+@pytest.mark.parametrize("tile_rule", ["3sigma", "tau", "balanced"])
 @pytest.mark.parametrize("threshold", [1 / 255, 0.3])
-def test_other_extents_keep_every_bit(extent: str, threshold: float) -> None:
+def test_other_tile_rules_keep_every_bit(tile_rule: str, threshold: float) -> None:
     scene = st.build_clusters(st.Scene.flat(gaussians(300, 5, log_scales=(-6, -1), spread=3.0)), 100)
-    options = st.RenderOptions(threshold=threshold, extent=extent)  # type: ignore[arg-type]
+    options = st.RenderOptions(threshold=threshold, tile_rule=tile_rule)  # type: ignore[arg-type]
     dropped = 0
     for camera in views(8, 6):
         one, other = st.trace(scene, camera, options, NO_CULL), st.trace(scene, camera, options)
@@ -163,7 +163,7 @@ def test_the_rule_of_the_paper_does_lose_survivors(rule: Cull) -> None:
 
 
 def test_survivors_of_the_published_rasterisers_are_those_of_our_squares_and_hold_those_of_our_ellipses() -> None:
-    squares, ellipses = st.RenderOptions(extent="3sigma", threshold=1e-30), st.RenderOptions()
+    squares, ellipses = st.RenderOptions(tile_rule="3sigma", threshold=1e-30), st.RenderOptions()
     counts = {"squares": 0, "differ": 0, "ellipses": 0}
     for seed in range(6):
         view = views(6, 20)[seed]
@@ -175,7 +175,7 @@ def test_survivors_of_the_published_rasterisers_are_those_of_our_squares_and_hol
         drawn = {}
         for name, options in (("squares", squares), ("ellipses", ellipses)):
             drawn[name] = np.zeros(len(scene), bool)
-            select = st.SelectOptions(visibility="none", pixel_error=0)
+            select = st.SelectOptions(view_test="none", pixel_error=0)
             drawn[name][st.trace(scene, camera, options, select).splats.rows] = True
         inria, gsplat = (
             survivors(scene.gaussians, camera, rule, ellipses.resolved(scene))
@@ -310,7 +310,7 @@ def test_runs_join_neighbours() -> None:
 def test_select_draws_no_row_of_an_excluded_cluster() -> None:
     scene = st.build_clusters(st.Scene.flat(gaussians(3000, 9, spread=3.0)), 100)
     camera = views(1, 10)[0]
-    options = st.SelectOptions(visibility="none", pixel_error=0)
+    options = st.SelectOptions(view_test="none", pixel_error=0)
     for drop in (2, 3, 7):
         kept = np.arange(100) % drop != 0
         culling = st.Culling(kept, runs_of(scene.clusters.start, kept), "exact")  # type: ignore[union-attr]

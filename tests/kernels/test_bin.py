@@ -31,7 +31,7 @@ def test_pairs_are_those_of_the_reference(view: tuple[st.Scene, st.Camera]) -> N
     distances = smallest_distances(splats, seen_by)
     k = np.sqrt(2 * np.log(splats.opacities.astype(np.float64) * 255))
     steepest = np.linalg.norm(splats.factors, axis=1)
-    margin = (3e-3 + 4e-6 * splats.extents_px.sum(axis=1)) * steepest + 1e-4
+    margin = (3e-3 + 4e-6 * splats.half_sizes_px.sum(axis=1)) * steepest + 1e-4
     for tile, splat in found - wanted:
         assert distances[splat, tile] <= k[splat] + margin[splat]
 

@@ -31,7 +31,7 @@ def test_picture_of_the_same_lists_is_that_of_the_reference(view: tuple[st.Scene
     brightest = max(1.0, float(splats.colors.max(initial=0)))
     difference = np.abs(fast.image - slow.image).max(axis=-1)
     # Hundreds of products of float32; |L d| of a long splat adds 6e-8 of its length in px times 1.8.
-    tolerance = brightest * (2e-5 + 1e-6 * min(float(splats.extents_px.max(initial=0)), 1e3))
+    tolerance = brightest * (2e-5 + 1e-6 * min(float(splats.half_sizes_px.max(initial=0)), 1e3))
     flipped = difference > tolerance
     # A splat at τ or a pixel at its last splat may fall either way: few do, and each changes little.
     assert flipped.mean() <= 0.01

@@ -41,7 +41,7 @@ def assert_same_splats(found: Splats, wanted: Splats, seen_by: st.Camera) -> Non
     assert np.all(np.abs(found.opacities[i] - wanted.opacities[j]) <= relative * wanted.opacities[j].max(initial=0))
     np.testing.assert_allclose(found.colors[i], wanted.colors[j], atol=4e-6)
     clear = wanted.opacities[j] > 1.1 / 255
-    np.testing.assert_allclose(found.extents_px[i][clear], wanted.extents_px[j][clear], rtol=2e-4)
+    np.testing.assert_allclose(found.half_sizes_px[i][clear], wanted.half_sizes_px[j][clear], rtol=2e-4)
 
 
 @pytest.mark.parametrize("mode", MODES)
@@ -96,7 +96,7 @@ def test_pairs_are_those_of_the_reference(view: tuple[st.Scene, st.Camera], devi
     # The margin of tests/kernels/test_bin.py.
     distances = smallest_distances(splats, seen_by)
     k = np.sqrt(2 * np.log(splats.opacities.astype(np.float64) * 255))
-    margin = (3e-3 + 4e-6 * splats.extents_px.sum(axis=1)) * np.linalg.norm(splats.factors, axis=1) + 1e-4
+    margin = (3e-3 + 4e-6 * splats.half_sizes_px.sum(axis=1)) * np.linalg.norm(splats.factors, axis=1) + 1e-4
     for tile, splat in found - wanted:
         assert distances[splat, tile] <= k[splat] + margin[splat]
     place = np.empty(len(splats), np.int64)
@@ -127,7 +127,7 @@ def test_picture_of_the_same_lists_is_that_of_the_reference(
     # The bands of tests/kernels/test_blend.py.
     brightest = max(1.0, float(splats.colors.max(initial=0)))
     difference = np.abs(fast.image - slow.image).max(axis=-1)
-    tolerance = brightest * (2e-5 + 1e-6 * min(float(splats.extents_px.max(initial=0)), 1e3))
+    tolerance = brightest * (2e-5 + 1e-6 * min(float(splats.half_sizes_px.max(initial=0)), 1e3))
     flipped = difference > tolerance
     assert flipped.mean() <= 0.01
     assert difference.max() <= brightest * 1.5 / 255
@@ -136,10 +136,12 @@ def test_picture_of_the_same_lists_is_that_of_the_reference(
     assert fast.num_evaluated >= fast.num_blended
 
 
-@pytest.mark.parametrize("extent", ["tau", "3sigma"])
-def test_squares_are_listed_as_on_the_processor(view: tuple[st.Scene, st.Camera], device: Device, extent: str) -> None:
+@pytest.mark.parametrize("tile_rule", ["tau", "3sigma"])
+def test_squares_are_listed_as_on_the_processor(
+    view: tuple[st.Scene, st.Camera], device: Device, tile_rule: str
+) -> None:
     scene, seen_by = view
-    chosen = options(extent=extent, threshold=0.05)  # type: ignore[arg-type]
+    chosen = options(tile_rule=tile_rule, threshold=0.05)  # type: ignore[arg-type]
     splats = cpu.project.project(scene.gaussians, None, all_rows(scene), seen_by, chosen)
     found = Stages(device).project(scene.gaussians, None, all_rows(scene), seen_by, chosen)
     # A side is rounded up to a whole pixel: a rounding error moves one in some thousand to the next.
@@ -166,7 +168,7 @@ def test_splats_are_tapered_as_by_the_reference(
     brightest = max(1.0, float(splats.colors.max(initial=0)))
     difference = np.abs(fast.image - slow.image).max(axis=-1)
     # As without a taper, times its slope of 2.
-    tolerance = brightest * (4e-5 + 2e-6 * min(float(splats.extents_px.max(initial=0)), 1e3))
+    tolerance = brightest * (4e-5 + 2e-6 * min(float(splats.half_sizes_px.max(initial=0)), 1e3))
     assert (difference > tolerance).mean() <= 0.01
     assert difference.max() <= brightest * 1.5 / 255
 

@@ -33,10 +33,10 @@ def aspect(splats: Splats) -> np.ndarray:
 def assert_at_a_step(splats: Splats, rows: np.ndarray, view: st.Camera, threshold: float) -> None:
     """Rows of only one implementation must lie within rounding of one of the tests that drop a row."""
     chosen = np.isin(splats.rows, rows)
-    means, extents = splats.means_px[chosen].astype(np.float64), splats.extents_px[chosen].astype(np.float64)
+    means, half_sizes = splats.means_px[chosen].astype(np.float64), splats.half_sizes_px[chosen].astype(np.float64)
     size = np.array([view.width, view.height])
-    band = 1e-5 * (1 + extents + np.abs(means))
-    at_border = (np.abs(means + extents - 0.5) < band) | (np.abs(means - extents - size + 0.5) < band)
+    band = 1e-5 * (1 + half_sizes + np.abs(means))
+    at_border = (np.abs(means + half_sizes - 0.5) < band) | (np.abs(means - half_sizes - size + 0.5) < band)
     at_threshold = np.abs(splats.opacities[chosen] / threshold - 1) < 1e-3
     at_near = np.abs(splats.depths[chosen] / view.near - 1) < 1e-5
     assert (at_border.any(axis=1) | at_threshold | at_near).all()
@@ -64,7 +64,7 @@ def test_splats_are_those_of_the_reference(view: tuple[st.Scene, st.Camera], isa
     np.testing.assert_allclose(fast.colors[i], slow.colors[j], atol=4e-6)  # 16 terms of at most about 1
     # The box follows the opacity by √(2 ln(o/τ)), steep at τ: compared where it is not.
     clear = slow.opacities[j] > 1.1 / 255
-    np.testing.assert_allclose(fast.extents_px[i][clear], slow.extents_px[j][clear], rtol=2e-4)
+    np.testing.assert_allclose(fast.half_sizes_px[i][clear], slow.half_sizes_px[j][clear], rtol=2e-4)
     np.testing.assert_allclose(np.exp2(fast.records[:, 6]), fast.opacities, rtol=2e-6)
 
 
@@ -126,13 +126,13 @@ def test_a_gaussian_on_the_axis_in_closed_form(isa: str) -> None:
         splats = cpu.project.project(g, None, np.zeros(1, np.int32), seen_by, options(mode))
         variance = (seen_by.K[0, 0] * sigma / depth) ** 2
         opacity = 0.5 if mode == "classic" else 0.5 * variance / (variance + 0.3)
-        extent = np.sqrt(2 * np.log(255 * opacity) * (variance + 0.3))
+        half_size = np.sqrt(2 * np.log(255 * opacity) * (variance + 0.3))
         np.testing.assert_allclose(splats.means_px, [[32, 24]], atol=1e-5)
         np.testing.assert_allclose(
             splats.conics, [[1 / (variance + 0.3), 0, 1 / (variance + 0.3)]], rtol=1e-5, atol=1e-7
         )
         np.testing.assert_allclose(splats.opacities, [opacity], rtol=1e-6)
-        np.testing.assert_allclose(splats.extents_px, [[extent, extent]], rtol=1e-5)
+        np.testing.assert_allclose(splats.half_sizes_px, [[half_size, half_size]], rtol=1e-5)
         np.testing.assert_allclose(splats.colors, [[0.75] * 3], rtol=1e-6)
 
 

@@ -26,9 +26,9 @@ def everywhere(splats: Splats, bins: TileBins) -> TileBins:
 
 
 def drawn(
-    scene: st.Scene, seen_by: st.Camera, pixels: str, threshold: float = TAU, extent: str = "ellipse"
+    scene: st.Scene, seen_by: st.Camera, pixels: str, threshold: float = TAU, tile_rule: str = "ellipse"
 ) -> tuple[Splats, TileBins, Picture]:
-    named = options(pixels=pixels, threshold=threshold, extent=extent)
+    named = options(pixels=pixels, threshold=threshold, tile_rule=tile_rule)
     splats = cpu.project.project(scene.gaussians, None, all_rows(scene), seen_by, named)
     bins = cpu.bin.bin(splats, seen_by, named)
     return splats, bins, cpu.blend.blend(splats, bins, seen_by, named)
@@ -46,7 +46,7 @@ def test_floors_are_those_of_the_reference(view: tuple[st.Scene, st.Camera], isa
     same_tiles = np.setdiff1d(bins.splat_from_pair, other_tiles)
     assert len(same_tiles) >= 0.9 * len(np.unique(slow.splat_from_pair))
     tolerance = 1e-4 + 1e-5 * np.abs(splats.factors).max(axis=1, initial=0) * (
-        1 + splats.extents_px.max(axis=1, initial=0)
+        1 + splats.half_sizes_px.max(axis=1, initial=0)
     )
     assert np.all((bins.floors >= slow.floors * (1 - tolerance))[same_tiles])
 
@@ -71,15 +71,15 @@ def test_picture_of_the_same_lists_is_that_of_the_reference(
     brightest = max(1.0, float(splats.colors.max(initial=0)))
     difference = np.abs(fast.image - slow.image).max(axis=-1)
     # As for whole splats, times the slope of the taper.
-    tolerance = 2 * brightest * (2e-5 + 1e-6 * min(float(splats.extents_px.max(initial=0)), 1e3))
+    tolerance = 2 * brightest * (2e-5 + 1e-6 * min(float(splats.half_sizes_px.max(initial=0)), 1e3))
     assert (difference > tolerance).mean() <= 0.01
     assert difference.max() <= brightest * 1.5 / 255
 
 
-@pytest.mark.parametrize("extent", ["ellipse", "balanced"])
-def test_tapered_picture_does_not_depend_on_the_tiles(view: tuple[st.Scene, st.Camera], extent: str) -> None:
+@pytest.mark.parametrize("tile_rule", ["ellipse", "balanced"])
+def test_tapered_picture_does_not_depend_on_the_tiles(view: tuple[st.Scene, st.Camera], tile_rule: str) -> None:
     scene, seen_by = view
-    splats, bins, picture = drawn(scene, seen_by, "taper", extent=extent)
+    splats, bins, picture = drawn(scene, seen_by, "taper", tile_rule=tile_rule)
     whole = cpu.blend.blend(
         splats, everywhere(splats, bins), seen_by, options(pixels="taper", threshold=TAU), whole_tile=True
     )
@@ -111,7 +111,7 @@ def test_shrinking_to_the_blend_threshold_changes_no_bit(view: tuple[st.Scene, s
 
 def test_balanced_pairs_are_those_of_the_reference(view: tuple[st.Scene, st.Camera], isa: str) -> None:
     scene, seen_by = view
-    named = options(extent="balanced", threshold=0.2)
+    named = options(tile_rule="balanced", threshold=0.2)
     splats = cpu.project.project(scene.gaussians, None, all_rows(scene), seen_by, named)
     fast, slow = (pairs_of(stage.bin.bin(splats, seen_by, named)) for stage in (cpu, reference))
     # One splat in a hundred may end within the margin for rounding of a tile, or have the opacity at which it ends.
@@ -130,10 +130,10 @@ def test_balanced_lets_large_splats_end_lower() -> None:
         np.zeros((3, 1, 3), np.float32),
     )
     counts = {}
-    for extent, threshold in (("balanced", 0.08), ("ellipse", 0.08), ("ellipse", 0.0225), ("ellipse", 1 / 255)):
-        named = options(extent=extent, threshold=threshold)
+    for tile_rule, threshold in (("balanced", 0.08), ("ellipse", 0.08), ("ellipse", 0.0225), ("ellipse", 1 / 255)):
+        named = options(tile_rule=tile_rule, threshold=threshold)
         splats = cpu.project.project(g, None, np.arange(3, dtype=np.int32), seen_by, named)
-        counts[extent, threshold] = np.bincount(cpu.bin.bin(splats, seen_by, named).splat_from_pair, minlength=3)
+        counts[tile_rule, threshold] = np.bincount(cpu.bin.bin(splats, seen_by, named).splat_from_pair, minlength=3)
     small, medium, large = counts["balanced", 0.08]
     assert small == counts["ellipse", 0.08][0]
     assert medium == counts["ellipse", 0.0225][1]
@@ -142,8 +142,10 @@ def test_balanced_lets_large_splats_end_lower() -> None:
 
 def test_balanced_at_the_blend_threshold_is_the_ellipse(view: tuple[st.Scene, st.Camera]) -> None:
     scene, seen_by = view
-    splats = cpu.project.project(scene.gaussians, None, all_rows(scene), seen_by, options(extent="balanced"))
-    balanced, ellipse = (cpu.bin.bin(splats, seen_by, options(extent=extent)) for extent in ("balanced", "ellipse"))
+    splats = cpu.project.project(scene.gaussians, None, all_rows(scene), seen_by, options(tile_rule="balanced"))
+    balanced, ellipse = (
+        cpu.bin.bin(splats, seen_by, options(tile_rule=tile_rule)) for tile_rule in ("balanced", "ellipse")
+    )
     assert balanced.splat_from_pair.tobytes() == ellipse.splat_from_pair.tobytes()
     assert balanced.tile_start.tobytes() == ellipse.tile_start.tobytes()
 
@@ -171,7 +173,7 @@ def test_threads_change_no_bit() -> None:
 
 
 def test_taper_is_for_ellipses() -> None:
-    with pytest.raises(st.InputError, match="found 'taper' with extent 'tau'"):
-        st.RenderOptions(pixels="taper", extent="tau")
-    with pytest.raises(st.InputError, match="extent: found 'box', wanted one of ellipse"):
-        st.RenderOptions(extent="box")  # type: ignore[arg-type]
+    with pytest.raises(st.InputError, match="found 'taper' with tile_rule 'tau'"):
+        st.RenderOptions(pixels="taper", tile_rule="tau")
+    with pytest.raises(st.InputError, match="tile_rule: found 'box', wanted one of ellipse"):
+        st.RenderOptions(tile_rule="box")  # type: ignore[arg-type]

@@ -159,7 +159,7 @@ def test_ancestor_table_decides_as_the_definition_of_each_rule(rule, seed, tau):
     scene, camera = forest(seed), camera_of(seed)
     table = cpu_select.ancestor_table(scene.tree)
     # Where a row lies in the band in which float32 may fall either way the sets cannot be compared.
-    options = SelectOptions(tau, rule=rule, profile="ref", visibility="centre")
+    options = SelectOptions(tau, rule=rule, profile="ref", view_test="centre")
     radii = reference_select.radii(scene.gaussians, scene.tree.extents, camera, "ref", 0.3)
     splats = reference_select.project(scene.gaussians, camera)
     seen = [reference_select.centred(splats, camera, pad) for pad in (0.0999, 0.1001)]

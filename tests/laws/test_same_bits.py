@@ -82,8 +82,8 @@ def views() -> Iterator[tuple[str, st.RenderOptions, st.SelectOptions]]:
     yield "cut", st.RenderOptions(), st.SelectOptions()
     yield "leaves", st.RenderOptions(), st.SelectOptions(pixel_error=0.0)
     yield "budget", st.RenderOptions(), st.SelectOptions(budget=800)
-    yield "squares", st.RenderOptions(extent="tau", threshold=0.02), st.SelectOptions(rule="release")
-    yield "tapered", st.RenderOptions(pixels="taper", threshold=0.03, extent="balanced"), st.SelectOptions()
+    yield "squares", st.RenderOptions(tile_rule="tau", threshold=0.02), st.SelectOptions(rule="release")
+    yield "tapered", st.RenderOptions(pixels="taper", threshold=0.03, tile_rule="balanced"), st.SelectOptions()
 
 
 def stored_files(folder: Path) -> Iterator[tuple[str, str]]:

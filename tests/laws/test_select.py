@@ -193,7 +193,7 @@ def test_levels_list_the_children_of_each_node(parents):
 def test_release_draws_what_paper_strict_draws_and_small_nodes_below(parents, camera, tau, seed):
     scene = scene_of(parents, seed)
     strict, release = (
-        select(scene, camera, SelectOptions(pixel_error=tau, rule=rule, profile="ref", visibility="centre")).rows
+        select(scene, camera, SelectOptions(pixel_error=tau, rule=rule, profile="ref", view_test="centre")).rows
         for rule in ("paper-strict", "release")
     )
     extra = np.setdiff1d(release, strict)
@@ -207,7 +207,7 @@ def test_release_counts_its_duplicates():
     # A root, two children that are small too, and leaves: the inner nodes are all drawn, the leaves are not.
     scene = scene_of([-1, 0, 1, 1, 0, 4, 4], seed=1)
     camera = Camera.look_at(np.array([0.0, 0.0, -1000.0]), np.zeros(3))
-    options = SelectOptions(pixel_error=50.0, rule="release", visibility="centre")
+    options = SelectOptions(pixel_error=50.0, rule="release", view_test="centre")
     rows = select(scene, camera, options).rows
     assert rows.tolist() == [0, 1, 4]
     assert count_nested(scene.tree, rows) == 2

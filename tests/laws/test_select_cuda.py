@@ -12,7 +12,7 @@ from splatree.kernels.cuda.renderer import Renderer
 from splatree.lod.blocks import with_blocks
 from splatree.scene.options import RenderOptions
 
-from .test_select_kernel import PROFILES, VISIBILITIES, assert_is_the_cut, random_camera, random_scene, random_tau
+from .test_select_kernel import PROFILES, VIEW_TESTS, assert_is_the_cut, random_camera, random_scene, random_tau
 
 SEEDS = range(12)
 
@@ -30,11 +30,11 @@ def test_rows_are_the_cut_of_the_definition(seed: int, device: Device) -> None:
     )
     drawn = renderer_of(scene, device)
     for profile in PROFILES:
-        visibility = VISIBILITIES[(seed + len(profile)) % 3]
-        options = SelectOptions(pixel_error=random_tau(seed), profile=profile, visibility=visibility)  # type: ignore[arg-type]
+        view_test = VIEW_TESTS[(seed + len(profile)) % 3]
+        options = SelectOptions(pixel_error=random_tau(seed), profile=profile, view_test=view_test)  # type: ignore[arg-type]
         rows, num_visited = drawn.select(camera, RenderOptions().resolved(scene), options)
         assert np.all(np.diff(rows) > 0)
-        assert len(rows) <= num_visited or options.visibility == "none"
+        assert len(rows) <= num_visited or options.view_test == "none"
         assert_is_the_cut(rows, scene, camera, options, 0.3)
 
 

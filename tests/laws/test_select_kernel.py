@@ -16,7 +16,7 @@ from splatree.kernels.reference import select as reference
 from splatree.lod.blocks import with_blocks
 
 PROFILES = ("exact", "3dgs", "ref", "sphere")
-VISIBILITIES = ("footprint", "centre", "none")
+VIEW_TESTS = ("footprint", "centre", "none")
 seeds = st.integers(0, 2**20)
 
 
@@ -82,14 +82,14 @@ def random_tau(seed: int) -> float:
     return float(np.random.default_rng(seed + 2).choice([0.0, 1.0, 1.7, 3.0, 8.0, 40.0, 300.0, 1e7, np.inf]))
 
 
-def visible_within(scene: Scene, camera: Camera, visibility: str, dilation: float, slack: float) -> np.ndarray:
-    """The visibility test with boxes that are ``slack`` px and 0.2 % of it larger."""
-    if visibility == "none":
+def visible_within(scene: Scene, camera: Camera, view_test: str, dilation: float, slack: float) -> np.ndarray:
+    """The view test with boxes that are ``slack`` px and 0.2 % of it larger."""
+    if view_test == "none":
         return np.ones(len(scene), bool)
     splats = reference.project(scene.gaussians, camera)
     size = np.array([camera.width, camera.height])
     logits = scene.gaussians.logit_opacities.astype(np.float64)
-    if visibility == "centre":
+    if view_test == "centre":
         reach = 0.05 * size + slack
         bright = np.ones(len(scene), bool)
     else:
@@ -117,7 +117,7 @@ def assert_is_the_cut(rows: np.ndarray, scene: Scene, camera: Camera, options: S
     cut[reference.cut_rows(tree, radii, tau)] = True
     chosen = np.zeros(len(scene), bool)
     chosen[rows] = True
-    surely, maybe = (visible_within(scene, camera, options.visibility, dilation, slack) for slack in (-0.1, 0.1))
+    surely, maybe = (visible_within(scene, camera, options.view_test, dilation, slack) for slack in (-0.1, 0.1))
     assert not (cut & surely & ~chosen & ~undecided).any()
     assert not (chosen & ~(cut & maybe) & ~undecided).any()
     assert (np.diff(rows) > 0).all()
@@ -127,12 +127,12 @@ def assert_is_the_cut(rows: np.ndarray, scene: Scene, camera: Camera, options: S
 @given(
     seed=seeds,
     profile=st.sampled_from(PROFILES),
-    visibility=st.sampled_from(VISIBILITIES),
+    view_test=st.sampled_from(VIEW_TESTS),
     dilation=st.sampled_from([0.3, 0.0, 2.0]),
 )
-def test_kernel_finds_the_defined_cut(seed, profile, visibility, dilation):
+def test_kernel_finds_the_defined_cut(seed, profile, view_test, dilation):
     scene, camera = random_scene(seed), random_camera(seed)
-    options = SelectOptions(pixel_error=random_tau(seed), profile=profile, visibility=visibility)
+    options = SelectOptions(pixel_error=random_tau(seed), profile=profile, view_test=view_test)
     scene = with_blocks(scene, rows_per_block=16)
     rows = select(scene, camera, options, dilation_px2=dilation).rows
     assert_is_the_cut(rows, scene, camera, options, dilation)
@@ -148,10 +148,10 @@ def test_each_instruction_set_finds_the_defined_cut(isa, seed, profile):
 
 
 @settings(max_examples=30)
-@given(seed=seeds, profile=st.sampled_from(PROFILES), visibility=st.sampled_from(VISIBILITIES))
-def test_threads_and_size_of_blocks_change_nothing(seed, profile, visibility):
+@given(seed=seeds, profile=st.sampled_from(PROFILES), view_test=st.sampled_from(VIEW_TESTS))
+def test_threads_and_size_of_blocks_change_nothing(seed, profile, view_test):
     scene, camera = random_scene(seed), random_camera(seed)
-    options = SelectOptions(pixel_error=random_tau(seed), profile=profile, visibility=visibility)
+    options = SelectOptions(pixel_error=random_tau(seed), profile=profile, view_test=view_test)
     rows = select(scene, camera, options, threads=1).rows.tolist()
     for rows_per_block in (16, 33, 1024):
         split = with_blocks(scene, rows_per_block=rows_per_block)
@@ -198,7 +198,7 @@ def test_no_row_is_dropped_that_is_listed_in_a_tile(seed, mode, threshold):
     options = SelectOptions(pixel_error=random_tau(seed))
     scene = with_blocks(scene, rows_per_block=16)
     drawn = select(scene, camera, options).rows
-    cut = select(scene, camera, replace(options, visibility="none")).rows
+    cut = select(scene, camera, replace(options, view_test="none")).rows
     splats = project(scene.gaussians, None, cut, camera, resolved)
     listed = splats.rows[np.unique(bin_splats(splats, camera, resolved).splat_from_pair)]
     assert np.isin(listed, drawn).all()

@@ -47,7 +47,7 @@ def test_levels_get_coarser_with_distance():
     # 3σ of level l is 2^−l: its radius in the middle of the image, f 2^−l / distance, is 2.9 px.
     for level in range(5):
         camera = camera_at(camera_at(1.0).K[0, 0] * 0.5**level / 2.9)
-        options = SelectOptions(pixel_error=3.0, visibility="none")
+        options = SelectOptions(pixel_error=3.0, view_test="none")
         rows = select(scene, camera, options, dilation_px2=0.0).rows
         assert set(scene.tree.depth[rows]) == {level}
         assert len(rows) == 4**level
@@ -59,8 +59,8 @@ def test_footprint_keeps_a_splat_whose_centre_is_out_of_the_image():
     for shift, seen in ((0.9, True), (1.3, False)):
         camera = camera_at(2.0, 0.93 + shift)
         assert len(select(scene, camera)) == seen
-        assert len(select(scene, camera, SelectOptions(visibility="centre"))) == 0
-        assert len(select(scene, camera, SelectOptions(visibility="none"))) == 1
+        assert len(select(scene, camera, SelectOptions(view_test="centre"))) == 0
+        assert len(select(scene, camera, SelectOptions(view_test="none"))) == 1
 
 
 def test_footprint_drops_what_is_too_faint_to_draw():
@@ -108,7 +108,7 @@ def test_max_radius_drops_large_nodes():
 
 def test_log_serial_counts_what_is_out_of_view_as_small():
     scene = quad_tree(3)
-    options = SelectOptions(rule="log-serial", profile="ref", visibility="none")
+    options = SelectOptions(rule="log-serial", profile="ref", view_test="none")
     # The image is 0.47 wide: the centres of level 1 at ±0.25 are just out of it but within 1.3 of the half width, those of
     # their outer children at ±0.375 are not.
     rows = select(scene, camera_at(0.5), options).rows
@@ -125,7 +125,7 @@ def test_roots_that_were_found_hidden_lose_their_subtrees():
     ends = np.concatenate([one.tree.subtree_end, one.tree.subtree_end + n]).astype(np.int32)
     depth, extents = np.tile(one.tree.depth, 2), np.tile(one.tree.extents, 2)
     gaussians = Gaussians.concatenate([one.gaussians, one.gaussians])
-    options = SelectOptions(rule="log-serial", profile="ref", visibility="none")
+    options = SelectOptions(rule="log-serial", profile="ref", view_test="none")
     keywords = {"dilation_px2": 0.3, "threshold": 1 / 255}
     tree, camera = GaussianTree(ends, depth, extents), camera_at(2.0)
     both, _ = select_serial(gaussians, tree, None, camera, options, **keywords)

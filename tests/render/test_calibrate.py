@@ -16,11 +16,11 @@ SIZE = {"width": 64, "height": 48}
 VIEWS = [replace(st.Camera.look_at((x, -0.5, -5), (0, 0, 0), **SIZE), name=f"v{x}") for x in (-1, 0, 2)]
 
 
-def loss_of(threshold: float, extent: str = "ellipse", scene_psnr: float = 30) -> float:
+def loss_of(threshold: float, tile_rule: str = "ellipse", scene_psnr: float = 30) -> float:
     """The mean loss as the module's head defines it, written out."""
     losses = []
     for view in VIEWS:
-        each = [st.RenderOptions(threshold=tau, extent=extent) for tau in (1 / 255, threshold)]  # type: ignore[arg-type]
+        each = [st.RenderOptions(threshold=tau, tile_rule=tile_rule) for tau in (1 / 255, threshold)]  # type: ignore[arg-type]
         lossless, shrunk = (np.clip(st.render(SCENE, view, options).image, 0, 1) for options in each)
         ratio = np.mean((lossless.astype(float) - shrunk) ** 2) / 10 ** (-scene_psnr / 10)
         losses.append(10 * math.log10(1 + ratio))
@@ -30,7 +30,7 @@ def loss_of(threshold: float, extent: str = "ellipse", scene_psnr: float = 30) -
 def test_target_is_the_largest_threshold_within_the_budget() -> None:
     found = st.calibrate(SCENE, VIEWS, st.CalibrateOptions(loss_db=0.1))
     assert 1 / 255 < found.threshold < THRESHOLD_MAX
-    assert found.extent == "balanced"
+    assert found.tile_rule == "balanced"
     assert np.isclose(found.loss_db, loss_of(found.threshold, "balanced")) and found.loss_db <= 0.1
     assert loss_of(1.03 * found.threshold, "balanced") > 0.1  # found to 2 %
     assert found.num_pairs < found.num_pairs_lossless
@@ -39,7 +39,8 @@ def test_target_is_the_largest_threshold_within_the_budget() -> None:
 
 def test_balanced_draws_fewer_pairs_than_equal_thresholds_for_the_same_loss() -> None:
     balanced, equal = (
-        st.calibrate(SCENE, VIEWS, render=st.RenderOptions(extent=extent)) for extent in ("balanced", "ellipse")
+        st.calibrate(SCENE, VIEWS, render=st.RenderOptions(tile_rule=tile_rule))
+        for tile_rule in ("balanced", "ellipse")
     )
     assert balanced.num_pairs < equal.num_pairs
 
@@ -69,7 +70,7 @@ def test_a_better_scene_is_shrunk_less() -> None:
 
 @pytest.mark.parametrize("lists", ["ellipse", "3sigma"])
 def test_formulas_of_paper_and_release(lists: str) -> None:
-    options = st.RenderOptions(extent=lists, threshold=1 / 255)  # type: ignore[arg-type]
+    options = st.RenderOptions(tile_rule=lists, threshold=1 / 255)  # type: ignore[arg-type]
     frames = [st.trace(SCENE, view, options) for view in VIEWS]
     g = np.mean([tile_contributions(frame).mean() for frame in frames])
     for lambda_g in (0.02, 0.1):
@@ -104,7 +105,7 @@ def test_photographs_replace_the_assumed_truth() -> None:
     assert found.photographs and found.views == ("v-1", "v0")  # the third has no photograph
     losses = []
     for view in VIEWS[:2]:
-        options = st.RenderOptions(threshold=found.threshold, extent=found.extent)
+        options = st.RenderOptions(threshold=found.threshold, tile_rule=found.tile_rule)
         shrunk = np.clip(st.render(SCENE, view, options).image, 0, 1)
         losses.append(st.psnr(pictures[view.name], photos[view.name]) - st.psnr(shrunk, photos[view.name]))
     assert np.isclose(found.loss_db, np.mean(losses)) and found.loss_db <= 0.1
@@ -122,7 +123,7 @@ def test_scene_keeps_threshold_and_provenance(tmp_path) -> None:
     path = tmp_path / "scene.splatree"
     st.write(st.calibrated(SCENE, found, held_out="every 8th"), path)
     scene = st.read(path)
-    assert scene.threshold == 0.07 and scene.extent == "ellipse"
+    assert scene.threshold == 0.07 and scene.tile_rule == "ellipse"
     record = json.loads(scene.source.metadata["calibration"])
     assert record["policy"] == "fixed" and record["held_out"] == "every 8th" and record["views"] == ["v-1", "v0", "v2"]
     assert record["options"]["loss_db"] == 0.1 and record["pixels"] == "hard" and record["pixel_error"] == 3.0
@@ -134,7 +135,7 @@ def test_what_cannot_be_calibrated_is_refused() -> None:
     with pytest.raises(st.InputError, match="found 3 views, none with a photograph"):
         st.calibrate(SCENE, VIEWS, photos={"other": np.zeros((48, 64, 3), np.float32)})
     with pytest.raises(st.InputError, match="found '3sigma', which does not depend on τ"):
-        st.calibrate(SCENE, VIEWS, render=st.RenderOptions(extent="3sigma"))
+        st.calibrate(SCENE, VIEWS, render=st.RenderOptions(tile_rule="3sigma"))
     for wrong in ({"loss_db": 0.0}, {"lambda_g": -1.0}, {"scene_psnr": math.inf}, {"max_views": 0}, {"policy": "best"}):
         with pytest.raises(st.InputError, match="found"):
             st.CalibrateOptions(**wrong)  # type: ignore[arg-type]

@@ -15,10 +15,10 @@ def traced(backend: str = "cpu", **changes: object) -> st.Frame:
     return st.trace(scene, seen_by, st.RenderOptions(**changes), ALL_LEAVES, backend=backend, contributions=True)  # type: ignore[arg-type]
 
 
-EXTENTS = [{}, {"threshold": 0.1}, {"threshold": 0.1, "pixels": "taper"}, {"extent": "tau", "threshold": 0.05}]
+RULES = [{}, {"threshold": 0.1}, {"threshold": 0.1, "pixels": "taper"}, {"tile_rule": "tau", "threshold": 0.05}]
 
 
-@pytest.mark.parametrize("changes", [*EXTENTS, {"extent": "3sigma"}])
+@pytest.mark.parametrize("changes", [*RULES, {"tile_rule": "3sigma"}])
 def test_tiles_contribute_what_eq_5_says(changes: dict[str, object]) -> None:
     frame, literal = traced(**changes), traced("reference", **changes)
     found = tile_contributions(frame)
@@ -30,7 +30,7 @@ def test_tiles_contribute_what_eq_5_says(changes: dict[str, object]) -> None:
     assert found.num_pixels.sum() == 83 * 53 and found.num_pixels.max() == 256 and found.num_pixels[-1] == 3 * 5
 
 
-@pytest.mark.parametrize("changes", [*EXTENTS, {"extent": "3sigma"}])
+@pytest.mark.parametrize("changes", [*RULES, {"tile_rule": "3sigma"}])
 def test_pairs_contribute_what_eq_5_says(changes: dict[str, object]) -> None:
     frame = traced(**changes)
     resolved = st.RenderOptions(**changes).resolved(st.Scene.flat(st.Gaussians.empty()))  # type: ignore[arg-type]
@@ -78,7 +78,7 @@ def test_nothing_contributes_nothing() -> None:
 
 
 def test_every_pair_is_in_the_histogram_once() -> None:
-    frames = [traced(extent="3sigma"), traced(threshold=0.1)]
+    frames = [traced(tile_rule="3sigma"), traced(threshold=0.1)]
     histogram = contribution_histogram(frame.contributions for frame in frames)
     assert histogram.counts.sum() == histogram.num_pairs == sum(frame.bins.num_pairs for frame in frames)
     values = np.concatenate([frame.contributions for frame in frames])

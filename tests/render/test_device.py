@@ -53,7 +53,7 @@ def test_a_trace_holds_what_the_processors_does(scene: st.Scene, at_hand: Device
         st.SelectOptions(rule="release"),
         st.SelectOptions(max_radius=20.0),
         st.SelectOptions(pixel_error=0.5),
-        st.SelectOptions(profile="sphere", visibility="centre"),
+        st.SelectOptions(profile="sphere", view_test="centre"),
     ],
     ids=str,
 )
@@ -70,8 +70,8 @@ def test_all_options_of_the_selection_can_be_drawn(scene: st.Scene, at_hand: Dev
     [
         st.RenderOptions(threshold=0.05, pixels="taper"),
         st.RenderOptions(threshold=0.05),
-        st.RenderOptions(threshold=0.05, extent="balanced", pixels="taper"),
-        st.RenderOptions(extent="3sigma"),
+        st.RenderOptions(threshold=0.05, tile_rule="balanced", pixels="taper"),
+        st.RenderOptions(tile_rule="3sigma"),
         st.RenderOptions(mode="antialiased", sh_degree=0, background=(1.0, 0.5, 0.0)),
     ],
     ids=str,

@@ -34,7 +34,7 @@ def test_structure_needs_a_picture_of_a_window(shape, has_ssim):
 
 
 def test_a_cut_is_compared_with_all_leaves_drawn_without_loss(scene):
-    lossy = st.RenderOptions(background=(0.2, 0.4, 0.6), threshold=0.3, extent="tau")
+    lossy = st.RenderOptions(background=(0.2, 0.4, 0.6), threshold=0.3, tile_rule="tau")
     select = st.SelectOptions(pixel_error=20)
     leaves = st.SelectOptions(pixel_error=0)
     for found, camera in zip(evaluate(scene, CAMERAS, lossy, select), CAMERAS, strict=True):

@@ -71,7 +71,7 @@ def test_rows_out_of_view_change_no_bit() -> None:
     above = cloud(300, 7, degree=1)
     above.means[:, 1] += 60
     padded = st.Gaussians.concatenate([outside, g, above])
-    nothing_culled = st.SelectOptions(pixel_error=0, visibility="none")
+    nothing_culled = st.SelectOptions(pixel_error=0, view_test="none")
     one = st.render(st.Scene.flat(g), CAMERA, OPTIONS, ALL_LEAVES)
     other = st.trace(st.Scene.flat(padded), CAMERA, OPTIONS, nothing_culled)
     assert len(other.selection) == 1600
@@ -97,17 +97,15 @@ def test_trace_keeps_what_render_drops() -> None:
     np.testing.assert_array_equal(np.sort(frame.splats.order), np.arange(len(frame.splats)))
 
 
-@pytest.mark.parametrize("extent", ["tau", "3sigma"])
-def test_squares_are_not_dropped_by_the_footprints_of_ellipses(extent: str) -> None:
+@pytest.mark.parametrize("tile_rule", ["tau", "3sigma"])
+def test_squares_are_not_dropped_by_the_footprints_of_ellipses(tile_rule: str) -> None:
     scene = st.Scene.flat(cloud(900, 12, degree=0))
-    options = st.RenderOptions(extent=extent)  # type: ignore[arg-type]
+    options = st.RenderOptions(tile_rule=tile_rule)  # type: ignore[arg-type]
     frames = {
-        v: st.trace(scene, CAMERA, options, st.SelectOptions(visibility=v)) for v in ("none", "footprint", "centre")
+        v: st.trace(scene, CAMERA, options, st.SelectOptions(view_test=v)) for v in ("none", "footprint", "centre")
     }
     np.testing.assert_array_equal(frames["footprint"].splats.rows, frames["none"].splats.rows)
-    assert len(frames["centre"].splats) < len(
-        frames["none"].splats
-    )  # other tests of visibility are as they were asked for
+    assert len(frames["centre"].splats) < len(frames["none"].splats)  # other view tests are as they were asked for
 
 
 def test_a_frame_has_the_stage_cull_where_clusters_are_left_out() -> None:

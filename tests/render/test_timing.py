@@ -29,7 +29,7 @@ def test_few_cameras_are_timed_along_a_path_through_them(scene):
 
 def test_enough_cameras_are_timed_themselves(scene):
     cameras = list(orbit(scene, PathOptions(views=4, width=48, height=32)))
-    options = SelectOptions(visibility="none")
+    options = SelectOptions(view_test="none")
     timing = time_frames(scene, cameras, select=options, views=3, warm_up=0)
     frames = [trace(scene, camera, select=options).result.counters for camera in cameras]
     assert timing.num_frames == 4

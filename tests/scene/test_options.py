@@ -20,9 +20,9 @@ NAN, INF = float("nan"), float("inf")
         ({"threshold": 0.0}, "threshold: found 0.0, wanted between 0 and 1"),
         ({"threshold": 1.0}, "threshold"),
         ({"pixels": "soft"}, "pixels: found 'soft', wanted one of taper, hard"),
-        ({"extent": "box"}, "extent: found 'box', wanted one of"),
-        ({"pixels": "taper", "extent": "tau"}, "'taper' with extent 'tau'"),
-        ({"pixels": "taper", "extent": "3sigma"}, "'taper' with extent '3sigma'"),
+        ({"tile_rule": "box"}, "tile_rule: found 'box', wanted one of"),
+        ({"pixels": "taper", "tile_rule": "tau"}, "'taper' with tile_rule 'tau'"),
+        ({"pixels": "taper", "tile_rule": "3sigma"}, "'taper' with tile_rule '3sigma'"),
         ({"sh_degree": -1}, "sh_degree: found -1, wanted 0 to 3"),
         ({"sh_degree": 4}, "sh_degree: found 4, wanted 0 to 3"),
     ],
@@ -40,7 +40,7 @@ def test_render_options_that_cannot_be_drawn_are_refused(options, message):
         ({"budget": 0}, "budget: found 0, wanted at least 1 node"),
         ({"max_radius": -1.0}, "max_radius"),
         ({"rule": "best"}, "rule: found 'best', wanted one of cut"),
-        ({"visibility": "all"}, "visibility: found 'all', wanted one of footprint"),
+        ({"view_test": "all"}, "view_test: found 'all', wanted one of footprint"),
         ({"cull": "boxes"}, "cull: found 'boxes', wanted one of none"),
     ],
 )
@@ -54,7 +54,7 @@ def test_select_options_that_mean_nothing_are_refused(options, message):
     [
         {"background": (0, 1, 0.5), "dilation_px2": 0.0, "sh_degree": 0},
         {"dilation_px2": 1e12, "sh_degree": 3},
-        {"pixels": "taper", "extent": "balanced"},
+        {"pixels": "taper", "tile_rule": "balanced"},
     ],
 )
 def test_the_ends_of_ranges_are_options(options):
@@ -74,16 +74,16 @@ def scene(**fields):
 
 
 def test_what_options_leave_open_is_as_the_scene_says():
-    own = RenderOptions().resolved(scene(threshold=0.1, extent="balanced"))
-    assert (own.mode, own.threshold, own.extent, own.sh_degree) == ("antialiased", 0.1, "balanced", 1)
-    given = RenderOptions(mode="classic", threshold=0.2, extent="tau", sh_degree=0)
-    given = given.resolved(scene(threshold=0.1, extent="balanced"))
-    assert (given.mode, given.threshold, given.extent, given.sh_degree) == ("classic", 0.2, "tau", 0)
-    assert RenderOptions().resolved(scene()).extent == "ellipse"
+    own = RenderOptions().resolved(scene(threshold=0.1, tile_rule="balanced"))
+    assert (own.mode, own.threshold, own.tile_rule, own.sh_degree) == ("antialiased", 0.1, "balanced", 1)
+    given = RenderOptions(mode="classic", threshold=0.2, tile_rule="tau", sh_degree=0)
+    given = given.resolved(scene(threshold=0.1, tile_rule="balanced"))
+    assert (given.mode, given.threshold, given.tile_rule, given.sh_degree) == ("classic", 0.2, "tau", 0)
+    assert RenderOptions().resolved(scene()).tile_rule == "ellipse"
 
 
 @pytest.mark.parametrize(
-    ("extent", "threshold", "least_threshold", "least_opacity", "area_power"),
+    ("tile_rule", "threshold", "least_threshold", "least_opacity", "area_power"),
     [
         ("ellipse", 0.1, 0.1, 0.1, 0.0),
         ("balanced", 0.1, ALPHA_THRESHOLD, ALPHA_THRESHOLD, 0.4),  # large splats end lower, at 1/255 at the least
@@ -92,12 +92,12 @@ def test_what_options_leave_open_is_as_the_scene_says():
         ("3sigma", 0.1, 0.1, 0.0, 0.0),
     ],
 )
-def test_what_follows_from_the_extent(extent, threshold, least_threshold, least_opacity, area_power):
-    resolved = RenderOptions(extent=extent, threshold=threshold).resolved(scene())
+def test_what_follows_from_the_tile_rule(tile_rule, threshold, least_threshold, least_opacity, area_power):
+    resolved = RenderOptions(tile_rule=tile_rule, threshold=threshold).resolved(scene())
     assert resolved.least_threshold == least_threshold
     assert resolved.least_opacity == least_opacity
     assert resolved.area_power == area_power
-    assert resolved.is_square == (extent in ("tau", "3sigma"))
+    assert resolved.is_square == (tile_rule in ("tau", "3sigma"))
 
 
 def test_pixels_are_drawn_down_to_the_lossless_threshold_and_tapered_only_above_it():

@@ -14,7 +14,7 @@ from ..kernels.conftest import gaussians
     ("field", "value", "message"),
     [
         ("mode", "mip", "Scene.mode: found 'mip', wanted 'classic' or 'antialiased'"),
-        ("extent", "box", "Scene.extent: found 'box', wanted one of ellipse"),
+        ("tile_rule", "box", "Scene.tile_rule: found 'box', wanted one of ellipse"),
         ("threshold", 0.0, "Scene.threshold: found 0.0"),
         ("threshold", 1.0, "Scene.threshold: found 1.0"),
         ("threshold", float("nan"), "Scene.threshold: found nan"),

@@ -146,7 +146,7 @@ class _View:
 
 def _all_rows(rule: Cull) -> SelectOptions:
     """Everything that culling leaves; what cannot be seen is found by step 1."""
-    return SelectOptions(pixel_error=0.0, visibility="none", cull=rule)
+    return SelectOptions(pixel_error=0.0, view_test="none", cull=rule)
 
 
 def _leaves_of(scene: Scene) -> Scene:
@@ -223,7 +223,7 @@ def _traced(select: SelectOptions, options: RenderOptions | None = None) -> Call
     return frame
 
 
-SQUARES = RenderOptions(extent="3sigma")
+SQUARES = RenderOptions(tile_rule="3sigma")
 
 
 def _packed(view: _View) -> dict[str, float]:

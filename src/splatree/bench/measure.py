@@ -71,7 +71,7 @@ class Judge:
         return Judge(replace(self.subject, photos=None), selection=selection)
 
     def selector(self, select: SelectOptions | Selector) -> Selector:
-        """Options as a selector, so that what is out of view is dropped whatever the extent of the splats."""
+        """Options as a selector, so that what is out of view is dropped whatever the tile rule."""
         return partial(select_rows, self.subject.scene, options=select) if isinstance(select, SelectOptions) else select
 
     def quality(self, select: SelectOptions | Selector, options: RenderOptions | None = None) -> Quality:

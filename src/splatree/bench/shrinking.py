@@ -13,13 +13,13 @@ from splatree.scene.options import RenderOptions, SelectOptions
 
 __all__ = ["ABOUT_LOSS", "BALANCED", "EXACT", "SQUARE", "THREE_SIGMA", "Way", "calibrated_options", "ways"]
 
-THREE_SIGMA = RenderOptions(extent="3sigma", threshold=ALPHA_THRESHOLD)
+THREE_SIGMA = RenderOptions(tile_rule="3sigma", threshold=ALPHA_THRESHOLD)
 """Squares of 3 σ (Kerbl 2023)."""
-SQUARE = RenderOptions(extent="tau", threshold=ALPHA_THRESHOLD)
+SQUARE = RenderOptions(tile_rule="tau", threshold=ALPHA_THRESHOLD)
 """Squares that end at τ, at most 3 σ (FilterGS; it takes τ = 1/255 for the rule of FlashGS)."""
-EXACT = RenderOptions(extent="ellipse", threshold=ALPHA_THRESHOLD)
+EXACT = RenderOptions(tile_rule="ellipse", threshold=ALPHA_THRESHOLD)
 """Exact test of tiles at 1/255: draws what evaluating every pixel draws. So does FlashGS's own code, at 1/256."""
-BALANCED = RenderOptions(extent="balanced", threshold=ALPHA_THRESHOLD)
+BALANCED = RenderOptions(tile_rule="balanced", threshold=ALPHA_THRESHOLD)
 """Exact test, at less than τ for large splats."""
 
 ABOUT_LOSS = (

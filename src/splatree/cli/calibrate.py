@@ -140,6 +140,6 @@ def in_words(c: Calibration) -> str:
         "the photographs" if c.photographs else f"a truth that lossless pictures are {c.options.scene_psnr:g} dB from"
     )
     return (
-        f"τ = {c.threshold:.5f} ({c.extent}, {c.pixels}) by {c.policy}: {c.loss_db:.3f} dB lost against {truth}, "
+        f"τ = {c.threshold:.5f} ({c.tile_rule}, {c.pixels}) by {c.policy}: {c.loss_db:.3f} dB lost against {truth}, "
         f"{c.num_pairs / max(1, c.num_pairs_lossless):.3f} × the pairs of lossless"
     )

@@ -50,7 +50,7 @@ class Info:
     """How it is meant to be drawn."""
     threshold: float
     """τ: opacity below which a splat ends."""
-    extent: str
+    tile_rule: str
     """Rule for the tiles of a splat."""
     file_bytes: int
     """Size of the files that were named, and of those that a meta.json or lod-meta.json names, of every level."""
@@ -95,7 +95,7 @@ def describe(scene: Scene) -> Info:
         sh_degree=scene.gaussians.sh_degree,
         mode=scene.mode,
         threshold=scene.threshold,
-        extent=scene.extent or "ellipse",
+        tile_rule=scene.tile_rule or "ellipse",
         file_bytes=sum(stored_bytes(Path(path)) for path in scene.source.paths),
         bytes=scene.gaussians.nbytes,
         box_min=tuple(float(x) for x in box.min(axis=0)),
@@ -126,7 +126,7 @@ def show(info: Info) -> str:
         ("nodes per depth", " ".join(f"{n:,}" for n in info.nodes_per_depth)),
         *([("clusters", _cluster_words(info.clusters))] if info.clusters else []),
         ("harmonics", f"degree {info.sh_degree}"),
-        ("drawn", f"{info.mode}, τ = {info.threshold:.4g}, {info.extent}"),
+        ("drawn", f"{info.mode}, τ = {info.threshold:.4g}, {info.tile_rule}"),
         ("file", f"{size(info.file_bytes)}, {info.file_bytes / max(1, info.num_nodes):.1f} bytes a row"),
         ("memory", f"{size(info.bytes)}"),
         ("box", f"{point(*info.box_min)} to {point(*info.box_max)}"),

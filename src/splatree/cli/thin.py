@@ -54,7 +54,7 @@ def run(command: Command) -> Result:
     leaves = scene.gaussians if scene.tree.is_leaf.all() else scene.gaussians.take(scene.tree.is_leaf)
     thinned = thin(leaves, command.options, mode=scene.mode)
     flat = Scene.flat(thinned.gaussians, mode=scene.mode, source=scene.source)
-    lost = write(replace(flat, threshold=scene.threshold, extent=scene.extent), output, force=command.files.force)
+    lost = write(replace(flat, threshold=scene.threshold, tile_rule=scene.tile_rule), output, force=command.files.force)
     return Result(
         output=output,
         num_read=len(leaves),

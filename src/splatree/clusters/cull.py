@@ -42,7 +42,7 @@ from splatree.kernels.cpu.frame import cull as kernel
 from splatree.scene.cameras import Camera
 from splatree.scene.clusters import ClusterIndex, Culling, Sides
 from splatree.scene.options import Cull
-from splatree.scene.scene import Extent
+from splatree.scene.scene import TileRule
 from splatree.shapes import Array, Float32, Float64, Int32
 
 __all__ = ["cull", "sides_of"]
@@ -85,19 +85,19 @@ def cull(
     *,
     dilation_px2: float = DILATION_PX2,
     threshold: float = ALPHA_THRESHOLD,
-    extent: Extent = "ellipse",
+    tile_rule: TileRule = "ellipse",
     threads: int = 0,
 ) -> Culling:
     """Decide which clusters may be seen.
 
     ``dilation_px2`` is what the drawing adds to each splat's variance, ``threshold`` the opacity τ at which a splat ends, and
-    ``extent`` how its tiles are listed: `exact` holds for each of them.
+    ``tile_rule`` how its tiles are listed: `exact` holds for each of them.
     """
     if rule == "none":
         kept = np.ones(len(clusters), bool)
     else:
-        sides = sides_of(camera, rule, dilation_px2=dilation_px2, threshold=threshold, extent=extent)
-        radii, near_radii = _radii(clusters, rule, threshold, extent)
+        sides = sides_of(camera, rule, dilation_px2=dilation_px2, threshold=threshold, tile_rule=tile_rule)
+        radii, near_radii = _radii(clusters, rule, threshold, tile_rule)
         kept = kernel.cull(clusters.centers, radii, near_radii, sides, threads=threads)
         if sides.box_reaches is not None:
             kept &= kernel.cull_boxes(clusters.box_low, clusters.box_high, sides, threads=threads)
@@ -111,7 +111,9 @@ def runs_of(start: Int32[Array, "c+1"], kept: Array) -> Int32[Array, "r 2"]:
     return start[np.flatnonzero(padded[1:] != padded[:-1])].reshape(-1, 2)
 
 
-def sides_of(camera: Camera, rule: Cull, *, dilation_px2: float, threshold: float, extent: Extent = "ellipse") -> Sides:
+def sides_of(
+    camera: Camera, rule: Cull, *, dilation_px2: float, threshold: float, tile_rule: TileRule = "ellipse"
+) -> Sides:
     """The planes of a rule."""
     (fx, _, cx), (_, fy, cy), _ = camera.K.tolist()
     axes = ((fx, cx, camera.width), (fy, cy, camera.height))
@@ -120,7 +122,7 @@ def sides_of(camera: Camera, rule: Cull, *, dilation_px2: float, threshold: floa
     if rule == "planes":
         return _sides(camera, axes, [Margins(0, size, 0, 0) for _, _, size in axes])
     k = _reach_of_opaque(min(threshold, ALPHA_THRESHOLD))
-    if rule == "exact" and extent in ("tau", "3sigma"):
+    if rule == "exact" and tile_rule in ("tau", "3sigma"):
         margins = [_margins_of_square(axes, size, dilation_px2, SHRINK_PAD_PX) for _, _, size in axes]
     elif rule == "exact":
         margins = [_margins_of_box(*axis, k, dilation_px2) for axis in axes]
@@ -131,7 +133,7 @@ def sides_of(camera: Camera, rule: Cull, *, dilation_px2: float, threshold: floa
     else:
         raise InputError(f"cull: found rule {rule!r}, wanted one of {', '.join(get_args(Cull))}")
     if rule == "exact":
-        has_boxes = extent in ("ellipse", "balanced") and threshold >= ALPHA_THRESHOLD
+        has_boxes = tile_rule in ("ellipse", "balanced") and threshold >= ALPHA_THRESHOLD
         return _sides(camera, axes, margins, scale=RADIUS_SCALE, slack=POSITION_SLACK, has_boxes=has_boxes)
     # These transform by R x + t in float32, so they lose digits of x and of t, not of their difference as ours does.
     lost = 2 * POSITION_SLACK * float(np.abs(camera.position).sum())
@@ -139,12 +141,12 @@ def sides_of(camera: Camera, rule: Cull, *, dilation_px2: float, threshold: floa
 
 
 def _radii(
-    clusters: ClusterIndex, rule: Cull, threshold: float, extent: Extent
+    clusters: ClusterIndex, rule: Cull, threshold: float, tile_rule: TileRule
 ) -> tuple[Float32[Array, "c"], Float32[Array, "c"]]:
     """Radii for the four borders, and for the near plane, which drops Gaussians by their centres."""
     if rule == "paper-distance":
         return clusters.mean_radii, clusters.mean_radii
-    if not (rule == "exact-gsplat" or (rule == "exact" and extent in ("ellipse", "balanced"))):
+    if not (rule == "exact-gsplat" or (rule == "exact" and tile_rule in ("ellipse", "balanced"))):
         return clusters.radii, clusters.mean_radii
     if threshold >= ALPHA_THRESHOLD:
         return clusters.footprint_radii, clusters.mean_radii

@@ -75,7 +75,7 @@ def checked(scene: Scene, where: str, *, repair: Repair, magnitudes: Magnitudes 
         )
     gaussians, more = _mended(gaussians, where, repair, first_row=0)
     flat = Scene.flat(gaussians, mode=scene.mode, source=_noted(scene.source, repairs | more))
-    return replace(flat, threshold=scene.threshold, extent=scene.extent)
+    return replace(flat, threshold=scene.threshold, tile_rule=scene.tile_rule)
 
 
 def checked_rows(

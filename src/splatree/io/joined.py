@@ -22,7 +22,7 @@ def joined(scenes: Iterable[Scene]) -> Scene:
     """All rows of ``scenes`` in order; their trees side by side; harmonics at the highest degree among them.
 
     Raises:
-        InputError: the scenes are drawn in different modes, with different thresholds or extents, or are too many rows together.
+        InputError: the scenes differ in mode, threshold or tile rule, or have too many rows together.
     """
     remaining = iter(scenes)
     first = next(remaining)
@@ -32,7 +32,7 @@ def joined(scenes: Iterable[Scene]) -> Scene:
 
     gaussians = _empty(Gaussians.empty(first.gaussians.sh_degree))
     tree = _empty(GaussianTree(np.zeros(0, np.int32), np.zeros(0, np.uint8), np.zeros(0, np.float32)))
-    drawn = {name: getattr(first, name) for name in ("mode", "threshold", "extent")}
+    drawn = {name: getattr(first, name) for name in ("mode", "threshold", "tile_rule")}
     has_ids, sources, start = False, [], 0
     for scene in chain((first, second), remaining):
         first = second = None  # type: ignore[assignment]  # let go of what is appended

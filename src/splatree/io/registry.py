@@ -457,4 +457,4 @@ def _cut(scene: Scene, depth: int | None) -> Scene:
     if drawn.all():
         return scene
     flat = Scene.flat(scene.gaussians.take(np.flatnonzero(drawn)), mode=scene.mode, source=scene.source)
-    return replace(flat, threshold=scene.threshold, extent=scene.extent)
+    return replace(flat, threshold=scene.threshold, tile_rule=scene.tile_rule)

@@ -40,7 +40,7 @@ from splatree.lod.select import count_nested, count_uncovered
 from splatree.lod.serial import levels_of, select_serial
 from splatree.scene.cameras import Camera
 from splatree.scene.frame import Selection
-from splatree.scene.options import SelectOptions, Visibility
+from splatree.scene.options import SelectOptions, ViewTest
 from splatree.scene.scene import Scene
 from splatree.scene.tree import GaussianTree
 from splatree.shapes import Array, Bool, Int32, UInt8
@@ -77,7 +77,7 @@ class View:
 
     camera: Camera
     """From where."""
-    visibility: Visibility
+    view_test: ViewTest
     """What is dropped as out of view."""
     dilation_px2: float
     """Added to each splat's variance."""
@@ -127,7 +127,7 @@ class Baseline:
     """What it chooses from."""
     choose: Choose
     """The rule."""
-    visibility: Visibility
+    view_test: ViewTest
     """What is dropped as out of view; `none` where the method leaves that to the renderer."""
     num_bytes: int
     """Data beside the Gaussians and the tree's own ``subtree_end`` and ``depth``."""
@@ -139,7 +139,7 @@ class Baseline:
     ) -> Selection:
         """Choose the rows to draw."""
         threshold = self.scene.threshold if threshold is None else threshold
-        rows, visited = self.choose(View(camera, self.visibility, dilation_px2, threshold, threads))
+        rows, visited = self.choose(View(camera, self.view_test, dilation_px2, threshold, threads))
         return Selection(rows, self.method, "exact", self.pixel_error, visited)
 
     def cut(self, camera: Camera, *, dilation_px2: float = DILATION_PX2) -> Int32[Array, "v"]:
@@ -181,9 +181,9 @@ def baseline(
     tree = scene.tree
 
     def made(
-        choose: Choose, num_bytes: int = 0, visibility: Visibility = "footprint", pixel_error: float = 0.0
+        choose: Choose, num_bytes: int = 0, view_test: ViewTest = "footprint", pixel_error: float = 0.0
     ) -> Baseline:
-        return Baseline(method, scene, choose, visibility, num_bytes, pixel_error)
+        return Baseline(method, scene, choose, view_test, num_bytes, pixel_error)
 
     if method in ("3dgs", "roots", "depth"):
         depth = {"3dgs": tree.num_levels, "roots": 0, "depth": options.depth}[method]
@@ -215,7 +215,7 @@ def log_serial(scene: Scene, select: SelectOptions, roots: Array | None = None) 
             scene.tree,
             None,
             view.camera,
-            replace(select, visibility=view.visibility),
+            replace(select, view_test=view.view_test),
             dilation_px2=view.dilation_px2,
             threshold=view.threshold,
             levels=levels,
@@ -227,18 +227,18 @@ def log_serial(scene: Scene, select: SelectOptions, roots: Array | None = None) 
 
 
 def _culled(scene: Scene, rows_of: Choose) -> Choose:
-    """A rule that knows nothing of visibility, then the test of visibility."""
+    """A rule that does not look at the view, followed by the view test."""
 
     def choose(view: View) -> tuple[Array, int]:
         rows, visited = rows_of(view)
-        if view.visibility == "none":
+        if view.view_test == "none":
             return rows, visited
         seen = cpu_select.visible(
             scene.gaussians,
             scene.tree,
             rows,
             view.camera,
-            SelectOptions(visibility=view.visibility),
+            SelectOptions(view_test=view.view_test),
             dilation_px2=view.dilation_px2,
             threshold=view.threshold,
             threads=view.threads,
@@ -274,7 +274,7 @@ def _filtergs(scene: Scene, method: Method, pixel_error: float) -> tuple[Choose,
     }[method]
 
     def choose(view: View) -> tuple[Array, int]:
-        options = replace(select, visibility=view.visibility)
+        options = replace(select, view_test=view.view_test)
         rows, visited = cpu_select.select_by_ancestors(
             scene.gaussians,
             scene.tree,
@@ -285,7 +285,7 @@ def _filtergs(scene: Scene, method: Method, pixel_error: float) -> tuple[Choose,
             threshold=view.threshold,
             threads=view.threads,
         )
-        if method == "filtergs-release" and view.visibility != "none":
+        if method == "filtergs-release" and view.view_test != "none":
             rows = rows[
                 cpu_select.small(
                     scene.gaussians,

@@ -29,7 +29,7 @@ from splatree.scene.cameras import Camera
 from splatree.scene.clusters import Culling
 from splatree.scene.frame import Selection
 from splatree.scene.options import Cull, Profile, RenderOptions, ResolvedOptions, SelectOptions
-from splatree.scene.scene import Extent, Scene
+from splatree.scene.scene import Scene, TileRule
 from splatree.scene.tree import GaussianTree
 from splatree.shapes import Array, Bool, Int32
 
@@ -75,7 +75,7 @@ def select(
     """Choose the rows to draw.
 
     ``dilation_px2`` is what the drawing adds to each splat's variance; ``threshold`` the opacity τ at which a splat ends (None:
-    the scene's), below which the visibility test `footprint` drops it. ``culling`` is what `cull_scene` found for the same
+    the scene's), below which the view test `footprint` drops it. ``culling`` is what `cull_scene` found for the same
     camera and options; None: it is found here.
 
     Raises:
@@ -189,7 +189,7 @@ def cull_scene(
     *,
     dilation_px2: float = DILATION_PX2,
     threshold: float | None = None,
-    extent: Extent = "ellipse",
+    tile_rule: TileRule = "ellipse",
     threads: int = 0,
 ) -> Culling | None:
     """Decide which clusters of a scene are left out, by its `cull_rule`; None if that is `none`.
@@ -207,7 +207,7 @@ def cull_scene(
         rule,
         dilation_px2=dilation_px2,
         threshold=threshold,
-        extent=extent,
+        tile_rule=tile_rule,
         threads=threads,
     )
 

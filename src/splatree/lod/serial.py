@@ -87,7 +87,7 @@ def select_serial(
 ) -> tuple[Int32[Array, "v"], int]:
     """Rows drawn, ascending, by the rule `cut` or `log-serial`, and how many nodes were visited.
 
-    Signature as `kernels.cpu.select.select`; ``blocks`` is not used. Radii and visibility come from the same compiled
+    Signature as `kernels.cpu.select.select`; ``blocks`` is not used. Radii and the view test come from the same compiled
     functions, so the rule `cut` gives the same set bit for bit.
     """
     levels = levels or levels_of(tree)

@@ -7,7 +7,7 @@ Policies (FilterGS 2026, §3.3, Eq. 8; G is the mean contribution of a pair, ren
 - ``release``: τ = λ_G · G, as the code of FilterGS computes: crowded scenes are shrunk less;
 - ``fixed``: the render option ``threshold``, or 1/255.
 
-Unless another extent is asked for, ``target`` takes `balanced`, the other policies the same τ for all splats, `ellipse`. No τ
+Unless another tile rule is asked for, ``target`` takes `balanced`, the other policies the same τ for all splats, `ellipse`. No τ
 goes below 1/255, down to which the blend draws anyway, nor above 0.5.
 
 What a loss of x dB means. With photographs: the mean over the views of PSNR(lossless, photo) − PSNR(shrunk, photo). Without: the
@@ -40,7 +40,7 @@ from splatree.render.pipeline import trace
 from splatree.scene.cameras import Camera
 from splatree.scene.frame import Frame
 from splatree.scene.options import RenderOptions, SelectOptions
-from splatree.scene.scene import Extent, Scene
+from splatree.scene.scene import Scene, TileRule
 from splatree.shapes import Array
 
 __all__ = ["CalibrateOptions", "Calibration", "Policy", "Trial", "calibrate", "calibrated"]
@@ -57,6 +57,9 @@ BISECTIONS: Final = 8
 METADATA_KEY: Final = "calibration"
 """Where a scene keeps how its threshold was chosen, as JSON."""
 
+STORED_AS: Final = {"tile_rule": "extent"}
+"""Fields of that record whose name in files is an older one."""
+
 
 @dataclass(frozen=True)
 class CalibrateOptions:
@@ -70,7 +73,7 @@ class CalibrateOptions:
     """Without photographs: PSNR that the scene's lossless pictures are taken to have against the truth, dB."""
     lambda_g: float = 0.2
     """λ_G of `paper` and `release`."""
-    lists: Extent = "ellipse"
+    lists: TileRule = "ellipse"
     """`paper` and `release`: the tile lists that G is the mean over; `3sigma` as in the code of FilterGS."""
     tiles: Tiles = "all"
     """The same: whether tiles without splats count, as 0."""
@@ -80,7 +83,7 @@ class CalibrateOptions:
     """Draw at most this many of the views, spread evenly over them."""
 
     def __post_init__(self) -> None:
-        for name, kind in (("policy", Policy), ("lists", Extent), ("tiles", Tiles), ("unit", Unit)):
+        for name, kind in (("policy", Policy), ("lists", TileRule), ("tiles", Tiles), ("unit", Unit)):
             if getattr(self, name) not in get_args(kind):
                 raise InputError(f"{name}: found {getattr(self, name)!r}, wanted one of {', '.join(get_args(kind))}")
         for name in ("loss_db", "scene_psnr", "lambda_g"):
@@ -130,8 +133,8 @@ class Calibration:
     """Width and height of the first view."""
     options: CalibrateOptions
     """How it was asked for."""
-    extent: Extent
-    """Extent of the splats; `target` takes `balanced` unless another is asked for, the other policies `ellipse`."""
+    tile_rule: TileRule
+    """Rule for the tiles of a splat; `target` takes `balanced` unless another is asked for, the other policies `ellipse`."""
     pixels: str
     """Treatment of the pixels."""
     pixel_error: float | None
@@ -156,13 +159,13 @@ def calibrate(
     depends on the size of the pictures and on the level of detail: calibrate with what will be drawn.
 
     Raises:
-        InputError: there is no view, or the extent is `3sigma`, which takes no notice of τ.
+        InputError: there is no view, or the tile rule is `3sigma`, which takes no notice of τ.
     """
     options, render, select = options or CalibrateOptions(), render or RenderOptions(), select or SelectOptions()
-    if render.extent == "3sigma":
-        raise InputError("extent: found '3sigma', which does not depend on τ; wanted another")
-    extent: Extent = render.extent or ("balanced" if options.policy == "target" else "ellipse")
-    render = replace(render, extent=extent)
+    if render.tile_rule == "3sigma":
+        raise InputError("tile_rule: found '3sigma', which does not depend on τ; wanted another")
+    tile_rule: TileRule = render.tile_rule or ("balanced" if options.policy == "target" else "ellipse")
+    render = replace(render, tile_rule=tile_rule)
     with_photo = [camera for camera in cameras if camera.name in photos] if photos else list(cameras)
     if not with_photo:
         found = f"{len(cameras)} views, none with a photograph" if cameras else "no view"
@@ -185,7 +188,7 @@ def calibrate(
         views=tuple(view.name or str(number) for number, view in zip(chosen, views, strict=True)),
         size_px=(views[0].width, views[0].height),
         options=options,
-        extent=extent,
+        tile_rule=tile_rule,
         pixels=render.pixels,
         pixel_error=select.pixel_error,
         trials=tuple(trials),
@@ -194,12 +197,13 @@ def calibrate(
 
 def calibrated(scene: Scene, calibration: Calibration, **provenance: str) -> Scene:
     """The scene with the τ of a calibration, and in its metadata how it was chosen; ``provenance`` is added to that."""
-    record = {name: value for name, value in asdict(calibration).items() if name != "trials"} | provenance
+    record = {STORED_AS.get(name, name): value for name, value in asdict(calibration).items() if name != "trials"}
+    record |= provenance
     metadata = {**scene.source.metadata, METADATA_KEY: json.dumps(record)}
     return replace(
         scene,
         threshold=calibration.threshold,
-        extent=calibration.extent,
+        tile_rule=calibration.tile_rule,
         source=replace(scene.source, metadata=metadata),
     )
 
@@ -229,7 +233,7 @@ class _Studio:
 
     def draw_lossless(self) -> None:
         """Draw all views with the exact test at 1/255; keep their pictures, or else how far they are from the photographs."""
-        lossless = replace(self.render, extent="ellipse", pixels="hard", threshold=ALPHA_THRESHOLD)
+        lossless = replace(self.render, tile_rule="ellipse", pixels="hard", threshold=ALPHA_THRESHOLD)
         self.pictures: list[Array] = []
         self.photo_psnrs: list[float] = []
         contributions = []
@@ -242,7 +246,7 @@ class _Studio:
                 self.pictures.append(_shown(frame))
             if self.options.lists != "ellipse":
                 frame = trace(
-                    self.scene, view, replace(lossless, extent=self.options.lists), self.select, threads=self.threads
+                    self.scene, view, replace(lossless, tile_rule=self.options.lists), self.select, threads=self.threads
                 )
             contributions.append(tile_contributions(frame).mean(tiles=self.options.tiles, unit=self.options.unit))
         self.contribution = float(np.mean(contributions))
@@ -261,7 +265,7 @@ class _Studio:
 
     def _largest_within_budget(self) -> tuple[Trial, list[Trial]]:
         best = Trial(ALPHA_THRESHOLD, 0.0, None, self.num_pairs_lossless)
-        if self.render.extent == "tau":  # not what was drawn as lossless
+        if self.render.tile_rule == "tau":  # not what was drawn as lossless
             best = self.attempt(ALPHA_THRESHOLD)
         above = self.attempt(THRESHOLD_MAX)
         trials = [best, above]

@@ -17,7 +17,7 @@ costs one pass over the pixels, nothing a pair; K of each pair is an output of t
     frame = trace(scene, camera, contributions=True)
     contribution_histogram([frame.contributions])                # Fig. 6b
 
-G depends on how lists are made, because n counts the pairs that contribute nothing: name the extent beside it. Variants:
+G depends on how lists are made, because n counts the pairs that contribute nothing: name the tile rule beside it. Variants:
 ``tiles`` `all` counts tiles without pairs as 0, as the paper's code does, so that sky lowers Ḡ_v; `non-empty` leaves them out.
 ``unit`` `pixels` is the paper's, 0 to 256; `coverage` divides by the pixels that the picture has in the tile, 0 to 1.
 """

@@ -61,7 +61,7 @@ def trace_on_device(
         start, cpu = time.perf_counter(), time.process_time()
         if isinstance(select, SelectOptions):
             culling = cull_scene(
-                scene, camera, select, dilation_px2=dilation, threshold=threshold, extent=options.extent
+                scene, camera, select, dilation_px2=dilation, threshold=threshold, tile_rule=options.tile_rule
             )
             selection = select_rows(scene, camera, select, dilation_px2=dilation, threshold=threshold, culling=culling)
         else:

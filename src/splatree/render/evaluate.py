@@ -69,7 +69,7 @@ def evaluate(
     a loaded `splatree.metrics.lpips.Lpips`.
     """
     scene = with_blocks(scene)
-    lossless = replace(options or RenderOptions(), extent="ellipse", pixels="hard", threshold=ALPHA_THRESHOLD)
+    lossless = replace(options or RenderOptions(), tile_rule="ellipse", pixels="hard", threshold=ALPHA_THRESHOLD)
     for camera in track(list(cameras), "evaluate views"):
         cut = trace(scene, camera, options, select)
         leaves = trace(scene, camera, lossless, SelectOptions(pixel_error=0.0, cull="none"))

@@ -94,7 +94,7 @@ def trace(
                     select,
                     dilation_px2=resolved.dilation_px2,
                     threshold=resolved.threshold,
-                    extent=resolved.extent,
+                    tile_rule=resolved.tile_rule,
                     threads=threads,
                 ),
             )
@@ -130,8 +130,8 @@ def _settled(select: SelectOptions | Selector, scene: Scene, options: ResolvedOp
     if not isinstance(select, SelectOptions):
         return select
     select = for_levels(select, scene)
-    if select.visibility == "footprint" and options.is_square:
+    if select.view_test == "footprint" and options.is_square:
         return replace(
-            select, visibility="none"
+            select, view_test="none"
         )  # footprints are ellipses; the projection drops what squares do not show
     return select

@@ -74,8 +74,8 @@ def draw(
         raise InputError("draw: found a scene on the processor, wanted one on the GPU: scene.to('cuda'); or use render")
     resolved = (options or RenderOptions()).resolved(scene)
     select = for_levels(select or SelectOptions(), scene)
-    if resolved.is_square and select.visibility == "footprint":
-        select = replace(select, visibility="none")  # the projection drops what squares do not show
+    if resolved.is_square and select.view_test == "footprint":
+        select = replace(select, view_test="none")  # the projection drops what squares do not show
     return renderer_of(scene).draw(camera, resolved, select)
 
 

@@ -4,7 +4,7 @@ A frame is all of select → project → bin → blend, from the camera to the f
 once a scene. Stages of the paper's Table 2 are ours as follows:
 
 ==========  =======================================================================================
-T_calcu     ``cull`` and ``select``: clusters, radii, the cut, visibility, the list of rows (t_f of Table 1)
+T_calcu     ``cull`` and ``select``: clusters, radii, the cut, the view test, the list of rows (t_f of Table 1)
 T_synch     nothing: there is no second processor to wait for
 T_prepr     ``project``: splats, colours and their order by depth (the paper sorts depths with the tiles)
 T_sort      ``bin``: pairs of splats and tiles, tile by tile

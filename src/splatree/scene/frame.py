@@ -91,7 +91,7 @@ class Splats:
         return self.records[:, 10]
 
     @property
-    def extents_px(self) -> Float32[Array, "v 2"]:
+    def half_sizes_px(self) -> Float32[Array, "v 2"]:
         """Half width and half height, px, of the box outside of which no pixel is drawn."""
         return self.records[:, 11:13]
 

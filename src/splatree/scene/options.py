@@ -5,7 +5,7 @@ from typing import Literal, get_args
 
 from splatree.constants import ALPHA_THRESHOLD, DILATION_MAX_PX2, DILATION_PX2, PIXEL_ERROR, SHRINK_AREA_POWER
 from splatree.errors import InputError
-from splatree.scene.scene import Extent, Mode, Scene
+from splatree.scene.scene import Mode, Scene, TileRule
 
 Rule = Literal["cut", "paper-strict", "release", "log-serial"]
 """Named rule sets of the selection (FilterGS §3.2 and its code; docs/algorithms/select.md)."""
@@ -13,8 +13,8 @@ Rule = Literal["cut", "paper-strict", "release", "log-serial"]
 Profile = Literal["exact", "3dgs", "ref", "sphere"]
 """Named radius functions R(node, camera) in px."""
 
-Visibility = Literal["footprint", "centre", "none"]
-"""Named tests that drop nodes of the cut which cannot be seen."""
+ViewTest = Literal["footprint", "centre", "none"]
+"""Named tests that drop nodes of the cut which are out of view."""
 
 Cull = Literal["none", "exact", "exact-inria", "exact-gsplat", "planes", "paper", "paper-guard", "paper-distance"]
 """Named rules that leave out clusters (clusters/cull.py; docs/algorithms/clusters.md)."""
@@ -36,8 +36,8 @@ class SelectOptions:
     profile: Profile | None = None
     """Radius of a node, px: `exact` is 3 √λ of the dilated splat, `sphere` its extent over the distance; None: `sphere` for
     levels that were made for it, by pairs or linked, else `exact`."""
-    visibility: Visibility = "footprint"
-    """What is dropped as out of view: splats that miss the image, centres outside of it, or nothing."""
+    view_test: ViewTest = "footprint"
+    """Nodes dropped as out of view: splats that miss the image, centres outside of it, or nothing."""
     max_radius: float | None = None
     """Also drop nodes of a larger radius, px, leaves too (700 in the code of FilterGS); None: draw them."""
     cull: Cull | None = None
@@ -51,7 +51,7 @@ class SelectOptions:
             raise InputError(f"budget: found {self.budget}, wanted at least 1 node")
         if self.max_radius is not None and not self.max_radius > 0:
             raise InputError(f"max_radius: found {self.max_radius}, wanted more than 0 px")
-        _check_names(self, rule=Rule, visibility=Visibility)
+        _check_names(self, rule=Rule, view_test=ViewTest)
         if self.profile is not None:
             _check_names(self, profile=Profile)
         if self.cull is not None:
@@ -75,7 +75,7 @@ class RenderOptions:
     """Variance added to both axes of each splat, px²."""
     threshold: float | None = None
     """τ: opacity below which a splat ends; None: as the scene says (1/255 is lossless)."""
-    extent: Extent | None = None
+    tile_rule: TileRule | None = None
     """Tiles of a splat: `ellipse` those that it reaches with opacity τ, `balanced` with less for large splats; `tau` and `3sigma`
     squares as the code of FilterGS and of 3DGS; None: as the scene says, else `ellipse`."""
     pixels: Pixels = "hard"
@@ -92,10 +92,12 @@ class RenderOptions:
         if self.threshold is not None and not 0 < self.threshold < 1:
             raise InputError(f"threshold: found {self.threshold}, wanted between 0 and 1")
         _check_names(self, pixels=Pixels)
-        if self.extent is not None:
-            _check_names(self, extent=Extent)
-        if self.pixels == "taper" and self.extent in ("tau", "3sigma"):
-            raise InputError(f"pixels: found 'taper' with extent {self.extent!r}, wanted 'hard', or extent 'ellipse'")
+        if self.tile_rule is not None:
+            _check_names(self, tile_rule=TileRule)
+        if self.pixels == "taper" and self.tile_rule in ("tau", "3sigma"):
+            raise InputError(
+                f"pixels: found 'taper' with tile_rule {self.tile_rule!r}, wanted 'hard', or tile_rule 'ellipse'"
+            )
         if self.sh_degree is not None and not 0 <= self.sh_degree <= 3:
             raise InputError(f"sh_degree: found {self.sh_degree}, wanted 0 to 3")
 
@@ -107,7 +109,7 @@ class RenderOptions:
             dilation_px2=self.dilation_px2,
             threshold=self.threshold if self.threshold is not None else scene.threshold,
             sh_degree=self.sh_degree if self.sh_degree is not None else scene.gaussians.sh_degree,
-            extent=self.extent or scene.extent or "ellipse",
+            tile_rule=self.tile_rule or scene.tile_rule or "ellipse",
             pixels=self.pixels,
         )
 
@@ -126,20 +128,20 @@ class ResolvedOptions:
     """τ: opacity below which a splat ends."""
     sh_degree: int
     """Highest degree of harmonics evaluated."""
-    extent: Extent = "ellipse"
+    tile_rule: TileRule = "ellipse"
     """Rule for the tiles of a splat."""
     pixels: Pixels = "hard"
     """What happens to the pixels of these tiles."""
 
     @property
     def is_square(self) -> bool:
-        """Whether the extents are squares."""
-        return self.extent in ("tau", "3sigma")
+        """Whether the tile rule lists squares."""
+        return self.tile_rule in ("tau", "3sigma")
 
     @property
     def area_power(self) -> float:
         """The power of its area with which a splat's τ falls."""
-        return SHRINK_AREA_POWER if self.extent == "balanced" else 0.0
+        return SHRINK_AREA_POWER if self.tile_rule == "balanced" else 0.0
 
     @property
     def least_threshold(self) -> float:

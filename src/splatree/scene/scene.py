@@ -17,7 +17,7 @@ Mode = Literal["classic", "antialiased"]
 """How a scene was trained and is drawn: `classic` adds 0.3 px² to each splat (Kerbl 2023); `antialiased` also lowers its
 opacity so that its mass is kept (Yu 2024, Mip-Splatting, Eq. 9 without the 3D filter, as in gsplat)."""
 
-Extent = Literal["ellipse", "balanced", "tau", "3sigma"]
+TileRule = Literal["ellipse", "balanced", "tau", "3sigma"]
 """Named rules for the tiles that a splat is listed in (docs/algorithms/shrinking.md)."""
 
 DeviceName = Literal["cpu", "cuda"]
@@ -55,7 +55,7 @@ class Scene:
     """How the scene is drawn."""
     threshold: float = ALPHA_THRESHOLD
     """τ: a splat ends where its opacity falls below this."""
-    extent: Extent | None = None
+    tile_rule: TileRule | None = None
     """Rule for the tiles of a splat that τ was chosen for; None: `ellipse`."""
     source: Source = Source()
     """Where it came from."""
@@ -78,8 +78,10 @@ class Scene:
             )
         if self.mode not in ("classic", "antialiased"):
             raise InputError(f"Scene.mode: found {self.mode!r}, wanted 'classic' or 'antialiased'")
-        if self.extent is not None and self.extent not in get_args(Extent):
-            raise InputError(f"Scene.extent: found {self.extent!r}, wanted one of {', '.join(get_args(Extent))}")
+        if self.tile_rule is not None and self.tile_rule not in get_args(TileRule):
+            raise InputError(
+                f"Scene.tile_rule: found {self.tile_rule!r}, wanted one of {', '.join(get_args(TileRule))}"
+            )
         if not 0 < self.threshold < 1:
             raise InputError(f"Scene.threshold: found {self.threshold}, wanted between 0 and 1")
         if self.device not in get_args(DeviceName):

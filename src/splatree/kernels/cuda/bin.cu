@@ -24,7 +24,7 @@ SPLATREE_FN Cover load_cover(const FrameJob* job, long long splat) {
   const float4 p = job->records[4 * splat], q = job->records[4 * splat + 1];
   const float4 r = job->records[4 * splat + 2], s = job->records[4 * splat + 3];
   Cover cover = {};
-  if (n.extent == int(Extent::SQUARE)) {
+  if (n.tile_rule == int(TileRule::SQUARE)) {
     const float half_side = half_side_of_factor(n.square, p.z, p.w, q.x, q.z);
     const Side across = side_of(p.x, half_side, (float)n.num_tiles_x), down = side_of(p.y, half_side, (float)n.num_tiles_y);
     cover.rows = {int(down.first), int(down.end)};
@@ -42,7 +42,7 @@ SPLATREE_FN Cover load_cover(const FrameJob* job, long long splat) {
 
 // The tiles of a splat in a row of tiles.
 SPLATREE_FN Tiles columns_of(const FrameJob* job, const Cover& cover, int row) {
-  if (job->numbers.extent != int(Extent::ELLIPSE)) return cover.columns;
+  if (job->numbers.tile_rule != int(TileRule::ELLIPSE)) return cover.columns;
   const Interval strip = strip_of(row, (float)job->numbers.height);
   return tiles_in(reach_of(cover.ellipse, strip.low, strip.high), (float)job->numbers.width);
 }

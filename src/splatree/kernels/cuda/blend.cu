@@ -30,16 +30,16 @@ struct Brush {
 
 // Whether the splat may touch the pixel centres of a rectangle of half size (half_x, half_y) around (x, y): |L d| over it is
 // at least that at its centre less what the half sizes can add; `lost` is what float32 may lose.
-SPLATREE_FN bool may_touch(const Brush& s, float x, float y, float half_x, float half_y, float log2_threshold, float extent_x,
-                           float extent_y) {
+SPLATREE_FN bool may_touch(const Brush& s, float x, float y, float half_x, float half_y, float log2_threshold, float half_size_x,
+                           float half_size_y) {
   const float dx = x - s.x, dy = y - s.y, abs_b = __builtin_fabsf(s.b);
   const float u = s.a * dx + s.b * dy, v = s.c * dy;
-  const float u_reach = s.a * half_x + abs_b * half_y + 2e-6f * (s.a * (extent_x + 16) + abs_b * (extent_y + 16));
-  const float v_reach = s.c * half_y + 2e-6f * s.c * (extent_y + 16);
+  const float u_reach = s.a * half_x + abs_b * half_y + 2e-6f * (s.a * (half_size_x + 16) + abs_b * (half_size_y + 16));
+  const float v_reach = s.c * half_y + 2e-6f * s.c * (half_size_y + 16);
   const float u_least = greatest(__builtin_fabsf(u) - u_reach, 0.f), v_least = greatest(__builtin_fabsf(v) - v_reach, 0.f);
   const float limit = (s.log2_opacity - log2_threshold) * (1 + 1e-5f) + 1e-5f;
   return (u_least * u_least + v_least * v_least <= limit) &
-         (__builtin_fabsf(dx) <= extent_x * (1 + 1e-5f) + half_x + 1e-3f);
+         (__builtin_fabsf(dx) <= half_size_x * (1 + 1e-5f) + half_x + 1e-3f);
 }
 
 struct Pixel {
@@ -78,7 +78,7 @@ template <int SIDE, bool TAPER, bool CONTRIBUTIONS>
 SPLATREE_FN void blend(const FrameJob* job, int from_b) {
   constexpr int THREADS = SIDE * SIDE, PARTS = int(TILE_PX) / SIDE;
   SPLATREE_SHARED(float4, geometry, THREADS);   // x, y, a, b
-  SPLATREE_SHARED(float4, appearance, THREADS);  // c, log2 opacity, extent x, extent y
+  SPLATREE_SHARED(float4, appearance, THREADS);  // c, log2 opacity, half size x, half size y
   SPLATREE_SHARED(float4, color, THREADS);      // red, green, blue, depth
   SPLATREE_SHARED(float, floors, TAPER ? THREADS : 1);
   SPLATREE_SHARED(int, num_loaded, THREADS / WARP);
@@ -104,18 +104,18 @@ SPLATREE_FN void blend(const FrameJob* job, int from_b) {
     // A batch. In a part of a tile those that miss it are left out, the others keep their order.
     const bool there = at + threadIdx.x < end;
     float4 p = {}, q = {}, r = {};
-    float extent_y = 0, floor = 0, ends = threshold;
+    float half_size_y = 0, floor = 0, ends = threshold;
     bool taken = there;
     if (there) {
       const long long splat = pairs[at + threadIdx.x];
       p = job->records[4 * splat], q = job->records[4 * splat + 1], r = job->records[4 * splat + 2];
-      extent_y = float4(job->records[4 * splat + 3]).x;
+      half_size_y = float4(job->records[4 * splat + 3]).x;
       if (TAPER) floor = job->floors[splat], ends = log2_of(floor);
       p.z *= SQRT_HALF_LOG2E, p.w *= SQRT_HALF_LOG2E, q.x *= SQRT_HALF_LOG2E;
       const float half = 0.5f * (SIDE - 1);
       if (PARTS > 1)
         taken = may_touch({p.x, p.y, p.z, p.w, q.x, q.z}, block_x + 0.5f * SIDE, block_y + 0.5f * SIDE, half, half,
-                          ends, r.w, extent_y);
+                          ends, r.w, half_size_y);
     }
     const unsigned lanes = __ballot_sync(ALL_LANES, taken);
     if (lane_of() == 0) num_loaded[warp_of()] = __popc(lanes);
@@ -127,7 +127,7 @@ SPLATREE_FN void blend(const FrameJob* job, int from_b) {
     }
     if (taken) {
       geometry[place] = p;
-      appearance[place] = make_float4(q.x, q.z, r.w, extent_y);
+      appearance[place] = make_float4(q.x, q.z, r.w, half_size_y);
       color[place] = make_float4(q.w, r.x, r.y, r.z);
       if (TAPER) floors[place] = floor;
     }

@@ -14,7 +14,7 @@ struct FrameNumbers {
   ViewPlanes planes;
   double reach[NUM_SIDES];
   double eye[3];
-  int visibility;  // of enum Visibility
+  int view_test;   // of enum ViewTest
   int all_small;   // τ_R is infinite
   int cull;        // whether blocks are tested against the image
   int degree;      // of harmonics evaluated
@@ -22,7 +22,7 @@ struct FrameNumbers {
   float background[3];
   float log2_threshold, area_power;  // of τ; how it falls with a splat's area
   float log2_pixel_threshold;  // of the smallest opacity that is drawn at a pixel
-  int extent;      // of enum Extent
+  int tile_rule;   // of enum TileRule
   Square square;   // if that is what it is
 };
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from splatree.errors import InputError
 from splatree.kernels.cpu import _core
-from splatree.kernels.cpu.frame.select import VISIBILITIES, is_culled, pack_rule, view_planes
+from splatree.kernels.cpu.frame.select import VIEW_TESTS, is_culled, pack_rule, view_planes
 from splatree.kernels.cpu.frame.view import pack_square, pack_view
 from splatree.kernels.cuda.sources import headers
 from splatree.scene.cameras import Camera
@@ -93,7 +93,7 @@ def pack_numbers(
             options.pixel_threshold,
             options.mode == "antialiased",
             pack_rule(camera, select, dilation, threshold),
-            VISIBILITIES.index(select.visibility),
+            VIEW_TESTS.index(select.view_test),
             is_culled(select),
             *view_planes(camera, select, dilation, threshold, view),
             min(options.sh_degree, degree),

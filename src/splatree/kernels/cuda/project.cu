@@ -66,7 +66,7 @@ SPLATREE_KERNEL(128) project(const FrameJob* job) {
     const float sigmoid = sigmoid_of(job->logit_opacities[row]);
     View view = n.view;
     view.log2_threshold = n.log2_pixel_threshold;  // the box holds every pixel that is drawn, the tiles those above τ
-    const bool is_square = n.extent == int(Extent::SQUARE);
+    const bool is_square = n.tile_rule == int(TileRule::SQUARE);
     const auto shape = [&](auto antialiased, auto square) {
       return splat_of<antialiased.value, square.value>(view, n.square, image.x, image.y, p.z, m.x, m.y, sigmoid);
     };
@@ -80,8 +80,8 @@ SPLATREE_KERNEL(128) project(const FrameJob* job) {
       const Vector color = color_of(job, p, row);
       job->records[4 * i] = make_float4(image.x, image.y, s.a, s.b);
       job->records[4 * i + 1] = make_float4(s.c, s.opacity, s.log2_opacity, color.x);
-      job->records[4 * i + 2] = make_float4(color.y, color.z, p.z, s.extent_x);
-      job->records[4 * i + 3] = make_float4(s.extent_y, 0.f, 0.f, 0.f);
+      job->records[4 * i + 2] = make_float4(color.y, color.z, p.z, s.half_size_x);
+      job->records[4 * i + 3] = make_float4(s.half_size_y, 0.f, 0.f, 0.f);
     }
   }
   count_lanes(job, NUM_VISIBLE, visible);

@@ -31,9 +31,9 @@ SPLATREE_FN bool load_small(const FrameJob* job, long long row) {
 // Whether a row can be seen, by the test that the options name.
 SPLATREE_FN bool load_visible(const FrameJob* job, long long row) {
   const FrameNumbers& n = job->numbers;
-  if (n.visibility == UNSEEN_TOO) return true;
+  if (n.view_test == UNSEEN_TOO) return true;
   const Point point = load_point(job, row);
-  if (n.visibility == CENTRE) return is_centred(n.view, n.rule, point);
+  if (n.view_test == CENTRE) return is_centred(n.view, n.rule, point);
   const float logit = job->logit_opacities[row];
   const int bound = is_visible_bound(n.view, n.rule, point, load_vector(job->log_scales, row), logit);
   if (bound != OPEN) return bound == YES;

@@ -2,7 +2,7 @@
 // same on the processor.
 //
 // select_blocks   a warp a block: is it in the image, and does the shadow of an ancestor of its first row cover it?
-// select_rows     256 threads a block that is left, a thread a row: radius, prefix maximum of subtree_end, visibility; one bit a row
+// select_rows     256 threads a block that is left, a thread a row: radius, prefix maximum of subtree_end, the view test; one bit a row
 // scan_kept       where the rows of each block go
 // list_rows       a warp a block: bits to rows
 //
@@ -33,7 +33,7 @@ SPLATREE_FN Placement place(const FrameJob* job, long long block) {
     const double far = __builtin_fabs(n.eye[i] - center) + half;
     squared += far * far;
   }
-  Placement found = {false, n.visibility == UNSEEN_TOO, __shfl_sync(ALL_LANES, middle + width, DEPTH_PLANE), 0};
+  Placement found = {false, n.view_test == UNSEEN_TOO, __shfl_sync(ALL_LANES, middle + width, DEPTH_PLANE), 0};
   if (n.rule.sphere) found.distance_max = __builtin_sqrt(squared);
   if (!n.cull) return found;
   double scale = job->leaf_scales[block];
@@ -97,7 +97,7 @@ SPLATREE_KERNEL(256) select_rows(const FrameJob* job) {
     const long long begin = open.x * job->rows_per_block;
     const long long end = begin + job->rows_per_block < job->num_rows ? begin + job->rows_per_block : job->num_rows;
     const bool inside = open.w;
-    const bool all_bright = inside && !(n.visibility == FOOTPRINT && job->min_logits[open.x] < n.rule.logit_min);
+    const bool all_bright = inside && !(n.view_test == FOOTPRINT && job->min_logits[open.x] < n.rule.logit_min);
     int shadow = open.y;  // of the rows before
     unsigned num_kept = 0;
     for (long long first = begin; first < end; first += blockDim.x) {

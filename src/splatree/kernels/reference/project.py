@@ -11,8 +11,8 @@ holds for an off-centre principal point). In mode `antialiased` the opacity is m
 so that the dilation does not add light (Yu 2024, Eq. 9).
 
 The splat is drawn down to an opacity θ, the smaller of τ and 1/255: |L d| ≤ k with k = √(2 ln(o/θ)), a box of half size
-k √Σ'_xx by k √Σ'_yy. A Gaussian is dropped if its centre is not farther than `near`, if o < τ (in the extent `balanced` if
-o < θ), or if the box holds no pixel centre's row or column; one with a square extent (square.py) if that is listed in no tile.
+k √Σ'_xx by k √Σ'_yy. A Gaussian is dropped if its centre is not farther than `near`, if o < τ (by the tile rule `balanced` if
+o < θ), or if the box holds no pixel centre's row or column; under a square tile rule (square.py) if its square is in no tile.
 """
 
 import numpy as np
@@ -72,13 +72,13 @@ def project(
         opacities = opacities * np.sqrt(undilated_det / det)
     threshold = options.pixel_threshold
     k_squared = 2 * np.log(np.maximum(opacities, threshold) / threshold)
-    extents_px = np.sqrt(k_squared[:, None] * np.stack([xx, yy], axis=1))
+    half_sizes_px = np.sqrt(k_squared[:, None] * np.stack([xx, yy], axis=1))
 
     a = np.sqrt(yy / det)
     factors = np.stack([a, -a * xy / yy, np.sqrt(1 / yy)], axis=1)
     size = np.array([camera.width, camera.height])
     if not options.is_square:
-        touches = ((means_px + extents_px >= 0.5) & (means_px - extents_px <= size - 0.5)).all(axis=1)
+        touches = ((means_px + half_sizes_px >= 0.5) & (means_px - half_sizes_px <= size - 0.5)).all(axis=1)
     else:
         sides = half_sides(xx, xy, yy, opacities, rule_of(options))
         ranges = [tile_range(means_px[:, axis], sides, int(size[axis])) for axis in range(2)]
@@ -93,7 +93,7 @@ def project(
     records = np.zeros((int(visible.sum()), 16), np.float32)
     records[:, 0:2], records[:, 2:5] = means_px[visible], factors[visible]
     records[:, 5], records[:, 6] = opacities[visible], np.log2(np.maximum(opacities[visible], 1e-37))
-    records[:, 7:10], records[:, 10], records[:, 11:13] = colors, z[visible], extents_px[visible]
+    records[:, 7:10], records[:, 10], records[:, 11:13] = colors, z[visible], half_sizes_px[visible]
     rows = np.ascontiguousarray(rows[visible])
     order = np.lexsort((rows if ids is None else ids[rows], records[:, 10])).astype(np.int32)
     return Splats(rows, records, order)

@@ -32,7 +32,7 @@ from splatree.constants import CENTRE_PAD, DILATION_PX2, EIGENVALUE_FLOOR_PX4, F
 from splatree.maths.covariance import axes_from_gaussians
 from splatree.scene.cameras import Camera
 from splatree.scene.gaussians import Gaussians
-from splatree.scene.options import Profile, SelectOptions, Visibility
+from splatree.scene.options import Profile, SelectOptions, ViewTest
 from splatree.scene.tree import BlockIndex, GaussianTree
 from splatree.shapes import Array, Bool, Float64, Int32
 
@@ -60,7 +60,7 @@ def select(
                     ancestors, and visible ones alone shadow.
     """
     small = radii(gaussians, tree.extents, camera, options.radius, dilation_px2) <= options.pixel_error
-    seen = visible(gaussians, camera, options.visibility, dilation_px2, threshold)
+    seen = visible(gaussians, camera, options.view_test, dilation_px2, threshold)
     leaf, end = tree.is_leaf, tree.subtree_end
     if options.rule == "cut":
         drawn = (leaf | small) & ~shadowed(~leaf & small, end) & seen
@@ -154,7 +154,7 @@ def radii(
 
 
 def visible(
-    gaussians: Gaussians, camera: Camera, visibility: Visibility, dilation_px2: float, threshold: float
+    gaussians: Gaussians, camera: Camera, view_test: ViewTest, dilation_px2: float, threshold: float
 ) -> Bool[Array, "n"]:
     """Whether each row passes the named test. What antialiasing takes off the opacity is not counted.
 
@@ -163,10 +163,10 @@ def visible(
     `centre`     beyond the near plane, and the centre is in the image enlarged by a tenth (code of FilterGS).
     `none`       always.
     """
-    if visibility == "none":
+    if view_test == "none":
         return np.ones(len(gaussians), bool)
     splats = project(gaussians, camera)
-    if visibility == "centre":
+    if view_test == "centre":
         return centred(splats, camera, CENTRE_PAD)
     # ln(α / threshold) with ln α = −ln(1 + e^−logit)
     fall = -np.logaddexp(0.0, -gaussians.logit_opacities.astype(np.float64)) - np.log(threshold)

@@ -43,8 +43,8 @@ class SquareRule(NamedTuple):
 
 
 def rule_of(options: ResolvedOptions) -> SquareRule:
-    """The rule of an extent; `3sigma` is `tau` with nothing that may be shrunk."""
-    if options.extent == "3sigma":
+    """The numbers of a square tile rule; `3sigma` is `tau` with nothing that may be shrunk."""
+    if options.tile_rule == "3sigma":
         return SquareRule(options.threshold, SHRINK_ENERGY_MIN, 1.0, 0.0, EIGENVALUE_FLOOR_PX4)
     return SquareRule(options.threshold, SHRINK_ENERGY_MIN, SHRINK_RATIO_MIN, SHRINK_PAD_PX, EIGENVALUE_FLOOR_PX4)
 

@@ -30,8 +30,8 @@ SPLATREE_FN float log2_threshold_of(float log2_threshold, float area_power, floa
 }
 
 // Empty if the splat's opacity is below the threshold.
-SPLATREE_FN Ellipse ellipse_of(float x, float y, float a, float b, float c, float log2_opacity, float extent_x,
-                               float extent_y, float log2_threshold) {
+SPLATREE_FN Ellipse ellipse_of(float x, float y, float a, float b, float c, float log2_opacity, float half_size_x,
+                               float half_size_y, float log2_threshold) {
   Ellipse e;
   e.x = x, e.y = y;
   e.k_squared = 1.38629436f * greatest(log2_opacity - log2_threshold, 0.f) * (1.f + 4e-6f) + 4e-6f;
@@ -41,7 +41,7 @@ SPLATREE_FN Ellipse ellipse_of(float x, float y, float a, float b, float c, floa
   e.height = log2_opacity >= log2_threshold ? __builtin_sqrtf(e.k_squared) / c : -FAR;
   // d/d(dy) of skew dy + √(k² - c² dy²) / a vanishes where c dy = k t / √(1 + t²) with t = skew a / c = -b / c.
   e.dy_of_right = e.height * -b / __builtin_sqrtf(b * b + e.c_squared);
-  e.margin = 2e-3f + 2e-6f * (extent_x + extent_y);
+  e.margin = 2e-3f + 2e-6f * (half_size_x + half_size_y);
   return e;
 }
 

@@ -96,7 +96,7 @@ SPLATREE_FN Factor factor_of(const View& view, const Point& p, float qw, float q
 }
 
 struct Splat {
-  float a, b, c, opacity, log2_opacity, extent_x, extent_y;
+  float a, b, c, opacity, log2_opacity, half_size_x, half_size_y;
   int visible;
 };
 
@@ -115,8 +115,8 @@ SPLATREE_FN Splat splat_of(const View& view, const Square& square, float x, floa
   splat.log2_opacity = log2_of(greatest(splat.opacity, 1e-37f));
   const float k = __builtin_sqrtf(1.38629436f * greatest(splat.log2_opacity - view.log2_threshold, 0.f));  // √(2 ln(o/τ))
   const float sigma_x = __builtin_sqrtf(xx), sigma_y = __builtin_sqrtf(yy), root_det = __builtin_sqrtf(det);
-  splat.extent_x = k * sigma_x;
-  splat.extent_y = k * sigma_y;
+  splat.half_size_x = k * sigma_x;
+  splat.half_size_y = k * sigma_y;
   // a = σ_y / √det, b = -a xy / yy, c = 1 / σ_y
   const float inverse = 1.f / (sigma_y * root_det);
   splat.c = root_det * inverse;
@@ -130,8 +130,8 @@ SPLATREE_FN Splat splat_of(const View& view, const Square& square, float x, floa
     const Side down = side_of(y, half_side, tiles_along(view.height));
     splat.visible &= (across.first < across.end) & (down.first < down.end);
   } else {
-    splat.visible &= (x + splat.extent_x >= 0.5f) & (x - splat.extent_x <= view.width - 0.5f) &
-                     (y + splat.extent_y >= 0.5f) & (y - splat.extent_y <= view.height - 0.5f);
+    splat.visible &= (x + splat.half_size_x >= 0.5f) & (x - splat.half_size_x <= view.width - 0.5f) &
+                     (y + splat.half_size_y >= 0.5f) & (y - splat.half_size_y <= view.height - 0.5f);
   }
   return splat;
 }

@@ -9,7 +9,7 @@ enum Column {
   OPACITY, LOG2_OPACITY,
   RED, GREEN, BLUE,
   DEPTH,
-  EXTENT_X, EXTENT_Y,          // half size of the box, px
+  HALF_SIZE_X, HALF_SIZE_Y,    // half size of the box, px
   NUM_COLUMNS = 16,
 };
 

@@ -16,7 +16,7 @@ struct SelectRule {
   float pad_x, pad_y;       // centre: how far out of the image it may be, px
 };
 
-enum Visibility { FOOTPRINT, CENTRE, UNSEEN_TOO };
+enum ViewTest { FOOTPRINT, CENTRE, UNSEEN_TOO };
 
 // The class of an inner row is the whole part of 8 log2 σ_mid + 128, held in 0 to 254. By interlacing, the larger eigenvalue of
 // its splat is at least (σ_mid f / z)²: with M = J W = f/z (I | -u) in camera axes, M Mᵀ is at least (f/z)².
@@ -81,7 +81,7 @@ SPLATREE_FN int meets_image(const View& view, const Point& p, float reach_x, flo
          (y - slack_y <= view.height - 0.5f);
 }
 
-// Visibility of the footprint from centre, opacity and largest scale, where they tell.
+// Whether the footprint is in view, from centre, opacity and largest scale, where they tell.
 SPLATREE_FN int is_visible_bound(const View& view, const SelectRule& rule, const Point& p, Vector log_scale, float logit) {
   const float largest = exp_of(greatest(greatest(log_scale.x, log_scale.y), log_scale.z));
   const float inverse_z = 1.f / p.z;

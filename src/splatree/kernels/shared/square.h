@@ -5,7 +5,7 @@
 namespace splatree {
 
 // Which tiles a splat is listed in: all that its ellipse, its box or its square touches.
-enum class Extent { ELLIPSE, BOX, SQUARE };
+enum class TileRule { ELLIPSE, BOX, SQUARE };
 
 // `3sigma` is `tau` with no share left to shrink and no pad.
 struct Square {

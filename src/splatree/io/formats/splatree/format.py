@@ -59,6 +59,9 @@ _NAMES = {dtype: name for name, dtype in _DTYPES.items()}
 NOT_STORED = ("blocks", "device")
 """Fields of a scene that are of this run: an index that is made anew, and where it is drawn."""
 
+STORED_AS = {"tile_rule": "extent"}
+"""Fields whose name in the file is an older one, which stays so that files of every version are read by every version."""
+
 
 def sniff(path: Path, head: bytes) -> bool:
     """Whether the file is a safetensors file that says it is ours in its metadata, which we write first."""
@@ -175,14 +178,14 @@ def _values(struct: Any, prefix: str) -> Iterator[tuple[str, str]]:
         elif is_dataclass(value):
             yield from _values(value, f"{prefix}{f.name}.")
         elif value is not None and not isinstance(value, np.ndarray):
-            yield prefix + f.name, json.dumps(value)
+            yield prefix + STORED_AS.get(f.name, f.name), json.dumps(value)
 
 
 def _build(kind: type, prefix: str, columns: dict[str, Array], values: Mapping[str, Any], where: str) -> Any:
     """A struct from the columns and values under a prefix; takes what it uses out of ``columns``."""
     arguments: dict[str, Any] = {}
     for name, hint in get_type_hints(kind, include_extras=True).items():
-        key = prefix + name
+        key = prefix + STORED_AS.get(name, name)
         if key in NOT_STORED:
             continue
         inner, optional = _unwrap(hint)

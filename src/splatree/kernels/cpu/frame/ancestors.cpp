@@ -56,7 +56,7 @@ std::vector<int32_t> select_by_ancestors(const SelectJob& job, const AncestorTab
     Rows rows;
     rows.fill(begin, end, [](int64_t) { return true; });
     std::memset(&state[begin], NOT_ASKED, size_t(end - begin));
-    if (job.visibility == UNSEEN_TOO)
+    if (job.view_test == UNSEEN_TOO)
       std::memset(&seen[begin], 1, size_t(end - begin));
     else
       kernels().visible_rows(job, rows.row.data(), end - begin, &seen[begin]);

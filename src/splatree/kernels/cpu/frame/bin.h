@@ -37,7 +37,7 @@ struct BinJob {
   float log2_threshold, area_power;  // of τ; how it falls with a splat's area
   int width, height;  // px
   int num_tiles_x, num_tiles_y;
-  Extent extent;
+  TileRule tile_rule;
   Square square;
   int threads;
   float* floors;  // v, opacity at which each splat ends; null: not asked for

@@ -47,7 +47,7 @@ nb::ndarray<nb::numpy, int32_t, nb::ndim<1>> bin_splats(In<float> records, In<in
                                           std::optional<Out<float>> floors, int threads) {
   const BinJob job{records.data(), order.data(), int64_t(order.shape(0)), float(std::log2(threshold)), float(area_power), width, height,
                    num_tiles_x, num_tiles_y,
-                   square ? Extent::SQUARE : whole_box ? Extent::BOX : Extent::ELLIPSE,
+                   square ? TileRule::SQUARE : whole_box ? TileRule::BOX : TileRule::ELLIPSE,
                    square ? square_of(square->data()) : Square{}, threads,
                    floors ? floors->data() : nullptr};
   Scratch<int32_t> pairs;

@@ -38,7 +38,7 @@ Vector32 copied(const std::vector<int32_t>& values) {
   return to_numpy(data, values.size());
 }
 
-SelectJob job_of(nb::handle gaussians, nb::handle tree, In<double> view, double threshold, In<double> rule, int visibility) {
+SelectJob job_of(nb::handle gaussians, nb::handle tree, In<double> view, double threshold, In<double> rule, int view_test) {
   SelectJob job{};
   job.means = column<float>(gaussians, "means");
   job.quats = column<float>(gaussians, "quats");
@@ -49,7 +49,7 @@ SelectJob job_of(nb::handle gaussians, nb::handle tree, In<double> view, double 
   job.num_rows = int64_t(nb::len(tree));
   job.view = view_of(view.data(), threshold, false);
   job.rule = rule_of(rule.data());
-  job.visibility = Visibility(visibility);
+  job.view_test = ViewTest(view_test);
   job.all_small = std::isinf(job.rule.pixel_error);
   for (int i = 0; i < 3; ++i) job.eye[i] = view.data()[9 + i];
   return job;
@@ -67,9 +67,9 @@ BlockColumns blocks_of(nb::handle blocks) {
 }
 
 std::pair<Vector32, int64_t> select_cut(nb::handle gaussians, nb::handle tree, nb::handle blocks, In<double> view,
-                                        double threshold, In<double> rule, int visibility, bool cull, std::optional<In<int32_t>> runs,
+                                        double threshold, In<double> rule, int view_test, bool cull, std::optional<In<int32_t>> runs,
                                         In<double> planes, In<double> reach, int threads) {
-  SelectJob job = job_of(gaussians, tree, view, threshold, rule, visibility);
+  SelectJob job = job_of(gaussians, tree, view, threshold, rule, view_test);
   job.index = blocks_of(blocks);
   job.cull = cull;
   job.runs = runs ? runs->data() : nullptr;
@@ -103,8 +103,8 @@ std::pair<Vector32, int64_t> select_cut(nb::handle gaussians, nb::handle tree, n
 }
 
 Vector32 select_ancestors(nb::handle gaussians, nb::handle tree, In<int32_t> ancestors, In<double> view, double threshold,
-                          In<double> rule, int visibility, bool unseen_shadow, bool only_leaves_ask, int threads) {
-  const SelectJob job = job_of(gaussians, tree, view, threshold, rule, visibility);
+                          In<double> rule, int view_test, bool unseen_shadow, bool only_leaves_ask, int threads) {
+  const SelectJob job = job_of(gaussians, tree, view, threshold, rule, view_test);
   const AncestorTable table{ancestors.data(), int(ancestors.shape(1))};
   std::vector<int32_t> found;
   {
@@ -131,8 +131,8 @@ void small_of(nb::handle gaussians, nb::handle tree, In<int32_t> rows, In<double
 }
 
 void visible_of(nb::handle gaussians, nb::handle tree, In<int32_t> rows, In<double> view, double threshold,
-                In<double> rule, int visibility, Out<bool> answers, int threads) {
-  ask_rows(job_of(gaussians, tree, view, threshold, rule, visibility), rows, answers, threads, kernels().visible_rows);
+                In<double> rule, int view_test, Out<bool> answers, int threads) {
+  ask_rows(job_of(gaussians, tree, view, threshold, rule, view_test), rows, answers, threads, kernels().visible_rows);
 }
 
 std::pair<Vector32, Vector32> block_ancestors(In<int32_t> subtree_end, int rows_per_block) {
@@ -177,7 +177,7 @@ void bind_select(nb::module_& m) {
   m.attr("BLOCKS_PER_GROUP") = BLOCKS_PER_GROUP;
   m.attr("MAX_BLOCK_ROWS") = MAX_BLOCK_ROWS;
   m.def("select_cut", &select_cut, nb::arg("gaussians"), nb::arg("tree"), nb::arg("blocks"), nb::arg("view"),
-        nb::arg("threshold"), nb::arg("rule"), nb::arg("visibility"), nb::arg("cull"), nb::arg("runs").none(),
+        nb::arg("threshold"), nb::arg("rule"), nb::arg("view_test"), nb::arg("cull"), nb::arg("runs").none(),
         nb::arg("planes"), nb::arg("reach"), nb::arg("threads"), "Rows of the visible cut, ascending, and the number of rows visited.");
   m.def("select_ancestors", &select_ancestors, "Rows drawn by FilterGS's ancestor table, ascending.");
   m.def("ancestor_table", &ancestor_table, "Fill the table of ancestors, parent first.");

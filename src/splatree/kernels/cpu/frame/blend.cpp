@@ -60,10 +60,10 @@ SPLATREE_FN int load_brush(const float* record, float x, float y, float log2_thr
 
   const float abs_b = __builtin_fabsf(b);
   // |u| and |v| are at least those of the block's centre less these; the second terms are what float32 may lose.
-  const float u_reach = 1.5f * (a + abs_b) + 2e-6f * (a * (record[EXTENT_X] + 16) + abs_b * (record[EXTENT_Y] + 16));
-  const float v_reach = 1.5f * c + 2e-6f * c * (record[EXTENT_Y] + 16);
+  const float u_reach = 1.5f * (a + abs_b) + 2e-6f * (a * (record[HALF_SIZE_X] + 16) + abs_b * (record[HALF_SIZE_Y] + 16));
+  const float v_reach = 1.5f * c + 2e-6f * c * (record[HALF_SIZE_Y] + 16);
   const float limit = (record[LOG2_OPACITY] - log2_threshold) * (1 + 1e-5f) + 1e-5f;
-  const float x_reach = record[EXTENT_X] * (1 + 1e-5f) + 1.501f;
+  const float x_reach = record[HALF_SIZE_X] * (1 + 1e-5f) + 1.501f;
   const float offset_x = x + 2 - record[X], offset_y = y + 2 - record[Y];
   int touched = 0;
 #pragma omp simd reduction(| : touched)

@@ -123,7 +123,7 @@ void shape_batch(const ProjectJob& job, int num_blocks, Planes& p) {
                                                       load(p.mx, i), load(p.my, i), p.sigmoid[i]);
     p.out[FACTOR_A][i] = splat.a, p.out[FACTOR_B][i] = splat.b, p.out[FACTOR_C][i] = splat.c;
     p.out[OPACITY][i] = splat.opacity, p.out[LOG2_OPACITY][i] = splat.log2_opacity;
-    p.out[EXTENT_X][i] = splat.extent_x, p.out[EXTENT_Y][i] = splat.extent_y;
+    p.out[HALF_SIZE_X][i] = splat.half_size_x, p.out[HALF_SIZE_Y][i] = splat.half_size_y;
     p.kept[i] = splat.visible;
   });
 }
@@ -212,10 +212,10 @@ void append_batch(const Batch& batch, const Planes& p, Chunk& chunk) {
       records[j] = chunk.records + count * NUM_COLUMNS;
       chunk.rows[count] = batch.row[i + j];
       chunk.depths[count] = p.out[DEPTH][i + j];
-      store_quad(records[j] + EXTENT_Y, Quad{p.out[EXTENT_Y][i + j], 0.f, 0.f, 0.f});
+      store_quad(records[j] + HALF_SIZE_Y, Quad{p.out[HALF_SIZE_Y][i + j], 0.f, 0.f, 0.f});
       count += p.kept[i + j];
     }
-    for (int j = 0; j < EXTENT_Y; j += 4) {
+    for (int j = 0; j < HALF_SIZE_Y; j += 4) {
       Quad a = load_quad(&p.out[j][i]), b = load_quad(&p.out[j + 1][i]);
       Quad c = load_quad(&p.out[j + 2][i]), d = load_quad(&p.out[j + 3][i]);
       transpose(a, b, c, d);

@@ -12,7 +12,7 @@ struct ProjectJob {
   int num_coefficients;  // of sh, a channel
   int degree;            // evaluated
   View view;
-  bool is_square;  // whether visibility is that of the square instead of the box
+  bool is_square;  // whether a splat is seen if its square is, instead of its box
   Square square;
   const int32_t* rows;  // v rows to project
   int64_t num_rows;

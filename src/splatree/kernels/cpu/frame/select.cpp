@@ -8,7 +8,7 @@
 //   1. nothing, if its clusters were left out, its bound is out of the image or it lies in a shadow;
 //   2. from one byte a row, its size class: which rows are leaves, and which inner rows could be small at all;
 //   3. for these few, in order and outside of shadows, the radius;
-//   4. for rows kept, visibility: nothing if the block is well inside the image, else from bounds, else from the covariance.
+//   4. for rows kept, the view test: nothing if the block is well inside the image, else from bounds, else from the covariance.
 // 3 and 4 run in full vectors of 16 gathered rows, so a row's answer does not depend on its place, and bounds never contradict
 // the full computation: the result is the same for any size of block.
 #include "cpu/frame/select.h"
@@ -65,7 +65,7 @@ void answer_small(const SelectJob& job, const int32_t* rows, Planes& p) {
 
 void answer_visible_bounds(const SelectJob& job, const int32_t* rows, Planes& p) {
   gather<3>(job.means, rows, p.mean);
-  if (job.visibility == CENTRE) {
+  if (job.view_test == CENTRE) {
 #pragma omp simd
     for (int l = 0; l < LANES; ++l)
       p.answer[l] = is_centred(job.view, job.rule, point_of(job.view, p.mean[0][l], p.mean[1][l], p.mean[2][l]));
@@ -181,7 +181,7 @@ Placement place(const SelectJob& job, const RunBounds& bounds, int64_t run) {
     found.distance_max = __builtin_sqrt(squared);
   }
   if (!job.cull) {
-    found.inside = job.visibility == UNSEEN_TOO;
+    found.inside = job.view_test == UNSEEN_TOO;
     return found;
   }
   double scale = bounds.leaf_scales[run];
@@ -278,7 +278,7 @@ int select_rows(const SelectJob& job, int64_t block, const Placement& placement,
   }
 
   if (placement.inside) {
-    if (job.visibility == FOOTPRINT && job.index.min_logits[block] < job.rule.logit_min) {
+    if (job.view_test == FOOTPRINT && job.index.min_logits[block] < job.rule.logit_min) {
       const float* logits = job.logit_opacities + begin;
       for (int i = 0; i < count; ++i) kept[i] &= logits[i] >= job.rule.logit_min;
     }

@@ -30,7 +30,7 @@ struct SelectJob {
   int64_t num_rows;
   View view;
   SelectRule rule;
-  Visibility visibility;
+  ViewTest view_test;
   bool all_small;  // τ_R is infinite
   bool cull;       // whether blocks are tested against the image
   BlockColumns index;

@@ -15,7 +15,7 @@ from splatree.scene.tree import BlockIndex, GaussianTree
 from splatree.shapes import Array, Bool, Float64, Int32
 
 __all__ = [
-    "VISIBILITIES",
+    "VIEW_TESTS",
     "ancestor_table",
     "is_culled",
     "pack_rule",
@@ -26,8 +26,8 @@ __all__ = [
     "visible",
 ]
 
-VISIBILITIES = ("footprint", "centre", "none")
-"""In the order of the enumeration Visibility in cpu/frame/select.h."""
+VIEW_TESTS = ("footprint", "centre", "none")
+"""In the order of the enumeration ViewTest in cpu/frame/select.h."""
 CULL_BELOW_PX = 1e6
 """Largest τ_R for which blocks are tested against the image: drawn inner nodes reach out of their block by as much."""
 BORDER_PX = 1.0
@@ -60,7 +60,7 @@ def select(
         pack_view(camera, dilation_px2),
         threshold,
         pack_rule(camera, options, dilation_px2, threshold),
-        VISIBILITIES.index(options.visibility),
+        VIEW_TESTS.index(options.view_test),
         is_culled(options),
         runs,
         *view_planes(camera, options, dilation_px2, threshold),
@@ -101,7 +101,7 @@ def select_by_ancestors(
         pack_view(camera, dilation_px2),
         threshold,
         pack_rule(camera, options, dilation_px2, threshold),
-        VISIBILITIES.index(options.visibility),
+        VIEW_TESTS.index(options.view_test),
         options.rule == "cut",
         options.rule == "release",
         threads,
@@ -138,18 +138,18 @@ def visible(
     threads: int = 0,
 ) -> Bool[Array, "v"]:
     """Whether each of the rows can be seen, as `select` decides it."""
-    if options.visibility == "none":
+    if options.view_test == "none":
         return np.ones(len(rows), bool)
     found = np.empty(len(rows), bool)
     view, rule = pack_view(camera, dilation_px2), pack_rule(camera, options, dilation_px2, threshold)
-    named = VISIBILITIES.index(options.visibility)
+    named = VIEW_TESTS.index(options.view_test)
     _core.visible_rows(gaussians, tree, rows, view, threshold, rule, named, found, threads)
     return found
 
 
 def is_culled(options: SelectOptions) -> bool:
     """Whether blocks are tested against the image."""
-    return bool(options.visibility != "none" and options.pixel_error < CULL_BELOW_PX)
+    return bool(options.view_test != "none" and options.pixel_error < CULL_BELOW_PX)
 
 
 def pack_rule(camera: Camera, options: SelectOptions, dilation_px2: float, threshold: float) -> Float64[Array, "12"]:
@@ -190,7 +190,7 @@ def view_planes(
     # Plain numbers: arrays of four take three times as long.
     axes = camera.camera_from_world[:3].tolist()  # x, y, z in the camera
     z = axes[2]
-    footprint = options.visibility == "footprint"
+    footprint = options.view_test == "footprint"
     k = _reach_of_opaque(threshold) if footprint else 0.0
     largest = min(options.pixel_error, CULL_BELOW_PX)  # beyond that the sides are not asked
     own_reach = k * math.sqrt((largest / SIGMAS) ** 2 + dilation_px2)

@@ -96,14 +96,14 @@ SPLATREE_FN Ellipse ellipse_at(const Planes& p, int i) {
 }
 
 // The tiles of lane i's ellipse in the first of its rows, or of its box.
-template <Extent EXTENT>
+template <TileRule RULE>
 SPLATREE_FN void cover_ellipse(const BinJob& job, int i, Planes& p) {
   const float width = job.width, height = job.height;
   const float log2_threshold =
       log2_threshold_of(job.log2_threshold, job.area_power, p.column[FACTOR_A][i], p.column[FACTOR_C][i]);
   const Ellipse e = ellipse_of(p.column[X][i], p.column[Y][i], p.column[FACTOR_A][i], p.column[FACTOR_B][i],
-                               p.column[FACTOR_C][i], p.column[LOG2_OPACITY][i], p.column[EXTENT_X][i],
-                               p.column[EXTENT_Y][i], log2_threshold);
+                               p.column[FACTOR_C][i], p.column[LOG2_OPACITY][i], p.column[HALF_SIZE_X][i],
+                               p.column[HALF_SIZE_Y][i], log2_threshold);
   p.log2_threshold[i] = log2_threshold;
   p.k_squared[i] = e.k_squared, p.c_squared[i] = e.c_squared, p.skew[i] = e.skew;
   p.inverse_a[i] = e.inverse_a, p.height[i] = e.height, p.dy_of_right[i] = e.dy_of_right, p.margin[i] = e.margin;
@@ -112,8 +112,8 @@ SPLATREE_FN void cover_ellipse(const BinJob& job, int i, Planes& p) {
 #pragma GCC unroll 3
   for (int r = 0; r < NEAR_ROWS; ++r) {
     const Interval strip = strip_of(rows.first + r, height);
-    const float box = p.column[EXTENT_X][i] + e.margin;
-    const Interval reach = EXTENT == Extent::BOX ? Interval{e.x - box, e.x + box} : reach_of(e, strip.low, strip.high);
+    const float box = p.column[HALF_SIZE_X][i] + e.margin;
+    const Interval reach = RULE == TileRule::BOX ? Interval{e.x - box, e.x + box} : reach_of(e, strip.low, strip.high);
     const Tiles columns = tiles_in(reach, width);
     p.tiles[1 + r][i] = r < num_rows ? word_of(columns.first, columns.end) : 0;
   }
@@ -152,15 +152,15 @@ SPLATREE_FN void cover_square(const BinJob& job, int i, Planes& p) {
 }
 
 // Appends the spans of lane i, which has many rows; returns the smallest |L d|² in a tile beside them.
-template <Extent EXTENT, bool FLOORS>
+template <TileRule RULE, bool FLOORS>
 float list_far_rows(const BinJob& job, int i, const Planes& p, Spans& spans) {
   const int num_rows = p.num_rows[i];
-  if (EXTENT == Extent::ELLIPSE) return list_rows<FLOORS>(job, ellipse_at(p, i), p.first_row[i], num_rows, spans);
+  if (RULE == TileRule::ELLIPSE) return list_rows<FLOORS>(job, ellipse_at(p, i), p.first_row[i], num_rows, spans);
   repeat_span({uint16_t(p.tiles[1][i]), uint16_t(p.tiles[1][i] >> 16)}, num_rows, spans);
   return FAR;
 }
 
-template <Extent EXTENT, bool FLOORS>
+template <TileRule RULE, bool FLOORS>
 void list_all(const BinJob& job, int64_t begin, int64_t end, SplatTiles* tiles, Spans& spans) {
   Planes p;
   for (int64_t batch = begin; batch < end; batch += BATCH) {
@@ -168,10 +168,10 @@ void list_all(const BinJob& job, int64_t begin, int64_t end, SplatTiles* tiles, 
     for (int block = 0; block < num_blocks; ++block) {
 #pragma omp simd
       for (int i = block * LANES; i < (block + 1) * LANES; ++i) {
-        if constexpr (EXTENT == Extent::SQUARE)
+        if constexpr (RULE == TileRule::SQUARE)
           cover_square(job, i, p);
         else
-          cover_ellipse<EXTENT>(job, i, p);
+          cover_ellipse<RULE>(job, i, p);
       }
     }
     if constexpr (FLOORS) {
@@ -185,7 +185,7 @@ void list_all(const BinJob& job, int64_t begin, int64_t end, SplatTiles* tiles, 
       memcpy(&t, words, sizeof t);
       if (p.num_rows[i] > NEAR_ROWS) {
         t.first_span = spans.size;
-        const float beside = list_far_rows<EXTENT, FLOORS>(job, i, p, spans);
+        const float beside = list_far_rows<RULE, FLOORS>(job, i, p, spans);
         if (FLOORS) p.nearest[i] = least(beside, p.nearest[i]);
       }
       if (FLOORS) job.floors[job.order[batch + i]] = floor_of(p.column[LOG2_OPACITY][i], p.nearest[i], p.log2_threshold[i]);
@@ -196,14 +196,14 @@ void list_all(const BinJob& job, int64_t begin, int64_t end, SplatTiles* tiles, 
 }  // namespace
 
 void list_spans(const BinJob& job, int64_t begin, int64_t end, SplatTiles* tiles, Spans& spans) {
-  switch (job.extent) {
-    case Extent::ELLIPSE:
-      return job.floors ? list_all<Extent::ELLIPSE, true>(job, begin, end, tiles, spans)
-                        : list_all<Extent::ELLIPSE, false>(job, begin, end, tiles, spans);
-    case Extent::BOX:
-      return list_all<Extent::BOX, false>(job, begin, end, tiles, spans);
-    case Extent::SQUARE:
-      return list_all<Extent::SQUARE, false>(job, begin, end, tiles, spans);
+  switch (job.tile_rule) {
+    case TileRule::ELLIPSE:
+      return job.floors ? list_all<TileRule::ELLIPSE, true>(job, begin, end, tiles, spans)
+                        : list_all<TileRule::ELLIPSE, false>(job, begin, end, tiles, spans);
+    case TileRule::BOX:
+      return list_all<TileRule::BOX, false>(job, begin, end, tiles, spans);
+    case TileRule::SQUARE:
+      return list_all<TileRule::SQUARE, false>(job, begin, end, tiles, spans);
   }
 }
 

@@ -31,7 +31,7 @@ def _slopes(focal: float, centre: float, size: int) -> tuple[float, float]:
 
 
 def pack_square(options: ResolvedOptions) -> Float64[Array, "5"] | None:
-    """The numbers of the struct Square, in its order; None if the extent is no square."""
+    """The numbers of the struct Square, in its order; None if the tile rule lists no square."""
     if not options.is_square:
         return None
     return np.array(rule_of(options), np.float64)
