@@ -6,7 +6,6 @@ import pytest
 import splatree
 from splatree import FormatError, Gaussians, GaussianTree, InputError, Scene, WriteOptions
 from splatree.io.formats.hier import format as hier
-from splatree.io.levels import reaches
 from splatree.maths.forests import subtree_radii
 
 from .conftest import COLUMNS, random_gaussians, same_bits
@@ -25,7 +24,7 @@ def forest(depth, degree=3, seed=0):
     end = [next((j for j in range(i + 1, len(depth)) if depth[j] <= depth[i]), len(depth)) for i in range(len(depth))]
     if not depth.any():
         return Scene.flat(g)
-    extents = subtree_radii(g.means, reaches(g), depth)
+    extents = subtree_radii(g.means, g.reach(), depth)
     return Scene(g, GaussianTree(np.array(end, np.int32), depth, extents))
 
 

@@ -47,3 +47,17 @@ def test_flat_scene_is_a_forest_of_leaves():
     assert scene.tree.num_leaves == 6
     assert scene.tree.num_levels == 1
     assert Scene.flat(Gaussians.empty()).tree.num_levels == 0
+
+
+def test_opacities_scales_and_reach_are_decoded_without_overflow():
+    g = Gaussians(
+        np.zeros((3, 3), np.float32),
+        np.tile(np.float32([1, 0, 0, 0]), (3, 1)),
+        np.float32([[0, 1, -1], [-2, -2, -2], [-1, -1, np.log(2)]]),
+        np.float32([0, -1000, 1000]),
+        np.zeros((3, 1, 3), np.float32),
+    )
+    np.testing.assert_array_equal(g.opacities(), [0.5, 0, 1])
+    np.testing.assert_allclose(g.scales()[0], [1, np.e, 1 / np.e])
+    np.testing.assert_allclose(g.reach(), [3 * np.e, 3 * np.exp(-2), 6])
+    assert g.opacities().dtype == g.scales().dtype == g.reach().dtype == np.float64

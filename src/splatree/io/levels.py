@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from splatree.constants import SIGMAS
 from splatree.errors import FormatError, InputError
 from splatree.io.check import checked
 from splatree.io.options import Repair
@@ -16,7 +15,7 @@ from splatree.scene.scene import Mode, Scene, Source
 from splatree.scene.tree import GaussianTree
 from splatree.shapes import Array
 
-__all__ = ["preorder_of_file", "reaches", "scene_with_levels"]
+__all__ = ["preorder_of_file", "scene_with_levels"]
 
 
 def preorder_of_file(first_child: Array, num_children: Array, roots: Array, where: str) -> Preorder:
@@ -50,12 +49,5 @@ def scene_with_levels(
         return checked(Scene.flat(gaussians, mode=mode, source=source), where, repair=repair)
     unbounded = GaussianTree(subtree_end, depth, np.zeros(len(depth), np.float32))
     scene = checked(Scene(gaussians, unbounded, mode=mode, source=source), where, repair=repair)
-    tree = replace(unbounded, extents=subtree_radii(gaussians.means, reaches(gaussians), depth))
+    tree = replace(unbounded, extents=subtree_radii(gaussians.means, gaussians.reach(), depth))
     return replace(scene, tree=tree, blocks=index_blocks(gaussians, tree))
-
-
-def reaches(gaussians: Gaussians) -> Array:
-    """Three standard deviations along the longest axis of each row, float64."""
-    x, y, z = gaussians.log_scales.T
-    largest = np.maximum(np.maximum(x, y), z)  # ten times faster than the maximum along an axis of three
-    return np.asarray(SIGMAS * np.exp(largest.astype(np.float64)))

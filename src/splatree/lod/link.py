@@ -21,7 +21,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from splatree.constants import SIGMAS
 from splatree.errors import InputError
 from splatree.kernels.cpu.build.kmeans import assign
 from splatree.kernels.cpu.frame.blocks import index_blocks
@@ -157,7 +156,7 @@ def _along_curve(g: Gaussians) -> Array:
 
 def _reach(g: Gaussians, *, in_step: bool) -> Float64[Array, "n"]:
     """3σ of each row; in step with its level if it is not a leaf."""
-    reach = SIGMAS * np.exp(g.log_scales.max(axis=1, initial=-np.inf).astype(np.float64))
+    reach = g.reach()
     return np.asarray(np.maximum(reach, np.quantile(reach, _SHARE_IN_STEP)) if in_step and len(g) else reach)
 
 

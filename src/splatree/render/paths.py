@@ -133,7 +133,7 @@ def bounds_of(scene: Scene) -> tuple[Float64[Array, "3"], float]:
     centre = np.array([_weighted_quantile(means[:, axis], weights, 0.5) for axis in range(3)])
     radius = _weighted_quantile(np.linalg.norm(means - centre, axis=1), weights, SHARE)
     if radius == 0:  # one Gaussian, or all at one place: its own size
-        radius = float(np.exp(scene.gaussians.log_scales[scene.tree.is_leaf].max())) * 3
+        radius = float(scene.gaussians.take(scene.tree.is_leaf).reach().max())
     return centre, radius
 
 
@@ -143,8 +143,8 @@ def _sample(scene: Scene) -> tuple[Float64[Array, "s 3"], Float64[Array, "s"]]:
     if len(leaves) == 0:
         raise InputError("camera path: the scene is empty; name cameras instead")
     rows = leaves[:: -(-len(leaves) // SAMPLE)]
-    logits = scene.gaussians.logit_opacities[rows].astype(np.float64)
-    return scene.gaussians.means[rows].astype(np.float64), 1 / (1 + np.exp(-np.clip(logits, -30, 30)))
+    sample = scene.gaussians.take(rows)
+    return sample.means.astype(np.float64), sample.opacities()
 
 
 def _weighted_quantile(values: Array, weights: Array, share: float) -> float:

@@ -5,8 +5,9 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from splatree.constants import SIGMAS
 from splatree.errors import ShapeError
-from splatree.shapes import Array, Float32, check_fields
+from splatree.shapes import Array, Float32, Float64, check_fields
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +42,22 @@ class Gaussians:
     def nbytes(self) -> int:
         """Bytes of all columns."""
         return sum(getattr(self, f.name).nbytes for f in fields(self))
+
+    def opacities(self) -> Float64[Array, "n"]:
+        """Opacity at the centre of each Gaussian, 0 to 1: the sigmoid of the logit."""
+        with np.errstate(over="ignore"):  # exp(800) is infinite and gives 0, as it should
+            return np.asarray(1 / (1 + np.exp(-self.logit_opacities.astype(np.float64))))
+
+    def scales(self) -> Float64[Array, "n 3"]:
+        """Standard deviation along each axis, world units."""
+        return np.asarray(np.exp(self.log_scales.astype(np.float64)))
+
+    def reach(self) -> Float64[Array, "n"]:
+        """Three standard deviations along the longest axis of each Gaussian, world units; beyond them it is not drawn."""
+        x, y, z = self.log_scales.T
+        longest = np.maximum(np.maximum(x, y), z)  # ten times faster than the maximum along an axis of three
+        with np.errstate(over="ignore"):
+            return np.asarray(SIGMAS * np.exp(longest.astype(np.float64)))
 
     def take(self, rows: Array) -> "Gaussians":
         """The rows of an index or mask, in its order, copied."""

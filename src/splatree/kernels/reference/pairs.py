@@ -67,13 +67,13 @@ def pair_costs(
     dilation: float,
 ) -> tuple[Array, Array]:
     """Cost and merged opacity of each pair of rows; ``dilation`` is added to every variance, world units²."""
-    scales = np.exp(gaussians.log_scales.astype(np.float64))
+    scales = gaussians.scales()
     thickness = dilation + (ROUNDNESS * scales.max(axis=1)) ** 2
     covariances = covariances_from_gaussians(gaussians.quats, gaussians.log_scales) + thickness[:, None, None] * np.eye(
         3
     )
     v = np.ones(len(gaussians)) if visibilities is None else visibilities.astype(np.float64)
-    alphas = v / (1 + np.exp(-gaussians.logit_opacities.astype(np.float64)))
+    alphas = v * gaussians.opacities()
     shown = np.maximum(gaussians.sh[:, 0].astype(np.float64) * SH_C0 + 0.5, 0)
     shown = np.concatenate([shown, np.ones((len(gaussians), 1))], axis=1)
 

@@ -67,7 +67,7 @@ def project(
     det = undilated_det + dilation * (xx + yy) + dilation**2
     xx, yy = xx + dilation, yy + dilation
 
-    opacities = 0.5 * (1.0 + np.tanh(0.5 * g.logit_opacities.astype(np.float64)))  # the sigmoid, without overflow
+    opacities = g.opacities()
     if options.mode == "antialiased":
         opacities = opacities * np.sqrt(undilated_det / det)
     threshold = options.pixel_threshold

@@ -36,7 +36,7 @@ def encode(
 
     pixels["scales"][places] = np.searchsorted(bounds[0], g.log_scales)
     pixels["sh0"][places, :3] = np.searchsorted(bounds[1], g.sh[:, 0])
-    pixels["sh0"][places, 3] = np.rint(255 / (1 + np.exp(-g.logit_opacities.astype(np.float64))))
+    pixels["sh0"][places, 3] = np.rint(255 * g.opacities())
     if labels is not None:
         pixels["labels"][places, 0], pixels["labels"][places, 1] = labels & 255, labels >> 8
 

@@ -18,8 +18,8 @@ def bound_clusters(
     of_row = np.repeat(np.arange(len(centers)), np.diff(start))
     with np.errstate(invalid="ignore", over="ignore"):
         distances = np.linalg.norm(gaussians.means.astype(np.float64) - centers[of_row].astype(np.float64), axis=1)
-        sigmas = np.exp(gaussians.log_scales.astype(np.float64).max(axis=1))
-        opacities = 0.5 * (1 + np.tanh(0.5 * gaussians.logit_opacities.astype(np.float64)))
+        sigmas = gaussians.scales().max(axis=1)
+        opacities = gaussians.opacities()
         reach = np.sqrt(2 * np.log(np.maximum(opacities / ALPHA_THRESHOLD, 1)))
         drawn = opacities >= ALPHA_THRESHOLD
         footprints = np.where(drawn, distances + reach * sigmas, 0.0)

@@ -18,10 +18,10 @@ def encode(gaussians: Gaussians, records: Array) -> None:
     """Write each Gaussian into its 32 bytes of ``records``, uint8 "n 32"."""
     out = records.reshape(-1).view(RECORD)
     out["mean"] = gaussians.means
-    out["scale"] = np.exp(gaussians.log_scales.astype(np.float64))
+    out["scale"] = gaussians.scales()
     color = 0.5 + SH_C0 * gaussians.sh[:, 0].astype(np.float64)
     out["rgba"][:, :3] = np.rint(np.clip(color, 0, 1) * 255)
-    out["rgba"][:, 3] = np.rint(255 * np.exp(_log_opacities(gaussians)))
+    out["rgba"][:, 3] = np.rint(255 * gaussians.opacities())
     quats = gaussians.quats.astype(np.float64)
     quats /= np.linalg.norm(quats, axis=1, keepdims=True)
     # q and −q are one rotation: −1 has a code and +1 has none, so the largest component is made negative.

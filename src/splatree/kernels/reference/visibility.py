@@ -48,7 +48,7 @@ def measure_visibilities(
     """The visibility of each Gaussian, 0 to 1. Lengths in world units; ``width`` of the plane in cells."""
     means = (gaussians.means.astype(np.float64) - middle) / cell
     covariances = covariances_from_gaussians(gaussians.quats, gaussians.log_scales) / cell**2
-    alphas = 1 / (1 + np.exp(-gaussians.logit_opacities.astype(np.float64)))
+    alphas = gaussians.opacities()
     squares = np.zeros(len(gaussians))
     for frame in FRAMES:
         frame = frame / np.linalg.norm(frame, axis=1, keepdims=True)

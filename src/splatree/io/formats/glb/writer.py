@@ -188,7 +188,7 @@ def _json(
 
 def _columns(g: Gaussians) -> Iterator[Array]:
     """The part of each attribute, in their order."""
-    opacities = 1 / (1 + np.exp(-g.logit_opacities.astype(np.float64)))
+    opacities = g.opacities()
     colors = np.empty((len(g), 4), np.uint8)
     colors[:, :3] = np.rint(np.clip(0.5 + SH_C0 * g.sh[:, 0], 0, 1) * 255)
     colors[:, 3] = np.rint(opacities * 255)
