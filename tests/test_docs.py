@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+import splatree
 from splatree.cli.main import GROUPS, VERBS, commands_of, main
 
 ROOT = Path(__file__).parent.parent
@@ -20,12 +21,29 @@ def test_links_lead_somewhere(page):
     assert missing == []
 
 
+def test_each_page_is_one_of_four_kinds_and_in_the_navigation():
+    pages = [path.relative_to(ROOT / "docs").as_posix() for path in (ROOT / "docs").rglob("*.md")]
+    kinds = ("tutorial/", "how-to/", "reference/", "explanation/")
+    assert [page for page in pages if page != "index.md" and not page.startswith(kinds)] == []
+    navigation = re.findall(r"^ +- (?:[\w ]+: )?(\S+\.md)$", (ROOT / "mkdocs.yml").read_text(), flags=re.MULTILINE)
+    assert [page for page in pages if page not in navigation] == [], "name them in mkdocs.yml"
+    assert len(navigation) == len(set(navigation))
+
+
+def test_reference_shows_each_public_name_once():
+    pages = [*(ROOT / "docs" / "reference").rglob("*.md")]
+    shown = [
+        name for page in pages for name in re.findall(r"^::: splatree\.(\w+)$", page.read_text(), flags=re.MULTILINE)
+    ]
+    assert sorted(shown) == splatree.__all__
+
+
 COMMANDS = [*VERBS, *(f"{group} {command}" for group in GROUPS for command in commands_of(group))]
 
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_command_line_page_lists_every_option(command, capsys):
-    page = (ROOT / "docs" / "cli.md").read_text()
+    page = (ROOT / "docs" / "reference" / "cli.md").read_text()
     assert f"## splatree {command}\n" in page, "run scripts/docs"
     section = page.split(f"## splatree {command}\n")[1].split("\n## ")[0]
     assert main([*command.split(), "--help"]) == 0

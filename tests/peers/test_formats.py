@@ -64,6 +64,7 @@ def test_we_see_in_the_peers_file_what_it_wrote(tmp_path, block, suffix):
     options = ("-H", "0", "-g", "cpu") if suffix == ".sog" else ()
     theirs = transform(tmp_path / "a.ply", tmp_path / f"b{suffix}", *options)
     assert len(theirs) == len(block)
-    # Its .spz keeps harmonics to 5 and 4 bits; its quaternions of a .splat lie half a code beside ours (docs/formats/splat.md).
+    # Its .spz keeps harmonics to 5 and 4 bits. Its quaternions of a .splat lie half a code beside ours:
+    # docs/reference/formats/splat.md says why.
     least = 36 if suffix in (".spz", ".splat") else 40
     assert psnr(picture(theirs, block), picture(block.with_sh_degree(theirs.sh_degree), block)) > least

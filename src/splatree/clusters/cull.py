@@ -18,7 +18,7 @@ world; it knows the shapes of its Gaussians, a sphere only their largest axes. T
 ``paper-guard``  the same, but spheres that reach the plane of the eye are kept
 ``paper-distance``  Eq. 3 with radii that hold the means only: the ablation "only distance" of Table I
 
-docs/algorithms/clusters.md has the proof. Cost: five dot products a sphere, ten a box, 5 ns each; rows of Gaussians are never
+docs/explanation/clusters.md has the proof. Cost: five dot products a sphere, ten a box, 5 ns each; rows of Gaussians are never
 touched, and the result is a list of runs of rows.
 """
 
@@ -66,7 +66,7 @@ Axes = tuple[tuple[float, float, int], tuple[float, float, int]]
 
 
 class Margins(NamedTuple):
-    """What a rasteriser adds around Gaussians along one axis of the image, px; docs/algorithms/clusters.md."""
+    """What a rasteriser adds around Gaussians along one axis of the image, px; docs/explanation/clusters.md."""
 
     lower: float
     """Least coordinate of the image that counts, px."""

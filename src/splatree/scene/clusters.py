@@ -140,7 +140,7 @@ class Culling:
     runs: Int32[Array, "r 2"]
     """First row and end of each run of kept rows, ascending, with gaps between them: nothing is copied or packed."""
     rule: str
-    """Rule that decided (docs/algorithms/clusters.md)."""
+    """Rule that decided (docs/explanation/clusters.md)."""
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -20,7 +20,7 @@ class Selection:
     rows: Int32[Array, "v"]
     """Rows of the scene, ascending, none twice."""
     rule: str
-    """Rule set that chose them (docs/algorithms/select.md)."""
+    """Rule set that chose them (docs/explanation/select.md)."""
     profile: str
     """Radius function that it used."""
     pixel_error: float

@@ -8,7 +8,7 @@ from splatree.errors import InputError
 from splatree.scene.scene import Mode, Scene, TileRule
 
 Rule = Literal["cut", "paper-strict", "release", "log-serial"]
-"""Named rule sets of the selection (FilterGS §3.2 and its code; docs/algorithms/select.md)."""
+"""Named rule sets of the selection (FilterGS §3.2 and its code; docs/explanation/select.md)."""
 
 Profile = Literal["exact", "3dgs", "ref", "sphere"]
 """Named radius functions R(node, camera) in px."""
@@ -17,7 +17,7 @@ ViewTest = Literal["footprint", "centre", "none"]
 """Named tests that drop nodes of the cut which are out of view."""
 
 Cull = Literal["none", "exact", "exact-inria", "exact-gsplat", "planes", "paper", "paper-guard", "paper-distance"]
-"""Named rules that leave out clusters (clusters/cull.py; docs/algorithms/clusters.md)."""
+"""Named rules that leave out clusters (clusters/cull.py; docs/explanation/clusters.md)."""
 
 Pixels = Literal["taper", "hard"]
 """Named treatments of the pixels in these tiles where τ is above 1/255."""

@@ -18,7 +18,7 @@ Mode = Literal["classic", "antialiased"]
 opacity so that its mass is kept (Yu 2024, Mip-Splatting, Eq. 9 without the 3D filter, as in gsplat)."""
 
 TileRule = Literal["ellipse", "balanced", "tau", "3sigma"]
-"""Named rules for the tiles that a splat is listed in (docs/algorithms/shrinking.md)."""
+"""Named rules for the tiles that a splat is listed in (docs/explanation/shrinking.md)."""
 
 DeviceName = Literal["cpu", "cuda"]
 """Where a scene is selected and drawn: on the processor, or on an NVIDIA GPU."""

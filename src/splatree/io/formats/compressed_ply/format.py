@@ -10,7 +10,7 @@ sh        3K u1: harmonics, channel by channel, 256 (½ + sh / 8); missing at de
 
 A value's step is its chunk's range over 2047 or 1023, so chunks must be small in space: the writer puts the rows along a Z-curve
 first (on a town, 3 mm of error in a position instead of 93 mm). All codes are made and read by the native core
-(`splatree.kernels`, stage packed). Layout and deviations: docs/formats/compressed_ply.md.
+(`splatree.kernels`, stage packed). Layout and deviations: docs/reference/formats/compressed_ply.md.
 """
 
 import json

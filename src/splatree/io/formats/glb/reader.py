@@ -12,7 +12,7 @@ COLOR_0                                4 u1      colour and opacity for viewers 
 =====================================  ========  ==================================================================
 
 Our scenes are RDF: x and y change signs on the way, and with them quaternions and harmonics. All primitives that the nodes of the
-file's scene show are one scene; a node may move, turn and scale them. `glb/writer.py` writes. docs/formats/glb.md.
+file's scene show are one scene; a node may move, turn and scale them. `glb/writer.py` writes. docs/reference/formats/glb.md.
 """
 
 import json

@@ -20,7 +20,7 @@ boxes                       4 f4 min, 4 f4 max                          4 f2 min
 A node owns the Gaussians ``start …``: ``merged`` that stand for its subtree, or ``leafs`` of the scene. One merged Gaussian is a
 node of ours. A node with none or several only joins its children (chunks of a large scene): they move up to its parent, and
 its stand-ins, which our tree cannot draw together, are left out and counted. Opacities above 1 are read as wider Gaussians
-(`splatree.io.opacities`). Written and read from a description of the layout alone. docs/formats/hier.md.
+(`splatree.io.opacities`). Written and read from a description of the layout alone. docs/reference/formats/hier.md.
 
 Gaussians are written in preorder, nodes breadth-first, so that writing and reading back gather nothing.
 """

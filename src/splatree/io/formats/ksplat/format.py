@@ -14,7 +14,7 @@ rest    f4                                  f2 (level 1), u1 between the header'
 ======  ==================================  ===============================================================
 
 Harmonics go degree by degree, and within a degree channel by channel: 3 of red, 3 of green, 3 of blue, then 5 of red and so on.
-Degrees 0 to 2 are written, as the format's own viewer has no third; a third is read. docs/formats/ksplat.md.
+Degrees 0 to 2 are written, as the format's own viewer has no third; a third is read. docs/reference/formats/ksplat.md.
 """
 
 from collections.abc import Iterator

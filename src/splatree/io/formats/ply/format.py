@@ -2,7 +2,7 @@
 
 ``x y z nx ny nz f_dc_0..2 f_rest_0..3K-1 opacity scale_0..2 rot_0..3``, binary little-endian, K = 0, 3, 8, 15 harmonics a
 channel beyond the DC. ``f_rest`` is channel-major: all K of red, then of green, then of blue; scales are natural logarithms,
-opacity is a logit, the quaternion is wxyz and need not have length one. Layout and deviations: docs/formats/ply.md.
+opacity is a logit, the quaternion is wxyz and need not have length one. Layout and deviations: docs/reference/formats/ply.md.
 
 Reading goes by name, so properties may come in any order and as any scalar type. One native pass reads the file chunk by
 chunk and takes it apart in the cache: no copy of the file is ever in memory, and the cost is about that of reading it once.

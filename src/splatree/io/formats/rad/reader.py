@@ -3,7 +3,7 @@
 ``RAD0``, the length of a JSON header, the header, padding to 8 bytes; then the chunks, each ``RADC``, the length of its JSON
 header, the header, padding, the bytes of its payload (u8) and the payload: properties, each padded to 8 bytes, mostly deflated.
 The header lists the chunks' places and sizes (`rad_container`); a chunk's header its properties', with encoding and range
-(`rad_properties`). Written by `rad_writer`. Layout and deviations: docs/formats/rad.md.
+(`rad_properties`). Written by `rad_writer`. Layout and deviations: docs/reference/formats/rad.md.
 
 The children of a node follow each other: ``child_start``, ``child_count``; node 0 is the root. We write nodes breadth-first, each
 level in preorder: coarse chunks come first, and a chunk of a fine level is a run of a Morton curve. Several roots get a node

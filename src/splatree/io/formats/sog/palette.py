@@ -1,7 +1,7 @@
 """A palette for the harmonics beyond the DC: at most 65,536 vectors of 9, 24 or 45 values that stand for all rows.
 
 Plain K-means costs n · K · 3(k−1) products a round: 3 · 10¹² for a million rows of degree 3. Three observations make it
-cheap, at an error within a percent of exact K-means (docs/formats/sog.md):
+cheap, at an error within a percent of exact K-means (docs/reference/formats/sog.md):
 
 - A palette of K vectors has log₂ K bits. By reverse water-filling (Cover & Thomas 2006, §10.3.3) they all go to the principal
   axes whose variance is above a level θ with Σ ½ log₂(λ/θ) = log₂ K: a dozen of 45 axes in trained scenes. Distances are taken

@@ -10,7 +10,7 @@ A folder with ``meta.json`` and pictures, or the same as a ZIP bundle ``.sog``. 
 
 Each step is a table of 256 or 65,536 entries computed in float64, so decoding is a handful of look-ups in the native core, some
 rows at a time; the WebP decoding costs most, and its pictures are decoded by all processors at once. Layout and deviations:
-docs/formats/sog.md.
+docs/reference/formats/sog.md.
 """
 
 from collections.abc import Callable

@@ -44,7 +44,7 @@ _WEIGHT_MIN = 1e-6
 
 _ROUNDS, _ROUNDS_MAX = 3, 1000
 WEBP_METHOD, WEBP_QUALITY = 1, 0
-"""How hard libwebp tries: a tenth of its default's time, and hardly larger (docs/formats/sog.md)."""
+"""How hard libwebp tries: a tenth of its default's time, and hardly larger (docs/reference/formats/sog.md)."""
 
 
 def write_chunks(chunks: Chunks, path: Path, options: WriteOptions) -> tuple[str, ...]:

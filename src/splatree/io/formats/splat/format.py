@@ -12,7 +12,7 @@ offset  type  value
 Rows go by descending opacity × volume, so that a viewer that loads them one after the other shows the scene early. It is a
 counting sort over quarters of an octave: records are counted by rank as they are made, then each is put in its place; of a
 scene larger than memory they wait in a temporary file. Nothing in the file says what it is: it is known by its suffix and a size
-that is a multiple of 32. docs/formats/splat.md.
+that is a multiple of 32. docs/reference/formats/splat.md.
 """
 
 import json

@@ -7,7 +7,8 @@ index is not kept: one from a stale or hostile file could hide rows without a tr
 same reason the radii and boxes of clusters are written for others to read, but computed anew here, in 10 ns a row.
 
 Any safetensors library reads the file, and no code is ever loaded from it. That library is not used here, because it copies
-every tensor and builds the whole file in memory before it writes; in the tests it is the judge. docs/formats/splatree.md.
+every tensor and builds the whole file in memory before it writes; in the tests it is the judge.
+docs/reference/formats/splatree.md.
 """
 
 import json

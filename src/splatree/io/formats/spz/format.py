@@ -16,7 +16,7 @@ the codes: for a million Gaussians of degree 3 the codes take 0.1 s, zstd 0.5 s 
 
 The axes of a file are RUB by the format's documents, but RDF, those of the .ply, in the files of nearly every converter. We
 write RDF and name it in the extension record that the format has for this, and take files without the record for RDF.
-docs/formats/spz.md.
+docs/reference/formats/spz.md.
 """
 
 import json

@@ -3,7 +3,7 @@
 
 The manifest holds a binary tree of boxes; each leaf names, for each level, a range of rows of one of ``filenames``. A level
 is all of its ranges in the order of the tree, so its rows lie close together in space; level 0 is the finest. An
-``environment`` (far surroundings without levels) belongs to every level and comes last. docs/formats/streamed_sog.md.
+``environment`` (far surroundings without levels) belongs to every level and comes last. docs/reference/formats/streamed_sog.md.
 """
 
 import json
