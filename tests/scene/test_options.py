@@ -19,8 +19,8 @@ NAN, INF = float("nan"), float("inf")
         ({"dilation_px2": NAN}, "found nan"),
         ({"threshold": 0.0}, "threshold: found 0.0, wanted between 0 and 1"),
         ({"threshold": 1.0}, "threshold"),
-        ({"pixels": "soft"}, "pixels: found 'soft', wanted one of taper, hard"),
-        ({"tile_rule": "box"}, "tile_rule: found 'box', wanted one of"),
+        ({"pixels": "soft"}, "pixels: found 'soft', wanted 'taper' or 'hard'"),
+        ({"tile_rule": "box"}, "tile_rule: found 'box', wanted"),
         ({"pixels": "taper", "tile_rule": "tau"}, "'taper' with tile_rule 'tau'"),
         ({"pixels": "taper", "tile_rule": "3sigma"}, "'taper' with tile_rule '3sigma'"),
         ({"sh_degree": -1}, "sh_degree: found -1, wanted 0 to 3"),
@@ -39,9 +39,9 @@ def test_render_options_that_cannot_be_drawn_are_refused(options, message):
         ({"pixel_error": NAN}, "pixel_error"),
         ({"budget": 0}, "budget: found 0, wanted at least 1 node"),
         ({"max_radius": -1.0}, "max_radius"),
-        ({"rule": "best"}, "rule: found 'best', wanted one of cut"),
-        ({"view_test": "all"}, "view_test: found 'all', wanted one of footprint"),
-        ({"cull": "boxes"}, "cull: found 'boxes', wanted one of none"),
+        ({"rule": "best"}, "rule: found 'best', wanted 'cut'"),
+        ({"view_test": "all"}, "view_test: found 'all', wanted 'footprint'"),
+        ({"cull": "boxes"}, "cull: found 'boxes', wanted 'none'"),
     ],
 )
 def test_select_options_that_mean_nothing_are_refused(options, message):

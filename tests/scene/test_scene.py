@@ -14,11 +14,11 @@ from ..kernels.conftest import gaussians
     ("field", "value", "message"),
     [
         ("mode", "mip", "Scene.mode: found 'mip', wanted 'classic' or 'antialiased'"),
-        ("tile_rule", "box", "Scene.tile_rule: found 'box', wanted one of ellipse"),
+        ("tile_rule", "box", "Scene.tile_rule: found 'box', wanted 'ellipse'"),
         ("threshold", 0.0, "Scene.threshold: found 0.0"),
         ("threshold", 1.0, "Scene.threshold: found 1.0"),
         ("threshold", float("nan"), "Scene.threshold: found nan"),
-        ("device", "metal", "Scene.device: found 'metal', wanted one of cpu"),
+        ("device", "metal", "Scene.device: found 'metal', wanted 'cpu'"),
     ],
 )
 def test_what_no_scene_can_be_is_refused(field, value, message):

@@ -13,6 +13,8 @@ from splatree.maths.covariance import covariances_from_gaussians
 from splatree.maths.rotations import matrices_from_quats
 from splatree.simplify.merge import weights_of
 
+from ..kernels.conftest import gaussians
+
 NAMES = ("means", "quats", "log_scales", "logit_opacities", "sh")
 
 
@@ -225,3 +227,12 @@ def test_a_given_opacity_takes_the_place_of_the_rule():
         assert merged.logit_opacities[0] == np.float32(np.log(0.25 / 0.75))
         # The second is by the rule, 0 says; the others are groups of one, which nothing changes.
         np.testing.assert_allclose(merged.logit_opacities[1:], ruled.logit_opacities[1:], rtol=2e-6)
+
+
+@pytest.mark.parametrize("field", ["rule", "opacity", "position"])
+def test_the_compiled_merge_refuses_names_that_it_does_not_know(field):
+    scene = gaussians(3, 0)
+    options = MergeOptions().resolved("classic")
+    object.__setattr__(options, field, "typo")  # past the check of the options
+    with pytest.raises(ValueError, match=f"{field}: found 'typo', wanted one of '"):
+        fast.merge(scene, group(np.zeros(3, np.int32)), np.ones(3, np.float32), options)

@@ -22,6 +22,7 @@ from splatree.lod.select import Selector
 from splatree.metrics.lpips import Lpips, Net
 from splatree.progress import track
 from splatree.render.timing import check_frames
+from splatree.scene.literals import check_literals
 from splatree.scene.options import SelectOptions
 
 __all__ = ["Options", "run"]
@@ -61,6 +62,7 @@ class Options:
     """Weights of LPIPS version 0.1; None: from an installed package lpips or torchmetrics."""
 
     def __post_init__(self) -> None:
+        check_literals(self)
         check_frames(self.frames)
 
 

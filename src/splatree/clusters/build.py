@@ -24,6 +24,7 @@ from splatree.kernels.cpu.build.spheres import bound_clusters
 from splatree.kernels.cpu.frame.blocks import index_blocks
 from splatree.maths.morton import morton_codes
 from splatree.scene.gaussians import Gaussians
+from splatree.scene.literals import check_literals
 from splatree.scene.scene import DeviceName, Scene
 from splatree.scene.tree import GaussianTree
 from splatree.shapes import Array, Int32
@@ -55,6 +56,7 @@ class ClusterOptions:
     """Where K-means runs; in scenes with levels there is none."""
 
     def __post_init__(self) -> None:
+        check_literals(self)
         if self.iterations < 0:
             raise InputError(f"iterations: found {self.iterations}, wanted 0 or more")
 

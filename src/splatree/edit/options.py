@@ -2,9 +2,10 @@
 
 import math
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal
 
 from splatree.errors import InputError
+from splatree.scene.literals import check_literals
 
 __all__ = ["EditOptions", "Order"]
 
@@ -35,6 +36,7 @@ class EditOptions:
     """Order of the rows: `kept`, or `morton`, by which neighbours in the file are neighbours in space."""
 
     def __post_init__(self) -> None:
+        check_literals(self)
         if not 0 <= self.min_opacity < 1:
             raise InputError(f"min_opacity: found {self.min_opacity}, wanted at least 0 and less than 1")
         if not (self.scale > 0 and math.isfinite(self.scale)):
@@ -51,8 +53,6 @@ class EditOptions:
             raise InputError(f"crop_sphere: found radius {self.crop_sphere[3]}, wanted 0 or more")
         if not 0 <= self.sh_degree <= 3:
             raise InputError(f"sh_degree: found {self.sh_degree}, wanted 0 to 3")
-        if self.order not in get_args(Order):
-            raise InputError(f"order: found {self.order!r}, wanted one of {', '.join(get_args(Order))}")
 
     @property
     def may_drop_rows(self) -> bool:

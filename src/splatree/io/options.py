@@ -5,6 +5,7 @@ from typing import Literal
 
 from splatree.errors import InputError
 from splatree.maths.axes import AxesName
+from splatree.scene.literals import check_literals
 
 Repair = bool | Literal["drop"]
 """What is done with values that cannot be used: False raises; True fixes or drops; "drop" drops all rows that have any."""
@@ -25,6 +26,9 @@ class ReadOptions:
     axes: AxesName | None = None
     """Where x, y and z point in a file whose format leaves that open and that does not name it itself (left or right, up or down,
     front or back); None: RDF, as in a .ply."""
+
+    def __post_init__(self) -> None:
+        check_literals(self)
 
 
 @dataclass(frozen=True)
@@ -47,6 +51,9 @@ class WriteOptions:
 
     packing: Packing | None = None
     """How values are packed, in a format that leaves it open; None: not at all."""
+
+    def __post_init__(self) -> None:
+        check_literals(self)
 
     def given(self) -> dict[str, int | str]:
         """The options that are not None."""

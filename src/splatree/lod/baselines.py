@@ -40,6 +40,7 @@ from splatree.lod.select import count_nested, count_uncovered
 from splatree.lod.serial import levels_of, select_serial
 from splatree.scene.cameras import Camera
 from splatree.scene.frame import Selection
+from splatree.scene.literals import check_literals
 from splatree.scene.options import SelectOptions, ViewTest
 from splatree.scene.scene import Scene
 from splatree.scene.tree import GaussianTree
@@ -133,6 +134,9 @@ class Baseline:
     """Data beside the Gaussians and the tree's own ``subtree_end`` and ``depth``."""
     pixel_error: float
     """τ_R, px; 0 where the method has none."""
+
+    def __post_init__(self) -> None:
+        check_literals(self)
 
     def __call__(
         self, camera: Camera, *, dilation_px2: float = DILATION_PX2, threshold: float | None = None, threads: int = 0

@@ -15,7 +15,7 @@ import dataclasses
 import json
 import math
 from dataclasses import dataclass, field
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 
@@ -30,6 +30,7 @@ from splatree.lod.order import Level, preorder
 from splatree.maths.morton import morton_codes
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
+from splatree.scene.literals import check_literals
 from splatree.scene.scene import Scene
 from splatree.scene.thinning import METHOD_FROM_OPTION, Importance, MergeOptions, Method, check_used, rules_of
 from splatree.shapes import Array
@@ -71,13 +72,9 @@ class BuildOptions:
     """How a group becomes one Gaussian."""
 
     def __post_init__(self) -> None:
-        if isinstance(self.radius, str):
-            if self.radius != "auto":
-                raise InputError(f"radius: found {self.radius!r}, wanted a number or 'auto'")
-        elif not 0 < self.radius <= 1e30:
+        check_literals(self)
+        if not isinstance(self.radius, str) and not 0 < self.radius <= 1e30:
             raise InputError(f"radius: found {self.radius}, wanted more than 0 world units, finite")
-        if self.method not in get_args(Method):
-            raise InputError(f"method: found {self.method!r}, wanted one of {', '.join(get_args(Method))}")
         if self.pixel_size is not None and not 0 < self.pixel_size <= 1e30:
             raise InputError(f"pixel_size: found {self.pixel_size}, wanted more than 0 world units, finite")
         if not 1 < self.growth <= 1e6:

@@ -26,7 +26,7 @@ import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Final, Literal, get_args
+from typing import Final, Literal
 
 import numpy as np
 
@@ -39,6 +39,7 @@ from splatree.render.contribution import Tiles, Unit, tile_contributions
 from splatree.render.pipeline import trace
 from splatree.scene.cameras import Camera
 from splatree.scene.frame import Frame
+from splatree.scene.literals import check_literals
 from splatree.scene.options import RenderOptions, SelectOptions
 from splatree.scene.scene import Scene, TileRule
 from splatree.shapes import Array
@@ -83,9 +84,7 @@ class CalibrateOptions:
     """Draw at most this many of the views, spread evenly over them."""
 
     def __post_init__(self) -> None:
-        for name, kind in (("policy", Policy), ("lists", TileRule), ("tiles", Tiles), ("unit", Unit)):
-            if getattr(self, name) not in get_args(kind):
-                raise InputError(f"{name}: found {getattr(self, name)!r}, wanted one of {', '.join(get_args(kind))}")
+        check_literals(self)
         for name in ("loss_db", "scene_psnr", "lambda_g"):
             if not 0 < getattr(self, name) < math.inf:
                 raise InputError(f"{name}: found {getattr(self, name)}, wanted more than 0")
@@ -141,6 +140,9 @@ class Calibration:
     """τ_R of the selection, px; None if it was another selector."""
     trials: tuple[Trial, ...]
     """Every τ that was tried, in order."""
+
+    def __post_init__(self) -> None:
+        check_literals(self)
 
 
 def calibrate(

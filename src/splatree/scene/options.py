@@ -1,10 +1,11 @@
 """How a view is selected and drawn: defaults live here alone; the command line's help is these docstrings."""
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal
 
 from splatree.constants import ALPHA_THRESHOLD, DILATION_MAX_PX2, DILATION_PX2, PIXEL_ERROR, SHRINK_AREA_POWER
 from splatree.errors import InputError
+from splatree.scene.literals import check_literals
 from splatree.scene.scene import Mode, Scene, TileRule
 
 Rule = Literal["cut", "paper-strict", "release", "log-serial"]
@@ -45,17 +46,13 @@ class SelectOptions:
     and no levels; in a tree, none, as the test of blocks leaves out as much."""
 
     def __post_init__(self) -> None:
+        check_literals(self)
         if not self.pixel_error >= 0:
             raise InputError(f"pixel_error: found {self.pixel_error}, wanted 0 px or more")
         if self.budget is not None and self.budget < 1:
             raise InputError(f"budget: found {self.budget}, wanted at least 1 node")
         if self.max_radius is not None and not self.max_radius > 0:
             raise InputError(f"max_radius: found {self.max_radius}, wanted more than 0 px")
-        _check_names(self, rule=Rule, view_test=ViewTest)
-        if self.profile is not None:
-            _check_names(self, profile=Profile)
-        if self.cull is not None:
-            _check_names(self, cull=Cull)
 
     @property
     def radius(self) -> Profile:
@@ -85,15 +82,13 @@ class RenderOptions:
     """Highest degree of harmonics evaluated; None: all that the scene has."""
 
     def __post_init__(self) -> None:
+        check_literals(self)
         if not all(0 <= channel <= 1 for channel in self.background):
             raise InputError(f"background: found {self.background}, wanted red, green and blue from 0 to 1")
         if not 0 <= self.dilation_px2 <= DILATION_MAX_PX2:
             raise InputError(f"dilation_px2: found {self.dilation_px2:g}, wanted 0 to {DILATION_MAX_PX2:g} px²")
         if self.threshold is not None and not 0 < self.threshold < 1:
             raise InputError(f"threshold: found {self.threshold}, wanted between 0 and 1")
-        _check_names(self, pixels=Pixels)
-        if self.tile_rule is not None:
-            _check_names(self, tile_rule=TileRule)
         if self.pixels == "taper" and self.tile_rule in ("tau", "3sigma"):
             raise InputError(
                 f"pixels: found 'taper' with tile_rule {self.tile_rule!r}, wanted 'hard', or tile_rule 'ellipse'"
@@ -133,6 +128,9 @@ class ResolvedOptions:
     pixels: Pixels = "hard"
     """What happens to the pixels of these tiles."""
 
+    def __post_init__(self) -> None:
+        check_literals(self)
+
     @property
     def is_square(self) -> bool:
         """Whether the tile rule lists squares."""
@@ -162,10 +160,3 @@ class ResolvedOptions:
     def tapers(self) -> bool:
         """Whether splats are tapered: where τ is 1/255 or less, there is nothing to taper."""
         return self.pixels == "taper" and self.threshold > ALPHA_THRESHOLD
-
-
-def _check_names(options: SelectOptions | RenderOptions, **kinds: object) -> None:
-    for name, kind in kinds.items():
-        if getattr(options, name) not in get_args(kind):
-            wanted = ", ".join(get_args(kind))
-            raise InputError(f"{name}: found {getattr(options, name)!r}, wanted one of {wanted}")

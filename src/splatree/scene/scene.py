@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from splatree.constants import ALPHA_THRESHOLD
 from splatree.errors import InputError, ShapeError
 from splatree.scene.clusters import ClusterIndex
 from splatree.scene.gaussians import Gaussians
+from splatree.scene.literals import check_literals
 from splatree.scene.tree import BlockIndex, GaussianTree
 from splatree.shapes import Array, UInt32, check_fields
 
@@ -76,16 +77,9 @@ class Scene:
                 "Scene.clusters: found the clusters of other Gaussians; replace them too, by None or with "
                 "clusters.build.build_clusters"
             )
-        if self.mode not in ("classic", "antialiased"):
-            raise InputError(f"Scene.mode: found {self.mode!r}, wanted 'classic' or 'antialiased'")
-        if self.tile_rule is not None and self.tile_rule not in get_args(TileRule):
-            raise InputError(
-                f"Scene.tile_rule: found {self.tile_rule!r}, wanted one of {', '.join(get_args(TileRule))}"
-            )
+        check_literals(self)
         if not 0 < self.threshold < 1:
             raise InputError(f"Scene.threshold: found {self.threshold}, wanted between 0 and 1")
-        if self.device not in get_args(DeviceName):
-            raise InputError(f"Scene.device: found {self.device!r}, wanted one of {', '.join(get_args(DeviceName))}")
 
     def __len__(self) -> int:
         return len(self.gaussians)

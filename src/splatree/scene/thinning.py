@@ -13,6 +13,7 @@ import numpy as np
 
 from splatree.constants import DILATION_PX2, PIXEL_ERROR, SIGMAS
 from splatree.errors import InputError
+from splatree.scene.literals import check_literals
 from splatree.scene.scene import Mode
 from splatree.shapes import Array, Int32, Int64, check_fields
 
@@ -62,6 +63,7 @@ class MergeOptions:
     `classic`, else 0."""
 
     def __post_init__(self) -> None:
+        check_literals(self)
         if self.scale_bound is not None and not self.scale_bound > 0:
             raise InputError(f"scale_bound: found {self.scale_bound}, wanted more than 0, or none")
         if not self.mass_limit >= 1:
@@ -161,19 +163,15 @@ class ThinOptions:
     """How a group becomes one Gaussian."""
 
     def __post_init__(self) -> None:
+        check_literals(self)
         given = [name for name in ("radius", "keep", "count") if getattr(self, name) is not None]
         if len(given) > 1:
             raise InputError(f"thin: found {' and '.join(given)}, wanted one of radius, keep and count")
-        if self.method not in (None, *get_args(Method)):
-            raise InputError(f"method: found {self.method!r}, wanted one of {', '.join(get_args(Method))}")
         if self.method == "pairs" and (self.keep, self.count) == (None, None):
             raise InputError("method: found 'pairs' without a count, wanted keep or count; a radius goes with 'radius'")
         if self.pixel_size is not None and not 0 < self.pixel_size <= 1e30:
             raise InputError(f"pixel_size: found {self.pixel_size}, wanted more than 0 world units, finite")
-        if isinstance(self.radius, str):
-            if self.radius != "auto":
-                raise InputError(f"radius: found {self.radius!r}, wanted a number or 'auto'")
-        elif self.radius is not None and not 0 <= self.radius <= 1e30:
+        if not isinstance(self.radius, str | None) and not 0 <= self.radius <= 1e30:
             raise InputError(f"radius: found {self.radius}, wanted 0 or more world units, finite")
         if self.keep is not None and not 0 < self.keep <= 1:
             raise InputError(f"keep: found {self.keep}, wanted more than 0 and at most 1 (0.25 keeps a quarter)")

@@ -1,6 +1,5 @@
 // Glue of thinning and merging: array checks are in thin.py and merge.py.
 #include <nanobind/stl/optional.h>
-#include <nanobind/stl/string.h>
 #include <nanobind/stl/tuple.h>
 
 #include <optional>
@@ -11,7 +10,7 @@
 #include "cpu/build/pairs.h"
 #include "cpu/build/thin.h"
 #include "cpu/build/visibility.h"
-#include "cpu/runtime/arrays.h"
+#include "cpu/runtime/structs.h"
 
 namespace splatree {
 namespace {
@@ -26,37 +25,50 @@ std::tuple<int, int64_t> thin_rows(In<float> means, In<float> colors, In<float> 
   return {job.rounds, job.num_visited};
 }
 
-void merge_groups(In<float> means, In<float> quats, In<float> log_scales, In<float> logit_opacities, In<float> sh,
-                  In<float> weights, In<int64_t> start, In<int32_t> rows, In<int32_t> representatives,
-                  const std::string& rule, const std::string& opacity, bool keep_position, double scale_bound,
-                  double widening, double mass_limit, double dilation, double added,
-                  std::optional<In<float>> opacities, Out<float> out_means, Out<float> out_quats,
-                  Out<float> out_log_scales, Out<float> out_logit_opacities, Out<float> out_sh, int threads) {
-  MergeJob job{static_cast<int64_t>(representatives.shape(0)),
-               static_cast<int64_t>(sh.shape(1)),
-               {means.data(), quats.data(), log_scales.data(), logit_opacities.data(), sh.data()},
-               weights.data(),
-               start.data(),
-               rows.data(),
-               representatives.data(),
-               rule == "mean" ? MergeRule::kMean : MergeRule::kMoments,
-               opacity == "union"  ? OpacityRule::kUnion
-               : opacity == "mass" ? OpacityRule::kMass
-               : opacity == "optical" ? OpacityRule::kOptical
-                                   : OpacityRule::kStandard,
-               keep_position,
-               scale_bound,
-               widening,
-               mass_limit,
-               dilation,
-               added,
-               opacities ? opacities->data() : nullptr,
-               out_means.data(),
-               out_quats.data(),
-               out_log_scales.data(),
-               out_logit_opacities.data(),
-               out_sh.data(),
-               threads};
+constexpr Choice<MergeRule> MERGE_RULES[] = {{"mean", MergeRule::kMean}, {"moments", MergeRule::kMoments}};
+
+// `fitted` merges like `standard`: the opacities that were fitted come from the caller.
+constexpr Choice<OpacityRule> OPACITY_RULES[] = {{"union", OpacityRule::kUnion},
+                                                 {"mass", OpacityRule::kMass},
+                                                 {"standard", OpacityRule::kStandard},
+                                                 {"fitted", OpacityRule::kStandard},
+                                                 {"optical", OpacityRule::kOptical}};
+
+constexpr Choice<bool> KEEPS_POSITION[] = {{"centroid", false}, {"representative", true}};
+
+GaussianColumns columns_of(nb::handle gaussians) {
+  return {column<float>(gaussians, "means"), column<float>(gaussians, "quats"), column<float>(gaussians, "log_scales"),
+          column<float>(gaussians, "logit_opacities"), column<float>(gaussians, "sh")};
+}
+
+// The structs are those of Python: Gaussians, Groups, MergeOptions (resolved), and the Gaussians to fill.
+void merge_groups(nb::handle gaussians, nb::handle groups, In<float> weights, nb::handle options, double added,
+                  std::optional<In<float>> opacities, nb::handle out, int threads) {
+  const auto named = [&](const char* field) { return nb::cast<std::string>(options.attr(field)); };
+  const auto number = [&](const char* field) { return nb::cast<double>(options.attr(field)); };
+  MergeJob job{};
+  job.num_groups = int64_t(nb::len(groups));
+  job.k = int64_t(nb::cast<In<float>>(gaussians.attr("sh")).shape(1));
+  job.in = columns_of(gaussians);
+  job.weights = weights.data();
+  job.start = column<int64_t>(groups, "start");
+  job.rows = column<int32_t>(groups, "rows");
+  job.representatives = column<int32_t>(groups, "representatives");
+  job.rule = chosen(named("rule"), "rule", MERGE_RULES);
+  job.opacity = chosen(named("opacity"), "opacity", OPACITY_RULES);
+  job.keep_position = chosen(named("position"), "position", KEEPS_POSITION);
+  job.scale_bound = number("bound");
+  job.widening = number("power");
+  job.mass_limit = number("mass_limit");
+  job.dilation = options.attr("dilation").is_none() ? 0.0 : number("dilation");
+  job.added = added;
+  job.opacities = opacities ? opacities->data() : nullptr;
+  job.means = nb::cast<Out<float>>(out.attr("means")).data();
+  job.quats = nb::cast<Out<float>>(out.attr("quats")).data();
+  job.log_scales = nb::cast<Out<float>>(out.attr("log_scales")).data();
+  job.logit_opacities = nb::cast<Out<float>>(out.attr("logit_opacities")).data();
+  job.sh = nb::cast<Out<float>>(out.attr("sh")).data();
+  job.threads = threads;
   nb::gil_scoped_release release;
   merge(job);
 }

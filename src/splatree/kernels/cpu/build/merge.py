@@ -30,14 +30,7 @@ def merge(
     g, k = len(groups), gaussians.sh.shape[1]
     shapes = ((g, 3), (g, 4), (g, 3), (g,), (g, k, 3))
     out = Gaussians(*(np.empty(shape, np.float32) for shape in shapes))
-    _core.merge(
-        *(gaussians.means, gaussians.quats, gaussians.log_scales, gaussians.logit_opacities, gaussians.sh),
-        *(weights, groups.start, groups.rows, groups.representatives),
-        *(options.rule, options.opacity, options.position == "representative"),
-        *(options.bound, options.power, options.mass_limit, options.dilation or 0.0, added, opacities),
-        *(out.means, out.quats, out.log_scales, out.logit_opacities, out.sh),
-        threads,
-    )
+    _core.merge(gaussians, groups, weights, options, added, opacities, out, threads)
     return out
 
 

@@ -1,0 +1,110 @@
+import dataclasses
+import importlib
+import inspect
+import pkgutil
+from typing import Literal, get_type_hints
+
+import numpy as np
+import pytest
+
+import splatree
+from splatree import InputError, Scene
+from splatree.scene.literals import _choices_from_field, check_literals
+from splatree.scene.options import RenderOptions
+
+from ..kernels.conftest import gaussians
+
+
+@dataclasses.dataclass(frozen=True)
+class Struct:
+    name: Literal["red", "green"] = "red"
+    other: Literal["red", "green"] | None = None
+    size: float | Literal["auto"] | None = None
+    repair: bool | Literal["drop"] = False
+    several: tuple[Literal["x", "y"], ...] = ()
+
+    def __post_init__(self) -> None:
+        check_literals(self)
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"name": "green"},
+        {"other": "green"},
+        {"size": 1},
+        {"size": np.float32(1)},
+        {"size": "auto"},
+        {"repair": True},
+        {"repair": "drop"},
+    ],
+)
+def test_values_of_the_annotation_pass(fields):
+    Struct(**fields)
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"name": "gren"}, "Struct.name: found 'gren', wanted 'red' or 'green'; did you mean 'green'?"),
+        ({"name": None}, "Struct.name: found None, wanted 'red' or 'green'"),
+        ({"name": ["red"]}, "Struct.name: found ['red'], wanted 'red' or 'green'"),
+        ({"other": "blue"}, "Struct.other: found 'blue', wanted 'red', 'green' or None"),
+        ({"size": "atuo"}, "Struct.size: found 'atuo', wanted 'auto', a number or None; did you mean 'auto'?"),
+        ({"repair": 1}, "Struct.repair: found 1, wanted 'drop' or True or False"),
+    ],
+)
+def test_other_values_are_named_with_what_was_wanted(fields, message):
+    with pytest.raises(InputError) as error:
+        Struct(**fields)
+    assert str(error.value) == message
+
+
+def _structs_that_users_build() -> list[type]:
+    """Every dataclass of the package that is called options, or is a public name, and that has a field with a Literal."""
+    found = set()
+    for module in pkgutil.walk_packages(splatree.__path__, "splatree."):
+        if module.name.startswith("splatree.cli") or module.name.endswith(("__main__", "._core")):
+            continue  # the command line's own parser checks its names
+        for name, value in vars(importlib.import_module(module.name)).items():
+            if inspect.isclass(value) and dataclasses.is_dataclass(value) and value.__module__ == module.name:
+                is_public = name.endswith("Options") or name in splatree.__all__
+                if is_public and any("Literal" in str(hint) for hint in get_type_hints(value).values()):
+                    found.add(value)
+    return sorted(found, key=lambda struct: struct.__name__)
+
+
+def _example(struct: type) -> object:
+    """An instance of the struct with plausible values in the fields that have no default."""
+    if struct is Scene:
+        return Scene.flat(gaussians(3, 0))
+    values = {}
+    for field in dataclasses.fields(struct):
+        if field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
+            choices = _choices_from_field(struct).get(field.name)
+            values[field.name] = choices.values[0] if choices else None
+    return struct(**values)
+
+
+STRUCTS = _structs_that_users_build()
+
+
+def test_the_structs_with_names_are_found():
+    assert {"MergeOptions", "RenderOptions", "ReadOptions", "CalibrateOptions", "Scene"} <= {
+        s.__name__ for s in STRUCTS
+    }
+
+
+@pytest.mark.parametrize("struct", STRUCTS, ids=lambda struct: struct.__name__)
+def test_every_name_in_every_struct_is_checked(struct):
+    example = _example(struct)
+    choices = _choices_from_field(struct)
+    assert choices
+    for name in choices:
+        with pytest.raises(InputError, match=rf"^{struct.__name__}\.{name}: found 'nonsense', wanted "):
+            dataclasses.replace(example, **{name: "nonsense"})
+
+
+def test_a_typo_in_the_mode_draws_nothing():
+    with pytest.raises(InputError, match="did you mean 'antialiased'"):
+        RenderOptions(mode="antialised")
