@@ -76,8 +76,8 @@ def test_values_are_checked(tmp_path):
     assert len(scene) == 4 and scene.source.metadata["repairs"] == '{"dropped_rows": 1}'
 
 
-def test_chunks_hold_65536_nodes_breadth_first(tmp_path):
-    """Two chunks: the joined root, all roots, then the leaves of each root, one family after the other."""
+def test_chunks_hold_65536_nodes_and_the_largest_families_first(tmp_path):
+    """Two chunks: the joined root, all roots, then the leaves of each root, those of larger roots before."""
     depth = np.array([0, 1, 1] * 30_000, np.uint8)
     g = random_gaussians(len(depth), 0)
     end = np.arange(1, len(depth) + 1, dtype=np.int32)
@@ -87,8 +87,12 @@ def test_chunks_hold_65536_nodes_breadth_first(tmp_path):
     file = open_rad(tmp_path / "a.rad")
     assert [c.count for c in file.chunks] == [65536, 90001 - 65536]
     centres = np.concatenate([values_of(c, "center") for c in file.chunks])
-    order = np.append(np.arange(0, 90_000, 3), np.flatnonzero(depth))
-    assert same_bits(centres[1:], g.means[order])
+    roots = np.arange(0, 90_000, 3)
+    assert same_bits(centres[1:30_001], g.means[roots])
+    largest = roots[np.argsort(-g.log_scales[roots].max(axis=1), kind="stable")]
+    num_families = (65536 - 30_001) // 2
+    first = np.stack([largest + 1, largest + 2], axis=1)[:num_families].ravel()
+    assert same_bits(centres[30_001 : 30_001 + 2 * num_families], g.means[first])
     back = splatree.read(tmp_path / "a.rad")
     assert same_bits(back.gaussians.means, g.means) and same_bits(back.tree.subtree_end, end)
 

@@ -5,9 +5,8 @@ header, the header, padding, the bytes of its payload (u8) and the payload: prop
 The header lists the chunks' places and sizes (`rad_container`); a chunk's header its properties', with encoding and range
 (`rad_properties`). Written by `rad_writer`. Layout and deviations: docs/reference/formats/rad.md.
 
-The children of a node follow each other: ``child_start``, ``child_count``; node 0 is the root. We write nodes breadth-first, each
-level in preorder: coarse chunks come first, and a chunk of a fine level is a run of a Morton curve. Several roots get a node
-above them, their moment merge, which a key of our own marks so that reading takes it away again.
+The children of a node follow each other: ``child_start``, ``child_count``; node 0 is the root. Several roots get a node above
+them, their moment merge, which a key of our own marks so that reading takes it away again.
 
 In a file with levels, an opacity a above 1 stands for D = 4 a − 3 and an exponent A = e^((D² − 1)/e); see
 `splatree.io.opacities`.

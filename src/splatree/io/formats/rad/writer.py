@@ -1,4 +1,4 @@
-"""Write ``.rad``: nodes breadth-first in chunks of 65,536, whose properties are deflated on a processor each.
+"""Write ``.rad``: nodes in Spark's order (`rad/nodes.py`), in chunks of 65,536 whose properties are deflated on a processor each.
 
 The header stands before the chunks but lists their places; it is written last, into the room kept for it, padded with spaces.
 Ranges of 8-bit codes are those of each chunk: nothing is clipped, and a chunk of small Gaussians has small steps.
@@ -18,23 +18,22 @@ from splatree.errors import InputError
 from splatree.io.check import refuse_unusable
 from splatree.io.chunks import Chunks, chunks_of
 from splatree.io.formats.rad.container import CHUNK_MAGIC, MAGIC, padded
+from splatree.io.formats.rad.nodes import nodes_of
 from splatree.io.formats.rad.properties import LOG_SCALE_ZERO, encode_codes, encode_floats, encode_rotations
 from splatree.io.opacities import opacities_from_logits
 from splatree.io.options import WriteOptions
 from splatree.io.rows import columns_to_fill
 from splatree.kernels.cpu import _core
-from splatree.kernels.cpu.build.merge import merge
-from splatree.maths.forests import links_from_preorder
+from splatree.kernels.cpu.codec.paging import PAGE_ROWS
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Mode, Scene
-from splatree.scene.thinning import Groups, MergeOptions
 from splatree.shapes import Array
 
 if TYPE_CHECKING:
     from concurrent.futures import ThreadPoolExecutor
 
-_CHUNK_ROWS = 1 << 16
+_CHUNK_ROWS = PAGE_ROWS
 _SAMPLE = 1 << 14
 """Rows of which the ranges for display are taken."""
 
@@ -56,7 +55,7 @@ _LOG_SCALE_RANGE_MAX = 25.0
 
 
 def write(scene: Scene, path: Path, options: WriteOptions) -> tuple[str, ...]:
-    """Write with the tree, breadth-first: 8 bits as Spark does (compression 2, the default), half precision (1) or floats (0).
+    """Write with the tree: 8 bits as Spark does (compression 2, the default), half precision (1) or floats (0).
 
     Raises:
         InputError: a node has more than 65,535 children.
@@ -66,29 +65,10 @@ def write(scene: Scene, path: Path, options: WriteOptions) -> tuple[str, ...]:
         _write(path, _Head(n, g.sh_degree, scene.mode, scene.threshold), _parts(chunks_of(scene)), None, options)
         return ()
     refuse_unusable(scene.gaussians, "scene to write")
-    links = links_from_preorder(scene.tree.depth)
-    roots = np.flatnonzero(scene.tree.depth == 0)
-    root = _joined_root(g, roots) if len(roots) > 1 else Gaussians.empty(g.sh_degree)
-    above = len(root)  # nodes before those of the scene
-    largest_family = max(len(roots) if above else 0, int(links.num_children.max()))
-    if largest_family > 65535:
-        raise InputError(
-            f"{path.name}: found a node of {largest_family} children, wanted at most 65535; build the levels with a smaller "
-            "growth or fewer roots"
-        )
-    first_child = np.where(links.num_children > 0, links.first_child + above, 0).astype("<u4")
-    num_children = links.num_children.astype("<u2")
-    if above:
-        first_child, num_children = np.append(1, first_child), np.append(len(roots), num_children)
-
-    def parts() -> Iterator[Gaussians]:
-        for begin in range(0, n + above, _CHUNK_ROWS):
-            nodes = slice(max(begin - above, 0), begin + _CHUNK_ROWS - above)
-            part = g.take(links.row_from_node[nodes])
-            yield Gaussians.concatenate([root, part]) if begin == 0 and above else part
-
-    head = _Head(n + above, g.sh_degree, scene.mode, scene.threshold, joins_roots=above > 0)
-    _write(path, head, parts(), (num_children.astype("<u2"), first_child.astype("<u4")), options)
+    nodes = nodes_of(scene, path)
+    parts = (nodes.gaussians(scene, b, b + _CHUNK_ROWS) for b in range(0, len(nodes), _CHUNK_ROWS))
+    head = _Head(len(nodes), g.sh_degree, scene.mode, scene.threshold, joins_roots=len(nodes.joined_root) > 0)
+    _write(path, head, parts, (nodes.num_children.astype("<u2"), nodes.first_child.astype("<u4")), options)
     return ()
 
 
@@ -170,15 +150,6 @@ def _write(
         assert len(text) <= header_bytes
         file.seek(0)
         file.write(MAGIC + header_bytes.to_bytes(4, "little") + text.ljust(header_bytes))
-
-
-def _joined_root(g: Gaussians, roots: Array) -> Gaussians:
-    """The moment merge of the roots, weighted by opacity."""
-    members = g.take(roots)
-    every = np.arange(len(roots), dtype=np.int32)
-    groups = Groups(every[:1], np.zeros_like(every), np.array([0, len(roots)], np.int64), every)
-    weights = np.maximum(opacities_from_logits(members.logit_opacities), np.float32(1e-6))
-    return merge(members, groups, weights, MergeOptions(weight="opacity", opacity="standard"))
 
 
 def _encode_chunk(

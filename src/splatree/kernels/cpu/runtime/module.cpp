@@ -14,6 +14,7 @@ using namespace splatree;
 
 namespace splatree {
 void bind_render(nb::module_& m);
+void bind_paging(nb::module_& m);
 void bind_palette(nb::module_& m);
 void bind_sog(nb::module_& m);
 void bind_files(nb::module_& m);
@@ -52,6 +53,7 @@ NB_MODULE(_core, m) {
       nb::arg("name"), "Switch to another level; for tests, not while kernels run.");
 
   bind_render(m);
+  bind_paging(m);
   bind_palette(m);
   bind_sog(m);
   bind_files(m);

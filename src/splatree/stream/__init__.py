@@ -1,0 +1,1 @@
+"""Scenes with levels as web viewers stream them."""

@@ -1,0 +1,1 @@
+"""What the viewers of others choose to load and draw in a view, repeated from their sources."""
