@@ -52,6 +52,7 @@ if TYPE_CHECKING:
     from splatree.scene.clusters import ClusterIndex, Culling
     from splatree.scene.frame import Frame, RenderResult, Selection
     from splatree.scene.gaussians import Gaussians
+    from splatree.scene.levels import LevelRecord
     from splatree.scene.options import RenderOptions, SelectOptions
     from splatree.scene.scene import Scene
     from splatree.scene.thinning import Groups, MergeOptions, ThinOptions
@@ -83,6 +84,7 @@ __all__ = [
     "Gaussians",
     "Groups",
     "InputError",
+    "LevelRecord",
     "MergeOptions",
     "MissingExtraError",
     "OutputError",
@@ -163,6 +165,7 @@ _HOME = {
     "Gaussians": "splatree.scene.gaussians",
     "Groups": "splatree.scene.thinning",
     "InputError": "splatree.errors",
+    "LevelRecord": "splatree.scene.levels",
     "MergeOptions": "splatree.scene.thinning",
     "MissingExtraError": "splatree.errors",
     "OutputError": "splatree.errors",

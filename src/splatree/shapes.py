@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from splatree.errors import ShapeError
 
-__all__ = ["Array", "Axes", "Bool", "Float32", "Float64", "Int32", "Int64", "UInt8", "UInt32", "check_fields"]
+__all__ = ["Array", "Axes", "Bool", "Float32", "Float64", "Int32", "Int64", "UInt8", "UInt16", "UInt32", "check_fields"]
 
 Array = npt.NDArray[Any]
 
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from typing import Annotated as Int32
     from typing import Annotated as Int64
     from typing import Annotated as UInt8
+    from typing import Annotated as UInt16
     from typing import Annotated as UInt32
 else:
 
@@ -52,6 +53,7 @@ else:
     Int32 = _Annotation("int32")
     Int64 = _Annotation("int64")
     UInt8 = _Annotation("uint8")
+    UInt16 = _Annotation("uint16")
     UInt32 = _Annotation("uint32")
 
 

@@ -323,6 +323,7 @@ def test_formats_lists_what_is_read_and_written(splatree):
     assert lines["ply"]["written"] and lines["ply"]["suffixes"] == [".ply"]
     assert not lines["streamed-sog"]["written"]
     assert lines["splatree"]["levels"] == "tree"
+    assert [name for name, line in lines.items() if line["record"]] == ["splatree", "rad"]
 
 
 def test_names_of_pictures_are_safe_and_unique():

@@ -7,7 +7,7 @@ from splatree import Camera, Gaussians, GaussianTree, InputError, Scene, SelectO
 from splatree.lod.select import smallest_radius
 from splatree.lod.serial import select_serial
 from splatree.render.pipeline import trace
-from splatree.scene.scene import Source
+from splatree.scene.levels import LevelRecord
 
 
 def quad_tree(levels: int) -> Scene:
@@ -136,28 +136,26 @@ def test_roots_that_were_found_hidden_lose_their_subtrees():
 
 
 def test_options_that_do_not_exist_are_refused_by_name():
-    with pytest.raises(InputError, match="profile: found 'oval', wanted one of exact, 3dgs, ref, sphere"):
+    with pytest.raises(InputError, match="profile: found 'oval', wanted 'exact', '3dgs', 'ref', 'sphere'"):
         SelectOptions(profile="oval")
     with pytest.raises(InputError, match="max_radius: found 0"):
         SelectOptions(max_radius=0)
 
 
+def of_rule(scene: Scene, rule, profile) -> Scene:
+    return replace(scene, tree=replace(scene.tree, record=LevelRecord(rule, profile)))
+
+
 def test_linked_levels_are_noted_by_their_record_alone():
-    scene, options = quad_tree(3), SelectOptions(pixel_error=3.0, profile="exact")
-    for record, noted in (
-        ('{"rule": "linked"}', True),
-        ('{"rule": "grow", "note": "not \\"linked\\""}', False),
-        ('["linked"]', False),
-        ('{"linked"', False),  # files of others may hold any text here
-    ):
-        source = Source(metadata={"levels": record})
-        notes = select(replace(scene, source=source), camera_at(2.0), options).notes
-        assert any("linked" in note for note in notes) == noted
+    options = SelectOptions(pixel_error=3.0, profile="exact")
+    for rule in ("linked", "pairs", "foreign"):
+        notes = select(of_rule(quad_tree(3), rule, "sphere"), camera_at(2.0), options).notes
+        assert any("linked" in note for note in notes) == (rule == "linked")
 
 
 @pytest.mark.parametrize(("rule", "profile"), [("linked", "sphere"), ("pairs", "sphere"), ("radius-thinning", "exact")])
 def test_the_profile_is_that_of_the_levels_unless_it_is_named(rule, profile):
-    scene = replace(quad_tree(3), source=Source(metadata={"levels": f'{{"rule": "{rule}"}}'}))
+    scene = of_rule(quad_tree(3), rule, profile)
     assert select(scene, camera_at(2.0)).profile == profile
     assert trace(scene, camera_at(2.0)).selection.profile == profile
     assert select(scene, camera_at(2.0), SelectOptions(profile="3dgs")).profile == "3dgs"

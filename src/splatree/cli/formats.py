@@ -44,6 +44,8 @@ class FormatLine:
     """Modes that a file can name."""
     threshold: bool
     """Whether a file names τ."""
+    record: bool
+    """Whether the file says how its levels were made and are to be drawn."""
     clusters: bool
     """Whether clusters are kept."""
     axes: str

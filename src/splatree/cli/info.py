@@ -11,6 +11,7 @@ from splatree.cli.console import Console, size, table
 from splatree.cli.files import Reading, check_inputs, read_scene
 from splatree.io.registry import stored_bytes
 from splatree.render.paths import bounds_of
+from splatree.scene.levels import LevelRecord
 from splatree.scene.scene import Scene
 
 
@@ -42,6 +43,8 @@ class Info:
     """Largest depth + 1."""
     nodes_per_depth: tuple[int, ...]
     """Nodes at each depth, roots first."""
+    record: LevelRecord | None
+    """How the levels were made and are to be drawn; None without levels."""
     clusters: dict[str, float] | None
     """Number of clusters, rows of one and radius (median); None without clusters."""
     sh_degree: int
@@ -91,6 +94,7 @@ def describe(scene: Scene) -> Info:
         num_nodes=len(scene),
         levels=scene.tree.num_levels,
         nodes_per_depth=tuple(int(n) for n in np.bincount(scene.tree.depth)),
+        record=scene.tree.record,
         clusters=_clusters(scene),
         sh_degree=scene.gaussians.sh_degree,
         mode=scene.mode,
@@ -124,6 +128,7 @@ def show(info: Info) -> str:
         ("Gaussians", f"{info.num_gaussians:,}"),
         ("nodes", f"{info.num_nodes:,} in {info.levels} level{'s' if info.levels != 1 else ''}"),
         ("nodes per depth", " ".join(f"{n:,}" for n in info.nodes_per_depth)),
+        *([("levels", _record_words(info.record))] if info.record else []),
         *([("clusters", _cluster_words(info.clusters))] if info.clusters else []),
         ("harmonics", f"degree {info.sh_degree}"),
         ("drawn", f"{info.mode}, τ = {info.threshold:.4g}, {info.tile_rule}"),
@@ -136,6 +141,11 @@ def show(info: Info) -> str:
         *((f"  {key}", value if len(value) < 200 else value[:197] + "...") for key, value in info.metadata.items()),
     ]
     return table([{"": name, " ": value} for name, value in rows]).strip("\n ")
+
+
+def _record_words(record: LevelRecord) -> str:
+    sizes = f", sizes {record.steps[0]:.4g} to {record.steps[-1]:.4g}" if record.steps else ""
+    return f"rule {record.rule}{sizes}; drawn by profile {record.profile}"
 
 
 def _cluster_words(clusters: dict[str, float]) -> str:

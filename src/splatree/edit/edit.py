@@ -44,7 +44,9 @@ def edit(scene: Scene, options: EditOptions) -> Scene:
     if not similarity.is_identity:
         gaussians = similarity.gaussians(gaussians, moved)
     if gaussians is not scene.gaussians:
-        scene = _with_gaussians(scene, gaussians, similarity.extents(scene.tree.extents, moved))
+        extents = similarity.extents(scene.tree.extents, moved)
+        record = None if scene.tree.record is None else scene.tree.record.scaled(similarity.scale)
+        scene = _with_gaussians(scene, gaussians, replace(scene.tree, extents=extents, record=record))
     return in_morton_order(scene) if options.order == "morton" else scene
 
 
@@ -79,8 +81,7 @@ def kept_rows(g: Gaussians, moved: Float32[Array, "n 3"], options: EditOptions) 
     return kept
 
 
-def _with_gaussians(scene: Scene, gaussians: Gaussians, extents: Float32[Array, "n"]) -> Scene:
-    tree = GaussianTree(scene.tree.subtree_end, scene.tree.depth, extents)
+def _with_gaussians(scene: Scene, gaussians: Gaussians, tree: GaussianTree) -> Scene:
     blocks = None if scene.blocks is None else index_blocks(gaussians, tree)
     return replace(scene, gaussians=gaussians, tree=tree, blocks=blocks)
 

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 from splatree.constants import ALPHA_THRESHOLD, SH_MAX_DEGREE
-from splatree.scene.scene import Mode
+from splatree.scene.levels import UNKNOWN_LEVELS, LevelRecord
+from splatree.scene.names import Mode
 
 Levels = Literal["none", "one of", "tree"]
 """Levels of detail: the file has none; `read` takes one of several; the file keeps the tree."""
@@ -25,6 +26,8 @@ class Holds:
     """Modes that it can name; other scenes are read back as the first of them."""
     threshold: bool = False
     """Whether it names τ, the opacity below which a splat ends."""
+    record: bool = False
+    """Whether it keeps how levels were made and are to be drawn (`LevelRecord`, and the extents that belong to it)."""
     clusters: bool = False
     """Whether it keeps clusters."""
     axes: str = "as in the scene"
@@ -40,16 +43,22 @@ def losses(
     threshold: float = ALPHA_THRESHOLD,
     num_merged: int = 0,
     num_clusters: int = 0,
+    record: LevelRecord | None = None,
 ) -> Iterator[str]:
     """What of a scene the format ``name`` cannot hold, a sentence each; what follows from the values says its writer.
 
     ``num_merged`` counts the nodes of a tree that are left out because its leaves are written, ``num_clusters`` the clusters that
-    are not written.
+    are not written. ``record`` says how the levels were made that are written.
     """
     if num_merged:
         yield f"the levels of detail, {num_merged:,} merged nodes: {name} gets the leaves"
     if num_clusters:
         yield f"the {num_clusters:,} clusters: the file gets none"
+    if record is not None and record != UNKNOWN_LEVELS and not holds.record:
+        yield (
+            f"how levels are drawn: they were made by the rule {record.rule} for the profile {record.profile}; {name} cannot say "
+            "it, and what reads the file has to choose"
+        )
     if sh_degree > holds.sh_degree:
         above = (
             f"degree {sh_degree}"

@@ -13,6 +13,7 @@ import numpy as np
 
 from splatree.errors import InputError
 from splatree.scene.gaussians import Gaussians
+from splatree.scene.levels import UNKNOWN_LEVELS, LevelRecord, common_record
 from splatree.scene.scene import Scene, Source
 from splatree.scene.tree import GaussianTree
 from splatree.shapes import Array
@@ -20,6 +21,9 @@ from splatree.shapes import Array
 
 def joined(scenes: Iterable[Scene]) -> Scene:
     """All rows of ``scenes`` in order; their trees side by side; harmonics at the highest degree among them.
+
+    What the trees say of their levels is kept as far as they agree (`scene.levels.common_record`): trees of different rules are
+    drawn by the profile `sphere`, which all extents allow. A scene without levels goes with any.
 
     Raises:
         InputError: the scenes differ in mode, threshold or tile rule, or have too many rows together.
@@ -33,7 +37,7 @@ def joined(scenes: Iterable[Scene]) -> Scene:
     gaussians = _empty(Gaussians.empty(first.gaussians.sh_degree))
     tree = _empty(GaussianTree(np.zeros(0, np.int32), np.zeros(0, np.uint8), np.zeros(0, np.float32)))
     drawn = {name: getattr(first, name) for name in ("mode", "threshold", "tile_rule")}
-    has_ids, sources, start = False, [], 0
+    has_ids, sources, records, start = False, list[Source](), list[LevelRecord](), 0
     for scene in chain((first, second), remaining):
         first = second = None  # type: ignore[assignment]  # let go of what is appended
         for name, wanted in drawn.items():
@@ -50,12 +54,14 @@ def joined(scenes: Iterable[Scene]) -> Scene:
             gaussians["sh"] = Gaussians(**gaussians).with_sh_degree(degree).sh
         _append(gaussians, vars(part.with_sh_degree(degree)))
         _append(tree, {**vars(scene.tree), "subtree_end": scene.tree.subtree_end + np.int32(start)})
+        if scene.tree.depth.any():
+            records.append(scene.tree.record or UNKNOWN_LEVELS)
         has_ids |= scene.ids is not None
         sources.append(scene.source)
         start = end
     return Scene(
         Gaussians(**gaussians),
-        GaussianTree(**tree),
+        GaussianTree(**tree, record=common_record(records)),
         ids=np.arange(start, dtype=np.uint32) if has_ids else None,
         **drawn,
         source=joined_source(sources),
@@ -63,7 +69,8 @@ def joined(scenes: Iterable[Scene]) -> Scene:
 
 
 def _empty(struct: Gaussians | GaussianTree) -> dict[str, Array]:
-    return {f.name: getattr(struct, f.name).copy() for f in fields(struct)}
+    columns = {f.name: getattr(struct, f.name) for f in fields(struct)}
+    return {name: column.copy() for name, column in columns.items() if isinstance(column, np.ndarray)}
 
 
 def _append(columns: dict[str, Array], parts: dict[str, Array]) -> None:

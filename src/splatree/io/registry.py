@@ -117,7 +117,7 @@ FORMATS: tuple[Format, ...] = (
         description="native, with levels",
         suffixes=(".splatree",),
         versions="1",
-        holds=Holds(lossless=True, levels="tree", threshold=True, clusters=True),
+        holds=Holds(lossless=True, levels="tree", threshold=True, record=True, clusters=True),
         sniff=store.sniff,
         read=store.read,
         write=store.write,
@@ -230,7 +230,7 @@ FORMATS: tuple[Format, ...] = (
         description="Spark, with levels",
         suffixes=(".rad",),
         versions="1",
-        holds=Holds(levels="tree", threshold=True),
+        holds=Holds(levels="tree", threshold=True, record=True),
         sniff=rad.sniff,
         read=rad.read,
         write=rad_writer.write,
@@ -335,6 +335,7 @@ def write(
         threshold=scene.threshold,
         num_merged=num_merged,
         num_clusters=0 if clusters is None or keeps_clusters else len(clusters),
+        record=scene.tree.record if scene.tree.depth.any() else None,
     )
     if chosen.write is None:
         return (*lost, *_written(chosen, chunks_of(scene), target, force, options))

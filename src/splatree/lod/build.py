@@ -30,6 +30,7 @@ from splatree.lod.order import Level, preorder
 from splatree.maths.morton import morton_codes
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
+from splatree.scene.levels import LevelRecord
 from splatree.scene.literals import check_literals
 from splatree.scene.scene import Scene
 from splatree.scene.thinning import METHOD_FROM_OPTION, Importance, MergeOptions, Method, check_used, rules_of
@@ -105,6 +106,7 @@ def build_lod(scene: Scene, options: BuildOptions | None = None, *, threads: int
         merge = dataclasses.replace(merge, widening=FITTED_WIDENING)
     options = dataclasses.replace(options, merge=merge)
     forest, diagonal = _forest_of(leaves, options), _diagonal_of(leaves)
+    record = LevelRecord("radius-thinning", "exact", scene.mode, growth=options.growth, merge=merge)
     rules: dict[str, Any] = {"growth": options.growth, "max_roots": options.max_roots}
     if options.method == "pairs":
         pixel_size = options.pixel_size or 0.5 * pixel_size_of(leaves)
@@ -115,6 +117,7 @@ def build_lod(scene: Scene, options: BuildOptions | None = None, *, threads: int
         present = Present(forest.columns[0], forest.weights[0], visibilities, scene.mode, merge)
         pixel_sizes = _steps(pixel_size, WIDEST_PIXEL * (diagonal + _largest_reach(leaves)), options.growth)
         forest = grow_by_pairs(forest, present, pixel_sizes, max_roots=options.max_roots, threads=threads)
+        record = dataclasses.replace(record, rule="pairs", profile="sphere", visibility=options.visibility)
         rules |= {
             "rule": "pairs",
             "pixel_size": pixel_size,
@@ -124,10 +127,13 @@ def build_lod(scene: Scene, options: BuildOptions | None = None, *, threads: int
     else:
         radius = auto_radius(leaves, threads=threads) if isinstance(options.radius, str) else float(options.radius)
         forest = _grow(forest, options, radius, diagonal, threads)
+        record = dataclasses.replace(record, importance=options.importance, color_radius=options.color_radius)
         rules |= {"rule": "radius-thinning", "radius": radius, "radii": forest.steps}
         rules |= {"importance": options.importance, "color_radius": options.color_radius}
     report = rules | {"merge": rules_of(options.merge), "mode": scene.mode, "nodes": forest.counts}
-    return _assemble(scene, leaves, leaf_ids, forest, json.dumps(report), threads)
+    record = dataclasses.replace(record, steps=tuple(forest.steps))
+    built = _assemble(scene, leaves, leaf_ids, forest, json.dumps(report), threads)
+    return dataclasses.replace(built, tree=dataclasses.replace(built.tree, record=record))
 
 
 def _steps(first: float, last: float, growth: float) -> list[float]:

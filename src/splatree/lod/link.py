@@ -28,6 +28,7 @@ from splatree.lod.order import Level, preorder
 from splatree.maths.morton import morton_codes
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
+from splatree.scene.levels import LevelRecord
 from splatree.scene.scene import Scene
 from splatree.shapes import Array, Float32, Float64, Int32
 
@@ -88,6 +89,8 @@ def link_levels(levels: Sequence[Scene], *, threads: int = 0) -> Scene:
     ids = np.arange(len(row), dtype=np.uint32)
     ids[: len(leaf_from_node)] = leaf_from_node
     gaussians = gaussians.take(node_from_row)
+    record = LevelRecord("linked", "sphere", mode=finest.mode)
+    tree = dataclasses.replace(order.tree, record=record if len(levels) > 1 else None)
     report = {
         "rule": "linked",
         "nodes": [len(scene) for scene in levels],
@@ -98,9 +101,9 @@ def link_levels(levels: Sequence[Scene], *, threads: int = 0) -> Scene:
     return dataclasses.replace(
         finest,
         gaussians=gaussians,
-        tree=order.tree,
+        tree=tree,
         ids=np.take(ids, node_from_row),
-        blocks=index_blocks(gaussians, order.tree, threads=threads),
+        blocks=index_blocks(gaussians, tree, threads=threads),
         source=dataclasses.replace(finest.source, metadata={**metadata, "levels": json.dumps(report)}),
     )
 

@@ -10,7 +10,6 @@ A budget is met by raising τ_R: coarser cuts are nested in finer ones, so the n
 the few at the border of the image), and interpolation between two values finds where it fits.
 """
 
-import json
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -28,7 +27,8 @@ from splatree.lod.serial import select_serial
 from splatree.scene.cameras import Camera
 from splatree.scene.clusters import Culling
 from splatree.scene.frame import Selection
-from splatree.scene.options import Cull, Profile, RenderOptions, ResolvedOptions, SelectOptions
+from splatree.scene.names import Profile
+from splatree.scene.options import Cull, RenderOptions, ResolvedOptions, SelectOptions
 from splatree.scene.scene import Scene, TileRule
 from splatree.scene.tree import GaussianTree
 from splatree.shapes import Array, Bool, Int32
@@ -130,7 +130,8 @@ def select(
             rows_at, options.budget, max(pixel_error, smallest), len(rows), camera
         )
     notes = notes_on(pixel_error, options.radius, dilation_px2)
-    if options.radius != "sphere" and pixel_error > 0 and _rule_of_levels(scene) == "linked":
+    record = scene.tree.record
+    if options.radius != "sphere" and pixel_error > 0 and record is not None and record.rule == "linked":
         notes += ("the levels of this scene are linked, not merged: profile 'sphere' changes them region by region",)
     return Selection(rows, options.rule, options.radius, pixel_error, visited, notes)
 
@@ -139,16 +140,8 @@ def for_levels(options: SelectOptions, scene: Scene) -> SelectOptions:
     """The options with the profile that the levels of the scene were made for, unless one is named."""
     if options.profile is not None:
         return options
-    return replace(options, profile="sphere" if _rule_of_levels(scene) in ("linked", "pairs") else "exact")
-
-
-def _rule_of_levels(scene: Scene) -> str | None:
-    """How the levels were made, as the record that `build_lod` and `link_levels` leave says."""
-    try:
-        record = json.loads(scene.source.metadata.get("levels", "{}"))
-    except json.JSONDecodeError:  # a file may carry any text under this name
-        return None
-    return str(record.get("rule")) if isinstance(record, dict) else None
+    record = scene.tree.record
+    return replace(options, profile="exact" if record is None else record.profile)
 
 
 def notes_on(pixel_error: float, profile: Profile, dilation_px2: float) -> tuple[str, ...]:

@@ -6,13 +6,11 @@ from typing import Literal
 from splatree.constants import ALPHA_THRESHOLD, DILATION_MAX_PX2, DILATION_PX2, PIXEL_ERROR, SHRINK_AREA_POWER
 from splatree.errors import InputError
 from splatree.scene.literals import check_literals
-from splatree.scene.scene import Mode, Scene, TileRule
+from splatree.scene.names import Mode, Profile
+from splatree.scene.scene import Scene, TileRule
 
 Rule = Literal["cut", "paper-strict", "release", "log-serial"]
 """Named rule sets of the selection (FilterGS §3.2 and its code; docs/explanation/select.md)."""
-
-Profile = Literal["exact", "3dgs", "ref", "sphere"]
-"""Named radius functions R(node, camera) in px."""
 
 ViewTest = Literal["footprint", "centre", "none"]
 """Named tests that drop nodes of the cut which are out of view."""

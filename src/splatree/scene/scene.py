@@ -11,12 +11,9 @@ from splatree.errors import InputError, ShapeError
 from splatree.scene.clusters import ClusterIndex
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.literals import check_literals
+from splatree.scene.names import Mode as Mode
 from splatree.scene.tree import BlockIndex, GaussianTree
 from splatree.shapes import Array, UInt32, check_fields
-
-Mode = Literal["classic", "antialiased"]
-"""How a scene was trained and is drawn: `classic` adds 0.3 px² to each splat (Kerbl 2023); `antialiased` also lowers its
-opacity so that its mass is kept (Yu 2024, Mip-Splatting, Eq. 9 without the 3D filter, as in gsplat)."""
 
 TileRule = Literal["ellipse", "balanced", "tau", "3sigma"]
 """Named rules for the tiles that a splat is listed in (docs/explanation/shrinking.md)."""

@@ -14,7 +14,7 @@ import numpy as np
 from splatree.constants import DILATION_PX2, PIXEL_ERROR, SIGMAS
 from splatree.errors import InputError
 from splatree.scene.literals import check_literals
-from splatree.scene.scene import Mode
+from splatree.scene.names import Mode
 from splatree.shapes import Array, Int32, Int64, check_fields
 
 Importance = Literal["opacity-scale", "opacity", "opacity-area"]

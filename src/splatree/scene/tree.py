@@ -10,6 +10,7 @@ import numpy as np
 
 from splatree.constants import BLOCKS_PER_GROUP
 from splatree.errors import ShapeError
+from splatree.scene.levels import LevelRecord
 from splatree.shapes import Array, Bool, Float32, Int32, UInt8, check_fields
 
 
@@ -25,6 +26,8 @@ class GaussianTree:
     """What the profile `sphere` sets against the distance, world units. Levels by a radius: radius of a ball around the row's
     mean that holds the 3σ ellipsoids of the row and its descendants; by pairs: three pixels of the size at which the row begins
     to stand for its descendants, which may be less."""
+    record: LevelRecord | None = None
+    """How the levels were made and are to be drawn; None: there are no levels, or nothing is known of them."""
 
     def __post_init__(self) -> None:
         n = check_fields(self)["n"]

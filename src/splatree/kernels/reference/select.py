@@ -32,7 +32,8 @@ from splatree.constants import CENTRE_PAD, DILATION_PX2, EIGENVALUE_FLOOR_PX4, F
 from splatree.maths.covariance import axes_from_gaussians
 from splatree.scene.cameras import Camera
 from splatree.scene.gaussians import Gaussians
-from splatree.scene.options import Profile, SelectOptions, ViewTest
+from splatree.scene.names import Profile
+from splatree.scene.options import SelectOptions, ViewTest
 from splatree.scene.tree import BlockIndex, GaussianTree
 from splatree.shapes import Array, Bool, Float64, Int32
 

@@ -36,7 +36,7 @@ import numpy as np
 from splatree.constants import SIGMAS
 from splatree.errors import FormatError, InputError
 from splatree.io.check import refuse_unusable
-from splatree.io.levels import preorder_of_file, scene_with_levels
+from splatree.io.levels import FileLevels, preorder_of_file, scene_with_levels
 from splatree.io.opacities import areas_of_clamped, logits_from_opacities, opacities_from_logits
 from splatree.io.options import ReadOptions, WriteOptions
 from splatree.maths.forests import family_extremes, links_from_preorder, parents_by_level
@@ -107,7 +107,9 @@ def read(path: Path, options: ReadOptions) -> Scene:
         advance(num_bytes)
     gaussian_from_row, subtree_end, depth, num_left_out = _rows(nodes, num_gaussians, str(path))
     gaussians, num_opaque = _gaussians(columns, gaussian_from_row, is_half=is_half)
-    scene = scene_with_levels(gaussians, subtree_end, depth, str(path), repair=options.repair, num_opaque=num_opaque)
+    scene = scene_with_levels(
+        gaussians, FileLevels(subtree_end, depth), str(path), repair=options.repair, num_opaque=num_opaque
+    )
     metadata = {**scene.source.metadata, "precision": "half" if is_half else "float32"}
     if num_left_out:
         metadata["joining_nodes"] = json.dumps({"gaussians_left_out": num_left_out})

@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import Any, BinaryIO, cast
 
 from splatree.constants import ALPHA_THRESHOLD
-from splatree.errors import FormatError
+from splatree.errors import FormatError, InputError
 from splatree.io import untrusted
 from splatree.io.formats.rad.properties import check_encoding, decode, raw_bytes
-from splatree.scene.scene import Mode
+from splatree.scene.levels import LevelRecord, record_from_fields
+from splatree.scene.names import Mode
 from splatree.shapes import Array
 
 __all__ = ["CHUNK_MAGIC", "MAGIC", "RadChunk", "RadFile", "open_rad", "padded", "values_of"]
@@ -54,6 +55,7 @@ class RadFile:
     mode: Mode
     threshold: float
     joins_roots: bool
+    record: LevelRecord | None
     comment: str
 
 
@@ -106,9 +108,20 @@ def open_rad(path: Path) -> RadFile:
         num_codes=num_codes,
         mode=cast(Mode, mode),
         threshold=threshold,
+        record=_record(ours, f"{where}: splatree.levels") if has_levels else None,
         joins_roots=has_levels and count > 0 and ours.get("joinsRoots") is True,
         comment=str(meta.get("comment") or "")[:1000],
     )
+
+
+def _record(ours: dict[str, Any], where: str) -> LevelRecord | None:
+    """How the levels were made, if splatree wrote the file; None: another program did, or an older splatree."""
+    if "levels" not in ours:
+        return None
+    try:
+        return record_from_fields(ours["levels"])
+    except InputError as error:
+        raise FormatError(f"{where}: {error}") from error
 
 
 def _read_header(file: BinaryIO, num_bytes: int, magic: bytes, where: str) -> tuple[dict[str, Any], int]:
@@ -151,7 +164,9 @@ def _parse_chunk(path: Path, file: BinaryIO, start: int, size: int, where: str) 
     base, count = (untrusted.integer(meta, key, where) for key in ("base", "count"))
     payload_bytes = start + size - behind - 8
     properties: dict[str, dict[str, Any]] = {}
-    for entry in untrusted.as_list(untrusted.field(meta, "properties", where), where):
+    entries = untrusted.as_list(untrusted.field(meta, "properties", where), where)
+    ours = untrusted.as_object(meta.get("splatree") or {}, f"{where}: splatree")
+    for entry in (*entries, *untrusted.as_list(ours.get("properties") or [], f"{where}: splatree.properties")):
         entry = untrusted.as_object(entry, where)
         name = untrusted.text(entry, "property", where)
         check_encoding(name, untrusted.text(entry, "encoding", f"{where}: {name}"), f"{where}: {name}")

@@ -19,12 +19,27 @@ from splatree.maths.forests import links_from_preorder
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Scene
 from splatree.scene.thinning import Groups, MergeOptions
-from splatree.shapes import Array, Int32, UInt32, check_fields
+from splatree.shapes import Array, Float32, Int32, UInt16, UInt32, check_fields
 
 __all__ = ["Nodes", "nodes_of"]
 
 _CHILDREN_MAX = 65535
 """Children are counted in 16 bits."""
+
+
+@dataclass(frozen=True, eq=False)
+class Links:
+    """The links of the nodes of one chunk, as the file has them."""
+
+    num_children: UInt16[Array, "m"]
+    """Children of each node."""
+    first_child: UInt32[Array, "m"]
+    """Node of the first child; 0 for a leaf."""
+    extents: Float32[Array, "i"] | None
+    """Extents of the inner nodes; None: the reader makes balls around what is below."""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +54,8 @@ class Nodes:
     """Node of the first child; 0 for a leaf."""
     joined_root: Gaussians
     """The node made to join several roots; empty if the scene has one."""
+    extents: Float32[Array, "m"] | None
+    """Extent of each node; None: balls around what is below, which the reader makes."""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -51,6 +68,12 @@ class Nodes:
         above = len(self.joined_root)
         part = scene.gaussians.take(self.rows[max(begin - above, 0) : max(end - above, 0)])
         return Gaussians.concatenate([self.joined_root, part]) if above and begin == 0 else part
+
+    def links(self, begin: int, end: int) -> Links:
+        """Links of the nodes ``begin`` to ``end``."""
+        num_children = self.num_children[begin:end]
+        extents = None if self.extents is None else self.extents[begin:end][num_children > 0]
+        return Links(num_children.astype(np.uint16), self.first_child[begin:end], extents)
 
 
 def nodes_of(scene: Scene, path: Path) -> Nodes:
@@ -80,10 +103,14 @@ def nodes_of(scene: Scene, path: Path) -> Nodes:
     first_child = np.where(num_children > 0, number[rows + 1], 0).astype(
         np.uint32
     )  # it is the next row of the preorder
+    has_extents = tree.record is not None and tree.record.profile == "sphere"
+    extents = tree.extents[rows] if has_extents else None
     if above:
+        if extents is not None:
+            extents = np.append(tree.extents[roots].max(), extents)
         num_children = np.append(np.int32(len(roots)), num_children)
         first_child = np.append(np.uint32(1), first_child)
-    return Nodes(rows, num_children, first_child, joined)
+    return Nodes(rows, num_children, first_child, joined, extents)
 
 
 def _joined(g: Gaussians, roots: Array) -> Gaussians:

@@ -29,7 +29,7 @@ from splatree.shapes import Array
 WIDTHS = {
     **{"center": 3, "alpha": 1, "rgb": 3, "scales": 3, "orientation": 4},
     **{"sh1": 9, "sh2": 15, "sh3": 21, "sh1_code": 9, "sh2_code": 15, "sh3_code": 21},
-    **{"sh_label": 1, "child_count": 1, "child_start": 1},
+    **{"sh_label": 1, "child_count": 1, "child_start": 1, "extent": 1},
 }
 """Values of a row in each property."""
 
@@ -45,6 +45,7 @@ _ENCODINGS = {
     "sh_label": ("u16", "u32"),
     "child_count": ("u16",),
     "child_start": ("u32",),
+    "extent": ("f32",),
 }
 """Encodings of each property."""
 

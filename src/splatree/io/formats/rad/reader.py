@@ -28,13 +28,14 @@ from splatree.constants import ALPHA_THRESHOLD, SH_C0
 from splatree.errors import FormatError
 from splatree.io.chunks import Chunks
 from splatree.io.formats.rad.container import MAGIC, RadChunk, RadFile, open_rad, values_of
-from splatree.io.levels import preorder_of_file, scene_with_levels
+from splatree.io.levels import FileLevels, preorder_of_file, scene_with_levels
 from splatree.io.opacities import CODE_STEP, areas_of_powers, logits_from_opacities
 from splatree.io.options import ReadOptions
 from splatree.io.rows import FileRows, Fill, columns_to_fill
 from splatree.kernels.cpu import _core
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
+from splatree.scene.levels import UNKNOWN_LEVELS
 from splatree.scene.scene import Scene
 from splatree.shapes import Array
 
@@ -71,8 +72,9 @@ def read(path: Path, options: ReadOptions) -> Scene:
             *(getattr(gaussians, c)[1:] for c in ("means", "quats", "log_scales", "logit_opacities", "sh"))
         )
         subtree_end, depth = subtree_end[1:] - 1, depth[1:] - np.uint8(1)
+    levels = FileLevels(subtree_end, depth, file.record or UNKNOWN_LEVELS, _extents(file, row_from_node))
     scene = scene_with_levels(
-        gaussians, subtree_end, depth, str(path), repair=options.repair, num_opaque=num_opaque, mode=file.mode
+        gaussians, levels, str(path), repair=options.repair, num_opaque=num_opaque, mode=file.mode
     )
     metadata = dict(scene.source.metadata)
     if file.comment:
@@ -135,6 +137,20 @@ def _tree(file: RadFile) -> tuple[Array, Array, Array]:
     row_from_node = np.empty(n, np.int32)
     row_from_node[order.node_from_row] = np.arange(n, dtype=np.int32)
     return order.subtree_end, order.depth, row_from_node
+
+
+def _extents(file: RadFile, row_from_node: Array) -> Array | None:
+    """Extents of the inner rows, 0 for leaves; None if they are balls around what is below."""
+    if file.record is None or file.record.profile != "sphere":
+        return None
+    extents = np.zeros(file.count, np.float32)
+    for chunk in file.chunks:
+        if "extent" not in chunk.properties:
+            raise FormatError(f"{chunk.where}: found no extent, wanted it for levels of the rule {file.record.rule}")
+        is_inner = values_of(chunk, "child_count")[:, 0] > 0
+        rows = row_from_node[chunk.base : chunk.base + chunk.count][is_inner]
+        extents[rows] = values_of(chunk, "extent", len(rows))[:, 0]
+    return extents[1:] if file.joins_roots else extents
 
 
 def _palette(file: RadFile) -> Array | None:

@@ -18,7 +18,7 @@ from splatree.errors import InputError
 from splatree.io.check import refuse_unusable
 from splatree.io.chunks import Chunks, chunks_of
 from splatree.io.formats.rad.container import CHUNK_MAGIC, MAGIC, padded
-from splatree.io.formats.rad.nodes import nodes_of
+from splatree.io.formats.rad.nodes import Links, Nodes, nodes_of
 from splatree.io.formats.rad.properties import LOG_SCALE_ZERO, encode_codes, encode_floats, encode_rotations
 from splatree.io.opacities import opacities_from_logits
 from splatree.io.options import WriteOptions
@@ -27,7 +27,9 @@ from splatree.kernels.cpu import _core
 from splatree.kernels.cpu.codec.paging import PAGE_ROWS
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
-from splatree.scene.scene import Mode, Scene
+from splatree.scene.levels import LevelRecord
+from splatree.scene.names import Mode
+from splatree.scene.scene import Scene
 from splatree.shapes import Array
 
 if TYPE_CHECKING:
@@ -67,8 +69,9 @@ def write(scene: Scene, path: Path, options: WriteOptions) -> tuple[str, ...]:
     refuse_unusable(scene.gaussians, "scene to write")
     nodes = nodes_of(scene, path)
     parts = (nodes.gaussians(scene, b, b + _CHUNK_ROWS) for b in range(0, len(nodes), _CHUNK_ROWS))
-    head = _Head(len(nodes), g.sh_degree, scene.mode, scene.threshold, joins_roots=len(nodes.joined_root) > 0)
-    _write(path, head, parts, (nodes.num_children.astype("<u2"), nodes.first_child.astype("<u4")), options)
+    joins_roots = len(nodes.joined_root) > 0
+    head = _Head(len(nodes), g.sh_degree, scene.mode, scene.threshold, joins_roots, scene.tree.record)
+    _write(path, head, parts, nodes, options)
     return ()
 
 
@@ -108,19 +111,24 @@ class _Head:
     mode: Mode
     threshold: float
     joins_roots: bool = False
+    record: LevelRecord | None = None
+
+    @property
+    def ours(self) -> dict[str, Any]:
+        """What the header says for splatree alone."""
+        levels = {} if self.record is None else {"levels": json.loads(self.record.to_json())}
+        return {"mode": self.mode, "threshold": self.threshold, "joinsRoots": self.joins_roots, **levels}
 
 
-def _write(
-    path: Path, head: _Head, parts: Iterator[Gaussians], children: tuple[Array, Array] | None, options: WriteOptions
-) -> None:
-    """Write nodes, of which ``children`` are the number and the first, part by part."""
+def _write(path: Path, head: _Head, parts: Iterator[Gaussians], nodes: Nodes | None, options: WriteOptions) -> None:
+    """Write the Gaussians and their links part by part."""
     from concurrent.futures import ThreadPoolExecutor
 
     level = 2 if options.compression is None else options.compression
     if level not in (0, 1, 2):
         raise InputError(f"{path.name}: found compression {level}, wanted 0 (floats), 1 (half precision) or 2 (8 bits)")
     # Offsets are known when the chunks are; their list is padded with spaces to this size.
-    header_bytes = padded(1000 + 44 * -(-head.count // _CHUNK_ROWS))
+    header_bytes = padded(1000 + 44 * -(-head.count // _CHUNK_ROWS) + len(json.dumps(head.ours)))
     every, sample = max(1, head.count // _SAMPLE), [Gaussians.empty(head.sh_degree)]
     entries: list[dict[str, int]] = []
     begin = offset = 0
@@ -131,9 +139,8 @@ def _write(
     ):
         file.seek(8 + header_bytes)
         for part in parts:
-            rows = slice(begin, begin + len(part))
-            own = None if children is None else (children[0][rows], children[1][rows])
-            chunk = _encode_chunk(part, own, level, begin, pool)
+            links = None if nodes is None else nodes.links(begin, begin + len(part))
+            chunk = _encode_chunk(part, links, level, begin, pool)
             file.write(chunk)
             sample.append(part.take(np.arange(-begin % every, len(part), every)))
             entries.append({"offset": offset, "bytes": len(chunk)})
@@ -141,24 +148,25 @@ def _write(
             begin += len(part)
             advance(len(part))
         meta: dict[str, Any] = {"version": 1, "type": "gsplat", "count": head.count, "maxSh": head.sh_degree}
-        meta |= {"lodTree": True} if children is not None else {}
+        meta |= {"lodTree": True} if nodes is not None else {}
         meta |= {"chunkSize": _CHUNK_ROWS, "allChunkBytes": offset, "chunks": entries}
-        ranges = _display_ranges(Gaussians.concatenate(sample), children is not None)
+        ranges = _display_ranges(Gaussians.concatenate(sample), nodes is not None)
         meta |= {"splatEncoding": ranges, "comment": "written by splatree"}
-        meta |= {"splatree": {"mode": head.mode, "threshold": head.threshold, "joinsRoots": head.joins_roots}}
+        meta |= {"splatree": head.ours}
         text = json.dumps(meta, separators=(",", ":")).encode()
         assert len(text) <= header_bytes
         file.seek(0)
         file.write(MAGIC + header_bytes.to_bytes(4, "little") + text.ljust(header_bytes))
 
 
-def _encode_chunk(
-    part: Gaussians, children: tuple[Array, Array] | None, level: int, begin: int, pool: "ThreadPoolExecutor"
-) -> bytes:
+def _encode_chunk(part: Gaussians, links: Links | None, level: int, begin: int, pool: "ThreadPoolExecutor") -> bytes:
     properties = list(_encoded(part, level))
-    if children is not None:
-        properties.append(({"property": "child_count", "encoding": "u16"}, children[0].tobytes()))
-        properties.append(({"property": "child_start", "encoding": "u32"}, children[1].tobytes()))
+    if links is not None:
+        properties.append(({"property": "child_count", "encoding": "u16"}, links.num_children.tobytes()))
+        properties.append(({"property": "child_start", "encoding": "u32"}, links.first_child.tobytes()))
+    num_public = len(properties)
+    if links is not None and links.extents is not None:
+        properties.append(({"property": "extent", "encoding": "f32"}, encode_floats(links.extents[:, None], "f32")))
     payload = bytearray()
     for (entry, _), packed in zip(properties, pool.map(_deflated, properties), strict=True):
         entry |= {"offset": len(payload), "bytes": len(packed), "compression": "gz"}
@@ -170,8 +178,11 @@ def _encode_chunk(
         "payloadBytes": len(payload),
         "maxSh": part.sh_degree,
     }
-    meta |= {"lodTree": True} if children is not None else {}
-    meta |= {"properties": [entry for entry, _ in properties]}
+    meta |= {"lodTree": True} if links is not None else {}
+    entries = [entry for entry, _ in properties]
+    meta |= {"properties": entries[:num_public]}
+    # Other readers refuse a property whose name they do not know, and pass over a key of the header.
+    meta |= {"splatree": {"properties": entries[num_public:]}} if entries[num_public:] else {}
     text = json.dumps(meta, separators=(",", ":")).encode()
     header = CHUNK_MAGIC + len(text).to_bytes(4, "little") + text.ljust(padded(len(text)), b"\0")
     return header + len(payload).to_bytes(8, "little") + bytes(payload)

@@ -25,10 +25,13 @@ import numpy as np
 from splatree.errors import FormatError, InputError
 from splatree.io import untrusted
 from splatree.io.check import checked
+from splatree.io.formats.splatree.older import record_of_provenance
+from splatree.io.levels import check_extents
 from splatree.io.options import ReadOptions, WriteOptions
 from splatree.kernels.cpu.build.spheres import bound_clusters
 from splatree.kernels.cpu.frame.blocks import index_blocks
 from splatree.progress import task
+from splatree.scene.levels import LevelRecord
 from splatree.scene.scene import Scene, Source
 from splatree.shapes import Array
 
@@ -132,12 +135,10 @@ def read(path: Path, options: ReadOptions) -> Scene:
         raise FormatError(f"{where}: {error}") from error
     if columns:
         raise FormatError(f"{where}: found unknown columns {sorted(columns)} beside {sorted(known - set(columns))}")
-    extents = scene.tree.extents
-    if not (np.isfinite(extents).all() and (extents >= 0).all()):
-        row = int(np.argmin(np.isfinite(extents) & (extents >= 0)))
-        raise FormatError(
-            f"{where}: row {row}, tree.extents: found {extents[row]}, wanted 0 or more; build the levels again"
-        )
+    if scene.tree.record is None and scene.tree.depth.any():
+        record = record_of_provenance(scene.source.metadata.get("levels"))
+        scene = replace(scene, tree=replace(scene.tree, record=record))
+    check_extents(scene.tree.extents, where)
     scene = checked(scene, where, repair=options.repair)
     clusters = scene.clusters
     if clusters is None and scene.tree.num_leaves == len(scene):
@@ -161,7 +162,7 @@ def _columns(struct: Any, prefix: str) -> Iterator[tuple[str, Array]]:
         value = getattr(struct, f.name)
         if isinstance(value, np.ndarray):
             yield prefix + f.name, value
-        elif is_dataclass(value) and not isinstance(value, Source):
+        elif is_dataclass(value) and not isinstance(value, Source | LevelRecord):
             yield from _columns(value, f"{prefix}{f.name}.")
 
 
@@ -176,6 +177,8 @@ def _values(struct: Any, prefix: str) -> Iterator[tuple[str, str]]:
             ):  # where the first file came from, without this machine's folders
                 metadata["origin"] = json.dumps({"format": value.format, "names": [Path(p).name for p in value.paths]})
             yield prefix + f.name, json.dumps(metadata)
+        elif isinstance(value, LevelRecord):
+            yield prefix + f.name, value.to_json()
         elif is_dataclass(value):
             yield from _values(value, f"{prefix}{f.name}.")
         elif value is not None and not isinstance(value, np.ndarray):
@@ -194,6 +197,11 @@ def _build(kind: type, prefix: str, columns: dict[str, Array], values: Mapping[s
             metadata = untrusted.as_object(_value(values, key, where), f"{where}: {key}")
             arguments[name] = Source(
                 metadata={k: untrusted.as_text(v, f"{where}: {key}.{k}") for k, v in metadata.items()}
+            )
+        elif inner is LevelRecord:
+            text = values.get(key)
+            arguments[name] = (
+                None if text is None else LevelRecord.from_json(untrusted.as_text(text, f"{where}: {key}"))
             )
         elif isinstance(inner, type) and is_dataclass(inner):
             held = any(k.startswith(f"{key}.") for k in columns)
