@@ -11,6 +11,7 @@
 #include "cpu/frame/scatter.h"
 #include "cpu/frame/view.h"
 #include "cpu/runtime/arrays.h"
+#include "cpu/runtime/in_order.h"
 #include "cpu/runtime/isa.h"
 
 namespace splatree {
@@ -28,9 +29,9 @@ int64_t project_rows(In<float> means, In<float> quats, In<float> log_scales, In<
                        seen, square.has_value(), square ? square_of(square->data()) : Square{}, rows.data(), num_rows, threads,
                        out_rows.data(), out_records.data(), out_depths.data()};
   nb::gil_scoped_release release;
-  std::vector<int64_t> place(num_rows / PROJECT_CHUNK + 2, -1);
-  place[0] = 0;
-  return kernels().project(job, place.data());
+  InOrder results((num_rows + PROJECT_CHUNK - 1) / PROJECT_CHUNK, kernels().project_buffer_bytes());
+  kernels().project(job, results);
+  return results.total();
 }
 
 void order_splats(In<float> depths, In<int32_t> rows, std::optional<In<uint32_t>> ids, Out<int32_t> order,

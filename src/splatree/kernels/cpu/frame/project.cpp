@@ -1,21 +1,20 @@
 // Projection and colour of selected rows in one pass over memory, a chunk at a time: rows that cannot be in view are dropped
 // by a bound (in_view.h); the others are taken into planes, computed lane by lane, and the visible lanes become records.
 //
-// A thread fills a chunk's records in a buffer of its own (32 KB, in its cache), waits for the place of the chunk before,
-// and copies: so the records are in the order of the rows, whatever the threads, and are written to memory once. Many records
-// are written past the caches: a line that is not read first costs half, and what is beyond the caches' size would not be
-// found there anyway.
+// A thread fills a chunk's records in a buffer (32 KB, in its cache). They are copied once their place is known, when the chunks
+// before are finished, by the thread that finished the last of them (runtime/in_order.h): so the records are in the order of the
+// rows, whatever the threads, they are written to memory once, and no thread waits for another. Many records are written past
+// the caches: a line that is not read first costs half, and what is beyond the caches' size would not be found there anyway.
 #include "cpu/frame/project.h"
 
-#include <sched.h>
 #include <string.h>
-#include <time.h>
 #ifdef __SSE2__
 #include <immintrin.h>
 #endif
 
 #include "cpu/frame/in_view.h"
 #include "cpu/frame/rows.h"
+#include "cpu/runtime/in_order.h"
 #include "cpu/runtime/isa.h"
 #include "cpu/runtime/pool.h"
 #include "cpu/runtime/quad.h"
@@ -55,12 +54,11 @@ SPLATREE_FN void for_lanes(int num_blocks, const Body& body) {
   }
 }
 
-// What a thread computes of a chunk.
-struct alignas(64) Chunk {
-  float records[(CHUNK + 1) * NUM_COLUMNS];  // one more: what is not visible is written behind the last
+// What is computed of a chunk.
+struct alignas(64) Chunk : ChunkBuffer {
+  alignas(64) float records[(CHUNK + 1) * NUM_COLUMNS];  // one more: what is not visible is written behind the last
   float depths[CHUNK + 1];
   int32_t rows[CHUNK + 1];
-  int count;
 };
 
 // Rows that are computed together. The last is repeated to fill whole blocks of lanes.
@@ -205,7 +203,7 @@ void color_batch(const ProjectJob& job, const Batch& batch, Planes& p) {
 
 // Appends the visible rows of a batch. Every row's record is written, and overwritten by the next if it is not visible.
 void append_batch(const Batch& batch, const Planes& p, Chunk& chunk) {
-  int count = chunk.count;
+  int count = int(chunk.count);
   for (int i = 0; i < batch.count; i += 4) {
     float* records[4];
     for (int j = 0; j < 4; ++j) {
@@ -298,56 +296,49 @@ void stream(float* to, const float* from, int64_t count) {
 #endif
 }
 
-// Waits until a place is known. Chunks are handed out in order, so the one before is done or at work; if its thread has lost
-// its processor, sleeping leaves this one to others.
-int64_t wait_for(const int64_t* place) {
-  for (int tries = 0;; ++tries) {
-    const int64_t first = __atomic_load_n(place, __ATOMIC_ACQUIRE);
-    if (first >= 0) return first;
-    const timespec pause = {0, 20000};
-    tries < 8 ? sched_yield() : nanosleep(&pause, nullptr);
-  }
+// Copies a chunk to its place.
+void place(const ProjectJob& job, bool streams, const Chunk& chunk) {
+  memcpy(job.out_rows + chunk.first, chunk.rows, chunk.count * sizeof(int32_t));
+  memcpy(job.out_depths + chunk.first, chunk.depths, chunk.count * sizeof(float));
+  float* records = job.out_records + chunk.first * NUM_COLUMNS;
+  if (streams)
+    stream(records, chunk.records, chunk.count * NUM_COLUMNS);
+  else
+    memcpy(records, chunk.records, chunk.count * sizeof(float) * NUM_COLUMNS);
 }
 
 template <int DEGREE>
-int64_t project_all(const ProjectJob& job, int64_t* place) {
+void project_all(const ProjectJob& job, InOrder& results) {
   const int64_t num_chunks = (job.num_rows + CHUNK - 1) / CHUNK;
   const InView bound = in_view_of(job.view);
   const bool streams = job.num_rows >= STREAMED_ROWS && reinterpret_cast<uintptr_t>(job.out_records) % 64 == 0;
   parallel_chunks(num_chunks, job.threads, [&](int64_t index) {
-    Chunk chunk;
+    Chunk& chunk = *static_cast<Chunk*>(results.take());
     chunk.count = 0;
     int32_t rows[CHUNK + LANES];
     const int64_t begin = index * CHUNK;
     const int num_rows = int(begin + CHUNK < job.num_rows ? CHUNK : job.num_rows - begin);
     memcpy(rows, job.rows + begin, num_rows * sizeof(int32_t));
     draw_chunk<DEGREE>(job, bound, rows, num_rows, chunk);
-    const int64_t first = wait_for(&place[index]);
-    __atomic_store_n(&place[index + 1], first + chunk.count, __ATOMIC_RELEASE);
-    memcpy(job.out_rows + first, chunk.rows, chunk.count * sizeof(int32_t));
-    memcpy(job.out_depths + first, chunk.depths, chunk.count * sizeof(float));
-    float* records = job.out_records + first * NUM_COLUMNS;
-    if (streams)
-      stream(records, chunk.records, int64_t(chunk.count) * NUM_COLUMNS);
-    else
-      memcpy(records, chunk.records, chunk.count * sizeof(float) * NUM_COLUMNS);
+    for (ChunkBuffer* done = results.finish(index, &chunk); done; done = results.give_back(done))
+      place(job, streams, *static_cast<Chunk*>(done));
   });
-  return place[num_chunks];
 }
 
 }  // namespace
 
-// `place` has one entry a chunk and one more, 0 and then all -1; returns the number of splats.
-int64_t project(const ProjectJob& job, int64_t* place) {
+int64_t project_buffer_bytes() { return sizeof(Chunk); }
+
+void project(const ProjectJob& job, InOrder& results) {
   switch (job.degree) {
     case 0:
-      return project_all<0>(job, place);
+      return project_all<0>(job, results);
     case 1:
-      return project_all<1>(job, place);
+      return project_all<1>(job, results);
     case 2:
-      return project_all<2>(job, place);
+      return project_all<2>(job, results);
     default:
-      return project_all<3>(job, place);
+      return project_all<3>(job, results);
   }
 }
 

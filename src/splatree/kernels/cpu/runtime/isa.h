@@ -12,6 +12,7 @@
 namespace splatree {
 
 struct ProjectJob;
+class InOrder;
 struct SplatTiles;
 struct Spans;
 struct BinJob;
@@ -40,7 +41,8 @@ struct SplatTables;
 
 // Every vector kernel: what it returns, its name, its arguments.
 #define SPLATREE_KERNELS(kernel)                                                                               \
-  kernel(int64_t, project, (const ProjectJob& job, int64_t* place))                                            \
+  kernel(int64_t, project_buffer_bytes, ())                                                                    \
+  kernel(void, project, (const ProjectJob& job, InOrder& results))                                             \
   kernel(void, list_spans, (const BinJob& job, int64_t begin, int64_t end, SplatTiles* tiles, Spans& spans))   \
   kernel(void, blend, (const BlendJob& job))                                                                   \
   kernel(int32_t, largest_bits, (const float* values, int64_t num_values))                                     \

@@ -8,6 +8,7 @@
 
 #include "cpu/runtime/isa.h"
 #include "cpu/runtime/pool.h"
+#include "cpu/runtime/processors.h"
 
 namespace nb = nanobind;
 using namespace splatree;
@@ -36,6 +37,8 @@ NB_MODULE(_core, m) {
   m.doc() = "Native kernels of splatree; use them through splatree.kernels.cpu.";
 
   m.def("hardware_threads", &hardware_threads, "Processors this process may use.");
+  m.def("quota_processors", &quota_processors, nb::arg("membership"), nb::arg("mount"),
+        "Processors' worth of time that control groups grant, as these files say; 0 if there is no limit.");
   m.def("isa", [] { return kernels().isa; }, "Instruction-set level in use.");
   m.def(
       "isas",
@@ -51,6 +54,18 @@ NB_MODULE(_core, m) {
         if (!use_isa(name.c_str())) throw nb::value_error(("this processor or build lacks level " + name).c_str());
       },
       nb::arg("name"), "Switch to another level; for tests, not while kernels run.");
+
+  m.def(
+      "run_chunks",
+      [](int64_t num_chunks, int threads, const nb::callable& function) {
+        nb::gil_scoped_release release;
+        parallel_chunks(num_chunks, threads, [&](int64_t chunk) {
+          nb::gil_scoped_acquire acquire;
+          function(chunk);
+        });
+      },
+      nb::arg("num_chunks"), nb::arg("threads"), nb::arg("function"),
+      "Call a function for each chunk on the threads of the pool; for tests of the pool.");
 
   bind_render(m);
   bind_paging(m);

@@ -1,7 +1,8 @@
-// A small thread pool: one job at a time, chunks handed out by an atomic counter.
+// A small thread pool. A job is a number of chunks, handed out by an atomic counter; several jobs may run at once.
 //
-// Which thread runs a chunk is not determined, so a job must write only what its chunk owns; then the result
-// does not depend on the number of threads. A second caller that finds the pool busy runs its job alone.
+// Which thread runs a chunk is not determined, so a job must write only what its chunk owns; then the result does not depend
+// on the number of threads. The caller works on its own job too, so a job ends even if no other thread is free. No thread ever
+// waits actively: a busy machine gets every processor that has nothing to do.
 #pragma once
 #include <cstdint>
 
@@ -9,11 +10,8 @@ namespace splatree {
 
 using ChunkFunction = void (*)(void* context, int64_t chunk);
 
-// Calls function(context, c) for each c in [0, num_chunks) on at most `threads` threads (0: all there are).
+// Calls function(context, c) for each c in [0, num_chunks) on at most `threads` threads (0: as many as the process may use).
 void run_chunks(int64_t num_chunks, int threads, ChunkFunction function, void* context);
-
-// Processors this process may use.
-int hardware_threads();
 
 namespace {  // internal linkage: instantiated separately in each instruction-set variant
 
