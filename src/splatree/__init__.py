@@ -59,6 +59,9 @@ if TYPE_CHECKING:
     from splatree.scene.tree import GaussianTree
     from splatree.simplify.merge import merge
     from splatree.simplify.thin import Thinned, thin
+    from splatree.stream.options import StreamOptions
+    from splatree.stream.result import Streamed
+    from splatree.stream.stream import stream
 
 __all__ = [
     "Baseline",
@@ -97,6 +100,8 @@ __all__ = [
     "Selection",
     "ShapeError",
     "SplatreeError",
+    "StreamOptions",
+    "Streamed",
     "ThinOptions",
     "Thinned",
     "TileContributions",
@@ -129,6 +134,7 @@ __all__ = [
     "scene_from_tensors",
     "select",
     "ssim",
+    "stream",
     "thin",
     "through",
     "tile_contributions",
@@ -178,6 +184,8 @@ _HOME = {
     "Selection": "splatree.scene.frame",
     "ShapeError": "splatree.errors",
     "SplatreeError": "splatree.errors",
+    "StreamOptions": "splatree.stream.options",
+    "Streamed": "splatree.stream.result",
     "ThinOptions": "splatree.scene.thinning",
     "Thinned": "splatree.simplify.thin",
     "TileContributions": "splatree.render.contribution",
@@ -210,6 +218,7 @@ _HOME = {
     "scene_from_tensors": "splatree.render.tensors",
     "select": "splatree.lod.select",
     "ssim": "splatree.metrics.ssim",
+    "stream": "splatree.stream.stream",
     "thin": "splatree.simplify.thin",
     "through": "splatree.render.paths",
     "tile_contributions": "splatree.render.contribution",

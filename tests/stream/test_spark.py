@@ -93,12 +93,12 @@ def test_a_view_needs_few_chunks(city_tree):
     page_rows, tree, g = 4096, city_tree.tree, city_tree.gaussians
     links = links_from_preorder(tree.depth)
     no_root = st.Gaussians.empty(g.sh_degree)
-    breadth_first = Nodes(links.row_from_node, links.num_children, links.first_child.astype(np.uint32), no_root)
+    breadth_first = Nodes(links.row_from_node, links.num_children, links.first_child.astype(np.uint32), no_root, None)
     rows = page_order(g.means, g.log_scales.max(axis=1), tree.subtree_end, 0, page_rows=page_rows)
     number, counts = np.append(np.argsort(rows), 0), np.empty(len(rows), np.int32)
     counts[links.row_from_node] = links.num_children
     first_child = np.where(counts[rows] > 0, number[rows + 1], 0)
-    ours = Nodes(rows, counts[rows], first_child.astype(np.uint32), no_root)
+    ours = Nodes(rows, counts[rows], first_child.astype(np.uint32), no_root, None)
 
     centre = np.median(g.means, axis=0)
     radius = float(np.quantile(np.linalg.norm(g.means - centre, axis=1), 0.9))

@@ -1,6 +1,7 @@
 """Writes SOG version 2, as a ``.sog`` bundle or as a folder of pictures with ``meta.json``.
 
-Rows go along a Morton curve, so that neighbouring pixels are neighbours in space. Scales and DC colours get a codebook each
+Rows go along a Morton curve, so that neighbouring pixels are neighbours in space, or keep their order where the caller has put
+them in one that ranges of rows refer to. Scales and DC colours get a codebook each
 (`sog/codebook.py`), harmonics a palette (`sog/palette.py`) whose values get a codebook of their own. What was read
 from a SOG has few different values, which the codebooks hold exactly: it is written without further loss but for the quanta
 of the means, whose ranges may differ.
@@ -15,7 +16,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -32,6 +33,9 @@ from splatree.maths.morton import morton_codes
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
 from splatree.shapes import Array, Float32, Float64
+
+RowOrder = Literal["morton", "kept"]
+"""Which row is which pixel."""
 
 _SIDE_MAX = 16380
 """Largest width and height of a WebP picture that is a multiple of four, px."""
@@ -85,8 +89,10 @@ def write_folder(chunks: Chunks, path: Path, options: WriteOptions) -> tuple[str
     return ()
 
 
-def encode(chunks: Chunks, options: WriteOptions) -> tuple[dict[str, bytes], dict[str, Any]]:
-    """The pictures by name, and the contents of meta.json."""
+def encode(
+    chunks: Chunks, options: WriteOptions, *, order: RowOrder = "morton"
+) -> tuple[dict[str, bytes], dict[str, Any]]:
+    """The pictures by name, and the contents of meta.json; rows along a Morton curve, or ``kept`` as they come."""
     n, has_rest = len(chunks), chunks.sh_degree > 0 and len(chunks) > 0
     if n > _SIDE_MAX**2:
         raise InputError(f"SOG: found {n} Gaussians, wanted at most {_SIDE_MAX**2}; write the scene in chunks")
@@ -102,7 +108,8 @@ def encode(chunks: Chunks, options: WriteOptions) -> tuple[dict[str, bytes], dic
         scales = find_codebook(seen.log_scales, lambda: _different(chunks, lambda g: g.log_scales), weights)
         dc = find_codebook(seen.dc, lambda: _different(chunks, lambda g: g.sh[:, 0]), weights)
         width = 4 * math.ceil(math.sqrt(n) / 4) or 4
-        images = _pictures(chunks, seen, (scales.bounds, dc.bounds), None if palette is None else palette.labels, width)
+        labels = None if palette is None else palette.labels
+        images = _pictures(chunks, _places(seen.means, order), seen, (scales.bounds, dc.bounds), labels, width)
         low, high = seen.mean_ranges.tolist()
         meta: dict[str, Any] = {
             "version": 2,
@@ -183,14 +190,21 @@ def _different(chunks: Chunks, column: Callable[[Gaussians], Array]) -> Array:
     return values
 
 
+def _places(means: Array, order: RowOrder) -> Array:
+    """The pixel of each row."""
+    pixels = np.arange(len(means), dtype=np.int32)
+    if order == "kept":
+        return pixels
+    places = np.empty_like(pixels)
+    places[np.argsort(morton_codes(means), kind="stable")] = pixels
+    return places
+
+
 def _pictures(
-    chunks: Chunks, seen: _Seen, bounds: tuple[Array, Array], labels: Array | None, width: int
+    chunks: Chunks, places: Array, seen: _Seen, bounds: tuple[Array, Array], labels: Array | None, width: int
 ) -> dict[str, Array]:
-    """All pictures "h w c" of one pixel a row, in the order of a Z-curve; their height is a multiple of four as the width is."""
-    n = len(chunks)
-    places = np.empty(n, np.int32)
-    places[np.argsort(morton_codes(seen.means), kind="stable")] = np.arange(n, dtype=np.int32)
-    height = 4 * math.ceil(n / width / 4) or 4
+    """All pictures "h w c" of one pixel a row; their height is a multiple of four as the width is."""
+    height = 4 * math.ceil(len(chunks) / width / 4) or 4
     channels = {
         "means_l": 3,
         "means_u": 3,

@@ -20,7 +20,8 @@ from splatree.io.options import ReadOptions
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Scene, Source
 
-_NAME = "lod-meta.json"
+MANIFEST = "lod-meta.json"
+"""Name of the manifest."""
 _LEVELS_MAX = 64
 _DEPTH_MAX = 200
 """A box halved this often is smaller than an atom."""
@@ -29,13 +30,13 @@ _DEPTH_MAX = 200
 def sniff(path: Path, head: bytes) -> bool:
     """Whether the path is a folder with lod-meta.json, or that file."""
     if path.is_dir():
-        return (path / _NAME).is_file()
-    return path.name == _NAME
+        return (path / MANIFEST).is_file()
+    return path.name == MANIFEST
 
 
 def files(path: Path) -> list[Path]:
     """The manifest, and the files of all units, of every level."""
-    manifest = path / _NAME if path.is_dir() else path
+    manifest = path / MANIFEST if path.is_dir() else path
     meta = untrusted.as_object(untrusted.read_json(manifest), str(manifest))
     units = [manifest.parent / name for name in _file_names(meta, str(manifest))]
     if meta.get("environment") is not None:
@@ -45,7 +46,7 @@ def files(path: Path) -> list[Path]:
 
 def read(path: Path, options: ReadOptions) -> Scene:
     """Read one level: all ranges of all units."""
-    manifest = path / _NAME if path.is_dir() else path
+    manifest = path / MANIFEST if path.is_dir() else path
     where = str(manifest)
     meta = untrusted.as_object(untrusted.read_json(manifest), where)
     if "version" in meta:

@@ -1,0 +1,90 @@
+"""``splatree stream``: a scene as viewers on the web load it, piece by piece."""
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+from splatree.cli.console import Console, UsageError, size, table
+from splatree.cli.files import Reading, read_scene, repairs_of, told
+from splatree.errors import InputError
+from splatree.stream.options import StreamFormat, StreamOptions
+from splatree.stream.result import Streamed
+from splatree.stream.stream import stream
+
+
+@dataclass(frozen=True)
+class Command:
+    """Write a stream that viewers on the web load piece by piece, finer where the camera is near.
+
+    `sog` is a folder for PlayCanvas, SuperSplat and Babylon.js, `rad` a file for Spark. A scene without levels of detail gets
+    them first. A command that was interrupted goes on where it stopped when it is given again.
+
+    Example: splatree stream city.splatree city_stream
+    """
+
+    paths: Positional[tuple[Path, ...]]
+    """Inputs, and last the output unless it is named with -o; several inputs are read as one scene."""
+    output: Annotated[Path | None, arg(aliases=["-o"])] = None
+    """Folder (sog) or file (rad) to write."""
+    format: StreamFormat = "sog"
+    """Who reads it: sog for PlayCanvas, SuperSplat and Babylon.js; rad for Spark."""
+    force: bool = False
+    """Replace an older stream."""
+    reading: Annotated[Reading, arg(name="", help="")] = Reading()
+    options: Annotated[StreamOptions, arg(name="", help="")] = StreamOptions()
+    console: Annotated[Console, arg(name="", help="")] = Console()
+
+
+@dataclass(frozen=True)
+class Result:
+    """What was written."""
+
+    written: Streamed
+    """The stream."""
+    built_levels: bool
+    """Whether the levels of detail were made first."""
+    repairs: dict[str, int]
+    """How many values or rows each rule of repair touched."""
+
+
+def run(command: Command) -> Result:
+    """Read, build levels where there are none, write."""
+    inputs, output = _inputs_and_output(command)
+    try:
+        command.options.check_used(command.format)
+    except InputError as error:
+        raise UsageError(str(error)) from error
+    scene = read_scene(inputs, command.reading)
+    written = stream(scene, output, command.format, command.options, force=command.force)
+    return Result(written, scene.tree.num_leaves == len(scene), repairs_of(scene))
+
+
+def _inputs_and_output(command: Command) -> tuple[tuple[Path, ...], Path]:
+    paths, output = command.paths, command.output
+    if output is None:
+        if len(paths) < 2:
+            found = "one path" if paths else "no path"
+            raise UsageError(f"found {found}, wanted an input and an output: city.splatree city_stream")
+        *sources, output = paths
+        paths = tuple(sources)
+    if not paths:
+        raise UsageError("found no input, wanted at least one: city.splatree -o city_stream")
+    if any(path.exists() and output.exists() and path.samefile(output) for path in paths):
+        raise UsageError(f"{output}: is an input too; choose another name for the output")
+    return paths, output
+
+
+def show(result: Result) -> str:
+    """The result in words."""
+    written = result.written
+    kept = f", {written.num_parts_kept} of them there already" if written.num_parts_kept else ""
+    lines = [
+        *(["levels of detail: built first, as the input has none"] if result.built_levels else []),
+        f"wrote {written.output}: {written.num_chunks:,} chunks in {written.num_parts:,} parts{kept}, {size(written.bytes)}",
+        *told(result.repairs, ()),
+    ]
+    if len(written.levels) > 1:
+        lines = [table([asdict(level) for level in written.levels]), *lines]
+    return "\n".join(lines)

@@ -1,0 +1,126 @@
+"""Levels of a stream: cuts of the tree that differ in size alone, so that any mix of them over chunks is a cut.
+
+The cut at a size e draws, on each path from the chunk's topmost nodes to a leaf, the first node whose extent is at most e, and
+the leaf if there is none. A node is therefore drawn at the sizes from its own extent (0 of a leaf) up to the least extent above
+it in the chunk. The nodes at e are those whose interval holds e, and the sorted ends of all intervals give the number of nodes
+at every e.
+
+The spine above the chunks is in no level. So the nodes of one chunk never stand for leaves of another: whatever level a viewer
+takes for each chunk, every leaf is drawn once, by itself or by one node above it.
+
+Cost: a pass over the tree and two sorts, about a second for 7 M nodes.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from splatree.errors import InputError
+from splatree.maths.forests import parents_by_level
+from splatree.scene.tree import GaussianTree
+from splatree.shapes import Array, Float32, Int32, Int64, check_fields
+from splatree.stream.chunks import TreeChunks
+
+__all__ = ["COARSEST_SHARE", "Intervals", "Level", "intervals_of", "levels_of_tree"]
+
+COARSEST_SHARE = 1 / 64
+"""Nodes of the coarsest level for each leaf: viewers show it first, and all of it. A coarser one is a blur that stays on the
+screen for seconds."""
+
+_NODES_PER_CHUNK_MIN = 12
+"""A level with fewer nodes a chunk has little left to say of each."""
+
+_SMALLER_MIN = 0.8
+"""A level has at most this share of the nodes of the level before it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Intervals:
+    """At which sizes each row is drawn: ``from_size <= e < to_size``."""
+
+    from_size: Float32[Array, "n"]
+    """The row's extent, 0 of a leaf, infinity of the spine."""
+    to_size: Float32[Array, "n"]
+    """The least extent above the row in its chunk, infinity at the chunk's top."""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+    def rows_at(self, size: float) -> Int32[Array, "v"]:
+        """Rows of the cut, ascending."""
+        e = np.float32(size)
+        return np.flatnonzero((self.from_size <= e) & (e < self.to_size)).astype(np.int32)
+
+
+@dataclass(frozen=True, eq=False)
+class Level:
+    """One level of all chunks."""
+
+    size: float
+    """e: the extent up to which nodes stand for what is below them, world units; 0 for the leaves."""
+    rows: Int32[Array, "v"]
+    """Rows of the level, ascending: chunk by chunk."""
+    offsets: Int64[Array, "c+1"]
+    """Chunk i has the rows ``rows[offsets[i] : offsets[i + 1]]``."""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def of_chunk(self, chunk: int) -> Int32[Array, "v"]:
+        """Rows of one chunk."""
+        return self.rows[self.offsets[chunk] : self.offsets[chunk + 1]]
+
+
+def intervals_of(tree: GaussianTree, chunks: TreeChunks) -> Intervals:
+    """The sizes at which each row of the tree is drawn."""
+    from_size = np.where(tree.is_leaf, np.float32(0), tree.extents)
+    from_size[chunks.is_spine] = np.inf
+    to_size = np.full(len(tree), np.inf, np.float32)
+    for rows, parents in parents_by_level(tree.depth):
+        to_size[rows] = np.minimum(to_size[parents], from_size[parents])
+    return Intervals(from_size, to_size)
+
+
+def levels_of_tree(
+    tree: GaussianTree, chunks: TreeChunks, *, ratio: float = 2.0, num_levels: int | None = None
+) -> tuple[Level, ...]:
+    """The leaves, and coarser levels that each have about ``1 / ratio`` of the nodes of the level before.
+
+    Without ``num_levels`` the coarsest has about 1/64 of the nodes of the finest. There may be fewer levels than asked for: a
+    tree whose extents have few different values has few different cuts.
+
+    Raises:
+        InputError: ``ratio`` is not above 1.2, or ``num_levels`` is not above 0.
+    """
+    if not ratio >= 1.2:
+        raise InputError(f"ratio: found {ratio}, wanted at least 1.2")
+    if num_levels is not None and num_levels < 1:
+        raise InputError(f"levels: found {num_levels}, wanted at least 1")
+    intervals = intervals_of(tree, chunks)
+    sizes, counts = _cuts(intervals)
+    levels = [_level(intervals, chunks, 0.0)]
+    fewest = max(COARSEST_SHARE * len(levels[0]) * 0.99, _NODES_PER_CHUNK_MIN * len(chunks))
+    target = len(levels[0]) / ratio
+    while len(sizes) and (target >= fewest if num_levels is None else len(levels) < num_levels and target >= 1):
+        nearest = int(np.argmin(np.abs(np.log(counts / target))))
+        if counts[nearest] <= _SMALLER_MIN * len(levels[-1]):
+            levels.append(_level(intervals, chunks, float(sizes[nearest])))
+        target /= ratio
+    return tuple(levels)
+
+
+def _cuts(intervals: Intervals) -> tuple[Array, Array]:
+    """Every size at which the cut changes, above 0, and the number of nodes from there on."""
+    is_used = intervals.from_size < intervals.to_size
+    begins, ends = np.sort(intervals.from_size[is_used]), np.sort(intervals.to_size[is_used])
+    sizes = np.unique(begins[(begins > 0) & np.isfinite(begins)])
+    counts = np.searchsorted(begins, sizes, side="right") - np.searchsorted(ends, sizes, side="right")
+    return sizes, counts
+
+
+def _level(intervals: Intervals, chunks: TreeChunks, size: float) -> Level:
+    rows = intervals.rows_at(size)
+    return Level(size, rows, np.append(np.searchsorted(rows, chunks.start), len(rows)))

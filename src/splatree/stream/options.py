@@ -1,0 +1,50 @@
+"""How a stream is made; the command line's help is these docstrings."""
+
+from dataclasses import dataclass, fields
+from typing import Literal
+
+from splatree.errors import InputError
+from splatree.stream.chunks import CHUNK_LEAVES
+
+__all__ = ["StreamFormat", "StreamOptions"]
+
+StreamFormat = Literal["sog", "rad"]
+"""What viewers load: `sog`, a folder for PlayCanvas, SuperSplat and Babylon.js; `rad`, a file for Spark."""
+
+
+@dataclass(frozen=True)
+class StreamOptions:
+    """Chunks, levels and what is kept of the scene."""
+
+    ratio: float = 2.0
+    """sog: nodes of a level for each node of the next coarser one."""
+    levels: int | None = None
+    """sog: number of levels; None: as many as it takes until a level has 1/64 of the Gaussians."""
+    chunk_leaves: int = CHUNK_LEAVES
+    """sog: Gaussians of a chunk, for which a viewer chooses one level."""
+    unit_rows: int = 65_536
+    """sog: Gaussians of a file of the two finest levels; files of coarser levels have twice as many."""
+    sh_degree: int | None = None
+    """Cut off spherical harmonics above this degree; None: keep all."""
+
+    def check_used(self, format: StreamFormat) -> None:
+        """Refuse options that the format does not use.
+
+        Raises:
+            InputError: one of them is given.
+        """
+        default = StreamOptions()
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if format not in _USED_BY[field.name] and value != getattr(default, field.name):
+                users = " and ".join(_USED_BY[field.name])
+                raise InputError(f"{field.name}: found {value} for the format {format}, but only {users} uses it")
+
+
+_USED_BY: dict[str, tuple[StreamFormat, ...]] = {
+    "ratio": ("sog",),
+    "levels": ("sog",),
+    "chunk_leaves": ("sog",),
+    "unit_rows": ("sog",),
+    "sh_degree": ("sog", "rad"),
+}

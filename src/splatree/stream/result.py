@@ -1,0 +1,44 @@
+"""What was written."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from splatree.stream.options import StreamFormat
+
+__all__ = ["LevelWritten", "Streamed"]
+
+
+@dataclass(frozen=True)
+class LevelWritten:
+    """One level of a stream."""
+
+    level: int
+    """0 is the finest."""
+    num_nodes: int
+    """Gaussians of the level."""
+    size: float
+    """Largest extent of a node that stands for others, world units; 0 for the leaves."""
+    num_files: int
+    """Units or tiles."""
+    bytes: int
+    """Size of them all."""
+
+
+@dataclass(frozen=True)
+class Streamed:
+    """A stream."""
+
+    output: Path
+    """The folder or the file."""
+    format: StreamFormat
+    """Who reads it."""
+    num_chunks: int
+    """Pieces for which a viewer chooses how fine to draw them."""
+    levels: tuple[LevelWritten, ...]
+    """The levels, finest first."""
+    num_parts: int
+    """Parts, each of them a folder of pictures or a file."""
+    num_parts_kept: int
+    """Parts that were there already, from a run that was interrupted or had the same scene and options."""
+    bytes: int
+    """Size of everything."""

@@ -1,0 +1,189 @@
+"""Streamed SOG: a manifest ``lod-meta.json``, and units, each a SOG of whole chunks of one level.
+
+A viewer chooses a level for each chunk and loads the units that hold it; a unit has one level only, and the rows of its chunks
+follow each other in it, each chunk's rows in the order of the tree. Units are small, so that few bytes are loaded that are
+not shown. Layout: docs/reference/formats/streamed_sog.md.
+"""
+
+import json
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from splatree.io.chunks import ROWS_PER_CHUNK, Chunks
+from splatree.io.formats.sog import writer as sog
+from splatree.io.formats.streamed_sog.format import MANIFEST
+from splatree.io.options import WriteOptions
+from splatree.progress import task
+from splatree.scene.gaussians import Gaussians
+from splatree.scene.scene import Mode, Scene
+from splatree.shapes import Array
+from splatree.stream.boxes import box_around, outward
+from splatree.stream.chunks import TreeChunks, chunks_of_tree
+from splatree.stream.levels import Level, levels_of_tree
+from splatree.stream.options import StreamOptions
+from splatree.stream.parts import Folder, digest_of
+from splatree.stream.result import LevelWritten, Streamed
+from splatree.stream.workers import in_order
+
+__all__ = ["write_sog"]
+
+_FINEST = 2
+"""Levels whose units have ``unit_rows`` rows; those of coarser levels, which are loaded from afar, have twice as many."""
+
+_ROWS_PER_ENTRY = 8
+"""Rows for each entry of the palette of harmonics of a unit: its entries then cost about as much as the labels of its rows."""
+
+
+@dataclass(frozen=True)
+class _Unit:
+    """Consecutive chunks of one level."""
+
+    level: int
+    number: int
+    first_chunk: int
+    end_chunk: int
+
+
+@dataclass(frozen=True, eq=False)
+class _Written:
+    """A unit that is there."""
+
+    name: str
+    was_there: bool
+    boxes: Array  # of each of its chunks "c 2 3"
+
+
+def write_sog(scene: Scene, output: Path, options: StreamOptions, *, force: bool = False, threads: int = 0) -> Streamed:
+    """Write a scene with levels as a folder of streamed SOG.
+
+    Raises:
+        InputError: the options cannot be met.
+        OutputError: the folder holds something else, or the disk fails.
+    """
+    chunks = chunks_of_tree(scene, options.chunk_leaves)
+    levels = levels_of_tree(scene.tree, chunks, ratio=options.ratio, num_levels=options.levels)
+    units = list(_units(levels, options.unit_rows))
+    folder = Folder(output, MANIFEST, force=force)
+    boxes = np.empty((len(chunks), 2, 3))
+    boxes[:, 0], boxes[:, 1] = np.inf, -np.inf
+    names, num_there = [], 0
+    with task(f"write {output.name}", sum(map(len, levels))) as advance:
+        write = partial(_write_unit, scene, levels, folder)
+        for unit, written in zip(units, in_order(write, units, threads), strict=True):
+            own = slice(unit.first_chunk, unit.end_chunk)
+            boxes[own, 0] = np.minimum(boxes[own, 0], written.boxes[:, 0])
+            boxes[own, 1] = np.maximum(boxes[own, 1], written.boxes[:, 1])
+            names.append(written.name)
+            num_there += written.was_there
+            offsets = levels[unit.level].offsets
+            advance(int(offsets[unit.end_chunk] - offsets[unit.first_chunk]))
+    manifest = _manifest(scene, options, levels, units, names, boxes)
+    folder.finish(json.dumps(manifest, separators=(",", ":")), names)
+    return _result(output, folder, chunks, levels, units, names, num_there)
+
+
+def _units(levels: tuple[Level, ...], unit_rows: int) -> Iterator[_Unit]:
+    """Whole chunks while their rows fit, level by level; chunks of more rows alone."""
+    for index, level in enumerate(levels):
+        room = unit_rows if index < _FINEST else 2 * unit_rows
+        first = number = 0
+        num_chunks = len(level.offsets) - 1
+        while first < num_chunks:
+            end = int(np.searchsorted(level.offsets, level.offsets[first] + room, side="right")) - 1
+            end = min(max(end, first + 1), num_chunks)
+            yield _Unit(index, number, first, end)
+            first, number = end, number + 1
+
+
+def _write_unit(scene: Scene, levels: tuple[Level, ...], folder: Folder, unit: _Unit) -> _Written:
+    level = levels[unit.level]
+    offsets = level.offsets[unit.first_chunk : unit.end_chunk + 1]
+    g = scene.gaussians.take(level.rows[offsets[0] : offsets[-1]])
+    settings = WriteOptions(sh_palette=_palette_size(len(g)) if g.sh_degree else None)
+    name = f"{unit.level}_{unit.number}-{digest_of(g, scene.mode, settings)}"
+    was_there = folder.has(name)
+    if not was_there:
+        pictures, meta = sog.encode(_in_chunks(g, scene.mode), settings, order="kept")
+        folder.write_part(name, {**pictures, "meta.json": json.dumps(meta).encode()})
+    starts = offsets[:-1] - offsets[0]
+    return _Written(name, was_there, box_around(g, starts, sigmas=1.0))
+
+
+def _in_chunks(g: Gaussians, mode: Mode) -> Chunks:
+    def make() -> Iterator[Gaussians]:
+        return (g.rows(begin, begin + ROWS_PER_CHUNK) for begin in range(0, len(g), ROWS_PER_CHUNK))
+
+    return Chunks(len(g), g.sh_degree, mode, make)
+
+
+def _palette_size(num_rows: int) -> int:
+    return min(num_rows, max(1024, 1 << int(math.log2(max(1, num_rows / _ROWS_PER_ENTRY)))))
+
+
+def _manifest(
+    scene: Scene,
+    options: StreamOptions,
+    levels: tuple[Level, ...],
+    units: list[_Unit],
+    names: list[str],
+    boxes: Array,
+) -> dict[str, Any]:
+    lods: list[dict[str, Any]] = [{} for _ in boxes]
+    for file, unit in enumerate(units):
+        offsets = levels[unit.level].offsets
+        for chunk in range(unit.first_chunk, unit.end_chunk):
+            offset, count = offsets[chunk] - offsets[unit.first_chunk], offsets[chunk + 1] - offsets[chunk]
+            lods[chunk][str(unit.level)] = {"file": file, "offset": int(offset), "count": int(count)}
+    record = scene.tree.record
+    tree = None if record is None else json.loads(record.to_json())
+    ours = {"tree": tree, "ratio": options.ratio, "sizes": [level.size for level in levels]}
+    return {
+        "version": 1,
+        "asset": {"generator": "splatree", "chunkGaussians": options.chunk_leaves, "splatree": ours},
+        "count": sum(map(len, levels)),
+        "counts": [len(level) for level in levels],
+        "lodLevels": len(levels),
+        "lodErrors": False,
+        "filenames": [f"{name}/meta.json" for name in names],
+        "tree": _node(lods, boxes, 0, len(lods)),
+    }
+
+
+def _node(lods: list[dict[str, Any]], boxes: Array, first: int, end: int) -> dict[str, Any]:
+    """Chunks as a binary tree: neighbours in the list are neighbours in space, so it is halved."""
+    low, high = outward(boxes[first:end, 0].min(axis=0), boxes[first:end, 1].max(axis=0))
+    node: dict[str, Any] = {"bound": {"min": low, "max": high}}
+    if end - first == 1:
+        return node | {"lods": lods[first]}
+    middle = (first + end) // 2
+    return node | {"children": [_node(lods, boxes, first, middle), _node(lods, boxes, middle, end)]}
+
+
+def _result(
+    output: Path,
+    folder: Folder,
+    chunks: TreeChunks,
+    levels: tuple[Level, ...],
+    units: list[_Unit],
+    names: list[str],
+    num_there: int,
+) -> Streamed:
+    sizes = [folder.part_bytes(name) for name in names]
+    written = tuple(
+        LevelWritten(
+            index,
+            len(level),
+            level.size,
+            sum(unit.level == index for unit in units),
+            sum(size for size, unit in zip(sizes, units, strict=True) if unit.level == index),
+        )
+        for index, level in enumerate(levels)
+    )
+    total = sum(sizes) + (output / MANIFEST).stat().st_size
+    return Streamed(output, "sog", len(chunks), written, len(units), num_there, total)

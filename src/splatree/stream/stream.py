@@ -1,0 +1,71 @@
+"""A scene as what viewers on the web load piece by piece."""
+
+import os
+from dataclasses import replace
+from pathlib import Path
+from typing import get_args
+
+from splatree.errors import InputError
+from splatree.lod.build import build_lod
+from splatree.scene.scene import Scene
+from splatree.stream.options import StreamFormat, StreamOptions
+from splatree.stream.rad import write_rad
+from splatree.stream.result import Streamed
+from splatree.stream.sog import write_sog
+
+__all__ = ["stream"]
+
+
+def stream(
+    scene: Scene,
+    output: str | os.PathLike[str],
+    format: StreamFormat = "sog",
+    options: StreamOptions | None = None,
+    *,
+    force: bool = False,
+    threads: int = 0,
+) -> Streamed:
+    """Write a scene as a stream that viewers on the web load piece by piece, finer where the camera is near.
+
+    All formats are cut from the scene's one tree. A scene without levels gets them first, by `build_lod` with its defaults. A
+    stream that was interrupted goes on where it stopped when the same call is made again. The files are the same for any
+    number of threads.
+
+    Args:
+        scene: The scene, with levels or without.
+        output: The folder (`sog`) or the file (`rad`) to write.
+        format: Who reads it: `sog` for PlayCanvas, SuperSplat and Babylon.js, `rad` for Spark.
+        options: How it is cut.
+        force: Replace an older stream.
+        threads: Threads to work on, 0: one for each processor.
+
+    Returns:
+        What was written.
+
+    Raises:
+        InputError: the scene is empty, or the options contradict the format or each other.
+        OutputError: there is something else at ``output``, or the disk fails.
+
+    Source: PlayCanvas, "Streamed SOG" (lod-meta.json, version 1); sparkjsdev/spark, rad.rs and chunk_tree.rs.
+
+    Example:
+        >>> import splatree as st
+        >>> scene = st.read("semarang_5_9.sog")
+        >>> written = st.stream(scene, "city")
+        >>> len(st.read("city", level=0)) == len(scene)
+        True
+    """
+    options = options or StreamOptions()
+    if len(scene) == 0:
+        raise InputError("stream: found an empty scene, wanted at least one Gaussian")
+    if format not in get_args(StreamFormat):
+        raise InputError(f"format: found {format!r}, wanted one of {', '.join(get_args(StreamFormat))}")
+    options.check_used(format)
+    degree = scene.gaussians.sh_degree if options.sh_degree is None else options.sh_degree
+    if degree < scene.gaussians.sh_degree:
+        scene = replace(scene, gaussians=scene.gaussians.with_sh_degree(degree), clusters=None)
+    if scene.tree.num_leaves == len(scene):
+        scene = build_lod(scene, threads=threads)
+    if format == "rad":
+        return write_rad(scene, Path(output), force=force)
+    return write_sog(scene, Path(output), options, force=force, threads=threads)

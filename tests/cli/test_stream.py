@@ -1,0 +1,53 @@
+import json
+
+import pytest
+
+from splatree.io.registry import read
+
+
+def test_stream_writes_a_folder_that_reads_back(splatree, small_tree, tmp_path):
+    code, out, err = splatree(
+        "stream", small_tree, tmp_path / "out", "--levels", "3", "--chunk-leaves", "500", "--json"
+    )
+    assert (code, err) == (0, "")
+    found = json.loads(out)
+    assert found["written"]["levels"][0]["num_nodes"] == len(read(tmp_path / "out")) == 3161
+    assert found["written"]["num_chunks"] >= 7 and not found["built_levels"]
+    again = splatree("stream", small_tree, tmp_path / "out")
+    assert again[0] == 1 and "holds a stream already" in again[2]
+    code, out, _ = splatree("stream", small_tree, tmp_path / "out", "--levels", "3", "--chunk-leaves", "500", "--force")
+    assert code == 0 and "3 of them there already" in out and "num_nodes" in out
+
+
+def test_levels_are_built_where_there_are_none(splatree, small_ply, tmp_path):
+    code, out, _ = splatree("stream", small_ply, "-o", tmp_path / "out")
+    assert code == 0 and "levels of detail: built first" in out
+
+
+def test_stream_for_spark_is_a_rad(splatree, small_tree, tmp_path):
+    code, out, _ = splatree("stream", small_tree, tmp_path / "out.rad", "--format", "rad", "--sh-degree", "1")
+    assert code == 0 and "1 chunks" in out
+    back = read(tmp_path / "out.rad")
+    assert back.gaussians.sh_degree == 1 and back.tree.num_levels > 1
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ((), "found no path, wanted an input and an output"),
+        (("{tree}",), "found one path, wanted an input and an output"),
+        (("{tree}", "{tree}"), "is an input too"),
+        (
+            ("{tree}", "out.rad", "--format", "rad", "--ratio", "3"),
+            "ratio: found 3.0 for the format rad, but only sog uses it",
+        ),
+    ],
+)
+def test_wrong_command_lines_are_refused(splatree, small_tree, words, message):
+    code, _, err = splatree("stream", *(word.format(tree=small_tree) for word in words))
+    assert code == 2 and message in err
+
+
+def test_a_rad_has_its_suffix(splatree, small_tree, tmp_path):
+    code, _, err = splatree("stream", small_tree, tmp_path / "out", "--format", "rad")
+    assert code == 1 and "wanted one that ends in .rad" in err
