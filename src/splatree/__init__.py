@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     )
     from splatree.render.counters import FrameCounters, frame_counters, write_counters
     from splatree.render.evaluate import Evaluation, evaluate
+    from splatree.render.framing.frame import Framing, frame_scene
     from splatree.render.paths import PathOptions, flyout, orbit, through
     from splatree.render.pipeline import render, trace
     from splatree.render.tensors import draw, scene_from_tensors
@@ -83,6 +84,7 @@ __all__ = [
     "FormatError",
     "Frame",
     "FrameCounters",
+    "Framing",
     "GaussianTree",
     "Gaussians",
     "Groups",
@@ -120,6 +122,7 @@ __all__ = [
     "evaluate",
     "flyout",
     "frame_counters",
+    "frame_scene",
     "link_levels",
     "merge",
     "open_video",
@@ -167,6 +170,7 @@ _HOME = {
     "FormatError": "splatree.errors",
     "Frame": "splatree.scene.frame",
     "FrameCounters": "splatree.render.counters",
+    "Framing": "splatree.render.framing.frame",
     "GaussianTree": "splatree.scene.tree",
     "Gaussians": "splatree.scene.gaussians",
     "Groups": "splatree.scene.thinning",
@@ -204,6 +208,7 @@ _HOME = {
     "evaluate": "splatree.render.evaluate",
     "flyout": "splatree.render.paths",
     "frame_counters": "splatree.render.counters",
+    "frame_scene": "splatree.render.framing.frame",
     "link_levels": "splatree.lod.link",
     "merge": "splatree.simplify.merge",
     "open_video": "splatree.render.video",
