@@ -175,5 +175,5 @@ def test_threads_change_no_bit() -> None:
 def test_taper_is_for_ellipses() -> None:
     with pytest.raises(st.InputError, match="found 'taper' with tile_rule 'tau'"):
         st.RenderOptions(pixels="taper", tile_rule="tau")
-    with pytest.raises(st.InputError, match="tile_rule: found 'box', wanted one of ellipse"):
+    with pytest.raises(st.InputError, match="tile_rule: found 'box', wanted 'ellipse'"):
         st.RenderOptions(tile_rule="box")  # type: ignore[arg-type]

@@ -3,12 +3,13 @@
 //
 // As lazy as a device can be: nothing runs before the host waits, and then only the stream that it waits for, with what that one
 // waits for itself. So a host that overwrites what is still to be copied, reads what has not arrived, or leaves the order of two
-// streams to chance, gets what it deserves. As strict as the driver: calls need cuInit, a current context in their thread, handles
-// that exist, events that were recorded, and nothing that a recording forbids. And stricter, by ending the launch with a message,
-// where a device would go on with wrong results: what touches memory that was freed, is launched with other threads than its
-// kernel is built for, writes around its array, or is recorded from memory that is not pinned.
+// streams to chance, gets what it deserves. As strict as the driver: calls need cuInit, a current context in their thread,
+// handles that exist, events that were recorded, and nothing that a recording forbids. And stricter, by ending the launch with a
+// message, where a device would go on with wrong results: what touches memory that was freed, is launched with other threads than
+// its kernel is built for, writes around its array, or is recorded from memory that is not pinned.
 //
-// Waits of the host are counted: those asked for, and those that come with freeing memory or copying from memory that is not pinned.
+// Waits of the host are counted: those asked for, and those that come with freeing memory or copying from memory that is not
+// pinned.
 #include "cuda/driver.h"
 
 #include <dlfcn.h>
@@ -32,8 +33,9 @@ using simt::failure;
 using Work = std::function<void()>;
 
 // Errors of cuda.h that driver.h has no need of.
-constexpr int INVALID_VALUE = CUDA_ERROR_INVALID_VALUE, NOT_INITIALIZED = 3, INVALID_DEVICE = 101, INVALID_IMAGE = 200, INVALID_CONTEXT = 201,
-              INVALID_HANDLE = 400, NOT_FOUND = 500, LAUNCH_FAILED = 719, CAPTURE_UNSUPPORTED = 900, CAPTURE_INVALIDATED = 901;
+constexpr int INVALID_VALUE = CUDA_ERROR_INVALID_VALUE, NOT_INITIALIZED = 3, INVALID_DEVICE = 101, INVALID_IMAGE = 200,
+              INVALID_CONTEXT = 201, INVALID_HANDLE = 400, NOT_FOUND = 500, LAUNCH_FAILED = 719, CAPTURE_UNSUPPORTED = 900,
+              CAPTURE_INVALIDATED = 901;
 const std::map<int, const char*> ERROR_NAMES = {
     {INVALID_VALUE, "CUDA_ERROR_INVALID_VALUE"},
     {CUDA_ERROR_OUT_OF_MEMORY, "CUDA_ERROR_OUT_OF_MEMORY"},
@@ -239,8 +241,8 @@ bool read_image(const char* image, CUmod_st& module) {
 }  // namespace
 
 #define LOCKED const std::lock_guard<std::recursive_mutex> locked(lock)
-#define NEEDS_CONTEXT                              \
-  LOCKED;                                          \
+#define NEEDS_CONTEXT \
+  LOCKED;             \
   if (const int error = ready()) return error
 
 // For tests.
@@ -301,9 +303,12 @@ CUresult cuDeviceGetName(char* name, int size, CUdevice) {
 }
 CUresult cuDeviceGetAttribute(int* value, CUdevice_attribute attribute, CUdevice) {
   switch (attribute) {
-    case CU_DEVICE_ATTRIBUTE_MULTIPROCESSOR_COUNT: return *value = 2, CUDA_SUCCESS;
-    case CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MAJOR: return *value = machine.major, CUDA_SUCCESS;
-    case CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MINOR: return *value = machine.minor, CUDA_SUCCESS;
+    case CU_DEVICE_ATTRIBUTE_MULTIPROCESSOR_COUNT:
+      return *value = 2, CUDA_SUCCESS;
+    case CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MAJOR:
+      return *value = machine.major, CUDA_SUCCESS;
+    case CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MINOR:
+      return *value = machine.minor, CUDA_SUCCESS;
   }
   return INVALID_VALUE;
 }
@@ -502,16 +507,18 @@ CUresult cuLaunchKernel(CUfunction function, unsigned grid_x, unsigned grid_y, u
                         void** extra) {
   NEEDS_CONTEXT;
   if (!functions.has(function)) return INVALID_HANDLE;
-  if (!grid_x || grid_x > 0x7fffffff || grid_y != 1 || grid_z != 1 || !block_x || block_x > 1024 || block_y != 1 || block_z != 1 ||
-      shared_bytes || !arguments || extra)
+  if (!grid_x || grid_x > 0x7fffffff || grid_y != 1 || grid_z != 1 || !block_x || block_x > 1024 || block_y != 1 ||
+      block_z != 1 || shared_bytes || !arguments || extra)
     return INVALID_VALUE;
   if (function->threads && block_x != function->threads)
-    break_off(function->name + ": found " + std::to_string(block_x) + " threads a block, built for " + std::to_string(function->threads));
+    break_off(function->name + ": found " + std::to_string(block_x) + " threads a block, built for " +
+              std::to_string(function->threads));
   const CUdeviceptr job = *static_cast<CUdeviceptr*>(arguments[0]);
   const int argument = *static_cast<int*>(arguments[1]);
   return enqueue(stream, [=] {
     ++num_launches;
-    if (const char* numbers = bytes_at(job, 1, "launch")) simt::run_grid(function->kernel, numbers, argument, grid_x, block_x, seed);
+    if (const char* numbers = bytes_at(job, 1, "launch"))
+      simt::run_grid(function->kernel, numbers, argument, grid_x, block_x, seed);
     if (!failure.empty() && failure.find(function->name)) failure = function->name + ": " + failure;
   });
 }

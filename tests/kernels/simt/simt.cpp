@@ -180,7 +180,8 @@ void add_shared(Memory& memory) { shared_memory.push_back(&memory); }
 
 Memory& memory_at(const void* address) {
   const auto found = device_memory.find(static_cast<const char*>(address));
-  if (found == device_memory.end()) fail(address ? "found an array that is not in device memory" : "found an array without memory");
+  if (found == device_memory.end())
+    fail(address ? "found an array that is not in device memory" : "found an array without memory");
   return found->second;
 }
 

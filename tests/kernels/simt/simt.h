@@ -115,9 +115,7 @@ class Element {
   Pointer<T> operator&() const { return {&memory_, element_}; }
 
  private:
-  void check(Access access) const {
-    touch(memory_, reinterpret_cast<const char*>(element_) - memory_.data, sizeof(T), access);
-  }
+  void check(Access access) const { touch(memory_, reinterpret_cast<const char*>(element_) - memory_.data, sizeof(T), access); }
   Memory& memory_;
   T* element_;
 };
@@ -172,7 +170,8 @@ template <class T>
 T shuffle(const char* name, uint32_t mask, T value, int from) {
   const uint64_t* values = wait(WARP, name, mask, to_bits(value));
   if (from < 0 || from > 31) return value;
-  if (!(mask >> from & 1)) fail(std::string(name) + ": found a value asked of lane " + std::to_string(from) + ", which is not in the mask");
+  if (!(mask >> from & 1))
+    fail(std::string(name) + ": found a value asked of lane " + std::to_string(from) + ", which is not in the mask");
   return from_bits<T>(values[from]);
 }
 

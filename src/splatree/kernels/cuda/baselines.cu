@@ -1,6 +1,8 @@
-// Other ways to the same cut, to be measured beside select.cu; lod/serial.py has the one, FilterGS (2026, §3.2) describes the other.
+// Other ways to the same cut, to be measured beside select.cu; lod/serial.py has the one, FilterGS (2026, §3.2) describes the
+// other.
 //
-// serial_roots, serial_level     a thread a node of one level: the small ones and the leaves are kept, the others replaced by their
+// serial_roots, serial_level     a thread a node of one level: the small ones and the leaves are kept, the others replaced by
+// their
 //                                children; the host asks after each level how many there are (as LoG does, Shuai 2024)
 // paper_small                    a thread a node: its radius, if it can be seen
 // paper_filter                   a thread a node: small or a leaf, in view, and no ancestor in its row of the table stops

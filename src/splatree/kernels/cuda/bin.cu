@@ -31,8 +31,8 @@ SPLATREE_FN Cover load_cover(const FrameJob* job, long long splat) {
     cover.columns = {int(across.first), int(across.end)};
     return cover;
   }
-  const Ellipse e = ellipse_of(p.x, p.y, p.z, p.w, q.x, q.z, r.w, s.x,
-                               log2_threshold_of(n.log2_threshold, n.area_power, p.z, q.x));
+  const Ellipse e =
+      ellipse_of(p.x, p.y, p.z, p.w, q.x, q.z, r.w, s.x, log2_threshold_of(n.log2_threshold, n.area_power, p.z, q.x));
   cover.ellipse = e;
   cover.rows = tiles_in({e.y - e.height - e.margin, e.y + e.height + e.margin}, (float)n.height);
   const float box = r.w + e.margin;
@@ -109,8 +109,7 @@ SPLATREE_KERNEL(256) list_pairs(const FrameJob* job) {
     long long at = first;
     for (int row = cover.rows.first; row < cover.rows.end; ++row) {
       const Tiles columns = columns_of(job, cover, row);
-      for (int column = columns.first; column < columns.end; ++column)
-        store_pair(job, at++, row * num_tiles_x + column, splat);
+      for (int column = columns.first; column < columns.end; ++column) store_pair(job, at++, row * num_tiles_x + column, splat);
     }
   }
   // The others one after the other: all lanes go along its rows together.

@@ -38,8 +38,7 @@ SPLATREE_FN bool may_touch(const Brush& s, float x, float y, float half_x, float
   const float v_reach = s.c * half_y + 2e-6f * s.c * (half_size_y + 16);
   const float u_least = greatest(__builtin_fabsf(u) - u_reach, 0.f), v_least = greatest(__builtin_fabsf(v) - v_reach, 0.f);
   const float limit = (s.log2_opacity - log2_threshold) * (1 + 1e-5f) + 1e-5f;
-  return (u_least * u_least + v_least * v_least <= limit) &
-         (__builtin_fabsf(dx) <= half_size_x * (1 + 1e-5f) + half_x + 1e-3f);
+  return (u_least * u_least + v_least * v_least <= limit) & (__builtin_fabsf(dx) <= half_size_x * (1 + 1e-5f) + half_x + 1e-3f);
 }
 
 struct Pixel {
@@ -77,12 +76,12 @@ SPLATREE_FN float draw(Pixel& pixel, float log2_alpha, float4 color, float log2_
 template <int SIDE, bool TAPER, bool CONTRIBUTIONS>
 SPLATREE_FN void blend(const FrameJob* job, int from_b) {
   constexpr int THREADS = SIDE * SIDE, PARTS = int(TILE_PX) / SIDE;
-  SPLATREE_SHARED(float4, geometry, THREADS);   // x, y, a, b
+  SPLATREE_SHARED(float4, geometry, THREADS);    // x, y, a, b
   SPLATREE_SHARED(float4, appearance, THREADS);  // c, log2 opacity, half size x, half size y
-  SPLATREE_SHARED(float4, color, THREADS);      // red, green, blue, depth
+  SPLATREE_SHARED(float4, color, THREADS);       // red, green, blue, depth
   SPLATREE_SHARED(float, floors, TAPER ? THREADS : 1);
   SPLATREE_SHARED(int, num_loaded, THREADS / WARP);
-  SPLATREE_SHARED(float, sums, CONTRIBUTIONS ? THREADS / WARP * THREADS : 1);  // of each warp and splat
+  SPLATREE_SHARED(float, sums, CONTRIBUTIONS ? THREADS*(THREADS / WARP) : 1);  // of each warp and splat
 
   const FrameNumbers& n = job->numbers;
   const Global<const unsigned> pairs = from_b ? job->values_b : job->values_a;
@@ -114,8 +113,8 @@ SPLATREE_FN void blend(const FrameJob* job, int from_b) {
       p.z *= SQRT_HALF_LOG2E, p.w *= SQRT_HALF_LOG2E, q.x *= SQRT_HALF_LOG2E;
       const float half = 0.5f * (SIDE - 1);
       if (PARTS > 1)
-        taken = may_touch({p.x, p.y, p.z, p.w, q.x, q.z}, block_x + 0.5f * SIDE, block_y + 0.5f * SIDE, half, half,
-                          ends, r.w, half_size_y);
+        taken = may_touch({p.x, p.y, p.z, p.w, q.x, q.z}, block_x + 0.5f * SIDE, block_y + 0.5f * SIDE, half, half, ends, r.w,
+                          half_size_y);
     }
     const unsigned lanes = __ballot_sync(ALL_LANES, taken);
     if (lane_of() == 0) num_loaded[warp_of()] = __popc(lanes);
@@ -143,9 +142,9 @@ SPLATREE_FN void blend(const FrameJob* job, int from_b) {
       bool touches = mine < loaded;
       if (touches) {
         const float4 g = geometry[mine], a = appearance[mine];
-        touches = may_touch({g.x, g.y, g.z, g.w, a.x, a.y}, warp_x + 0.5f * WARP_WIDTH, warp_y + 0.5f * WARP_HEIGHT,
-                            0.5f * (WARP_WIDTH - 1), 0.5f * (WARP_HEIGHT - 1),
-                            TAPER ? log2_of(floors[mine]) : threshold, a.z, a.w);
+        touches =
+            may_touch({g.x, g.y, g.z, g.w, a.x, a.y}, warp_x + 0.5f * WARP_WIDTH, warp_y + 0.5f * WARP_HEIGHT,
+                      0.5f * (WARP_WIDTH - 1), 0.5f * (WARP_HEIGHT - 1), TAPER ? log2_of(floors[mine]) : threshold, a.z, a.w);
       }
       for (unsigned left = __ballot_sync(ALL_LANES, touches); left; left &= left - 1) {
         const int splat = first + __ffs(left) - 1;

@@ -1,7 +1,8 @@
 // The functions of the CUDA driver that the runtime calls, under the names that its library exports.
 //
 // Python reads the declarations and the numbers from here (library.py), the tests' stand-in for a driver is compiled against
-// them, and where a CUDA toolkit is at hand a test compiles them behind its cuda.h: a declaration that differed would be an error.
+// them, and where a CUDA toolkit is at hand a test compiles them behind its cuda.h: a declaration that differed would be an
+// error.
 #pragma once
 #include <stddef.h>
 

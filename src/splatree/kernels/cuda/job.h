@@ -9,21 +9,21 @@ namespace splatree {
 
 // What the selection and the drawing ask of a view.
 struct FrameNumbers {
-  View view;       // its log2_threshold is of the smallest opacity at which any splat ends
+  View view;  // its log2_threshold is of the smallest opacity at which any splat ends
   SelectRule rule;
   ViewPlanes planes;
   double reach[NUM_SIDES];
   double eye[3];
-  int view_test;   // of enum ViewTest
-  int all_small;   // τ_R is infinite
-  int cull;        // whether blocks are tested against the image
-  int degree;      // of harmonics evaluated
+  int view_test;  // of enum ViewTest
+  int all_small;  // τ_R is infinite
+  int cull;       // whether blocks are tested against the image
+  int degree;     // of harmonics evaluated
   int width, height, num_tiles_x, num_tiles_y;
   float background[3];
   float log2_threshold, area_power;  // of τ; how it falls with a splat's area
-  float log2_pixel_threshold;  // of the smallest opacity that is drawn at a pixel
-  int tile_rule;   // of enum TileRule
-  Square square;   // if that is what it is
+  float log2_pixel_threshold;        // of the smallest opacity that is drawn at a pixel
+  int tile_rule;                     // of enum TileRule
+  Square square;                     // if that is what it is
 };
 
 // Counts that kernels leave; the first four may exceed what the arrays hold: then the frame is drawn again with larger ones.
@@ -45,58 +45,58 @@ namespace splatree {
 struct FrameJob {
   FrameNumbers numbers;
   // The scene: n rows, their tree, its b blocks.
-  Global<const float> means;            // n 3
-  Global<const float4> quats;           // n
-  Global<const float> log_scales;       // n 3
-  Global<const float> logit_opacities;  // n
-  Global<const float> sh;               // n k 3
-  Global<const float> extents;          // n
-  Global<const int> subtree_end;        // n
-  Global<const unsigned> ids;           // n; of length 0 where rows are their own
-  Global<const float> block_lower;      // b 3
-  Global<const float> block_upper;      // b 3
-  Global<const float> leaf_scales;      // b
-  Global<const float> min_logits;       // b
+  Global<const float> means;                 // n 3
+  Global<const float4> quats;                // n
+  Global<const float> log_scales;            // n 3
+  Global<const float> logit_opacities;       // n
+  Global<const float> sh;                    // n k 3
+  Global<const float> extents;               // n
+  Global<const int> subtree_end;             // n
+  Global<const unsigned> ids;                // n; of length 0 where rows are their own
+  Global<const float> block_lower;           // b 3
+  Global<const float> block_upper;           // b 3
+  Global<const float> leaf_scales;           // b
+  Global<const float> min_logits;            // b
   Global<const unsigned char> size_classes;  // n
-  Global<const int> ancestor_start;     // b + 1
+  Global<const int> ancestor_start;          // b + 1
   Global<const int> ancestors;
   // Selection.
-  Global<int4> open_blocks;             // b: block, shadow, largest small class, 1 if it lies inside the image
-  Global<unsigned> kept_masks;          // b words_per_block
-  Global<unsigned> num_kept;            // b
-  Global<unsigned> first_kept;          // b
-  Global<int> rows;                     // v
+  Global<int4> open_blocks;     // b: block, shadow, largest small class, 1 if it lies inside the image
+  Global<unsigned> kept_masks;  // b words_per_block
+  Global<unsigned> num_kept;    // b
+  Global<unsigned> first_kept;  // b
+  Global<int> rows;             // v
   // Splats: a record of 16 floats each, the order, and the two sides of the sort.
-  Global<float4> records;               // v 4
-  Global<unsigned> depth_keys;          // v; all ones: not visible
-  Global<unsigned> num_tiles;           // v
-  Global<float> floors;                 // v, opacity at which each is tapered off
-  Global<unsigned> order;               // v: splats from the nearest to the farthest
-  Global<unsigned> first_pair;          // v, in depth order
-  Global<unsigned> keys_a;              // max(v, m)
+  Global<float4> records;       // v 4
+  Global<unsigned> depth_keys;  // v; all ones: not visible
+  Global<unsigned> num_tiles;   // v
+  Global<float> floors;         // v, opacity at which each is tapered off
+  Global<unsigned> order;       // v: splats from the nearest to the farthest
+  Global<unsigned> first_pair;  // v, in depth order
+  Global<unsigned> keys_a;      // max(v, m)
   Global<unsigned> keys_b;
   Global<unsigned> values_a;
   Global<unsigned> values_b;
-  Global<unsigned> digits;              // 256 a tile of the sort
-  Global<unsigned> tile_start;          // t + 1
-  Global<float> contributions;          // m
+  Global<unsigned> digits;      // 256 a tile of the sort
+  Global<unsigned> tile_start;  // t + 1
+  Global<float> contributions;  // m
   // Picture.
-  Global<float> image;                  // h w 3
-  Global<float> alpha;                  // h w
-  Global<float> depth;                  // h w
+  Global<float> image;                   // h w 3
+  Global<float> alpha;                   // h w
+  Global<float> depth;                   // h w
   Global<unsigned long long> tile_work;  // t 3: consumed, evaluated, blended
   // Cleared before each frame.
   Global<unsigned long long> counters;  // NUM_COUNTERS
   Global<unsigned> tickets;             // one a scan of the frame
   Global<unsigned long long> chains;    // chain_stride a scan of the frame
   // Baselines.
-  Global<const int> ancestor_table;     // n num_levels, root first, -1 behind the last
-  Global<unsigned char> states;         // n
-  Global<const int> children;           // rows by level, children of one node together
-  Global<const int> first_child;        // n
-  Global<const int> num_children;       // n
-  Global<int> frontier_a;               // n
-  Global<int> frontier_b;               // n
+  Global<const int> ancestor_table;  // n num_levels, root first, -1 behind the last
+  Global<unsigned char> states;      // n
+  Global<const int> children;        // rows by level, children of one node together
+  Global<const int> first_child;     // n
+  Global<const int> num_children;    // n
+  Global<int> frontier_a;            // n
+  Global<int> frontier_b;            // n
   // Sizes.
   long long num_rows;
   long long num_blocks;
@@ -104,7 +104,7 @@ struct FrameJob {
   long long words_per_block;
   long long row_capacity;
   long long pair_capacity;
-  long long num_coefficients;           // of sh, a channel
+  long long num_coefficients;  // of sh, a channel
   long long chain_stride;
   long long num_levels;
   long long num_roots;

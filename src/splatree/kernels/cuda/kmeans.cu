@@ -2,9 +2,9 @@
 // the definition.
 //
 // 32 consecutive centres are a leaf, whose box is found anew in each step: where they were drawn from points along a curve they
-// lie together, and stay so. A warp takes 64 consecutive points, two a lane. It compares them with the leaf that is sure to be near,
-// then with every leaf that may hold a centre nearer than the farthest of its points has found, a bound that falls on the way.
-// Sums are of whole numbers, so that they have the same bits in any order.
+// lie together, and stay so. A warp takes 64 consecutive points, two a lane. It compares them with the leaf that is sure to be
+// near, then with every leaf that may hold a centre nearer than the farthest of its points has found, a bound that falls on the
+// way. Sums are of whole numbers, so that they have the same bits in any order.
 #include "cuda/kmeans.h"
 
 using namespace splatree;

@@ -23,8 +23,7 @@ struct Pass {
 SPLATREE_FN Pass pass_of(int packed) { return {packed & 31, packed >> 7 & 63, (packed >> 5 & 1) != 0, (packed >> 6 & 1) != 0}; }
 
 SPLATREE_FN long long count_of(const FrameJob* job, const Pass& pass) {
-  return pass.pairs ? held(job->counters[NUM_PAIRS], job->pair_capacity)
-                    : held(job->counters[NUM_SELECTED], job->row_capacity);
+  return pass.pairs ? held(job->counters[NUM_PAIRS], job->pair_capacity) : held(job->counters[NUM_SELECTED], job->row_capacity);
 }
 
 SPLATREE_FN long long tiles_of(long long count) { return (count + SORT_TILE - 1) / SORT_TILE; }

@@ -71,7 +71,7 @@ SPLATREE_KERNEL(128) project(const FrameJob* job) {
       return splat_of<antialiased.value, square.value>(view, n.square, image.x, image.y, p.z, m.x, m.y, sigmoid);
     };
     const Splat s = n.view.antialiased ? is_square ? shape(Yes{}, Yes{}) : shape(Yes{}, No{})
-                    : is_square        ? shape(No{}, Yes{})
+                    : is_square ? shape(No{}, Yes{})
                                        : shape(No{}, No{});
     visible = s.visible;
     // Depths of what is visible are positive: their bits order as they do.

@@ -2,9 +2,8 @@
 // same on the processor.
 //
 // select_blocks   a warp a block: is it in the image, and does the shadow of an ancestor of its first row cover it?
-// select_rows     256 threads a block that is left, a thread a row: radius, prefix maximum of subtree_end, the view test; one bit a row
-// scan_kept       where the rows of each block go
-// list_rows       a warp a block: bits to rows
+// select_rows     256 threads a block that is left, a thread a row: radius, prefix maximum of subtree_end, the view test; one bit
+// a row scan_kept       where the rows of each block go list_rows       a warp a block: bits to rows
 //
 // Which blocks are left is listed in no order, but each writes its bits to its own place: the rows come out ascending, whatever
 // the schedule. No list of ancestors a row, no host in between.
@@ -81,8 +80,7 @@ SPLATREE_KERNEL(256) select_blocks(const FrameJob* job) {
     job->num_kept[block] = 0;
     return;
   }
-  const int largest = largest_small_class(job->numbers.rule, job->numbers.all_small, placement.depth_max,
-                                          placement.distance_max);
+  const int largest = largest_small_class(job->numbers.rule, job->numbers.all_small, placement.depth_max, placement.distance_max);
   const long long place = (long long)atomicAdd(&job->counters[NUM_OPEN], 1ull);
   job->open_blocks[place] = make_int4((int)block, shadow, largest, placement.inside);
   atomicAdd(&job->counters[NUM_VISITED], (unsigned long long)(end - (shadow > begin ? shadow : begin)));

@@ -16,9 +16,9 @@ struct Ellipse {
   float x, y;                  // centre, px
   float k_squared, c_squared;  // of |L d|; px⁻²
   float skew, inverse_a;
-  float height;                // half height, px
-  float dy_of_right;           // height at which it is widest to the right; to the left it is minus that
-  float margin;                // px
+  float height;       // half height, px
+  float dy_of_right;  // height at which it is widest to the right; to the left it is minus that
+  float margin;       // px
 };
 
 // log2 of the opacity at which a splat ends: of τ, times (0.3 px² / area)^power, area = √det Σ' = 1 / (a c); but at least of
@@ -73,9 +73,7 @@ SPLATREE_FN Tiles tiles_in(Interval interval, float size) {
 }
 
 // The heights of the pixel centres of a row of tiles.
-SPLATREE_FN Interval strip_of(int row, float height) {
-  return {TILE_PX * row + 0.5f, least(TILE_PX * (row + 1), height) - 0.5f};
-}
+SPLATREE_FN Interval strip_of(int row, float height) { return {TILE_PX * row + 0.5f, least(TILE_PX * (row + 1), height) - 0.5f}; }
 
 // The smallest |L d|² in a strip of heights on the far side of an edge, px: right of it, or left of it with side −1.
 //

@@ -6,14 +6,14 @@
 namespace splatree {
 
 struct View {
-  float rotation[9];                  // camera from world, row by row
+  float rotation[9];                    // camera from world, row by row
   float center_high[3], center_low[3];  // the eye in the world: two floats each, so that map coordinates keep their precision
-  float fx, fy, cx, cy;               // px
+  float fx, fy, cx, cy;                 // px
   float width, height, near;
   float slope_min_x, slope_max_x, slope_min_y, slope_max_y;  // limits of x/z, y/z in the Jacobian
-  float dilation;                     // px^2
-  float sigma_max;                    // largest standard deviation over z, world units
-  float least_opacity, log2_threshold;  // of a splat; at the edge of its box
+  float dilation;                                            // px^2
+  float sigma_max;                                           // largest standard deviation over z, world units
+  float least_opacity, log2_threshold;                       // of a splat; at the edge of its box
   int antialiased;
 };
 
@@ -61,7 +61,8 @@ SPLATREE_FN Image image_of(const View& view, float x, float y, float z) {
   const float uy = least(greatest(slope_y, view.slope_min_y), view.slope_max_y);
   const float gx = view.fx * inverse_z, gy = view.fy * inverse_z;
   const float* r = view.rotation;
-  return {view.fx * slope_x + view.cx, view.fy * slope_y + view.cy,
+  return {view.fx * slope_x + view.cx,
+          view.fy * slope_y + view.cy,
           {gx * (r[0] - ux * r[6]), gx * (r[1] - ux * r[7]), gx * (r[2] - ux * r[8])},
           {gy * (r[3] - uy * r[6]), gy * (r[4] - uy * r[7]), gy * (r[5] - uy * r[8])}};
 }
@@ -78,8 +79,8 @@ struct Factor {
 
 SPLATREE_FN Factor factor_of(Vector tx, Vector ty, float qw, float qx, float qy, float qz, Vector scale) {
   // Columns of the rotation of a quaternion of any length, which is first scaled by a power of two against overflow.
-  const float unit = power_of_two_over(greatest(greatest(__builtin_fabsf(qw), __builtin_fabsf(qx)),
-                                                greatest(__builtin_fabsf(qy), __builtin_fabsf(qz))));
+  const float unit = power_of_two_over(
+      greatest(greatest(__builtin_fabsf(qw), __builtin_fabsf(qx)), greatest(__builtin_fabsf(qy), __builtin_fabsf(qz))));
   const float w = qw * unit, x = qx * unit, y = qy * unit, z = qz * unit;
   const float s = 2.f / greatest(w * w + x * x + y * y + z * z, 1e-37f);
   const Vector axes[3] = {
@@ -102,7 +103,8 @@ struct Splat {
 
 // Of the centre (x, y) in the picture, the depth z, the rows of M, and the opacity as stored.
 template <bool ANTIALIASED, bool SQUARE>
-SPLATREE_FN Splat splat_of(const View& view, const Square& square, float x, float y, float z, Vector mx, Vector my, float sigmoid) {
+SPLATREE_FN Splat splat_of(const View& view, const Square& square, float x, float y, float z, Vector mx, Vector my,
+                           float sigmoid) {
   // The determinant as a sum of positive terms.
   const float mxx = dot(mx, mx), myy = dot(my, my), xy = dot(mx, my);
   const Vector cross = {mx.y * my.z - mx.z * my.y, mx.z * my.x - mx.x * my.z, mx.x * my.y - mx.y * my.x};

@@ -4,12 +4,19 @@
 namespace splatree {
 
 enum Column {
-  X, Y,                        // centre, px
-  FACTOR_A, FACTOR_B, FACTOR_C,  // L = ((a, b), (0, c)); LᵀL is the conic, px^-2
-  OPACITY, LOG2_OPACITY,
-  RED, GREEN, BLUE,
+  X,
+  Y,  // centre, px
+  FACTOR_A,
+  FACTOR_B,
+  FACTOR_C,  // L = ((a, b), (0, c)); LᵀL is the conic, px^-2
+  OPACITY,
+  LOG2_OPACITY,
+  RED,
+  GREEN,
+  BLUE,
   DEPTH,
-  HALF_SIZE_X, HALF_SIZE_Y,    // half size of the box, px
+  HALF_SIZE_X,
+  HALF_SIZE_Y,  // half size of the box, px
   NUM_COLUMNS = 16,
 };
 

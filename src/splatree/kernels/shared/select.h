@@ -6,14 +6,14 @@ namespace splatree {
 
 // Which nodes are small, and which can be seen: what an options struct says, prepared for comparison.
 struct SelectRule {
-  float limit;              // (τ_R / 3)²: a node is small if the larger eigenvalue of its splat is at most this, px²
+  float limit;                // (τ_R / 3)²: a node is small if the larger eigenvalue of its splat is at most this, px²
   float add, least_diagonal;  // the dilated diagonal is greatest(Σ'ii + add, least_diagonal), px²
-  float floor;              // under the root of the eigenvalue, px⁴
-  float pixel_error;        // τ_R, px
+  float floor;                // under the root of the eigenvalue, px⁴
+  float pixel_error;          // τ_R, px
   float focal_max, focal_min;
-  int sphere;               // whether the radius is that of the ball
-  float k_max, logit_min;   // footprint: reach of an opaque splat, σ; smallest logit opacity that can be seen
-  float pad_x, pad_y;       // centre: how far out of the image it may be, px
+  int sphere;              // whether the radius is that of the ball
+  float k_max, logit_min;  // footprint: reach of an opaque splat, σ; smallest logit opacity that can be seen
+  float pad_x, pad_y;      // centre: how far out of the image it may be, px
 };
 
 enum ViewTest { FOOTPRINT, CENTRE, UNSEEN_TOO };
@@ -77,8 +77,7 @@ SPLATREE_FN int meets_image(const View& view, const Point& p, float reach_x, flo
   const float inverse_z = 1.f / p.z;
   const float x = view.fx * (p.x * inverse_z) + view.cx, y = view.fy * (p.y * inverse_z) + view.cy;
   const float slack_x = 1.001f * reach_x + 0.01f, slack_y = 1.001f * reach_y + 0.01f;
-  return (x + slack_x >= 0.5f) & (x - slack_x <= view.width - 0.5f) & (y + slack_y >= 0.5f) &
-         (y - slack_y <= view.height - 0.5f);
+  return (x + slack_x >= 0.5f) & (x - slack_x <= view.width - 0.5f) & (y + slack_y >= 0.5f) & (y - slack_y <= view.height - 0.5f);
 }
 
 // Whether the footprint is in view, from centre, opacity and largest scale, where they tell.

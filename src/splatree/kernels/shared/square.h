@@ -9,11 +9,11 @@ enum class TileRule { ELLIPSE, BOX, SQUARE };
 
 // `3sigma` is `tau` with no share left to shrink and no pad.
 struct Square {
-  float log2_threshold;      // τ
-  float energy_min;          // of ln(o/τ)
-  float ratio_min;           // smallest share of 3 σ
-  float pad;                 // px
-  float eigenvalue_floor;    // under the root of the eigenvalue, px⁴
+  float log2_threshold;    // τ
+  float energy_min;        // of ln(o/τ)
+  float ratio_min;         // smallest share of 3 σ
+  float pad;               // px
+  float eigenvalue_floor;  // under the root of the eigenvalue, px⁴
 };
 
 namespace {

@@ -17,17 +17,29 @@ T* written(nb::handle object, const char* name) {
 
 PartnerColumns columns_of(nb::handle partners) {
   return {written<int32_t>(partners, "neighbors"), written<int32_t>(partners, "rows"), written<float>(partners, "costs"),
-          written<float>(partners, "opacities"), written<float>(partners, "sigmas"), written<uint8_t>(partners, "is_stale")};
+          written<float>(partners, "opacities"),   written<float>(partners, "sigmas"), written<uint8_t>(partners, "is_stale")};
 }
 
 }  // namespace
 
 void bind_partners(nb::module_& m) {
-  m.def("find_partners", [](nb::handle gaussians, In<float> weights, In<float> visibilities, double dilation, nb::handle partners, bool search, int threads) {
+  m.def("find_partners", [](nb::handle gaussians, In<float> weights, In<float> visibilities, double dilation, nb::handle partners,
+                            bool search, int threads) {
     const auto sh = nb::cast<In<float>>(gaussians.attr("sh"));
-    const PairJob job{static_cast<int64_t>(weights.shape(0)), read<float>(gaussians, "means"), read<float>(gaussians, "quats"),
-                      read<float>(gaussians, "log_scales"), read<float>(gaussians, "logit_opacities"), sh.data(),
-                      weights.data(), visibilities.data(), static_cast<int64_t>(sh.shape(1)), dilation, nullptr, nullptr, nullptr, threads};
+    const PairJob job{static_cast<int64_t>(weights.shape(0)),
+                      read<float>(gaussians, "means"),
+                      read<float>(gaussians, "quats"),
+                      read<float>(gaussians, "log_scales"),
+                      read<float>(gaussians, "logit_opacities"),
+                      sh.data(),
+                      weights.data(),
+                      visibilities.data(),
+                      static_cast<int64_t>(sh.shape(1)),
+                      dilation,
+                      nullptr,
+                      nullptr,
+                      nullptr,
+                      threads};
     const PartnerColumns columns = columns_of(partners);
     nb::gil_scoped_release release;
     if (search) find_neighbors(job, columns);

@@ -24,9 +24,7 @@ struct Member {
   double alpha, depth, log_alpha;  // opacity α, −log(1 − α), log α
 };
 
-double clamped_log_scale(float log_scale) {
-  return std::min(std::max<double>(log_scale, -kLogScaleMax), kLogScaleMax);
-}
+double clamped_log_scale(float log_scale) { return std::min(std::max<double>(log_scale, -kLogScaleMax), kLogScaleMax); }
 
 // Mean projected area / π of an ellipsoid over all directions: a quarter of its surface (Cauchy), the surface by Thomsen's
 // formula, within 1.1 %. `log_variance` are twice the logarithms of the semi-axes.
@@ -34,8 +32,7 @@ double mean_area(const double* log_variance) {
   const double a = log_variance[0], b = log_variance[1], c = log_variance[2];
   const double largest = std::max({a + b, a + c, b + c});
   const double half = 0.5 * kAreaPower;
-  const double sum = std::exp(half * (a + b - largest)) + std::exp(half * (a + c - largest)) +
-                     std::exp(half * (b + c - largest));
+  const double sum = std::exp(half * (a + b - largest)) + std::exp(half * (a + c - largest)) + std::exp(half * (b + c - largest));
   return std::exp(0.5 * largest + std::log(sum / 3) / kAreaPower);
 }
 
@@ -102,17 +99,24 @@ void eigen_symmetric(double A[3][3], double* values, double* R) {
     values[a] = A[order[a]][order[a]];
     for (int i = 0; i < 3; ++i) R[3 * i + a] = V[i][order[a]];
   }
-  const double determinant = R[0] * (R[4] * R[8] - R[5] * R[7]) - R[1] * (R[3] * R[8] - R[5] * R[6]) +
-                             R[2] * (R[3] * R[7] - R[4] * R[6]);
+  const double determinant =
+      R[0] * (R[4] * R[8] - R[5] * R[7]) - R[1] * (R[3] * R[8] - R[5] * R[6]) + R[2] * (R[3] * R[7] - R[4] * R[6]);
   if (determinant < 0)
     for (int i = 0; i < 3; ++i) R[3 * i + 2] = -R[3 * i + 2];
 }
 
 // Li₂(1 − e^−u) by its series in u (Bernoulli numbers), for 0 ≤ u ≤ 2: the first term left out is below 1e-12.
 double dilogarithm_series(double u) {
-  constexpr double kBernoulli[] = {1.0 / 36,          -1.0 / 3600,          1.0 / 211680,         -1.0 / 10886400,
-                                   1.0 / 526901760,   -4.0647616451442e-11, 8.9216910204564e-13, -1.9939295860721e-14,
-                                   4.5189800296199e-16, -1.0356517612182e-17};
+  constexpr double kBernoulli[] = {1.0 / 36,
+                                   -1.0 / 3600,
+                                   1.0 / 211680,
+                                   -1.0 / 10886400,
+                                   1.0 / 526901760,
+                                   -4.0647616451442e-11,
+                                   8.9216910204564e-13,
+                                   -1.9939295860721e-14,
+                                   4.5189800296199e-16,
+                                   -1.0356517612182e-17};
   const double u2 = u * u;
   double sum = 0;
   for (int k = 9; k >= 0; --k) sum = sum * u2 + kBernoulli[k];
@@ -189,8 +193,7 @@ class Merger {
     else
       merge_axes(rows, mean, representative, variance, group);
     const double widening = merge_opacity(variance, group);
-    for (int a = 0; a < 3; ++a)
-      job_.log_scales[3 * group + a] = static_cast<float>(0.5 * std::log(variance[a]) + widening);
+    for (int a = 0; a < 3; ++a) job_.log_scales[3 * group + a] = static_cast<float>(0.5 * std::log(variance[a]) + widening);
     merge_harmonics(rows, size, group);
   }
 
@@ -265,8 +268,7 @@ class Merger {
       variance[a] = std::min(variance[a] + spread, bound * bound);
     }
     const double norm = std::sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
-    for (int a = 0; a < 4; ++a)
-      job_.quats[4 * group + a] = norm > 1e-9 ? static_cast<float>(q[a] / norm) : reference[a];
+    for (int a = 0; a < 4; ++a) job_.quats[4 * group + a] = norm > 1e-9 ? static_cast<float>(q[a] / norm) : reference[a];
   }
 
   // Writes the opacity and returns what is to be added to the logarithm of the scales.
@@ -338,8 +340,7 @@ void group_rows(int64_t n, const int32_t* group_from_row, int64_t num_groups, in
   for (int64_t i = 0; i < n; ++i) rows[next[group_from_row[i]]++] = static_cast<int32_t>(i);
 }
 
-void average_children(int64_t n, int64_t width, const int32_t* subtree_end, const float* weights, float* values,
-                      int threads) {
+void average_children(int64_t n, int64_t width, const int32_t* subtree_end, const float* weights, float* values, int threads) {
   // Children of i start at i + 1 and follow each other; going backwards, they are finished before their parent.
   const auto average = [&](int64_t i) {
     const int64_t end = subtree_end[i];

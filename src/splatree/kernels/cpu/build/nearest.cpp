@@ -5,9 +5,8 @@
 // box is at most u. The tree finds them once for up to 64 points; then each point is compared with each candidate, 16 points at a
 // time. A run with too many candidates, as where neighbours in the list are far apart, is halved, and at last its points look for
 // themselves.
-#include "cpu/build/kmeans.h"
-
 #include "cpu/build/box_tree.h"
+#include "cpu/build/kmeans.h"
 #include "cpu/runtime/isa.h"
 #include "shared/portable.h"
 

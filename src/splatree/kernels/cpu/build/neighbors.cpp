@@ -1,5 +1,5 @@
-// The nearest neighbours of the points of a leaf: one walk from the root for all of them, the nearer child first, which passes over
-// boxes farther than the farthest neighbour that any of them has so far.
+// The nearest neighbours of the points of a leaf: one walk from the root for all of them, the nearer child first, which passes
+// over boxes farther than the farthest neighbour that any of them has so far.
 //
 // The points of the leaf are the lanes of a vector. A candidate is put into the sorted lists of all lanes at once, without a
 // branch: D[k] ← max(D[k − 1], min(d, D[k])), and its place likewise. Cost: about 12 instructions a candidate, and 60 where a

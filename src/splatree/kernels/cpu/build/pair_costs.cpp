@@ -40,7 +40,8 @@ PairCost cheapest_pair(const PairCandidates& pair) {
   const PairRecord& p = *pair.self;
   const float length = __builtin_sqrtf(p.covariance[0] + p.covariance[3] + p.covariance[5]);  // the unit of all lengths
   const float unit = 1.f / length, unit2 = unit * unit;
-  alignas(64) float d[3][kLanes], s[6][kLanes], color[3][kLanes], opacity[kLanes], weight[kLanes], energy[kLanes], visibility[kLanes];
+  alignas(64) float d[3][kLanes], s[6][kLanes], color[3][kLanes], opacity[kLanes], weight[kLanes], energy[kLanes],
+      visibility[kLanes];
   for (int l = 0; l < kLanes; ++l) {
     const PairRecord& q = *pair.others[l];
     for (int a = 0; a < 3; ++a) d[a][l] = (q.mean[a] - p.mean[a]) * unit;
@@ -70,8 +71,8 @@ PairCost cheapest_pair(const PairCandidates& pair) {
     const float r2 = color[0][l], g2 = color[1][l], b2 = color[2][l];
     const float rm = rest * r + share * r2, gm = rest * g + share * g2, bm = rest * b + share * b2;
     const float of_pair = (p.energy + energy[l]) * unit2 + 2.f * p.opacity * opacity[l] * (1.f + r * r2 + g * g2 + b * b2) * pq;
-    const float in_common = p.opacity * (1.f + r * rm + g * gm + b * bm) * pm +
-                            opacity[l] * (1.f + r2 * rm + g2 * gm + b2 * bm) * qm;
+    const float in_common =
+        p.opacity * (1.f + r * rm + g * gm + b * bm) * pm + opacity[l] * (1.f + r2 * rm + g2 * gm + b2 * bm) * qm;
     const float of_one = (1.f + rm * rm + gm * gm + bm * bm) * mm;
     const float visible = rest * p.visibility + share * visibility[l];
     const float best = least(greatest(in_common / of_one, 1e-4f * visible), 0.999f * visible);

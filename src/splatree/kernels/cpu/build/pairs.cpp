@@ -19,7 +19,7 @@ namespace splatree {
 namespace {
 
 constexpr float kRoundness = 1.0f / 256;  // a splat thinner than this share of its length counts as that thick
-constexpr float kLogScaleMax = 20;  // beyond, float32 could not hold the square of an area
+constexpr float kLogScaleMax = 20;        // beyond, float32 could not hold the square of an area
 constexpr float kShC0 = 0.28209479177387814f;
 
 }  // namespace

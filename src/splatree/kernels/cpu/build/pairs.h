@@ -22,8 +22,8 @@ struct PairJob {
   int64_t n;
   const float *means, *quats, *log_scales, *logit_opacities, *sh, *weights;
   const float* visibilities;  // null: all 1
-  int64_t k;        // harmonics of a channel
-  double dilation;  // variance added to every axis, world units²
+  int64_t k;                  // harmonics of a channel
+  double dilation;            // variance added to every axis, world units²
   int32_t* partner_from_row;  // out: the neighbour that costs least; -1 if there is none
   float* costs;               // out: infinity if there is none
   float* opacities;           // out: of the merged Gaussian

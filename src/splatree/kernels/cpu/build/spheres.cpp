@@ -1,7 +1,6 @@
-// Spheres and boxes of clusters; kernels/reference/spheres.py is the definition. One pass over the rows, 16 at a time; what float32 may lose is
-// added at the end.
+// Spheres and boxes of clusters; kernels/reference/spheres.py is the definition. One pass over the rows, 16 at a time; what
+// float32 may lose is added at the end.
 #include "cpu/build/clusters.h"
-
 #include "cpu/runtime/isa.h"
 #include "shared/project.h"
 
@@ -64,8 +63,8 @@ void bound_spheres(const SpheresJob& job, int64_t begin, int64_t end) {
       }
 #pragma omp simd
       for (int l = 0; l < LANES; ++l) {
-        const Vector sigma = sigmas_of(p.quat[0][l], p.quat[1][l], p.quat[2][l], p.quat[3][l],
-                                       {p.scale[0][l], p.scale[1][l], p.scale[2][l]});
+        const Vector sigma =
+            sigmas_of(p.quat[0][l], p.quat[1][l], p.quat[2][l], p.quat[3][l], {p.scale[0][l], p.scale[1][l], p.scale[2][l]});
         p.spread[0][l] = p.reach[l] * sigma.x, p.spread[1][l] = p.reach[l] * sigma.y, p.spread[2][l] = p.reach[l] * sigma.z;
       }
       for (int i = 0; i < 3; ++i) {

@@ -116,8 +116,8 @@ struct Cells {
   Scratch<Point> points;
 };
 
-Cells sort_into_cells(const Lattice& lattice, int64_t n, const float* means, const float* colors,
-                      const float* importance, int threads) {
+Cells sort_into_cells(const Lattice& lattice, int64_t n, const float* means, const float* colors, const float* importance,
+                      int threads) {
   Scratch<KeyRow> items = allocate<KeyRow>(n);
   parallel_ranges(n, 1 << 15, threads, [&](int64_t begin, int64_t end) {
     for (int64_t i = begin; i < end; ++i) items[i] = {lattice.key(means + 3 * i), static_cast<uint32_t>(i)};
@@ -223,8 +223,7 @@ struct Metric {
     const double x = double{p.mean[0]} - q.mean[0], y = double{p.mean[1]} - q.mean[1], z = double{p.mean[2]} - q.mean[2];
     const double position = x * x + y * y + z * z;
     if (!(position <= radius2)) return position;
-    const double r = double{p.color[0]} - q.color[0], g = double{p.color[1]} - q.color[1],
-                 b = double{p.color[2]} - q.color[2];
+    const double r = double{p.color[0]} - q.color[0], g = double{p.color[1]} - q.color[1], b = double{p.color[2]} - q.color[2];
     return position + color_factor * (r * r + g * g + b * b);
   }
 };
@@ -388,8 +387,8 @@ void thin(ThinJob& job) {
   job.num_visited += visited.load();
 }
 
-void nearest_distances(int64_t n, const float* means, int64_t num_queries, const int32_t* queries, double edge,
-                       double* distances, int threads) {
+void nearest_distances(int64_t n, const float* means, int64_t num_queries, const int32_t* queries, double edge, double* distances,
+                       int threads) {
   const Lattice lattice(n, means, edge, threads);
   const Cells cells = sort_into_cells(lattice, n, means, nullptr, nullptr, threads);
   const Metric metric(edge, std::numeric_limits<double>::infinity());

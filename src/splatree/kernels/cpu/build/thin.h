@@ -6,22 +6,22 @@ namespace splatree {
 
 struct ThinJob {
   int64_t n;
-  const float* means;       // n × 3
-  const float* colors;      // n × 3
-  const float* importance;  // n
-  double radius;            // r, world units
-  double color_radius;      // ρ; infinity leaves colour out
+  const float* means;                // n × 3
+  const float* colors;               // n × 3
+  const float* importance;           // n
+  double radius;                     // r, world units
+  double color_radius;               // ρ; infinity leaves colour out
   int32_t* representative_from_row;  // n, out; -1 for members unless `assign`
-  bool assign;              // whether members look for their nearest representative
-  int32_t rounds;           // out
-  int64_t num_visited;      // out: candidates looked at
+  bool assign;                       // whether members look for their nearest representative
+  int32_t rounds;                    // out
+  int64_t num_visited;               // out: candidates looked at
   int threads;
 };
 
 void thin(ThinJob& job);
 
 // Distance from each query row to its nearest other point if that is at most `edge`, else infinity.
-void nearest_distances(int64_t n, const float* means, int64_t num_queries, const int32_t* queries, double edge,
-                       double* distances, int threads);
+void nearest_distances(int64_t n, const float* means, int64_t num_queries, const int32_t* queries, double edge, double* distances,
+                       int threads);
 
 }  // namespace splatree

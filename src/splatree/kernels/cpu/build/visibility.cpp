@@ -123,8 +123,7 @@ void measure_visibilities(const VisibilityJob& job) {
   parallel_ranges(n, 1 << 13, job.threads, [&](int64_t begin, int64_t end) {
     for (int64_t i = begin; i < end; ++i) sources[i] = source_of(job, i);
   });
-  parallel_chunks(NUM_AXES, job.threads,
-                  [&](int64_t axis) { look_along(job, sources.get(), FRAMES[axis], &sums[axis * n]); });
+  parallel_chunks(NUM_AXES, job.threads, [&](int64_t axis) { look_along(job, sources.get(), FRAMES[axis], &sums[axis * n]); });
   parallel_ranges(n, 1 << 13, job.threads, [&](int64_t begin, int64_t end) {
     for (int64_t i = begin; i < end; ++i) {
       float sum = 0;

@@ -1,4 +1,5 @@
-// What of each Gaussian others leave to be seen (reference/visibility.py): the job, and the walk along one axis (see_through.cpp).
+// What of each Gaussian others leave to be seen (reference/visibility.py): the job, and the walk along one axis
+// (see_through.cpp).
 #pragma once
 #include <cstdint>
 

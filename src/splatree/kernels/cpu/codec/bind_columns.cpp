@@ -50,7 +50,7 @@ std::vector<Column> columns_of(int64_t stride, const Longs& offsets, const Bytes
 }
 
 std::vector<float> bind_deinterleave(int file, int64_t start, int64_t stride, const Longs& offsets, const Bytes& types,
-                       const std::vector<Matrix>& outputs, int threads) {
+                                     const std::vector<Matrix>& outputs, int threads) {
   if (start < 0) throw std::invalid_argument("deinterleave: no such place");
   std::vector<Column> columns = columns_of(stride, offsets, types, outputs);
   const int64_t num_rows = outputs.empty() ? 0 : static_cast<int64_t>(outputs[0].shape(0));
@@ -87,7 +87,8 @@ float bind_shortest(const Quads& vectors, int threads) {
 }  // namespace
 
 void bind_columns(nb::module_& m) {
-  m.def("deinterleave", &bind_deinterleave, "file"_a, "start"_a, "stride"_a, "offsets"_a, "types"_a, "outputs"_a, "threads"_a = 0);
+  m.def("deinterleave", &bind_deinterleave, "file"_a, "start"_a, "stride"_a, "offsets"_a, "types"_a, "outputs"_a,
+        "threads"_a = 0);
   m.def("interleave", &bind_interleave, "stride"_a, "offsets"_a, "types"_a, "inputs"_a, "records"_a, "threads"_a = 0);
   m.def("shortest", &bind_shortest, "vectors"_a, "threads"_a = 0);
   m.def("largest_magnitude", &bind_largest_magnitude, "values"_a, "threads"_a = 0);

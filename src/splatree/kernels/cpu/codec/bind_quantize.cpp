@@ -17,8 +17,7 @@ constexpr int64_t kRowsPerChunk = 1 << 12;  // 4096 rows of 180 bytes stay in a 
 
 ByteColumn column_of(float* values, int64_t stride, int64_t skip, uint8_t* codes, int64_t width, const In<float>& scale,
                      const In<float>& offset, const int32_t* step) {
-  if (width > kMaxWidth || skip < 0 || skip + width > stride || int64_t(scale.size()) != width ||
-      int64_t(offset.size()) != width)
+  if (width > kMaxWidth || skip < 0 || skip + width > stride || int64_t(scale.size()) != width || int64_t(offset.size()) != width)
     throw std::invalid_argument("quantize: the columns do not fit together");
   if (width != 3 && width != 9 && width != 24 && width != 45)
     throw std::invalid_argument("quantize: wanted 3, 9, 24 or 45 values a row");
@@ -34,18 +33,17 @@ ByteColumn column_of(float* values, int64_t stride, int64_t skip, uint8_t* codes
 void bind_to_bytes(const In<float>& values, int64_t skip, const In<float>& scale, const In<float>& offset,
                    const In<int32_t>& step, const Out<uint8_t>& codes, int threads) {
   if (int64_t(step.size()) != int64_t(codes.shape(1))) throw std::invalid_argument("quantize: wanted a step for each value");
-  const ByteColumn column = column_of(const_cast<float*>(values.data()), values.shape(1), skip, codes.data(),
-                                      codes.shape(1), scale, offset, step.data());
+  const ByteColumn column = column_of(const_cast<float*>(values.data()), values.shape(1), skip, codes.data(), codes.shape(1),
+                                      scale, offset, step.data());
   const int64_t num_rows = values.shape(0);
   nb::gil_scoped_release released;
-  parallel_ranges(num_rows, kRowsPerChunk, threads,
-                  [&](int64_t begin, int64_t end) { kernels().quantize(column, begin, end); });
+  parallel_ranges(num_rows, kRowsPerChunk, threads, [&](int64_t begin, int64_t end) { kernels().quantize(column, begin, end); });
 }
 
 void bind_from_bytes(const In<uint8_t>& codes, const In<float>& scale, const In<float>& offset, const Out<float>& values,
                      int64_t skip, int threads) {
-  const ByteColumn column = column_of(values.data(), values.shape(1), skip, const_cast<uint8_t*>(codes.data()),
-                                      codes.shape(1), scale, offset, nullptr);
+  const ByteColumn column =
+      column_of(values.data(), values.shape(1), skip, const_cast<uint8_t*>(codes.data()), codes.shape(1), scale, offset, nullptr);
   const int64_t num_rows = values.shape(0);
   nb::gil_scoped_release released;
   parallel_ranges(num_rows, kRowsPerChunk, threads,
@@ -55,9 +53,8 @@ void bind_from_bytes(const In<uint8_t>& codes, const In<float>& scale, const In<
 void bind_bytes_from_logits(const In<float>& logits, const Out<uint8_t>& codes, int threads) {
   const int64_t num_rows = logits.shape(0);
   nb::gil_scoped_release released;
-  parallel_ranges(num_rows, 4 * kRowsPerChunk, threads, [&](int64_t begin, int64_t end) {
-    kernels().bytes_from_logits(logits.data(), begin, end, codes.data());
-  });
+  parallel_ranges(num_rows, 4 * kRowsPerChunk, threads,
+                  [&](int64_t begin, int64_t end) { kernels().bytes_from_logits(logits.data(), begin, end, codes.data()); });
 }
 
 Triples triples_of(const float* values, const uint8_t* codes, const In<float>& signs, float scale) {
@@ -66,21 +63,18 @@ Triples triples_of(const float* values, const uint8_t* codes, const In<float>& s
   return job;
 }
 
-void bind_fixed_from_means(const In<float>& means, const In<float>& signs, float scale, const Out<uint8_t>& codes,
-                           int threads) {
+void bind_fixed_from_means(const In<float>& means, const In<float>& signs, float scale, const Out<uint8_t>& codes, int threads) {
   const Triples job = triples_of(means.data(), codes.data(), signs, scale);
   const int64_t num_rows = means.shape(0);
   nb::gil_scoped_release released;
-  parallel_ranges(num_rows, kRowsPerChunk, threads,
-                  [&](int64_t begin, int64_t end) { kernels().pack_fixed(job, begin, end); });
+  parallel_ranges(num_rows, kRowsPerChunk, threads, [&](int64_t begin, int64_t end) { kernels().pack_fixed(job, begin, end); });
 }
 
 void bind_means_from_fixed(const In<uint8_t>& codes, float scale, const Out<float>& means, int threads) {
   const Triples job{means.data(), const_cast<uint8_t*>(codes.data()), {}, scale};
   const int64_t num_rows = means.shape(0);
   nb::gil_scoped_release released;
-  parallel_ranges(num_rows, kRowsPerChunk, threads,
-                  [&](int64_t begin, int64_t end) { kernels().unpack_fixed(job, begin, end); });
+  parallel_ranges(num_rows, kRowsPerChunk, threads, [&](int64_t begin, int64_t end) { kernels().unpack_fixed(job, begin, end); });
 }
 
 QuatCode kind_of(int64_t width) {

@@ -6,12 +6,11 @@ namespace splatree {
 namespace {
 
 // `labels` and their pixels are empty where there is no palette.
-void bind_encode(const In<float>& means, const In<float>& quats, const In<float>& log_scales,
-                 const In<float>& logit_opacities, const In<float>& sh, const In<int32_t>& places,
-                 const In<int32_t>& labels, const In<double>& mean_ranges, const In<float>& scale_bounds,
-                 const In<float>& dc_bounds, const Out<uint8_t>& means_l, const Out<uint8_t>& means_u,
-                 const Out<uint8_t>& quats_pixels, const Out<uint8_t>& scales, const Out<uint8_t>& sh0,
-                 const Out<uint8_t>& labels_pixels, int threads) {
+void bind_encode(const In<float>& means, const In<float>& quats, const In<float>& log_scales, const In<float>& logit_opacities,
+                 const In<float>& sh, const In<int32_t>& places, const In<int32_t>& labels, const In<double>& mean_ranges,
+                 const In<float>& scale_bounds, const In<float>& dc_bounds, const Out<uint8_t>& means_l,
+                 const Out<uint8_t>& means_u, const Out<uint8_t>& quats_pixels, const Out<uint8_t>& scales,
+                 const Out<uint8_t>& sh0, const Out<uint8_t>& labels_pixels, int threads) {
   SogEncodeJob job{};
   job.num_rows = static_cast<int64_t>(places.shape(0));
   job.sh_stride = static_cast<int64_t>(sh.shape(1) * sh.shape(2));
@@ -36,11 +35,10 @@ void bind_encode(const In<float>& means, const In<float>& quats, const In<float>
 }
 
 nb::tuple bind_decode(const In<uint8_t>& means_l, const In<uint8_t>& means_u, const In<uint8_t>& quats_pixels,
-                      const In<uint8_t>& scales, const In<uint8_t>& sh0, const In<uint8_t>& labels,
-                      const In<float>& mean_tables, const In<float>& scale_tables, const In<float>& dc_tables,
-                      const In<float>& logit_table, const In<float>& rest_table, const In<uint8_t>& palette,
-                      const Out<float>& means, const Out<float>& quats, const Out<float>& log_scales,
-                      const Out<float>& logit_opacities, const Out<float>& sh, int threads) {
+                      const In<uint8_t>& scales, const In<uint8_t>& sh0, const In<uint8_t>& labels, const In<float>& mean_tables,
+                      const In<float>& scale_tables, const In<float>& dc_tables, const In<float>& logit_table,
+                      const In<float>& rest_table, const In<uint8_t>& palette, const Out<float>& means, const Out<float>& quats,
+                      const Out<float>& log_scales, const Out<float>& logit_opacities, const Out<float>& sh, int threads) {
   SogDecodeJob job{};
   job.num_rows = static_cast<int64_t>(means.shape(0));
   job.sh_stride = static_cast<int64_t>(sh.shape(1) * sh.shape(2));

@@ -28,7 +28,8 @@ SplatColumns columns_of(const nb::object& gaussians, int64_t num_rows, bool is_w
   const int64_t stride = sh.ndim() == 3 ? static_cast<int64_t>(sh.shape(1) * sh.shape(2)) : 0;
   if (stride < 3) throw std::invalid_argument("splat: wanted harmonics \"n k 3\"");
   const auto column = [&](const char* name, int64_t width) { return floats(gaussians, name, num_rows, width, is_written); };
-  return {column("means", 3), column("quats", 4), column("log_scales", 3), column("logit_opacities", 1), column("sh", stride), stride};
+  return {column("means", 3),           column("quats", 4),   column("log_scales", 3),
+          column("logit_opacities", 1), column("sh", stride), stride};
 }
 
 int64_t records_in(size_t num_bytes) {
@@ -61,9 +62,8 @@ void bind_decode(const In<uint8_t>& records, const nb::object& gaussians, int th
   if (to.sh_stride != 3) throw std::invalid_argument("splat: wanted harmonics of degree 0");
   static const SplatTables tables = splat_tables();
   nb::gil_scoped_release released;
-  parallel_ranges(num_rows, kRowsPerChunk, threads, [&](int64_t begin, int64_t end) {
-    kernels().decode_splats(records.data(), tables, to, begin, end);
-  });
+  parallel_ranges(num_rows, kRowsPerChunk, threads,
+                  [&](int64_t begin, int64_t end) { kernels().decode_splats(records.data(), tables, to, begin, end); });
 }
 
 void bind_rank(const nb::object& gaussians, const Out<uint16_t>& ranks, int threads) {

@@ -38,14 +38,22 @@ T load(const uint8_t* at) {
 
 float load_as_float(const uint8_t* at, Scalar type) {
   switch (type) {
-    case Scalar::i8: return load<int8_t>(at);
-    case Scalar::u8: return load<uint8_t>(at);
-    case Scalar::i16: return load<int16_t>(at);
-    case Scalar::u16: return load<uint16_t>(at);
-    case Scalar::i32: return static_cast<float>(load<int32_t>(at));
-    case Scalar::u32: return static_cast<float>(load<uint32_t>(at));
-    case Scalar::f32: return load<float>(at);
-    case Scalar::f64: return static_cast<float>(load<double>(at));
+    case Scalar::i8:
+      return load<int8_t>(at);
+    case Scalar::u8:
+      return load<uint8_t>(at);
+    case Scalar::i16:
+      return load<int16_t>(at);
+    case Scalar::u16:
+      return load<uint16_t>(at);
+    case Scalar::i32:
+      return static_cast<float>(load<int32_t>(at));
+    case Scalar::u32:
+      return static_cast<float>(load<uint32_t>(at));
+    case Scalar::f32:
+      return load<float>(at);
+    case Scalar::f64:
+      return static_cast<float>(load<double>(at));
   }
   return 0;
 }
@@ -107,16 +115,22 @@ void copy_scattered(const uint8_t* record, int64_t stride, const Column& column,
 void copy_column(const uint8_t* records, int64_t stride, const Column& column, Layout layout, float* out, int64_t num_rows) {
   const uint8_t* from = records + column.offsets[0];
   if (layout == Layout::run) switch (column.width) {
-      case 1: return copy_runs<1>(from, stride, out, num_rows);
-      case 3: return copy_runs<3>(from, stride, out, num_rows);
-      case 4: return copy_runs<4>(from, stride, out, num_rows);
+      case 1:
+        return copy_runs<1>(from, stride, out, num_rows);
+      case 3:
+        return copy_runs<3>(from, stride, out, num_rows);
+      case 4:
+        return copy_runs<4>(from, stride, out, num_rows);
     }
   if (layout == Layout::channels) {
     const uint8_t* rest = records + column.offsets[3];
     switch (column.width) {
-      case 12: return copy_channels<3>(from, rest, stride, out, num_rows);
-      case 27: return copy_channels<8>(from, rest, stride, out, num_rows);
-      case 48: return copy_channels<15>(from, rest, stride, out, num_rows);
+      case 12:
+        return copy_channels<3>(from, rest, stride, out, num_rows);
+      case 27:
+        return copy_channels<8>(from, rest, stride, out, num_rows);
+      case 48:
+        return copy_channels<15>(from, rest, stride, out, num_rows);
     }
   }
   copy_scattered(records, stride, column, out, num_rows);
@@ -152,16 +166,22 @@ void place_scattered(const float* from, uint8_t* record, int64_t stride, const C
 void place_column(const float* from, const Column& column, Layout layout, uint8_t* records, int64_t stride, int64_t num_rows) {
   uint8_t* first = records + column.offsets[0];
   if (layout == Layout::run) switch (column.width) {
-      case 1: return place_runs<1>(from, first, stride, num_rows);
-      case 3: return place_runs<3>(from, first, stride, num_rows);
-      case 4: return place_runs<4>(from, first, stride, num_rows);
+      case 1:
+        return place_runs<1>(from, first, stride, num_rows);
+      case 3:
+        return place_runs<3>(from, first, stride, num_rows);
+      case 4:
+        return place_runs<4>(from, first, stride, num_rows);
     }
   if (layout == Layout::channels) {
     uint8_t* rest = records + column.offsets[3];
     switch (column.width) {
-      case 12: return place_channels<3>(from, first, rest, stride, num_rows);
-      case 27: return place_channels<8>(from, first, rest, stride, num_rows);
-      case 48: return place_channels<15>(from, first, rest, stride, num_rows);
+      case 12:
+        return place_channels<3>(from, first, rest, stride, num_rows);
+      case 27:
+        return place_channels<8>(from, first, rest, stride, num_rows);
+      case 48:
+        return place_channels<15>(from, first, rest, stride, num_rows);
     }
   }
   place_scattered(from, records, stride, column, num_rows);
@@ -177,8 +197,7 @@ const uint8_t* read_bytes(int file, int64_t at, int64_t num_bytes) {
 
 }  // namespace
 
-void deinterleave(int file, int64_t start, int64_t num_rows, int64_t stride, Column* columns, int num_columns,
-                  int threads) {
+void deinterleave(int file, int64_t start, int64_t num_rows, int64_t stride, Column* columns, int num_columns, int threads) {
   Layout layouts[kMaxColumns];
   std::atomic<int32_t> largest[kMaxColumns];
   for (int c = 0; c < num_columns; ++c) {
@@ -204,15 +223,15 @@ void interleave(const Column* columns, int num_columns, int64_t num_rows, int64_
   const int64_t rows_per_chunk = std::max<int64_t>(1, kBytesPerChunk / stride);
   parallel_ranges(num_rows, rows_per_chunk, threads, [&](int64_t begin, int64_t end) {
     for (int c = 0; c < num_columns; ++c)
-      place_column(columns[c].data + begin * columns[c].width, columns[c], layouts[c], records + begin * stride, stride, end - begin);
+      place_column(columns[c].data + begin * columns[c].width, columns[c], layouts[c], records + begin * stride, stride,
+                   end - begin);
   });
 }
 
 float largest_magnitude(const float* values, int64_t num_values, int threads) {
   std::atomic<int32_t> largest{0};
-  parallel_ranges(num_values, kValuesPerChunk, threads, [&](int64_t begin, int64_t end) {
-    raise(largest, kernels().largest_bits(values + begin, end - begin));
-  });
+  parallel_ranges(num_values, kValuesPerChunk, threads,
+                  [&](int64_t begin, int64_t end) { raise(largest, kernels().largest_bits(values + begin, end - begin)); });
   return magnitude(largest.load());
 }
 

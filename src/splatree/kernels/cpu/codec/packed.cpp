@@ -1,5 +1,5 @@
-// Gaussians in chunks of 256 and back. A chunk is gathered into planes that stay in the first-level cache, the last one filled up with
-// its last row, and computed in full vectors.
+// Gaussians in chunks of 256 and back. A chunk is gathered into planes that stay in the first-level cache, the last one filled up
+// with its last row, and computed in full vectors.
 #include "cpu/codec/packed.h"
 
 #include <stdint.h>
@@ -21,9 +21,7 @@ struct alignas(64) Planes {
   uint32_t packed[4][CHUNK];
 };
 
-SPLATREE_FN uint32_t unorm(float share, float most) {
-  return uint32_t(int32_t(clamp(share * most + 0.5f, 0.f, most)));
-}
+SPLATREE_FN uint32_t unorm(float share, float most) { return uint32_t(int32_t(clamp(share * most + 0.5f, 0.f, most))); }
 
 // Three numbers of 11, 10 and 11 bits of the range [low, high].
 void pack_range(const float (*planes)[CHUNK], const float* low, const float* high, uint32_t* packed) {
@@ -158,9 +156,15 @@ void pack_chunk(const PackedJob& job, int64_t chunk) {
     if (i >= used) continue;
     uint8_t* rest = job.rest + place * num_rest;
     switch (k) {
-      case 4: pack_rest<3>(sh + 3, rest); break;
-      case 9: pack_rest<8>(sh + 3, rest); break;
-      case 16: pack_rest<15>(sh + 3, rest); break;
+      case 4:
+        pack_rest<3>(sh + 3, rest);
+        break;
+      case 9:
+        pack_rest<8>(sh + 3, rest);
+        break;
+      case 16:
+        pack_rest<15>(sh + 3, rest);
+        break;
     }
   }
   float low[9], high[9];
@@ -206,9 +210,15 @@ void unpack_chunk(const PackedJob& job, int64_t chunk) {
     job.logits[row] = job.logit_table[p.packed[3][i] & 255u];
     const uint8_t* rest = job.rest + row * num_rest;
     switch (k) {
-      case 4: unpack_rest<3>(rest, table, sh + 3); break;
-      case 9: unpack_rest<8>(rest, table, sh + 3); break;
-      case 16: unpack_rest<15>(rest, table, sh + 3); break;
+      case 4:
+        unpack_rest<3>(rest, table, sh + 3);
+        break;
+      case 9:
+        unpack_rest<8>(rest, table, sh + 3);
+        break;
+      case 16:
+        unpack_rest<15>(rest, table, sh + 3);
+        break;
     }
   }
 }

@@ -12,10 +12,10 @@ struct PackedJob {
   float *means, *quats, *log_scales, *logits, *sh;
   const int64_t* order;  // to pack: the row of each place
   int64_t num_rows;
-  int num_coefficients;  // 1, 4, 9, 16
-  float* bounds;         // 18 a chunk
-  uint32_t* vertices;    // position, rotation, scale, color
-  uint8_t* rest;         // 3 (num_coefficients - 1) a row, channel by channel
+  int num_coefficients;      // 1, 4, 9, 16
+  float* bounds;             // 18 a chunk
+  uint32_t* vertices;        // position, rotation, scale, color
+  uint8_t* rest;             // 3 (num_coefficients - 1) a row, channel by channel
   const float* logit_table;  // to unpack: of each code
 };
 

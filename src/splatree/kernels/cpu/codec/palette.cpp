@@ -75,8 +75,8 @@ int64_t best_lane(const float* scores, const int32_t* blocks) {
 }
 
 // K-means of `count` points: starts from points evenly spread along the running sum of their weights.
-void split_group(const float* points, const float* weights, int64_t count, int64_t dims, int64_t num_centres,
-                 int iterations, float* centres) {
+void split_group(const float* points, const float* weights, int64_t count, int64_t dims, int64_t num_centres, int iterations,
+                 float* centres) {
   double total = 0;
   for (int64_t i = 0; i < count; ++i) total += weights[i];
   double sum = 0;
@@ -112,8 +112,7 @@ void split_group(const float* points, const float* weights, int64_t count, int64
 
 }  // namespace
 
-void nearest_few(const Points& points, const float* centres, int64_t num_centres, int64_t num_near, int32_t* near,
-                 int threads) {
+void nearest_few(const Points& points, const float* centres, int64_t num_centres, int64_t num_near, int32_t* near, int threads) {
   Scratch<float> blocks = allocate<float>(floats_for(num_centres, points.dims));
   const Centres arranged = arrange(centres, num_centres, points.dims, blocks.get());
   parallel_ranges(points.count, kPointsPerChunk, threads, [&](int64_t begin, int64_t end) {
@@ -234,8 +233,7 @@ int64_t distinct_rows(const float* vectors, int64_t stride, int64_t width, int64
       hash ^= hash >> 29;
     }
     uint64_t slot = hash & mask;
-    while (known.label_from_slot[slot] >= 0 &&
-           std::memcmp(known.entries + known.label_from_slot[slot] * width, row, bytes) != 0)
+    while (known.label_from_slot[slot] >= 0 && std::memcmp(known.entries + known.label_from_slot[slot] * width, row, bytes) != 0)
       slot = (slot + 1) & mask;
     if (known.label_from_slot[slot] < 0) {
       if (count == known.limit) return -1;

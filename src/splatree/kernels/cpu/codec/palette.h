@@ -12,8 +12,7 @@ struct Points {
 };
 
 // near[i × num_near + j]: the centres nearest to point i, nearest first, at most one of each class c mod 16.
-void nearest_few(const Points& points, const float* centres, int64_t num_centres, int64_t num_near, int32_t* near,
-                 int threads);
+void nearest_few(const Points& points, const float* centres, int64_t num_centres, int64_t num_near, int32_t* near, int threads);
 
 // centres[c], first_centre[g] ≤ c < first_centre[g + 1]: K-means of the points rows[start[g]] … rows[start[g + 1] − 1].
 void split_groups(const Points& points, const float* weights, const int64_t* start, const int32_t* rows,
@@ -34,8 +33,8 @@ void add_to_sums(const float* vectors, int64_t stride, int64_t width, const floa
 // The different rows found so far: entries by their first appearance, and an open table of their numbers, at most half full.
 struct DistinctRows {
   int64_t limit;
-  float* entries;  // limit × width
-  int64_t num_slots;  // a power of two
+  float* entries;            // limit × width
+  int64_t num_slots;         // a power of two
   int32_t* label_from_slot;  // -1: free
 };
 

@@ -1,5 +1,5 @@
-// Columns of floats as bytes and back, a range of rows at a time. What has a rounding step that depends on more than one operation
-// runs in full blocks of 16 lanes, the last one filled up, so that a row's code never depends on its place.
+// Columns of floats as bytes and back, a range of rows at a time. What has a rounding step that depends on more than one
+// operation runs in full blocks of 16 lanes, the last one filled up, so that a row's code never depends on its place.
 #include "cpu/codec/quantize.h"
 
 #include <stdint.h>
@@ -80,8 +80,7 @@ void pack_smallest(const Quats& q, uint32_t* codes) {
 #pragma omp simd
   for (int i = 0; i < LANES; ++i) {
     const SmallestThree three = smallest_three(q.x[i], q.y[i], q.z[i], q.w[i]);
-    codes[i] = uint32_t(three.largest) << 30 | ten_bits(three.first) << 20 | ten_bits(three.second) << 10 |
-               ten_bits(three.third);
+    codes[i] = uint32_t(three.largest) << 30 | ten_bits(three.first) << 20 | ten_bits(three.second) << 10 | ten_bits(three.third);
   }
 }
 
@@ -89,8 +88,8 @@ void unpack_smallest(const uint32_t* codes, Quats& q) {
 #pragma omp simd
   for (int i = 0; i < LANES; ++i) {
     const uint32_t code = codes[i];
-    const Four four = from_smallest_three(int(code >> 30), from_ten_bits(code >> 20), from_ten_bits(code >> 10),
-                                          from_ten_bits(code));
+    const Four four =
+        from_smallest_three(int(code >> 30), from_ten_bits(code >> 20), from_ten_bits(code >> 10), from_ten_bits(code));
     q.x[i] = four.a, q.y[i] = four.b, q.z[i] = four.c, q.w[i] = four.d;
   }
 }
@@ -127,19 +126,27 @@ int64_t smaller(int64_t a, int64_t b) { return a < b ? a : b; }
 
 void quantize(const ByteColumn& column, int64_t begin, int64_t end) {
   switch (column.width) {
-    case 3: return quantize_rows<3>(column, begin, end);
-    case 9: return quantize_rows<9>(column, begin, end);
-    case 24: return quantize_rows<24>(column, begin, end);
-    case 45: return quantize_rows<45>(column, begin, end);
+    case 3:
+      return quantize_rows<3>(column, begin, end);
+    case 9:
+      return quantize_rows<9>(column, begin, end);
+    case 24:
+      return quantize_rows<24>(column, begin, end);
+    case 45:
+      return quantize_rows<45>(column, begin, end);
   }
 }
 
 void dequantize(const ByteColumn& column, int64_t begin, int64_t end) {
   switch (column.width) {
-    case 3: return dequantize_rows<3>(column, begin, end);
-    case 9: return dequantize_rows<9>(column, begin, end);
-    case 24: return dequantize_rows<24>(column, begin, end);
-    case 45: return dequantize_rows<45>(column, begin, end);
+    case 3:
+      return dequantize_rows<3>(column, begin, end);
+    case 9:
+      return dequantize_rows<9>(column, begin, end);
+    case 24:
+      return dequantize_rows<24>(column, begin, end);
+    case 45:
+      return dequantize_rows<45>(column, begin, end);
   }
 }
 

@@ -8,7 +8,7 @@ constexpr int kMaxWidth = 48;  // values of a row of any column
 
 // A column of float rows and one of byte rows. A row of floats may be part of a longer one (the harmonics without the DC).
 struct ByteColumn {
-  float* values;  // row r starts at r × stride
+  float* values;   // row r starts at r × stride
   uint8_t* codes;  // row r starts at r × width
   int64_t stride;
   int width;

@@ -23,9 +23,7 @@ typedef float Floats __attribute__((vector_size(4 * kWidth)));
 typedef int32_t Ints __attribute__((vector_size(4 * kWidth)));
 typedef float Unaligned __attribute__((vector_size(4 * kWidth), aligned(4), may_alias));
 
-inline __attribute__((always_inline)) Floats load(const float* values) {
-  return *reinterpret_cast<const Unaligned*>(values);
-}
+inline __attribute__((always_inline)) Floats load(const float* values) { return *reinterpret_cast<const Unaligned*>(values); }
 
 struct Minima {
   Floats least[kPointsAtOnce][kParts];

@@ -31,8 +31,10 @@ class Codebook {
     int low = first_[cell], high = first_[cell + 1];
     while (low < high) {
       const int middle = (low + high) / 2;
-      if (bounds_[middle] < value) low = middle + 1;
-      else high = middle;
+      if (bounds_[middle] < value)
+        low = middle + 1;
+      else
+        high = middle;
     }
     return uint8_t(low);
   }

@@ -7,13 +7,13 @@ namespace splatree {
 struct SogEncodeJob {
   int64_t num_rows, sh_stride;  // floats of harmonics in a row
   const float *means, *quats, *log_scales, *logit_opacities, *sh;
-  const int32_t* places;                     // pixel of each row
-  const int32_t* labels;                     // entry of the palette, or null
-  const double* mean_ranges;                 // low x y z, high x y z, of sign(x) ln(1 + |x|)
-  const float *scale_bounds, *dc_bounds;     // 255 ascending
-  uint8_t *means_l, *means_u, *scales;       // n × 3
-  uint8_t *quats_pixels, *sh0;               // n × 4
-  uint8_t* labels_pixels;                    // n × 3, or null
+  const int32_t* places;                  // pixel of each row
+  const int32_t* labels;                  // entry of the palette, or null
+  const double* mean_ranges;              // low x y z, high x y z, of sign(x) ln(1 + |x|)
+  const float *scale_bounds, *dc_bounds;  // 255 ascending
+  uint8_t *means_l, *means_u, *scales;    // n × 3
+  uint8_t *quats_pixels, *sh0;            // n × 4
+  uint8_t* labels_pixels;                 // n × 3, or null
 };
 
 void encode_sog(const SogEncodeJob& job, int threads);

@@ -17,9 +17,7 @@ constexpr float C0 = 0.28209479177387814f;
 // 1 + e^−x; beyond ±80 nothing changes that a code or a rank could show.
 SPLATREE_FN float inverse_opacity(float logit) { return 1.f + exp_of(-least(greatest(logit, -80.f), 80.f)); }
 
-SPLATREE_FN uint32_t code(float value) {
-  return uint32_t(int32_t(__builtin_rintf(least(greatest(value, 0.f), 255.f))));
-}
+SPLATREE_FN uint32_t code(float value) { return uint32_t(int32_t(__builtin_rintf(least(greatest(value, 0.f), 255.f)))); }
 
 SPLATREE_FN uint32_t bytes(uint32_t a, uint32_t b, uint32_t c, uint32_t d) { return a | b << 8 | c << 16 | d << 24; }
 
@@ -40,8 +38,8 @@ void load(const SplatColumns& from, int64_t begin, int64_t count, Planes& p) {
 void encode_colors(Planes& p) {
 #pragma omp simd
   for (int i = 0; i < ROWS; ++i)
-    p.rgba[i] = bytes(code(255.f * (0.5f + C0 * p.r[i])), code(255.f * (0.5f + C0 * p.g[i])),
-                      code(255.f * (0.5f + C0 * p.b[i])), code(255.f / inverse_opacity(p.logit[i])));
+    p.rgba[i] = bytes(code(255.f * (0.5f + C0 * p.r[i])), code(255.f * (0.5f + C0 * p.g[i])), code(255.f * (0.5f + C0 * p.b[i])),
+                      code(255.f / inverse_opacity(p.logit[i])));
 }
 
 // q and −q are one rotation: −1 has a code and +1 has none, so the largest component is made negative.
@@ -55,8 +53,8 @@ void encode_quats(Planes& p) {
     largest = __builtin_fabsf(y) > __builtin_fabsf(largest) ? y : largest;
     largest = __builtin_fabsf(z) > __builtin_fabsf(largest) ? z : largest;
     const double unit = (largest < 0.f ? 128. : -128.) / __builtin_sqrt(squared);
-    p.quat[i] = bytes(code(float(unit * w + 128)), code(float(unit * x + 128)), code(float(unit * y + 128)),
-                      code(float(unit * z + 128)));
+    p.quat[i] =
+        bytes(code(float(unit * w + 128)), code(float(unit * x + 128)), code(float(unit * y + 128)), code(float(unit * z + 128)));
   }
 }
 

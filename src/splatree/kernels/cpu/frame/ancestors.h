@@ -21,8 +21,7 @@ struct AncestorRule {
 };
 
 // Rows drawn, ascending.
-std::vector<int32_t> select_by_ancestors(const SelectJob& job, const AncestorTable& table, const AncestorRule& rule,
-                                         int threads);
+std::vector<int32_t> select_by_ancestors(const SelectJob& job, const AncestorTable& table, const AncestorRule& rule, int threads);
 
 void list_ancestors(const uint8_t* depth, int64_t num_rows, int width, int32_t* table);
 

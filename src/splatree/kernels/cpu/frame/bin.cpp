@@ -4,13 +4,12 @@
 // chunk by chunk), and each chunk writes its pairs there: every tile's list is in depth order for any number of threads and
 // chunks. A span of columns is counted by its two ends, +1 where it begins and -1 where it is over; sums along the rows of
 // tiles are the counts.
-#include "cpu/frame/scatter.h"
-
 #include <algorithm>
 #include <cstdlib>
 #include <stdexcept>
 #include <vector>
 
+#include "cpu/frame/scatter.h"
 #include "cpu/runtime/isa.h"
 #include "cpu/runtime/pool.h"
 
@@ -59,9 +58,8 @@ Scratch<int32_t> bin(const BinJob& job, int64_t* tile_start) {
   const int64_t grain = std::max<int64_t>(16384, (job.num_splats / 16 / SPAN_CHUNK + 1) * SPAN_CHUNK);
   std::vector<Chunk> chunks((job.num_splats + grain - 1) / grain);
   const Scratch<SplatTiles> tiles = allocate<SplatTiles>(job.num_splats);
-  parallel_ranges(job.num_splats, grain, job.threads, [&](int64_t begin, int64_t end) {
-    list_chunk(job, begin, end, tiles.get(), chunks[begin / grain]);
-  });
+  parallel_ranges(job.num_splats, grain, job.threads,
+                  [&](int64_t begin, int64_t end) { list_chunk(job, begin, end, tiles.get(), chunks[begin / grain]); });
 
   const int64_t stride = job.num_tiles_x + 1;
   int64_t total = 0;
@@ -79,8 +77,7 @@ Scratch<int32_t> bin(const BinJob& job, int64_t* tile_start) {
     }
   }
   tile_start[int64_t(job.num_tiles_x) * job.num_tiles_y] = total;
-  if (total > UINT32_MAX)
-    throw std::length_error("more than 2^32 pairs of splat and tile: draw fewer splats or fewer pixels");
+  if (total > UINT32_MAX) throw std::length_error("more than 2^32 pairs of splat and tile: draw fewer splats or fewer pixels");
 
   Scratch<int32_t> splat_from_pair = allocate<int32_t>(total);
   int32_t* pairs = splat_from_pair.get();

@@ -35,7 +35,7 @@ struct BinJob {
   const int32_t* order;  // v
   int64_t num_splats;
   float log2_threshold, area_power;  // of τ; how it falls with a splat's area
-  int width, height;  // px
+  int width, height;                 // px
   int num_tiles_x, num_tiles_y;
   TileRule tile_rule;
   Square square;

@@ -18,9 +18,10 @@
 namespace splatree {
 namespace {
 
-nb::bytes frame_numbers(In<double> view, double threshold, double area_power, double least_threshold, double least_opacity, double pixel_threshold, bool antialiased,
-                        In<double> rule, int view_test, bool cull, In<double> planes, In<double> reach, int degree,
-                        int width, int height, In<double> background, std::optional<In<double>> square, bool whole_box) {
+nb::bytes frame_numbers(In<double> view, double threshold, double area_power, double least_threshold, double least_opacity,
+                        double pixel_threshold, bool antialiased, In<double> rule, int view_test, bool cull, In<double> planes,
+                        In<double> reach, int degree, int width, int height, In<double> background,
+                        std::optional<In<double>> square, bool whole_box) {
   FrameNumbers n{};
   n.view = view_of(view.data(), least_threshold, antialiased);
   n.view.least_opacity = float(least_opacity);
@@ -46,7 +47,7 @@ nb::bytes frame_numbers(In<double> view, double threshold, double area_power, do
 nb::object export_tensor(uint64_t pointer, const std::vector<size_t>& shape, const std::string& type,
                          const std::tuple<int, int>& device, nb::object owner) {
   const uint8_t bits = uint8_t(8 * std::stoi(type.substr(2)));
-  const nb::dlpack::dtype_code code = type[1] == 'f' ? nb::dlpack::dtype_code::Float
+  const nb::dlpack::dtype_code code = type[1] == 'f'   ? nb::dlpack::dtype_code::Float
                                       : type[1] == 'i' ? nb::dlpack::dtype_code::Int
                                                        : nb::dlpack::dtype_code::UInt;
   const nb::ndarray<> tensor(reinterpret_cast<void*>(pointer), shape.size(), shape.data(), owner, nullptr,
@@ -69,18 +70,20 @@ Tensor import_tensor(nb::ndarray<nb::ro> tensor) {
   const char* const names[] = {"int", "uint", "float", "opaque", "bfloat", "complex", "bool"};
   const std::string name = (type.code < 7 ? names[type.code] : "code") + std::to_string(type.bits);
   const bool on_gpu = tensor.device_type() == nb::device::cuda::value;
-  return {reinterpret_cast<uint64_t>(tensor.data()), shape, contiguous, name, on_gpu ? tensor.device_id() : -1, nb::cast(tensor, nb::rv_policy::reference)};
+  return {reinterpret_cast<uint64_t>(tensor.data()), shape, contiguous, name, on_gpu ? tensor.device_id() : -1,
+          nb::cast(tensor, nb::rv_policy::reference)};
 }
 
 }  // namespace
 
 void bind_cuda(nb::module_& m) {
-  m.def("frame_numbers", &frame_numbers, nb::arg("view"), nb::arg("threshold"), nb::arg("area_power"), nb::arg("least_threshold"), nb::arg("least_opacity"),
-        nb::arg("pixel_threshold"), nb::arg("antialiased"), nb::arg("rule"), nb::arg("view_test"), nb::arg("cull"),
-        nb::arg("planes"), nb::arg("reach"), nb::arg("degree"), nb::arg("width"), nb::arg("height"), nb::arg("background"),
-        nb::arg("square").none(), nb::arg("whole_box"), "The struct FrameNumbers of kernels/cuda/job.h as bytes.");
-  m.def("export_tensor", &export_tensor, nb::arg("pointer"), nb::arg("shape"), nb::arg("type"), nb::arg("device"), nb::arg("owner"),
-        "A DLPack capsule of an array at an address; the device as DLPack has it.");
+  m.def("frame_numbers", &frame_numbers, nb::arg("view"), nb::arg("threshold"), nb::arg("area_power"), nb::arg("least_threshold"),
+        nb::arg("least_opacity"), nb::arg("pixel_threshold"), nb::arg("antialiased"), nb::arg("rule"), nb::arg("view_test"),
+        nb::arg("cull"), nb::arg("planes"), nb::arg("reach"), nb::arg("degree"), nb::arg("width"), nb::arg("height"),
+        nb::arg("background"), nb::arg("square").none(), nb::arg("whole_box"),
+        "The struct FrameNumbers of kernels/cuda/job.h as bytes.");
+  m.def("export_tensor", &export_tensor, nb::arg("pointer"), nb::arg("shape"), nb::arg("type"), nb::arg("device"),
+        nb::arg("owner"), "A DLPack capsule of an array at an address; the device as DLPack has it.");
   m.def("import_tensor", &import_tensor, nb::arg("capsule"),
         "Address, shape, whether contiguous, type, ordinal of the GPU or -1, and the keeper of a DLPack capsule.");
 }

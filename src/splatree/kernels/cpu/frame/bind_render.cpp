@@ -18,38 +18,58 @@ namespace splatree {
 namespace {
 
 int64_t project_rows(In<float> means, In<float> quats, In<float> log_scales, In<float> logit_opacities, In<float> sh,
-                     In<int32_t> rows, In<double> view, double threshold, double least_opacity,
-                     std::optional<In<double>> square, bool antialiased, int degree,
-                     Out<int32_t> out_rows, Out<float> out_records, Out<float> out_depths, int threads) {
+                     In<int32_t> rows, In<double> view, double threshold, double least_opacity, std::optional<In<double>> square,
+                     bool antialiased, int degree, Out<int32_t> out_rows, Out<float> out_records, Out<float> out_depths,
+                     int threads) {
   const int64_t num_rows = int64_t(rows.shape(0));
   View seen = view_of(view.data(), threshold, antialiased);
   seen.least_opacity = float(least_opacity);
-  const ProjectJob job{means.data(), quats.data(), log_scales.data(), logit_opacities.data(), sh.data(),
-                       int(sh.shape(1)), degree,
-                       seen, square.has_value(), square ? square_of(square->data()) : Square{}, rows.data(), num_rows, threads,
-                       out_rows.data(), out_records.data(), out_depths.data()};
+  const ProjectJob job{means.data(),
+                       quats.data(),
+                       log_scales.data(),
+                       logit_opacities.data(),
+                       sh.data(),
+                       int(sh.shape(1)),
+                       degree,
+                       seen,
+                       square.has_value(),
+                       square ? square_of(square->data()) : Square{},
+                       rows.data(),
+                       num_rows,
+                       threads,
+                       out_rows.data(),
+                       out_records.data(),
+                       out_depths.data()};
   nb::gil_scoped_release release;
   InOrder results((num_rows + PROJECT_CHUNK - 1) / PROJECT_CHUNK, kernels().project_buffer_bytes());
   kernels().project(job, results);
   return results.total();
 }
 
-void order_splats(In<float> depths, In<int32_t> rows, std::optional<In<uint32_t>> ids, Out<int32_t> order,
-                  int threads) {
+void order_splats(In<float> depths, In<int32_t> rows, std::optional<In<uint32_t>> ids, Out<int32_t> order, int threads) {
   const uint32_t* id = ids ? ids->data() : nullptr;
   nb::gil_scoped_release release;
   order_by_depth(depths.data(), rows.data(), id, int64_t(order.shape(0)), threads, order.data());
 }
 
-nb::ndarray<nb::numpy, int32_t, nb::ndim<1>> bin_splats(In<float> records, In<int32_t> order, double threshold,
-                                                        double area_power, int width,
-                                          int height, Out<int64_t> tile_start, int num_tiles_x, int num_tiles_y,
-                                          std::optional<In<double>> square, bool whole_box,
-                                          std::optional<Out<float>> floors, int threads) {
-  const BinJob job{records.data(), order.data(), int64_t(order.shape(0)), float(std::log2(threshold)), float(area_power), width, height,
-                   num_tiles_x, num_tiles_y,
-                   square ? TileRule::SQUARE : whole_box ? TileRule::BOX : TileRule::ELLIPSE,
-                   square ? square_of(square->data()) : Square{}, threads,
+nb::ndarray<nb::numpy, int32_t, nb::ndim<1>> bin_splats(In<float> records, In<int32_t> order, double threshold, double area_power,
+                                                        int width, int height, Out<int64_t> tile_start, int num_tiles_x,
+                                                        int num_tiles_y, std::optional<In<double>> square, bool whole_box,
+                                                        std::optional<Out<float>> floors, int threads) {
+  const BinJob job{records.data(),
+                   order.data(),
+                   int64_t(order.shape(0)),
+                   float(std::log2(threshold)),
+                   float(area_power),
+                   width,
+                   height,
+                   num_tiles_x,
+                   num_tiles_y,
+                   square      ? TileRule::SQUARE
+                   : whole_box ? TileRule::BOX
+                               : TileRule::ELLIPSE,
+                   square ? square_of(square->data()) : Square{},
+                   threads,
                    floors ? floors->data() : nullptr};
   Scratch<int32_t> pairs;
   {
@@ -62,15 +82,29 @@ nb::ndarray<nb::numpy, int32_t, nb::ndim<1>> bin_splats(In<float> records, In<in
 }
 
 void blend_tiles(In<float> records, In<int64_t> tile_start, In<int32_t> splat_from_pair, int num_tiles_x, int num_tiles_y,
-                 double threshold, std::optional<In<float>> floors, In<double> background, bool whole_tile,
-                 Out<float> image, Out<float> alpha, Out<float> depth, std::optional<Out<float>> contributions,
-                 Out<int64_t> num_consumed, Out<int64_t> num_evaluated, Out<int64_t> num_blended, int threads) {
+                 double threshold, std::optional<In<float>> floors, In<double> background, bool whole_tile, Out<float> image,
+                 Out<float> alpha, Out<float> depth, std::optional<Out<float>> contributions, Out<int64_t> num_consumed,
+                 Out<int64_t> num_evaluated, Out<int64_t> num_blended, int threads) {
   const int height = int(alpha.shape(0)), width = int(alpha.shape(1));
   const double* b = background.data();
-  const BlendJob job{records.data(), tile_start.data(), splat_from_pair.data(), num_tiles_x, num_tiles_y, width, height,
-                     float(std::log2(threshold)), floors ? floors->data() : nullptr, {float(b[0]), float(b[1]), float(b[2])},
-                     whole_tile, threads, image.data(), alpha.data(), depth.data(),
-                     contributions ? contributions->data() : nullptr, num_consumed.data(), num_evaluated.data(),
+  const BlendJob job{records.data(),
+                     tile_start.data(),
+                     splat_from_pair.data(),
+                     num_tiles_x,
+                     num_tiles_y,
+                     width,
+                     height,
+                     float(std::log2(threshold)),
+                     floors ? floors->data() : nullptr,
+                     {float(b[0]), float(b[1]), float(b[2])},
+                     whole_tile,
+                     threads,
+                     image.data(),
+                     alpha.data(),
+                     depth.data(),
+                     contributions ? contributions->data() : nullptr,
+                     num_consumed.data(),
+                     num_evaluated.data(),
                      num_blended.data()};
   nb::gil_scoped_release release;
   kernels().blend(job);
@@ -79,20 +113,21 @@ void blend_tiles(In<float> records, In<int64_t> tile_start, In<int32_t> splat_fr
 }  // namespace
 
 void bind_render(nb::module_& m) {
-  m.def("project_rows", &project_rows, nb::arg("means"), nb::arg("quats"), nb::arg("log_scales"),
-        nb::arg("logit_opacities"), nb::arg("sh"), nb::arg("rows"), nb::arg("view"),
-        nb::arg("threshold"), nb::arg("least_opacity"), nb::arg("square").none(), nb::arg("antialiased"), nb::arg("degree"), nb::arg("out_rows"), nb::arg("out_records"),
-        nb::arg("out_depths"), nb::arg("threads"), "Project rows; returns the number of records written.");
+  m.def("project_rows", &project_rows, nb::arg("means"), nb::arg("quats"), nb::arg("log_scales"), nb::arg("logit_opacities"),
+        nb::arg("sh"), nb::arg("rows"), nb::arg("view"), nb::arg("threshold"), nb::arg("least_opacity"), nb::arg("square").none(),
+        nb::arg("antialiased"), nb::arg("degree"), nb::arg("out_rows"), nb::arg("out_records"), nb::arg("out_depths"),
+        nb::arg("threads"), "Project rows; returns the number of records written.");
   m.def("order_splats", &order_splats, nb::arg("depths"), nb::arg("rows"), nb::arg("ids").none(), nb::arg("order"),
         nb::arg("threads"), "Indices of the splats by depth, equal depths by id.");
-  m.def("bin_splats", &bin_splats, nb::arg("records"), nb::arg("order"), nb::arg("threshold"), nb::arg("area_power"), nb::arg("width"),
-        nb::arg("height"), nb::arg("tile_start"), nb::arg("num_tiles_x"), nb::arg("num_tiles_y"), nb::arg("square").none(),
-        nb::arg("whole_box"), nb::arg("floors").none(), nb::arg("threads"), "Fill tile_start and return the splats of all tiles.");
+  m.def("bin_splats", &bin_splats, nb::arg("records"), nb::arg("order"), nb::arg("threshold"), nb::arg("area_power"),
+        nb::arg("width"), nb::arg("height"), nb::arg("tile_start"), nb::arg("num_tiles_x"), nb::arg("num_tiles_y"),
+        nb::arg("square").none(), nb::arg("whole_box"), nb::arg("floors").none(), nb::arg("threads"),
+        "Fill tile_start and return the splats of all tiles.");
   m.def("blend_tiles", &blend_tiles, nb::arg("records"), nb::arg("tile_start"), nb::arg("splat_from_pair"),
-        nb::arg("num_tiles_x"), nb::arg("num_tiles_y"), nb::arg("threshold"), nb::arg("floors").none(),
-        nb::arg("background"), nb::arg("whole_tile"), nb::arg("image"), nb::arg("alpha"), nb::arg("depth"),
-        nb::arg("contributions").none(), nb::arg("num_consumed"), nb::arg("num_evaluated"), nb::arg("num_blended"),
-        nb::arg("threads"), "Blend all tiles and count the work of each.");
+        nb::arg("num_tiles_x"), nb::arg("num_tiles_y"), nb::arg("threshold"), nb::arg("floors").none(), nb::arg("background"),
+        nb::arg("whole_tile"), nb::arg("image"), nb::arg("alpha"), nb::arg("depth"), nb::arg("contributions").none(),
+        nb::arg("num_consumed"), nb::arg("num_evaluated"), nb::arg("num_blended"), nb::arg("threads"),
+        "Blend all tiles and count the work of each.");
 }
 
 }  // namespace splatree

@@ -56,19 +56,19 @@ SelectJob job_of(nb::handle gaussians, nb::handle tree, In<double> view, double 
 }
 
 BlockColumns blocks_of(nb::handle blocks) {
-  return {nb::cast<int>(blocks.attr("rows_per_block")),
-          {column<float>(blocks, "lower"), column<float>(blocks, "upper"), column<float>(blocks, "leaf_scales")},
-          {column<float>(blocks, "group_lower"), column<float>(blocks, "group_upper"),
-           column<float>(blocks, "group_leaf_scales")},
-          column<float>(blocks, "min_logits"),
-          column<uint8_t>(blocks, "size_classes"),
-          column<int32_t>(blocks, "ancestor_start"),
-          column<int32_t>(blocks, "ancestors")};
+  return {
+      nb::cast<int>(blocks.attr("rows_per_block")),
+      {column<float>(blocks, "lower"), column<float>(blocks, "upper"), column<float>(blocks, "leaf_scales")},
+      {column<float>(blocks, "group_lower"), column<float>(blocks, "group_upper"), column<float>(blocks, "group_leaf_scales")},
+      column<float>(blocks, "min_logits"),
+      column<uint8_t>(blocks, "size_classes"),
+      column<int32_t>(blocks, "ancestor_start"),
+      column<int32_t>(blocks, "ancestors")};
 }
 
 std::pair<Vector32, int64_t> select_cut(nb::handle gaussians, nb::handle tree, nb::handle blocks, In<double> view,
-                                        double threshold, In<double> rule, int view_test, bool cull, std::optional<In<int32_t>> runs,
-                                        In<double> planes, In<double> reach, int threads) {
+                                        double threshold, In<double> rule, int view_test, bool cull,
+                                        std::optional<In<int32_t>> runs, In<double> planes, In<double> reach, int threads) {
   SelectJob job = job_of(gaussians, tree, view, threshold, rule, view_test);
   job.index = blocks_of(blocks);
   job.cull = cull;
@@ -130,8 +130,8 @@ void small_of(nb::handle gaussians, nb::handle tree, In<int32_t> rows, In<double
   ask_rows(job_of(gaussians, tree, view, threshold, rule, UNSEEN_TOO), rows, answers, threads, kernels().small_rows);
 }
 
-void visible_of(nb::handle gaussians, nb::handle tree, In<int32_t> rows, In<double> view, double threshold,
-                In<double> rule, int view_test, Out<bool> answers, int threads) {
+void visible_of(nb::handle gaussians, nb::handle tree, In<int32_t> rows, In<double> view, double threshold, In<double> rule,
+                int view_test, Out<bool> answers, int threads) {
   ask_rows(job_of(gaussians, tree, view, threshold, rule, view_test), rows, answers, threads, kernels().visible_rows);
 }
 
@@ -162,11 +162,22 @@ void ancestor_table(In<uint8_t> depth, Out<int32_t> table) {
 void block_bounds(nb::handle gaussians, nb::handle tree, int rows_per_block, Out<float> lower, Out<float> upper,
                   Out<float> leaf_scales, Out<float> min_logits, Out<float> group_lower, Out<float> group_upper,
                   Out<float> group_leaf_scales, Out<uint8_t> size_classes, int threads) {
-  const BoundsJob job{column<float>(gaussians, "means"), column<float>(gaussians, "log_scales"),
-                      column<float>(gaussians, "logit_opacities"), column<int32_t>(tree, "subtree_end"),
-                      column<float>(tree, "extents"), int64_t(nb::len(tree)),
-                      rows_per_block, threads, lower.data(), upper.data(), leaf_scales.data(), min_logits.data(),
-                      group_lower.data(), group_upper.data(), group_leaf_scales.data(), size_classes.data()};
+  const BoundsJob job{column<float>(gaussians, "means"),
+                      column<float>(gaussians, "log_scales"),
+                      column<float>(gaussians, "logit_opacities"),
+                      column<int32_t>(tree, "subtree_end"),
+                      column<float>(tree, "extents"),
+                      int64_t(nb::len(tree)),
+                      rows_per_block,
+                      threads,
+                      lower.data(),
+                      upper.data(),
+                      leaf_scales.data(),
+                      min_logits.data(),
+                      group_lower.data(),
+                      group_upper.data(),
+                      group_leaf_scales.data(),
+                      size_classes.data()};
   nb::gil_scoped_release release;
   bound_blocks(job);
 }
@@ -177,8 +188,8 @@ void bind_select(nb::module_& m) {
   m.attr("BLOCKS_PER_GROUP") = BLOCKS_PER_GROUP;
   m.attr("MAX_BLOCK_ROWS") = MAX_BLOCK_ROWS;
   m.def("select_cut", &select_cut, nb::arg("gaussians"), nb::arg("tree"), nb::arg("blocks"), nb::arg("view"),
-        nb::arg("threshold"), nb::arg("rule"), nb::arg("view_test"), nb::arg("cull"), nb::arg("runs").none(),
-        nb::arg("planes"), nb::arg("reach"), nb::arg("threads"), "Rows of the visible cut, ascending, and the number of rows visited.");
+        nb::arg("threshold"), nb::arg("rule"), nb::arg("view_test"), nb::arg("cull"), nb::arg("runs").none(), nb::arg("planes"),
+        nb::arg("reach"), nb::arg("threads"), "Rows of the visible cut, ascending, and the number of rows visited.");
   m.def("select_ancestors", &select_ancestors, "Rows drawn by FilterGS's ancestor table, ascending.");
   m.def("ancestor_table", &ancestor_table, "Fill the table of ancestors, parent first.");
   m.def("small_rows", &small_of, "Whether each of the given rows is small.");

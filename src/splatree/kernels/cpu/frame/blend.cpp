@@ -31,11 +31,11 @@ struct alignas(64) Tile {
 
 // What one splat needs, in units in which the exponent is a power of 2.
 struct alignas(64) Brush {
-  float u_of_lane[LANES], v_of_lane[LANES];    // from the centre of a block
+  float u_of_lane[LANES], v_of_lane[LANES];      // from the centre of a block
   float u_of_block[BLOCKS], v_of_block[BLOCKS];  // of the centre of each block
   float log2_opacity, log2_threshold;
   float red, green, blue, depth;
-  float floor;                 // opacity that is tapered to 1/255
+  float floor;                // opacity that is tapered to 1/255
   float contribution[LANES];  // Σ α T over the blocks
 };
 
@@ -50,8 +50,7 @@ struct Limits {
 };
 
 // Sets up the brush for a tile at (x, y) and returns a bit for each block that the splat may touch.
-SPLATREE_FN int load_brush(const float* record, float x, float y, float log2_threshold, const Limits& limits,
-                           Brush& brush) {
+SPLATREE_FN int load_brush(const float* record, float x, float y, float log2_threshold, const Limits& limits, Brush& brush) {
   const float a = SQRT_HALF_LOG2E * record[FACTOR_A], b = SQRT_HALF_LOG2E * record[FACTOR_B];
   const float c = SQRT_HALF_LOG2E * record[FACTOR_C];
   brush.log2_opacity = record[LOG2_OPACITY];
@@ -166,8 +165,7 @@ void blend_tile(const BlendJob& job, int64_t index) {
     // How many blocks a pair has decides a branch that is mostly guessed wrongly; it costs less if they are known by then.
     for (int j = 0; j < count; ++j) {
       const int32_t splat = job.splat_from_pair[i + j];
-      if (i + j + AHEAD < end)
-        __builtin_prefetch(job.records + int64_t(job.splat_from_pair[i + j + AHEAD]) * NUM_COLUMNS);
+      if (i + j + AHEAD < end) __builtin_prefetch(job.records + int64_t(job.splat_from_pair[i + j + AHEAD]) * NUM_COLUMNS);
       const float* record = job.records + int64_t(splat) * NUM_COLUMNS;
       Brush& brush = brushes[j];
       if (TAPER) brush.floor = job.floors[splat];

@@ -9,15 +9,15 @@ struct BlendJob {
   const int64_t* tile_start;       // t + 1
   const int32_t* splat_from_pair;  // m
   int num_tiles_x, num_tiles_y;
-  int width, height;  // px
+  int width, height;     // px
   float log2_threshold;  // smallest opacity drawn at a pixel
   const float* floors;   // v, opacity at which each splat is tapered off; null: none is
   float background[3];
   bool whole_tile;  // evaluate all 4 × 4 blocks of a tile instead of those that the ellipse touches
   int threads;
-  float* image;                        // h w 3
-  float *alpha, *depth;                // h w
-  float* contributions;                // m, Σ α T of each pair; null: not asked for
+  float* image;                                         // h w 3
+  float *alpha, *depth;                                 // h w
+  float* contributions;                                 // m, Σ α T of each pair; null: not asked for
   int64_t *num_consumed, *num_evaluated, *num_blended;  // a tile
 };
 

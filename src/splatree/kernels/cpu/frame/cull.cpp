@@ -1,5 +1,5 @@
-// Which spheres or boxes can be seen; kernels/reference/cull.py is the definition. Float64, so that only the drawing's own rounding needs a
-// margin.
+// Which spheres or boxes can be seen; kernels/reference/cull.py is the definition. Float64, so that only the drawing's own
+// rounding needs a margin.
 #include "cpu/frame/cull.h"
 
 #include "cpu/runtime/isa.h"
@@ -22,7 +22,8 @@ void cull_spheres(const CullJob& job, int64_t begin, int64_t end) {
     }
 #pragma omp simd
     for (int l = 0; l < LANES; ++l) {
-      const double away = __builtin_fabs(x[l] - job.eye[0]) + __builtin_fabs(y[l] - job.eye[1]) + __builtin_fabs(z[l] - job.eye[2]);
+      const double away =
+          __builtin_fabs(x[l] - job.eye[0]) + __builtin_fabs(y[l] - job.eye[1]) + __builtin_fabs(z[l] - job.eye[2]);
       const double added = job.slack * away + job.margin;
       const double used = job.scale * radius[l] + added;
       int64_t outside = 0;

@@ -19,7 +19,7 @@ struct Entry {
   int32_t index;
 };
 
-constexpr int64_t BUCKET = 1024;   // entries: 8 KB, and as much to sort them
+constexpr int64_t BUCKET = 1024;     // entries: 8 KB, and as much to sort them
 constexpr int MAX_BUCKET_BITS = 11;  // 2048 places to write to fit the second-level cache
 constexpr int64_t TOGETHER = 16;     // buckets
 constexpr int MAX_DIGIT_BITS = 9;    // 2 KB of counts fit the first
@@ -108,15 +108,13 @@ void order_ties(Entry* entries, const int32_t* rows, const uint32_t* ids, int64_
   auto id = [&](const Entry& e) { return ids ? ids[rows[e.index]] : uint32_t(rows[e.index]); };
   for (int64_t begin = 0, end; begin < n; begin = end) {
     for (end = begin + 1; end < n && entries[end].key == entries[begin].key;) ++end;
-    if (end - begin > 1)
-      std::sort(entries + begin, entries + end, [&](const Entry& e, const Entry& f) { return id(e) < id(f); });
+    if (end - begin > 1) std::sort(entries + begin, entries + end, [&](const Entry& e, const Entry& f) { return id(e) < id(f); });
   }
 }
 
 }  // namespace
 
-void order_by_depth(const float* depths, const int32_t* rows, const uint32_t* ids, int64_t n, int threads,
-                    int32_t* order) {
+void order_by_depth(const float* depths, const int32_t* rows, const uint32_t* ids, int64_t n, int threads, int32_t* order) {
   if (n == 0) return;
   const int64_t grain = std::max<int64_t>(16384, (n + 15) / 16);
   const Bounds bounds = bounds_of(depths, n, grain, threads);

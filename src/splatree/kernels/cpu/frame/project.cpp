@@ -143,12 +143,12 @@ void project_batch(const ProjectJob& job, const Batch& batch, Planes& p) {
     p.sigmoid[i] = sigmoid_of(p.logit_opacity[i]);
   });
   for_lanes(num_blocks, [&](int i) {
-    const Factor m = factor_of(load(p.tx, i), load(p.ty, i), p.quat[0][i], p.quat[1][i], p.quat[2][i], p.quat[3][i],
-                               load(p.scale, i));
+    const Factor m =
+        factor_of(load(p.tx, i), load(p.ty, i), p.quat[0][i], p.quat[1][i], p.quat[2][i], p.quat[3][i], load(p.scale, i));
     store(m.x, p.mx, i), store(m.y, p.my, i);
   });
   const auto shape = job.view.antialiased ? job.is_square ? shape_batch<true, true> : shape_batch<true, false>
-                     : job.is_square      ? shape_batch<false, true>
+                     : job.is_square ? shape_batch<false, true>
                                           : shape_batch<false, false>;
   shape(job, num_blocks, p);
 }
@@ -253,8 +253,7 @@ void draw_waiting(const ProjectJob& job, int least, Waiting& waiting, Planes& p,
 // Appends the rows of a batch that may be in view to those that wait; returns their number.
 int list_candidates(const ProjectJob& job, const InView& bound, const Batch& batch, Planes& p, Waiting& waiting) {
   load_places(job, batch, p);
-  for_lanes(batch.num_blocks,
-            [&](int i) { p.kept[i] = may_be_seen(job.view, bound, load(p.mean, i), load(p.log_scale, i)); });
+  for_lanes(batch.num_blocks, [&](int i) { p.kept[i] = may_be_seen(job.view, bound, load(p.mean, i), load(p.log_scale, i)); });
   int end = waiting.end;
   for (int i = 0; i < batch.count; ++i) {
     waiting.row[end] = batch.row[i];

@@ -232,8 +232,10 @@ int64_t run_behind(const SelectJob& job, int64_t row) {
   int64_t low = 0, high = job.num_runs;
   while (low < high) {
     const int64_t middle = (low + high) / 2;
-    if (job.runs[2 * middle + 1] > row) high = middle;
-    else low = middle + 1;
+    if (job.runs[2 * middle + 1] > row)
+      high = middle;
+    else
+      low = middle + 1;
   }
   return low;
 }
@@ -273,8 +275,7 @@ int select_rows(const SelectJob& job, int64_t block, const Placement& placement,
 
   if (job.runs) {
     while (run < job.num_runs && job.runs[2 * run + 1] <= begin) ++run;
-    if (run == job.num_runs || job.runs[2 * run] > begin || job.runs[2 * run + 1] < end)
-      keep_runs(job, run, begin, end, kept);
+    if (run == job.num_runs || job.runs[2 * run] > begin || job.runs[2 * run + 1] < end) keep_runs(job, run, begin, end, kept);
   }
 
   if (placement.inside) {

@@ -33,8 +33,7 @@ int load_records(const BinJob& job, int64_t begin, int64_t end, Planes& p) {
     const float* record[4];
     for (int l = 0; l < 4; ++l) {
       record[l] = job.records + int64_t(job.order[begin + (i + l < used ? i + l : used - 1)]) * NUM_COLUMNS;
-      if (begin + i + l + AHEAD < end)
-        __builtin_prefetch(job.records + int64_t(job.order[begin + i + l + AHEAD]) * NUM_COLUMNS);
+      if (begin + i + l + AHEAD < end) __builtin_prefetch(job.records + int64_t(job.order[begin + i + l + AHEAD]) * NUM_COLUMNS);
     }
     for (int j = 0; j < NUM_COLUMNS; j += 4) {
       Quad q[4];
@@ -91,8 +90,8 @@ void repeat_span(Span span, int num_rows, Spans& spans) {
 SPLATREE_FN uint32_t word_of(int low, int high) { return uint32_t(low) | uint32_t(high) << 16; }
 
 SPLATREE_FN Ellipse ellipse_at(const Planes& p, int i) {
-  return {p.column[X][i], p.column[Y][i], p.k_squared[i], p.c_squared[i], p.skew[i],
-          p.inverse_a[i], p.height[i], p.dy_of_right[i], p.margin[i]};
+  return {p.column[X][i], p.column[Y][i], p.k_squared[i],   p.c_squared[i], p.skew[i],
+          p.inverse_a[i], p.height[i],    p.dy_of_right[i], p.margin[i]};
 }
 
 // The tiles of lane i's ellipse in the first of its rows, or of its box.
@@ -101,9 +100,9 @@ SPLATREE_FN void cover_ellipse(const BinJob& job, int i, Planes& p) {
   const float width = job.width, height = job.height;
   const float log2_threshold =
       log2_threshold_of(job.log2_threshold, job.area_power, p.column[FACTOR_A][i], p.column[FACTOR_C][i]);
-  const Ellipse e = ellipse_of(p.column[X][i], p.column[Y][i], p.column[FACTOR_A][i], p.column[FACTOR_B][i],
-                               p.column[FACTOR_C][i], p.column[LOG2_OPACITY][i], p.column[HALF_SIZE_X][i],
-                               p.column[HALF_SIZE_Y][i], log2_threshold);
+  const Ellipse e =
+      ellipse_of(p.column[X][i], p.column[Y][i], p.column[FACTOR_A][i], p.column[FACTOR_B][i], p.column[FACTOR_C][i],
+                 p.column[LOG2_OPACITY][i], p.column[HALF_SIZE_X][i], p.column[HALF_SIZE_Y][i], log2_threshold);
   p.log2_threshold[i] = log2_threshold;
   p.k_squared[i] = e.k_squared, p.c_squared[i] = e.c_squared, p.skew[i] = e.skew;
   p.inverse_a[i] = e.inverse_a, p.height[i] = e.height, p.dy_of_right[i] = e.dy_of_right, p.margin[i] = e.margin;
@@ -139,16 +138,15 @@ SPLATREE_FN void find_nearest(const BinJob& job, int i, Planes& p) {
 
 // The tiles of lane i's square.
 SPLATREE_FN void cover_square(const BinJob& job, int i, Planes& p) {
-  const float half_side = half_side_of_factor(job.square, p.column[FACTOR_A][i], p.column[FACTOR_B][i],
-                                              p.column[FACTOR_C][i], p.column[LOG2_OPACITY][i]);
+  const float half_side = half_side_of_factor(job.square, p.column[FACTOR_A][i], p.column[FACTOR_B][i], p.column[FACTOR_C][i],
+                                              p.column[LOG2_OPACITY][i]);
   const Side across = side_of(p.column[X][i], half_side, job.num_tiles_x);
   const Side down = side_of(p.column[Y][i], half_side, job.num_tiles_y);
   const int first_row = int(down.first), num_rows = int(down.end) - first_row;
   p.first_row[i] = first_row, p.num_rows[i] = num_rows;
   p.tiles[0][i] = word_of(first_row, num_rows);
 #pragma GCC unroll 3
-  for (int r = 0; r < NEAR_ROWS; ++r)
-    p.tiles[1 + r][i] = r < num_rows ? word_of(int(across.first), int(across.end)) : 0;
+  for (int r = 0; r < NEAR_ROWS; ++r) p.tiles[1 + r][i] = r < num_rows ? word_of(int(across.first), int(across.end)) : 0;
 }
 
 // Appends the spans of lane i, which has many rows; returns the smallest |L d|² in a tile beside them.

@@ -7,9 +7,7 @@
 namespace splatree {
 
 // The rule of the squares from the doubles that kernels/cpu/frame/view.py packs.
-inline Square square_of(const double* v) {
-  return {float(std::log2(v[0])), float(v[1]), float(v[2]), float(v[3]), float(v[4])};
-}
+inline Square square_of(const double* v) { return {float(std::log2(v[0])), float(v[1]), float(v[2]), float(v[3]), float(v[4])}; }
 
 // The view from the doubles that kernels/cpu/frame/view.py packs, in their order.
 inline View view_of(const double* v, double threshold, bool antialiased) {
@@ -20,9 +18,9 @@ inline View view_of(const double* v, double threshold, bool antialiased) {
     view.center_low[i] = float(*v - view.center_high[i]);
     ++v;
   }
-  float* const rest[] = {&view.fx, &view.fy, &view.cx, &view.cy, &view.width, &view.height, &view.near,
-                         &view.slope_min_x, &view.slope_max_x, &view.slope_min_y, &view.slope_max_y,
-                         &view.dilation, &view.sigma_max};
+  float* const rest[] = {&view.fx,          &view.fy,       &view.cx,          &view.cy,          &view.width,
+                         &view.height,      &view.near,     &view.slope_min_x, &view.slope_max_x, &view.slope_min_y,
+                         &view.slope_max_y, &view.dilation, &view.sigma_max};
   for (float* field : rest) *field = float(*v++);
   view.least_opacity = float(threshold);
   view.log2_threshold = float(std::log2(threshold));
@@ -33,8 +31,8 @@ inline View view_of(const double* v, double threshold, bool antialiased) {
 // The rule from the doubles that kernels/cpu/frame/select.py packs.
 inline SelectRule rule_of(const double* v) {
   SelectRule rule{};
-  float* const fields[] = {&rule.limit, &rule.add, &rule.least_diagonal, &rule.floor, &rule.pixel_error, &rule.focal_max,
-                           &rule.focal_min, &rule.k_max, &rule.logit_min, &rule.pad_x, &rule.pad_y};
+  float* const fields[] = {&rule.limit,     &rule.add,   &rule.least_diagonal, &rule.floor, &rule.pixel_error, &rule.focal_max,
+                           &rule.focal_min, &rule.k_max, &rule.logit_min,      &rule.pad_x, &rule.pad_y};
   for (float* field : fields) *field = float(*v++);
   rule.sphere = *v++ != 0;
   return rule;

@@ -1,4 +1,5 @@
-// Arrays as the glue of the stages takes them: contiguous, on the processor; sizes are checked by the callers in kernels/cpu/*.py.
+// Arrays as the glue of the stages takes them: contiguous, on the processor; sizes are checked by the callers in
+// kernels/cpu/*.py.
 #pragma once
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>

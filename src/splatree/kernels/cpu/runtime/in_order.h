@@ -17,11 +17,11 @@ namespace splatree {
 
 // The head of a buffer; what a chunk computes follows it.
 struct ChunkBuffer {
-  int64_t count;      // of the result, set before finish()
-  int64_t first;      // its place, set by finish()
-  ChunkBuffer* next;  // of a list
-  ChunkBuffer* older; // of all buffers
-  const void* owner;  // the thread in whose cache it was last
+  int64_t count;       // of the result, set before finish()
+  int64_t first;       // its place, set by finish()
+  ChunkBuffer* next;   // of a list
+  ChunkBuffer* older;  // of all buffers
+  const void* owner;   // the thread in whose cache it was last
 };
 
 class InOrder {

@@ -6,10 +6,10 @@
 // The functions of one variant, and their table.
 #define SPLATREE_FUNCTION(result, name, arguments) result name arguments;
 #define SPLATREE_ENTRY(result, name, arguments) , name
-#define SPLATREE_DECLARE(isa)                                                                          \
-  namespace splatree::isa {                                                                            \
-  SPLATREE_KERNELS(SPLATREE_FUNCTION)                                                                  \
-  static Kernels table(const char* name) { return {name SPLATREE_KERNELS(SPLATREE_ENTRY)}; }           \
+#define SPLATREE_DECLARE(isa)                                                                \
+  namespace splatree::isa {                                                                  \
+  SPLATREE_KERNELS(SPLATREE_FUNCTION)                                                        \
+  static Kernels table(const char* name) { return {name SPLATREE_KERNELS(SPLATREE_ENTRY)}; } \
   }
 
 #if defined(__x86_64__)
@@ -30,9 +30,8 @@ bool runs(const Kernels& table) {
   // The levels of the x86-64 psABI.
   switch (table.isa[1]) {
     case '4':
-      return __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512bw") &&
-             __builtin_cpu_supports("avx512cd") && __builtin_cpu_supports("avx512dq") &&
-             __builtin_cpu_supports("avx512vl");
+      return __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512cd") &&
+             __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512vl");
     case '3':
       return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") && __builtin_cpu_supports("bmi2");
     default:

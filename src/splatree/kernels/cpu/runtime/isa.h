@@ -40,6 +40,7 @@ struct SplatColumns;
 struct SplatTables;
 
 // Every vector kernel: what it returns, its name, its arguments.
+// clang-format off
 #define SPLATREE_KERNELS(kernel)                                                                               \
   kernel(int64_t, project_buffer_bytes, ())                                                                    \
   kernel(void, project, (const ProjectJob& job, InOrder& results))                                             \
@@ -72,6 +73,7 @@ struct SplatTables;
   kernel(void, decode_splats,                                                                                  \
          (const uint8_t* records, const SplatTables& tables, const SplatColumns& to, int64_t begin, int64_t end))\
   kernel(void, rank_splats, (const SplatColumns& from, int64_t begin, int64_t end, uint16_t* ranks))
+// clang-format on
 
 struct Kernels {
   const char* isa;

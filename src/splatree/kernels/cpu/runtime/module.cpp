@@ -31,7 +31,7 @@ void bind_partners(nb::module_& m);
 void bind_splat(nb::module_& m);
 void bind_cuda(nb::module_& m);
 void bind_packed(nb::module_& m);
-}
+}  // namespace splatree
 
 NB_MODULE(_core, m) {
   m.doc() = "Native kernels of splatree; use them through splatree.kernels.cpu.";

@@ -105,8 +105,8 @@ class Pool {
   std::mutex mutex_;
   std::condition_variable wake_;
   std::vector<std::thread> workers_;
-  std::vector<Job*> jobs_;                  // running now
-  std::atomic<uint64_t> num_started_{0};    // of jobs, ever
+  std::vector<Job*> jobs_;                // running now
+  std::atomic<uint64_t> num_started_{0};  // of jobs, ever
 };
 
 // The pool is never destroyed: its threads wait until the process ends. A forked child has none of them,
@@ -118,12 +118,11 @@ Pool& get_pool() {
   std::lock_guard<std::mutex> lock(pool_mutex);
   if (!pool) {
 #ifndef _WIN32
-    static const int registered = pthread_atfork(
-        [] { pool_mutex.lock(); }, [] { pool_mutex.unlock(); },
-        [] {
-          pool = nullptr;
-          pool_mutex.unlock();
-        });
+    static const int registered = pthread_atfork([] { pool_mutex.lock(); }, [] { pool_mutex.unlock(); },
+                                                 [] {
+                                                   pool = nullptr;
+                                                   pool_mutex.unlock();
+                                                 });
     (void)registered;
 #endif
     pool = new Pool;

@@ -4,8 +4,8 @@
 
 namespace splatree {
 
-// The processors that the process is allowed on (affinity), but no more than its share of processor time (the quota of its control
-// group, as containers have one). At least 1. The quota is read once, the affinity at each call.
+// The processors that the process is allowed on (affinity), but no more than its share of processor time (the quota of its
+// control group, as containers have one). At least 1. The quota is read once, the affinity at each call.
 int hardware_threads();
 
 // Processors' worth of time that Linux control groups grant, rounded up; 0 if there is no limit. `membership` is the file
