@@ -28,8 +28,9 @@ if TYPE_CHECKING:
     from splatree.io.options import ReadOptions, WriteOptions
     from splatree.io.registry import read, read_levels, write
     from splatree.lod.baselines import Baseline, BaselineOptions, baseline
-    from splatree.lod.build import BuildOptions, build_lod
+    from splatree.lod.build import build_lod
     from splatree.lod.link import link_levels
+    from splatree.lod.options import BuildOptions
     from splatree.lod.select import select
     from splatree.metrics.psnr import psnr
     from splatree.metrics.ssim import ssim
@@ -153,7 +154,7 @@ __all__ = [
 _HOME = {
     "Baseline": "splatree.lod.baselines",
     "BaselineOptions": "splatree.lod.baselines",
-    "BuildOptions": "splatree.lod.build",
+    "BuildOptions": "splatree.lod.options",
     "CalibrateOptions": "splatree.render.calibrate",
     "Calibration": "splatree.render.calibrate",
     "Camera": "splatree.scene.cameras",

@@ -15,7 +15,20 @@ import numpy.typing as npt
 
 from splatree.errors import ShapeError
 
-__all__ = ["Array", "Axes", "Bool", "Float32", "Float64", "Int32", "Int64", "UInt8", "UInt16", "UInt32", "check_fields"]
+__all__ = [
+    "Array",
+    "Axes",
+    "Bool",
+    "Float32",
+    "Float64",
+    "Int32",
+    "Int64",
+    "UInt8",
+    "UInt16",
+    "UInt32",
+    "UInt64",
+    "check_fields",
+]
 
 Array = npt.NDArray[Any]
 
@@ -37,6 +50,7 @@ if TYPE_CHECKING:
     from typing import Annotated as UInt8
     from typing import Annotated as UInt16
     from typing import Annotated as UInt32
+    from typing import Annotated as UInt64
 else:
 
     class _Annotation:
@@ -55,6 +69,7 @@ else:
     UInt8 = _Annotation("uint8")
     UInt16 = _Annotation("uint16")
     UInt32 = _Annotation("uint32")
+    UInt64 = _Annotation("uint64")
 
 
 @cache

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from splatree import InputError
-from splatree.lod.order import Level, preorder
+from splatree.lod.order import Families, preorder
 
 
 def chain(num_levels):
@@ -10,7 +10,7 @@ def chain(num_levels):
     levels = []
     deepest = 0
     for i in range(num_levels):
-        levels.append(Level(num_levels + 1 + i, np.int32([deepest, i + 1]), np.array([0])))
+        levels.append(Families(num_levels + 1 + i, np.int32([deepest, i + 1]), np.array([0])))
         deepest = num_levels + 1 + i
     n = 2 * num_levels + 1
     means = np.zeros((n, 3), np.float32)
@@ -32,7 +32,7 @@ def test_rows_are_in_preorder_and_extents_hold_descendants():
 
 
 def test_several_roots_keep_their_order():
-    levels = [Level(4, np.int32([1, 0]), np.array([0]))]
+    levels = [Families(4, np.int32([1, 0]), np.array([0]))]
     order = preorder(levels, np.int32([3, 4, 2]), np.zeros((5, 3), np.float32), np.ones(5))
     assert order.row_from_node.tolist() == [3, 2, 4, 0, 1]
     assert order.tree.depth.tolist() == [0, 0, 1, 1, 0]

@@ -13,8 +13,9 @@ from splatree.cli.console import Console, UsageError, size, table
 from splatree.cli.files import Files, inputs_and_output, read_scene, repairs_of, told
 from splatree.clusters.build import ClusterOptions, build_clusters
 from splatree.io.registry import read_levels, stored_bytes, write
-from splatree.lod.build import BuildOptions, build_lod
+from splatree.lod.build import build_lod
 from splatree.lod.link import link_levels
+from splatree.lod.options import BuildOptions
 from splatree.lod.report import report_levels
 from splatree.render.calibrate import CalibrateOptions, Calibration, calibrate, calibrated
 from splatree.scene.scene import Mode, Scene

@@ -46,7 +46,7 @@ def edit(scene: Scene, options: EditOptions) -> Scene:
     if gaussians is not scene.gaussians:
         extents = similarity.extents(scene.tree.extents, moved)
         record = None if scene.tree.record is None else scene.tree.record.scaled(similarity.scale)
-        scene = _with_gaussians(scene, gaussians, replace(scene.tree, extents=extents, record=record))
+        scene = _with_gaussians(scene, gaussians, replace(scene.tree, extents=extents, record=record, roots=None))
     return in_morton_order(scene) if options.order == "morton" else scene
 
 

@@ -53,7 +53,7 @@ def in_morton_order(scene: Scene) -> Scene:
             "order morton: found a scene with levels, whose rows are in the order of its tree; wanted a flat one"
         )
     order = np.argsort(morton_codes(scene.gaussians.means), kind="stable")
-    tree = replace(scene.tree, extents=scene.tree.extents[order])
+    tree = replace(scene.tree, extents=scene.tree.extents[order], roots=None)
     return _with_rows(scene, order, tree)
 
 

@@ -61,7 +61,7 @@ def joined(scenes: Iterable[Scene]) -> Scene:
         start = end
     return Scene(
         Gaussians(**gaussians),
-        GaussianTree(**tree, record=common_record(records)),
+        GaussianTree(tree["subtree_end"], tree["depth"], tree["extents"], common_record(records)),
         ids=np.arange(start, dtype=np.uint32) if has_ids else None,
         **drawn,
         source=joined_source(sources),

@@ -22,7 +22,6 @@ a Gaussian, once a level in mode `classic` and where a partner has gone; visibil
 """
 
 import dataclasses
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -31,8 +30,8 @@ from splatree.kernels.cpu.build import merge as merge_kernel
 from splatree.kernels.cpu.build.pairs import match_pairs
 from splatree.kernels.cpu.build.partners import Partners
 from splatree.kernels.cpu.build.thin import group, rows_by_group
-from splatree.lod.forest import Forest
-from splatree.lod.order import Level
+from splatree.lod.forest import Forest, NewLevel
+from splatree.lod.resolve import ResolvedBuild
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Mode
@@ -62,33 +61,41 @@ LAST_SHARE = 0.01
 
 
 def grow_by_pairs(
-    forest: Forest, present: "Present", pixel_sizes: Sequence[float], *, max_roots: int, threads: int = 0
+    forest: Forest, resolved: ResolvedBuild, *, num_levels: int | None = None, threads: int = 0
 ) -> Forest:
-    """The levels over a forest of leaves, which are ``present``; one for each size, as long as there are more than the roots."""
-    nodes, num_nodes = forest.roots, len(forest.roots)
-    with task("build levels", float(num_nodes)) as advance:
-        for pixel_size in pixel_sizes:
-            if len(nodes) <= max_roots:
+    """The forest with the levels of further pixel sizes, each merged as far as a view of that size does not show it.
+
+    Args:
+        forest: what has grown so far.
+        resolved: what was decided for the whole scene.
+        num_levels: sizes to go through; None: until at most ``max_roots`` nodes are left, or sizes end.
+        threads: threads to use; 0: all.
+    """
+    present = Present.of(forest, resolved)
+    fewest = resolved.max_roots if num_levels is None else 1
+    with task("build levels", float(len(present))) as advance:
+        for size in resolved.sizes_from(forest.num_sizes, num_levels):
+            num_before = len(present)
+            if num_before <= fewest and num_levels is None:
                 break
-            group_from_row = present.merge_level(pixel_size, max_roots, threads)
-            first, rows = rows_by_group(group_from_row, len(present))
-            sizes = np.diff(first)
-            is_family = sizes > 1
-            num_families = int(is_family.sum())
-            if num_families:
-                advance(float(len(nodes) - len(present)))
-                in_family = np.repeat(is_family, sizes)
-                start = np.cumsum(sizes[is_family]) - sizes[is_family]
-                forest.levels.append(Level(num_nodes, nodes[rows[in_family]], start))
-                nodes = nodes[rows[first[:-1]]]
-                nodes[is_family] = np.arange(num_nodes, num_nodes + num_families, dtype=np.int32)
-                num_nodes += num_families
-                forest.columns.append(present.gaussians.take(is_family))
-                forest.weights.append(present.weights[is_family])
-                forest.counts.append(len(nodes))
-                forest.steps.append(pixel_size)
-                forest.extents.append(PIXEL_ERROR * pixel_size)
-    return dataclasses.replace(forest, roots=nodes)
+            if num_before <= fewest:
+                forest = forest.skipped()
+                continue
+            group_from_row = present.merge_level(size, fewest, threads)
+            start, rows = rows_by_group(group_from_row, len(present))
+            level = NewLevel(
+                size=size,
+                rows=rows,
+                start=start[:-1],
+                representatives=rows[start[:-1]],
+                merged=present.gaussians,
+                weights=present.weights,
+                visibilities=present.visibilities,
+                extent=PIXEL_ERROR * size,
+            )
+            forest = forest.with_level(level)
+            advance(float(num_before - len(present)))
+    return forest
 
 
 class Present:
@@ -102,6 +109,12 @@ class Present:
         self.is_classic = mode == "classic"
         self.dilation_px2, self.merge = merge.dilation or 0.0, dataclasses.replace(merge, dilation=0.0)
         self.partners = Partners.unknown(len(gaussians))
+
+    @staticmethod
+    def of(forest: Forest, resolved: ResolvedBuild) -> "Present":
+        """The roots of a forest."""
+        assert forest.visibilities is not None
+        return Present(forest.present, forest.root_weights, forest.visibilities, resolved.mode, resolved.merge)
 
     def __len__(self) -> int:
         return len(self.gaussians)

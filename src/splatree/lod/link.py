@@ -24,7 +24,7 @@ import numpy as np
 from splatree.errors import InputError
 from splatree.kernels.cpu.build.kmeans import assign
 from splatree.kernels.cpu.frame.blocks import index_blocks
-from splatree.lod.order import Level, preorder
+from splatree.lod.order import Families, preorder
 from splatree.maths.morton import morton_codes
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
@@ -56,7 +56,7 @@ def link_levels(levels: Sequence[Scene], *, threads: int = 0) -> Scene:
     leaf_from_node = _along_curve(finest.gaussians)
     present = finest.gaussians.take(leaf_from_node)
     nodes, num_nodes = np.arange(len(present), dtype=np.int32), len(present)  # numbers of the level at hand
-    columns, families = [present], list[Level]()
+    columns, families = [present], list[Families]()
     num_moved = num_dropped = 0
     with task("link levels", float(len(levels))) as advance:
         advance(1.0)
@@ -75,7 +75,7 @@ def link_levels(levels: Sequence[Scene], *, threads: int = 0) -> Scene:
             numbers[is_new] = np.arange(num_nodes, num_nodes + is_new.sum(), dtype=np.int32)
             in_family = np.repeat(is_new, counts)
             first_child = np.cumsum(counts[is_new]) - counts[is_new]
-            families.append(Level(num_nodes, nodes[children[in_family]], first_child.astype(np.int64)))
+            families.append(Families(num_nodes, nodes[children[in_family]], first_child.astype(np.int64)))
             columns.append(coarse.take(is_new))
             nodes, num_nodes, present = numbers, num_nodes + int(is_new.sum()), coarse
             advance(1.0)

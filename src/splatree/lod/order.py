@@ -12,14 +12,14 @@ import numpy as np
 
 from splatree.errors import InputError
 from splatree.scene.tree import GaussianTree
-from splatree.shapes import Array, Int32, Int64
+from splatree.shapes import Array, Float64, Int32, Int64
 
-__all__ = ["Level", "Order", "preorder"]
+__all__ = ["Families", "Order", "preorder"]
 
 
 @dataclass(frozen=True, eq=False)
-class Level:
-    """The families that one radius made."""
+class Families:
+    """The families that one level made."""
 
     first: int
     """Number of the first new node; they are consecutive."""
@@ -27,6 +27,8 @@ class Level:
     """Numbers of the children, family by family, in the order in which they are to stand."""
     start: Int64[Array, "f"]
     """Index into ``children`` of each family's first."""
+    extent: float | None = None
+    """Extent of the new nodes, world units; None: that of a ball that holds what is below."""
 
     @property
     def parents(self) -> Array:
@@ -47,14 +49,16 @@ class Order:
     """Row of each node."""
     tree: GaussianTree
     """The tree over the rows."""
+    reaches: Float64[Array, "n"]
+    """Radius of the ball around each node that holds its subtree, world units, before rounding."""
 
 
-def preorder(levels: Sequence[Level], roots: Int32[Array, "r"], means: Array, reach: Array) -> Order:
+def preorder(levels: Sequence[Families], roots: Int32[Array, "r"], means: Array, reach: Array) -> Order:
     """Rows in depth-first preorder, roots and siblings in the given order.
 
     ``means`` (n 3) are the nodes' centres and ``reach`` (n) their own 3σ. An extent is the radius of a ball around the node's
     mean that holds its own and all descendants' 3σ ellipsoids: max(reach, max over children c of |x_c − x| + extent_c),
-    never less than a child's, rounded upwards.
+    never less than a child's, rounded upwards. Families with an extent of their own have that in place of it.
     """
     n = len(means)
     size, extents = np.ones(n, np.int32), reach.astype(np.float64)
@@ -82,7 +86,10 @@ def preorder(levels: Sequence[Level], roots: Int32[Array, "r"], means: Array, re
     extents_up = np.empty(n, np.float32)
     extents_up[row] = np.minimum(extents * (1 + 1e-9), np.finfo(np.float32).max)
     np.nextafter(extents_up, np.finfo(np.float32).max, out=extents_up)
+    for level in levels:
+        if level.extent is not None:
+            extents_up[row[level.parents]] = level.extent
     subtree_end, depth_of_row = np.empty(n, np.int32), np.empty(n, np.uint8)
     subtree_end[row] = row + size
     depth_of_row[row] = depth
-    return Order(row, GaussianTree(subtree_end, depth_of_row, extents_up))
+    return Order(row, GaussianTree(subtree_end, depth_of_row, extents_up), extents)

@@ -1,10 +1,12 @@
 """Morton codes: points along a Z-curve, so that neighbours in a file are mostly neighbours in space."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from splatree.shapes import Array
 
-__all__ = ["morton_codes"]
+__all__ = ["MortonFrame", "morton_codes", "morton_frame"]
 
 BITS = 21
 """Bits an axis: 3 × 21 fit in 64."""
@@ -13,18 +15,34 @@ _ROWS_AT_ONCE = 1 << 13
 """What lies between points and codes then stays in the first caches."""
 
 
-def morton_codes(points: Array) -> Array:
-    """Code of each point (n 3), uint64, on a grid of 2²¹ cells along the scene's longest side.
+@dataclass(frozen=True)
+class MortonFrame:
+    """Where the grid of a scene's Morton codes lies."""
 
-    The grid spans the middle 99 % of the points along each axis; what lies outside shares the outermost cells, so that a few
-    far outliers do not cost the rest its resolution.
+    low: tuple[float, float, float]
+    """Its least corner, world units."""
+    side: float
+    """Its side, world units."""
+
+
+def morton_frame(points: Array) -> MortonFrame:
+    """The grid for points (n 3): it spans the middle 99 % of a sample of them along each axis.
+
+    What lies outside shares the outermost cells, so that a few far outliers do not cost the rest its resolution.
     """
     n = len(points)
     if n == 0:
-        return np.zeros(0, np.uint64)
+        return MortonFrame((0.0, 0.0, 0.0), 1.0)
     sample = points[:: n // 65536 + 1].astype(np.float64)
     low, high = np.quantile(sample, 0.005, axis=0), np.quantile(sample, 0.995, axis=0)
-    side = max(float(np.max(high - low)), 1e-300)
+    return MortonFrame((float(low[0]), float(low[1]), float(low[2])), max(float(np.max(high - low)), 1e-300))
+
+
+def morton_codes(points: Array, frame: MortonFrame | None = None) -> Array:
+    """Code of each point (n 3), uint64, on a grid of 2²¹ cells a side; ``frame`` None: the grid of `morton_frame`."""
+    n = len(points)
+    frame = frame or morton_frame(points)
+    low, side = np.asarray(frame.low, np.float64), np.float64(frame.side)  # float32 points are widened
     codes = np.zeros(n, np.uint64)
     cells_max = 2.0**BITS - 1
     for begin in range(0, n, _ROWS_AT_ONCE):

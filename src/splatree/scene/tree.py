@@ -11,6 +11,7 @@ import numpy as np
 from splatree.constants import BLOCKS_PER_GROUP
 from splatree.errors import ShapeError
 from splatree.scene.levels import LevelRecord
+from splatree.scene.roots import Roots
 from splatree.shapes import Array, Bool, Float32, Int32, UInt8, check_fields
 
 
@@ -28,9 +29,15 @@ class GaussianTree:
     to stand for its descendants, which may be less."""
     record: LevelRecord | None = None
     """How the levels were made and are to be drawn; None: there are no levels, or nothing is known of them."""
+    roots: Roots | None = None
+    """What merging has to know to go on above the roots; None: it is not known, so the levels can only be built anew."""
 
     def __post_init__(self) -> None:
         n = check_fields(self)["n"]
+        if self.roots is not None and len(self.roots) != np.count_nonzero(self.depth == 0):
+            raise ShapeError(
+                f"GaussianTree.roots: found the state of {len(self.roots)} roots, wanted {np.count_nonzero(self.depth == 0)}"
+            )
         end = self.subtree_end
         rows = np.arange(n, dtype=np.int32)
         if not self.depth.any() and np.array_equal(end, rows + 1):

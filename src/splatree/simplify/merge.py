@@ -9,7 +9,7 @@ from splatree.scene.scene import Mode
 from splatree.scene.thinning import Groups, Importance, MergeOptions, Weight
 from splatree.shapes import Array, Float32
 
-__all__ = ["check_finite", "importance_of", "merge", "weights_of"]
+__all__ = ["check_finite", "importance_of", "largest_log_weight", "merge", "weights_of"]
 
 WEIGHT_MIN = 1e-30
 """Smallest weight, relative to the scene's largest: a group of invisible Gaussians still has a mean."""
@@ -33,11 +33,17 @@ def importance_of(gaussians: Gaussians, rule: Importance) -> Float32[Array, "n"]
     return _log_product(gaussians, rule)
 
 
-def weights_of(gaussians: Gaussians, rule: Weight) -> Float32[Array, "n"]:
-    """Weights relative to the scene's largest."""
+def weights_of(gaussians: Gaussians, rule: Weight, *, log_unit: float | None = None) -> Float32[Array, "n"]:
+    """Weights in units of e^``log_unit``; None: of the scene's largest (`largest_log_weight`)."""
     log_weights = _log_product(gaussians, rule)
-    weights: Array = np.exp(log_weights - log_weights.max(initial=-np.inf))
+    unit = log_weights.max(initial=-np.inf) if log_unit is None else np.float32(log_unit)
+    weights: Array = np.exp(log_weights - unit)
     return np.maximum(weights, np.float32(WEIGHT_MIN))
+
+
+def largest_log_weight(gaussians: Gaussians, rule: Weight) -> float:
+    """Logarithm of the largest weight; 0 without Gaussians."""
+    return float(_log_product(gaussians, rule).max()) if len(gaussians) else 0.0
 
 
 def _log_product(gaussians: Gaussians, rule: Importance | Weight) -> Float32[Array, "n"]:

@@ -17,9 +17,9 @@ from splatree.shapes import Array, Float32, Int32, UInt8
 __all__ = ["Partners"]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Partners:
-    """Each row's cheapest partner among its neighbours."""
+    """Each row's cheapest partner among its neighbours: working memory that `find` fills in place, round after round."""
 
     neighbors: Int32[Array, "n c"]
     """Candidates of each row, −1 where there are fewer."""

@@ -1,0 +1,51 @@
+"""How the levels of a tree grow: defaults live here alone; the command line's help is these docstrings."""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from splatree.errors import InputError
+from splatree.scene.literals import check_literals
+from splatree.scene.thinning import METHOD_FROM_OPTION, Importance, MergeOptions, Method, check_used
+
+__all__ = ["BuildOptions"]
+
+
+@dataclass(frozen=True)
+class BuildOptions:
+    """How the levels grow."""
+
+    method: Method = "radius"
+    """`radius` merges what is close, by ever larger radii; `pairs` what a pixel of ever larger size does not show, for better
+    pictures of fewer nodes in several times the time."""
+    radius: float | Literal["auto"] = "auto"
+    """`radius`: r_0, world units: radius of the first level; `auto`: 1.5 × the median distance to the nearest neighbour."""
+    pixel_size: float | None = None
+    """`pairs`: p_0, world units: width of a pixel for which the first level is made; None: half of the median Gaussian."""
+    visibility: bool = True
+    """`pairs`: what others hide counts less."""
+    growth: float = 2.0
+    """g: each level's radius, or size of a pixel, is g times the one before."""
+    max_roots: int = 64
+    """Levels end when at most this many nodes are left."""
+    importance: Importance = "opacity-scale"
+    """`radius`: which of two close Gaussians a group forms around: the larger `opacity`, times mean scale, or times area."""
+    color_radius: float | None = 0.5
+    """`radius`: ρ, the distance in linear RGB (DC colour) that counts as much as r in space; None: colour keeps nothing apart."""
+    merge: MergeOptions = field(default_factory=MergeOptions)
+    """How a group becomes one Gaussian."""
+
+    def __post_init__(self) -> None:
+        check_literals(self)
+        if not isinstance(self.radius, str) and not 0 < self.radius <= 1e30:
+            raise InputError(f"radius: found {self.radius}, wanted more than 0 world units, finite")
+        if self.pixel_size is not None and not 0 < self.pixel_size <= 1e30:
+            raise InputError(f"pixel_size: found {self.pixel_size}, wanted more than 0 world units, finite")
+        if not 1 < self.growth <= 1e6:
+            raise InputError(f"growth: found {self.growth}, wanted more than 1 (2 doubles the radius each level)")
+        if self.max_roots < 1:
+            raise InputError(f"max_roots: found {self.max_roots}, wanted at least 1")
+        if self.color_radius is not None and not self.color_radius > 0:
+            raise InputError(
+                f"color_radius: found {self.color_radius}, wanted more than 0, or none to leave colour out"
+            )
+        check_used(self, self.method, {**METHOD_FROM_OPTION, "radius": "radius"})
