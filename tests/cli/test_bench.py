@@ -123,7 +123,7 @@ def test_scored_views_are_held_out_and_others_calibrated_on(small_tree, tmp_path
     assert [camera.name for camera in subject.cameras] == ["view_0000", "view_0008"]
     assert len(subject.training) == 7 == len(subject.training_photos)
     assert "every 8th view from the first: 2 of 9" in subject.about["cameras"]
-    assert subject.about["compared with"] == "2 photographs"
+    assert subject.about["compared with"] == "2 photographs (9 in the folder itself)"
     # The photographs are the pictures of the cut, rounded to 8 bits: at most half a step off, so better than 20 log10(510) dB.
     assert Judge(subject).quality(SelectOptions()).psnr > 54
 

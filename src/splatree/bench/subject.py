@@ -11,7 +11,7 @@ from splatree.bench.provenance import machine, program
 from splatree.errors import InputError
 from splatree.io.cameras.files import read_cameras
 from splatree.io.cameras.split import split_views
-from splatree.io.photos import Photos
+from splatree.io.photos import Photos, photographed
 from splatree.io.registry import read
 from splatree.lod.blocks import with_blocks
 from splatree.lod.build import build_lod
@@ -34,7 +34,8 @@ class SubjectOptions:
     cameras: Path | None = None
     """cameras.json, transforms.json or a COLMAP model; None: those in --data, or else a flight away from the scene."""
     data: Path | None = None
-    """Folder of photographs of the held-out views; without it pictures are compared with those of all leaves."""
+    """Folder of photographs: the names of the cameras below it, or in its `images`; None: pictures are compared with those of all
+    leaves."""
     held_out: int | Path = 8
     """With --data: every n-th view is held out, or those named in a text file; only these are drawn and scored."""
     views: int = 6
@@ -70,26 +71,29 @@ class Subject:
 def subject_of(options: SubjectOptions, *, levels: bool = True) -> Subject:
     """Read the scene, build its levels if it has none and ``levels`` are wanted, and choose the views."""
     scene = _read_scene(options.scene, levels)
-    views, training, named = _views(scene, options)
-    photos, training_photos = (
-        Photos(options.data, of) if options.data is not None else None for of in (views, training)
-    )
+    views, training, named, found = _views(scene, options)
+    photos, training_photos = (None if found is None else found.at(of) for of in (views, training))
     tree = scene.tree
     nodes = f"{tree.num_leaves:,} Gaussians, {len(tree):,} nodes, {tree.num_levels} levels"
     about = {
         "scene": f"{_name(options.scene)}: {nodes}, {scene.mode}",
         "cameras": f"{named}, {len(views)} drawn at {views[0].width} × {views[0].height} px",
-        "compared with": f"{len(photos)} photographs"
-        if photos
-        else "pictures of all leaves (no photographs were given)",
+        "compared with": _comparison(photos),
         "machine": machine(),
         "version": program(),
     }
     return Subject(scene, views, training, photos, training_photos, about)
 
 
-def _views(scene: Scene, options: SubjectOptions) -> tuple[tuple[Camera, ...], tuple[Camera, ...], str]:
-    """Views to draw, views to calibrate on, and where they are from."""
+def _comparison(photos: Photos | None) -> str:
+    if photos is None:
+        return "pictures of all leaves (no photographs were given)"
+    places, *others = photos.used.in_words()
+    return "; ".join([f"{len(photos)} photographs ({places.removeprefix('photographs: ')})", *others])
+
+
+def _views(scene: Scene, options: SubjectOptions) -> tuple[tuple[Camera, ...], tuple[Camera, ...], str, Photos | None]:
+    """Views to draw, views to calibrate on, where they are from, and the photographs of all."""
 
     def chosen(cameras: Sequence[Camera]) -> tuple[Camera, ...]:
         return tuple(camera.scaled(options.size / camera.width) for camera in _spread(cameras, options.views))
@@ -98,12 +102,16 @@ def _views(scene: Scene, options: SubjectOptions) -> tuple[tuple[Camera, ...], t
     if source is None:
         made = PathOptions(views=options.views or 6, width=options.size, height=options.size * 9 // 16)
         cameras = chosen(flyout(scene, made).views)
-        return cameras, cameras, "a flight away from the scene"
-    cameras = read_cameras(source).views
+        return cameras, cameras, "a flight away from the scene", None
+    known = read_cameras(source)
+    named = "; ".join([source.name, *known.notes])
     if options.data is None:
-        return chosen(cameras), chosen(cameras), source.name
-    split = split_views(cameras, options.held_out)
-    return chosen(split.held_out), chosen(split.training), f"{source.name}, {split.rule}"
+        return chosen(known.views), chosen(known.views), named, None
+    photos = Photos(options.data, known.views)
+    split = split_views(photos.views, options.held_out)
+    photographed(split.held_out, photos, "held-out views")
+    seen, training = ([camera for camera in of if camera.name in photos] for of in (split.held_out, split.training))
+    return chosen(seen), chosen(training), f"{named}, {split.rule}", photos
 
 
 def _read_scene(paths: tuple[Path, ...], levels: bool) -> Scene:

@@ -8,10 +8,11 @@ from typing import Annotated, Any, Literal
 
 from tyro.conf import arg
 
-from splatree.cli.calibrate import Views, in_words, training_views
+from splatree.cli.calibrate import Views, in_words, training_views, views_in_words
 from splatree.cli.console import Console, UsageError, size, table
 from splatree.cli.files import Files, inputs_and_output, read_scene, repairs_of, told
 from splatree.clusters.build import ClusterOptions, build_clusters
+from splatree.io.photos import PhotosUsed
 from splatree.io.registry import read_levels, stored_bytes, write
 from splatree.lod.build import build_lod
 from splatree.lod.link import link_levels
@@ -74,6 +75,10 @@ class Built:
     """What the file does not hold, a sentence each."""
     calibration: Calibration | None = None
     """The τ that was chosen, if views were given."""
+    photographs: PhotosUsed | None = None
+    """Which photographs it was chosen with; None if none were given."""
+    notes: tuple[str, ...] = ()
+    """What the reader of the cameras chose or left out."""
 
 
 def run(command: Command) -> Built:
@@ -112,6 +117,8 @@ def run(command: Command) -> Built:
         repairs=repairs_of(scene),
         lost=lost,
         calibration=calibration,
+        photographs=None if views is None else views.used,
+        notes=() if views is None else views.notes,
     )
 
 
@@ -161,4 +168,5 @@ def show(built: Built) -> str:
         f"{size(built.bytes)}"
     )
     calibration = [] if built.calibration is None else [in_words(built.calibration)]
-    return "\n".join([wrote, *calibration, *told(built.repairs, built.lost)])
+    views = views_in_words(built.photographs, built.notes)
+    return "\n".join([wrote, *views, *calibration, *told(built.repairs, built.lost)])

@@ -12,7 +12,7 @@ from splatree.cli.files import Files, inputs_and_output, read_scene
 from splatree.errors import InputError
 from splatree.io.cameras.files import read_cameras
 from splatree.io.cameras.split import split_views
-from splatree.io.photos import Photos
+from splatree.io.photos import Photos, PhotosUsed, photographed
 from splatree.io.registry import write
 from splatree.render.calibrate import CalibrateOptions, Calibration, calibrate, calibrated
 from splatree.render.paths import PathOptions, flyout, orbit
@@ -27,11 +27,11 @@ class Views:
     cameras: Path | None = None
     """Calibrate with these views: cameras.json, transforms.json or a COLMAP model; None: those in --data."""
     data: Path | None = None
-    """Folder of photographs, named like the cameras; subfolders are searched too."""
+    """Folder of photographs: the names of the cameras below it, or in its `images` or a scaled copy such as `images_4`."""
     held_out: int | Path = 8
     """Leave out the views kept for scores: each n-th from the first, or a file of names, one a line."""
     scale: float = 1.0
-    """Factor on the width and height of the cameras; photographs are resized likewise."""
+    """Factor on the width and height of the views; photographs are resized likewise."""
 
     def __post_init__(self) -> None:
         if not self.scale > 0:
@@ -48,6 +48,13 @@ class TrainingViews:
     """Their photographs, if a folder was given."""
     rule: str
     """Which views were left out, and of how many."""
+    notes: tuple[str, ...] = ()
+    """What the reader of the cameras chose or left out."""
+
+    @property
+    def used(self) -> PhotosUsed | None:
+        """Which photographs were used."""
+        return None if self.photos is None else self.photos.used
 
 
 @dataclass(frozen=True)
@@ -75,6 +82,10 @@ class Calibrated:
     """Which views were left out, and of how many; empty for views made for the scene."""
     calibration: Calibration
     """τ, how it was chosen, and what it costs and saves."""
+    photographs: PhotosUsed | None = None
+    """Which photographs were used, and which are missing; None if none were given."""
+    notes: tuple[str, ...] = ()
+    """What the reader of the cameras chose or left out."""
 
 
 def run(command: Command) -> Calibrated:
@@ -93,7 +104,7 @@ def run(command: Command) -> Calibrated:
     )
     kept = calibrated(scene, calibration, held_out=held_out or f"none: {command.path} made for the scene")
     write(kept, output, force=in_place or command.files.force)
-    return Calibrated(output, held_out, calibration)
+    return Calibrated(output, held_out, calibration, views.used, views.notes)
 
 
 def training_views(views: Views) -> TrainingViews | None:
@@ -105,11 +116,16 @@ def training_views(views: Views) -> TrainingViews | None:
     source = views.cameras or views.data
     if source is None:
         return None
-    split = split_views(list(read_cameras(source)), views.held_out)
+    cameras = read_cameras(source)
+    photos = Photos(views.data, cameras.views) if views.data else None
+    split = split_views(cameras.views if photos is None else photos.views, views.held_out)
     if not split.training:
         raise InputError(f"held_out: found {views.held_out}, which leaves no view to calibrate with; wanted 2 or more")
     training = [camera.scaled(views.scale) for camera in split.training]
-    return TrainingViews(training, Photos(views.data, training) if views.data else None, split.rule)
+    if photos is not None:
+        photos = photos.at(training)
+        photographed(training, photos, "views to calibrate with")
+    return TrainingViews(training, photos, split.rule, cameras.notes)
 
 
 def show(calibrated: Calibrated) -> str:
@@ -130,8 +146,15 @@ def show(calibrated: Calibrated) -> str:
         f"{table(rows)}\n"
         f"G = {c.contribution:.4g} ({c.options.unit}, {c.options.tiles} tiles, lists {c.options.lists}) over "
         f"{len(c.views)} views of {c.size_px[0]} × {c.size_px[1]} px{left_out}\n"
-        f"{in_words(c)}\nkept in {calibrated.output}"
+        + "\n".join(
+            [*views_in_words(calibrated.photographs, calibrated.notes), in_words(c), f"kept in {calibrated.output}"]
+        )
     )
+
+
+def views_in_words(photographs: PhotosUsed | None, notes: Sequence[str]) -> list[str]:
+    """What the user should know of the views: which model, which photographs."""
+    return [*(f"note: {note}" for note in notes), *(photographs.in_words() if photographs else [])]
 
 
 def in_words(c: Calibration) -> str:

@@ -14,7 +14,7 @@ from splatree.cli.files import Reading, check_inputs, read_scene
 from splatree.errors import InputError
 from splatree.io.cameras.files import read_cameras
 from splatree.io.cameras.split import split_views
-from splatree.io.photos import Photos
+from splatree.io.photos import Photos, PhotosUsed, photographed
 from splatree.lod.baselines import Baseline, BaselineOptions, Method, baseline
 from splatree.lod.blocks import with_blocks
 from splatree.metrics.lpips import Lpips, Net
@@ -22,7 +22,7 @@ from splatree.render.calibrate import METADATA_KEY
 from splatree.render.evaluate import Evaluation, evaluate
 from splatree.render.paths import PathOptions, flyout
 from splatree.render.timing import STAGES, Timing, peak_bytes, time_frames
-from splatree.scene.cameras import Camera, Cameras
+from splatree.scene.cameras import Camera
 from splatree.scene.options import RenderOptions, SelectOptions
 from splatree.scene.scene import DeviceName, Scene
 
@@ -36,7 +36,7 @@ class Command:
     cameras: Path | None = None
     """cameras.json, transforms.json or a COLMAP model; None: those in --data, or else a flight away from the scene."""
     data: Path | None = None
-    """Folder of photographs, named like the cameras; subfolders are searched too."""
+    """Folder of photographs: the names of the cameras below it, or in its `images` or a scaled copy such as `images_4`."""
     held_out: int | Path = 8
     """With --data: every n-th view was held out of the training (1: all of them), or those named in a text file."""
     training: bool = False
@@ -44,7 +44,7 @@ class Command:
     every: int = 1
     """Draw each n-th of these views only, from the first."""
     scale: float = 1.0
-    """Factor on the width and height of the cameras; photographs are resized likewise."""
+    """Factor on the width and height of the views; photographs are resized likewise."""
     method: Method | None = None
     """Choose nodes by a published method instead of the options below, of which --pixel-error alone counts."""
     frames: int = 100
@@ -129,11 +129,16 @@ class Evaluated:
     timing: Timing | None
     """Frames along a path; None if none were asked for."""
     mean: dict[str, float | None]
-    """Mean of each number over the held-out views, or all views where there are no photographs."""
+    """Mean of each number over the held-out views, or all views where there are no photographs; means against photographs are
+    over the views that have one."""
     training_mean: dict[str, float | None]
     """The same over the training views, if they were drawn."""
     views: tuple[View, ...]
     """One entry a view."""
+    photographs: PhotosUsed | None = None
+    """Which photographs were used, and which are missing; None if none were given."""
+    notes: tuple[str, ...] = ()
+    """What the reader of the cameras chose or left out."""
 
 
 def run(command: Command) -> Evaluated:
@@ -147,10 +152,16 @@ def run(command: Command) -> Evaluated:
     source = command.cameras or command.data
     named = None if source is None else read_cameras(source)
     scene = with_blocks(read_scene(command.paths, command.reading)).to(command.device)
-    held_out, training, compared_with = _views(flyout(scene, command.made) if named is None else named, command)
-    photos = Photos(command.data, [*held_out, *training]) if command.data else None
+    cameras = flyout(scene, command.made) if named is None else named
+    photos = None if command.data is None else Photos(command.data, cameras.views)
+    held_out, training, compared_with = _views(cameras.views if photos is None else photos.views, command)
     if photos is not None:
+        photos = photos.at([*held_out, *training])
+        photographed(held_out, photos, "held-out views")
         _check_calibration(scene, held_out)
+        with_photo = sum(camera.name in photos for camera in held_out)
+        fewer = "" if with_photo == len(held_out) else f"; {with_photo} of these {len(held_out)} have one"
+        compared_with = f"photographs of held-out views, {compared_with}{fewer}"
     select: SelectOptions | Baseline = command.select
     if command.method is not None:
         parameters = BaselineOptions(pixel_error=command.select.pixel_error)
@@ -183,19 +194,21 @@ def run(command: Command) -> Evaluated:
         mean=_means([view for view in views if view.held_out]),
         training_mean=_means([view for view in views if not view.held_out]),
         views=views,
+        photographs=None if photos is None else photos.used,
+        notes=cameras.notes,
     )
 
 
-def _views(cameras: Cameras, command: Command) -> tuple[list[Camera], list[Camera], str]:
+def _views(cameras: Sequence[Camera], command: Command) -> tuple[list[Camera], list[Camera], str]:
     """Views to score, training views, and what their pictures are compared with."""
 
     def chosen(cameras: Sequence[Camera]) -> list[Camera]:
         return [camera.scaled(command.scale) for camera in cameras[:: command.every]]
 
     if command.data is None:
-        return chosen(cameras.views), [], "pictures of all leaves (no photographs were given)"
-    split = split_views(cameras.views, command.held_out)
-    return chosen(split.held_out), chosen(split.training), f"photographs of held-out views, {split.rule}"
+        return chosen(cameras), [], "pictures of all leaves (no photographs were given)"
+    split = split_views(cameras, command.held_out)
+    return chosen(split.held_out), chosen(split.training), split.rule
 
 
 def _check_calibration(scene: Scene, held_out: Sequence[Camera]) -> None:
@@ -216,7 +229,10 @@ def show(evaluated: Evaluated) -> str:
         f"{evaluated.num_gaussians:,} Gaussians, {evaluated.num_nodes:,} nodes, {evaluated.levels} levels, "
         f"{evaluated.mode}, method {evaluated.method}; compared with {evaluated.compared_with}"
     )
-    lines = [head, table([row_of(view) for view in evaluated.views]), f"mean: {_words(evaluated.mean)}"]
+    lines = [head, *(f"note: {note}" for note in evaluated.notes)]
+    if evaluated.photographs is not None:
+        lines += evaluated.photographs.in_words()
+    lines += [table([row_of(view) for view in evaluated.views]), f"mean: {_words(evaluated.mean)}"]
     if evaluated.training_mean:
         lines.append(f"mean of the training views, no measure of new ones: {_words(evaluated.training_mean)}")
     if evaluated.timing is not None:
@@ -281,10 +297,11 @@ def row_of(view: View) -> dict[str, object]:
 
 
 def _means(views: Sequence[View]) -> dict[str, float | None]:
+    """Means over the views that have a number: one without a photograph has none to it."""
     means: dict[str, float | None] = {}
     for field in fields(View):
         values = [getattr(view, field.name) for view in views]
         numbers = [float(value) for value in values if isinstance(value, int | float) and not isinstance(value, bool)]
-        if len(numbers) == len(values) and numbers:
+        if numbers:
             means[field.name] = float(np.mean(numbers))
     return means

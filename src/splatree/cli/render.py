@@ -89,6 +89,8 @@ class Rendered:
     """Folder of the counters."""
     views: tuple[View, ...]
     """One entry a picture."""
+    notes: tuple[str, ...] = ()
+    """What the reader of the cameras chose or left out."""
 
 
 def run(command: Command) -> Rendered:
@@ -135,7 +137,7 @@ def run(command: Command) -> Rendered:
             if add is not None:
                 add(frame.result.image)
             views.append(_view(frame, file))
-    return Rendered(command.output, command.video, command.counters, tuple(views))
+    return Rendered(command.output, command.video, command.counters, tuple(views), named.notes if named else ())
 
 
 def show(rendered: Rendered) -> str:
@@ -147,7 +149,8 @@ def show(rendered: Rendered) -> str:
     ]
     written = (rendered.output, rendered.video, rendered.counters)
     targets = " and ".join(str(target) for target in written if target)
-    notes = [f"note: {note}" for note in dict.fromkeys(note for view in rendered.views for note in view.notes)]
+    said = (*rendered.notes, *(note for view in rendered.views for note in view.notes))
+    notes = [f"note: {note}" for note in dict.fromkeys(said)]
     return "\n".join([table(rows), *notes, f"wrote {targets}"])
 
 

@@ -1,49 +1,123 @@
-"""Photographs of views: found by the camera's name, read when they are asked for, at the camera's size."""
+"""Photographs of views: found once (`splatree.io.photo_paths`), read when they are asked for, at the size of a view.
 
+A photograph smaller than its camera's picture makes the view smaller; a larger one is averaged down to the view. A photograph
+through a lens is straightened to the largest upright rectangle that it fills, and the view becomes that pinhole.
+"""
+
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from splatree.errors import InputError
 from splatree.io.images import read_image
+from splatree.io.photo_paths import find_photos
 from splatree.scene.cameras import Camera
+from splatree.scene.warp import filled_pinhole, straighten
 from splatree.shapes import Array
 
-__all__ = ["Photos"]
+__all__ = ["Photos", "PhotosUsed"]
 
-SUFFIXES = (".png", ".jpg", ".jpeg", ".webp")
+_SHOWN = 8
+
+
+@dataclass(frozen=True)
+class PhotosUsed:
+    """Which photographs pictures are compared with."""
+
+    folders: dict[str, int]
+    """Folders, relative to the one that was named, and how many photographs each has."""
+    found: int
+    """Cameras with a photograph."""
+    missing: tuple[str, ...]
+    """Names of the cameras without one."""
+    notes: tuple[str, ...]
+    """What was done to fit photographs and cameras to each other, a sentence each."""
+
+    def in_words(self) -> list[str]:
+        """A line for each thing that the user should know."""
+        places = ", ".join(f"{count} in {folder}/" for folder, count in self.folders.items())
+        lines = [f"photographs: {places.replace(' ./', ' the folder itself')}"]
+        if self.missing:
+            names = ", ".join(self.missing[:_SHOWN]) + (", ..." if len(self.missing) > _SHOWN else "")
+            lines.append(f"no photograph of {len(self.missing)} of {self.found + len(self.missing)} cameras: {names}")
+        return [*lines, *(f"note: {note}" for note in self.notes)]
 
 
 class Photos(Mapping[str, Array]):
-    """Photographs in a folder or below it, float32 (h w 3), by the camera's name; views without one are left out.
+    """Photographs in a folder, float32 (h w 3), by the camera's name; views without one are left out.
+
+    ``views`` are all cameras as they are to be drawn and compared: pinholes, at most as large as their photographs.
 
     Raises:
-        InputError: the folder is none, or no picture in it is named like a camera.
+        InputError: as `find_photos`.
     """
 
     def __init__(self, folder: Path, cameras: Sequence[Camera]) -> None:
-        if not folder.is_dir():
-            raise InputError(f"data: {folder} is not a folder; wanted the folder of the photographs")
-        self._cameras = {camera.name: camera for camera in cameras}
-        files = [path for path in sorted(folder.rglob("*")) if path.suffix.lower() in SUFFIXES]
-        by_name = {path.relative_to(folder).as_posix(): path for path in files}
-        by_stem = {path.stem: path for path in files}
-        self._paths = {
-            name: path
-            for name in self._cameras
-            if (path := by_name.get(name) or by_stem.get(Path(name).stem)) is not None
-        }
-        if not self._paths:
-            first = cameras[0].name if cameras else ""
-            raise InputError(
-                f"data: none of the {len(files)} pictures in {folder} is named like a camera ({first!r}, ...)"
-            )
+        found = find_photos(folder, cameras)
+        self._paths = dict(found.paths)
+        self._taken: dict[str, Camera] = {}  # the camera of each photograph, lens and all, at the size it is read at
+        notes: Counter[str] = Counter()
+        for camera in cameras:
+            size = found.sizes.get(camera.name, (camera.width, camera.height))
+            before = f"{camera.width} × {camera.height} px"
+            if size[0] * size[1] < camera.width * camera.height:
+                camera = camera.resized(*size)
+                notes[f"drawn at the size of the photographs, {size[0]} × {size[1]} px; the cameras say {before}"] += 1
+            elif size != (camera.width, camera.height):
+                notes[f"averaged from {size[0]} × {size[1]} px to the size of the cameras, {before}"] += 1
+            self._taken[camera.name] = camera
+        flat = {name: filled_pinhole(camera) if camera.lens else camera for name, camera in self._taken.items()}
+        for name, view in flat.items():
+            if self._taken[name].lens is not None:
+                notes[f"straightened by the lens of their cameras, to {view.width} × {view.height} px"] += 1
+        self._views = flat
+        self.used = PhotosUsed(
+            dict(found.folders),
+            len(self._paths),
+            found.missing,
+            tuple(f"{count} of {len(cameras)} views: {note}" for note, count in notes.items()),
+        )
+
+    @property
+    def views(self) -> tuple[Camera, ...]:
+        """All cameras as they are to be drawn, in their order."""
+        return tuple(self._views.values())
+
+    def at(self, cameras: Sequence[Camera]) -> "Photos":
+        """The same photographs for some of the views, at the sizes of ``cameras``."""
+        fewer = object.__new__(Photos)
+        fewer._taken, fewer.used = self._taken, self.used
+        fewer._views = {camera.name: camera for camera in cameras}
+        fewer._paths = {camera.name: self._paths[camera.name] for camera in cameras if camera.name in self._paths}
+        return fewer
 
     def __getitem__(self, name: str) -> Array:
-        camera = self._cameras[name]
-        return read_image(self._paths[name], size=(camera.width, camera.height))
+        if name not in self._paths:
+            raise KeyError(name)
+        view, taken = self._views[name], self._taken[name]
+        if taken.lens is None:
+            return read_image(self._paths[name], size=(view.width, view.height))
+        full = filled_pinhole(taken)
+        taken = taken.scaled(view.width / full.width)
+        photo = read_image(self._paths[name], size=(taken.width, taken.height))
+        return straighten(photo, taken, view)
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._paths)
 
     def __len__(self) -> int:
         return len(self._paths)
+
+
+def photographed(cameras: Sequence[Camera], photos: Photos, what: str) -> None:
+    """Refuse views of which none has a photograph.
+
+    Raises:
+        InputError: there are views and none has one.
+    """
+    if cameras and not any(camera.name in photos for camera in cameras):
+        raise InputError(
+            f"data: none of the {len(cameras)} {what} has a photograph ({cameras[0].name!r}, ...), "
+            f"though {photos.used.found} other views have; wanted photographs of these"
+        )

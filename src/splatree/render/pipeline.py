@@ -15,6 +15,8 @@ from dataclasses import replace
 from functools import partial
 from typing import TypeVar
 
+import numpy as np
+
 from splatree.kernels import Backend, backend_for
 from splatree.lod.select import Selector, cull_rule, cull_scene, for_levels
 from splatree.lod.select import select as select_rows
@@ -22,6 +24,7 @@ from splatree.scene.cameras import Camera
 from splatree.scene.frame import Counters, Frame, RenderResult
 from splatree.scene.options import RenderOptions, ResolvedOptions, SelectOptions
 from splatree.scene.scene import Scene
+from splatree.scene.warp import bend, covering_pinhole
 
 __all__ = ["render", "trace"]
 
@@ -42,7 +45,13 @@ def render(
     The level of detail follows ``select``, options or a baseline (lod/baselines.py); all leaves are drawn with
     ``SelectOptions(pixel_error=0)``. ``threads`` 0 means all there are. The backend is that of the scene's device; `reference`
     is NumPy float64: slow, to compare with.
+
+    A camera with a lens is drawn by the pinhole that sees all that it shows, and the picture is bent (scene/warp.py).
     """
+    if camera.lens is not None:
+        pinhole = covering_pinhole(camera)
+        flat = render(scene, pinhole, options, select, threads=threads, backend=backend)
+        return _through_lens(flat, pinhole, camera)
     if (backend or scene.device) == "cuda":
         from splatree.render.device import render_on_device
 
@@ -63,8 +72,13 @@ def trace(
 ) -> Frame:
     """Draw a view like `render` and keep what each stage computed.
 
-    ``contributions`` also sums what each pair of splat and tile contributes to the picture (render/contribution.py).
+    ``contributions`` also sums what each pair of splat and tile contributes to the picture (render/contribution.py). Of a camera
+    with a lens, ``Frame.camera`` and all stages are those of the pinhole that stands for it; the picture alone is the camera's.
     """
+    if camera.lens is not None:
+        pinhole = covering_pinhole(camera)
+        frame = trace(scene, pinhole, options, select, threads=threads, backend=backend, contributions=contributions)
+        return replace(frame, result=_through_lens(frame.result, pinhole, camera))
     options, select = options or RenderOptions(), select or SelectOptions()
     resolved = options.resolved(scene)
     select = _settled(select, scene, resolved)
@@ -123,6 +137,14 @@ def trace(
     )
     result = RenderResult(picture.image, picture.alpha, picture.depth, counters, milliseconds, cpu_milliseconds)
     return Frame(camera, culling, selection, splats, bins, picture.tiles, result, picture.contributions)
+
+
+def _through_lens(flat: RenderResult, pinhole: Camera, camera: Camera) -> RenderResult:
+    """The picture of a camera with a lens from that of its pinhole; alpha is bent like colour, depth where something is drawn."""
+    image, alpha = bend(flat.image, pinhole, camera), bend(flat.alpha, pinhole, camera)
+    weighted = bend(flat.depth * flat.alpha, pinhole, camera)
+    depth = np.divide(weighted, alpha, out=np.zeros_like(alpha), where=alpha > 0)
+    return replace(flat, image=image, alpha=alpha, depth=depth)
 
 
 def _settled(select: SelectOptions | Selector, scene: Scene, options: ResolvedOptions) -> SelectOptions | Selector:

@@ -1,4 +1,4 @@
-"""Pinhole cameras with OpenCV axes: x right, y down, z forward; pixel centres at +½."""
+"""Cameras with OpenCV axes: x right, y down, z forward; pixel centres at +½; pinholes, or with a lens that bends lines."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -7,6 +7,7 @@ import numpy as np
 
 from splatree.constants import NEAR
 from splatree.errors import InputError
+from splatree.scene.lens import Lens
 from splatree.shapes import Array, Float64, check_fields
 
 
@@ -26,6 +27,8 @@ class Camera:
     """Gaussians whose centre has a smaller view depth, world units, are not drawn."""
     name: str = ""
     """Name of the picture that it belongs to, if any."""
+    lens: Lens | None = None
+    """How it bends straight lines; None: not at all. `render` and `trace` draw it through a covering pinhole (scene/warp.py)."""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -49,11 +52,20 @@ class Camera:
 
     def scaled(self, factor: float) -> "Camera":
         """The same view with ``factor`` times the pixels along each side (rounded)."""
-        width, height = max(1, round(self.width * factor)), max(1, round(self.height * factor))
+        return self.resized(max(1, round(self.width * factor)), max(1, round(self.height * factor)))
+
+    def resized(self, width: int, height: int) -> "Camera":
+        """The same view with another number of pixels along each side."""
         K = self.K.copy()
         K[0] *= width / self.width
         K[1] *= height / self.height
         return replace(self, K=K, width=width, height=height)
+
+    def moved(self, offset: Array) -> "Camera":
+        """The same view in a world whose origin lies at ``offset``: the camera's position less ``offset``."""
+        pose = self.camera_from_world.copy()
+        pose[:3, 3] += pose[:3, :3] @ np.asarray(offset, np.float64)
+        return replace(self, camera_from_world=pose)
 
     @staticmethod
     def look_at(
@@ -93,6 +105,8 @@ class Cameras:
 
     views: tuple[Camera, ...]
     """One camera a view."""
+    notes: tuple[str, ...] = ()
+    """What the reader of their file chose or left out, a sentence each."""
 
     def __len__(self) -> int:
         return len(self.views)

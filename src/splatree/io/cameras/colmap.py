@@ -5,6 +5,7 @@
 here. Points are not read. Layouts: colmap.github.io/format.html.
 """
 
+import math
 import struct
 from pathlib import Path
 
@@ -15,8 +16,25 @@ from splatree.io.cameras.distortion import MODELS, intrinsics
 from splatree.scene.cameras import Camera, Cameras
 from splatree.shapes import Array
 
-_Intrinsics = dict[int, tuple[Array, int, int]]  # K, width, height by the camera's number
+_Lenses = dict[int, tuple[str, tuple[float, ...], int, int, str]]
+"""Model, parameters, width, height and place in the file by the camera's number; looked at when a picture uses it."""
 _Pose = tuple[str, tuple[float, ...], int]  # name of the picture, quaternion and translation, the camera's number
+
+
+def models_in(folder: Path) -> list[Path]:
+    """The models in a folder: its numbered folders, the one with most pictures first, or itself."""
+    numbered = [child for child in folder.glob("*") if child.name.isdigit() and is_model(child)]
+    numbered.sort(key=lambda child: int(child.name))
+    if len(numbered) > 1:
+        numbered.sort(key=lambda child: -num_pictures(child))
+    return numbered or ([folder] if is_model(folder) else [])
+
+
+def num_pictures(folder: Path) -> int:
+    """How many pictures a model has."""
+    if (folder / "images.bin").is_file():
+        return len(_images_bin(folder / "images.bin"))
+    return len(_images_txt(folder / "images.txt"))
 
 
 def is_model(folder: Path) -> bool:
@@ -30,18 +48,21 @@ def is_model(folder: Path) -> bool:
 def read(folder: Path) -> Cameras:
     """Read all views, ordered by the names of their pictures; binary files are preferred to text."""
     if (folder / "images.bin").is_file() and (folder / "cameras.bin").is_file():
-        intrinsics_of, poses = _cameras_bin(folder / "cameras.bin"), _images_bin(folder / "images.bin")
+        lenses, poses = _cameras_bin(folder / "cameras.bin"), _images_bin(folder / "images.bin")
     else:
-        intrinsics_of, poses = _cameras_txt(folder / "cameras.txt"), _images_txt(folder / "images.txt")
+        lenses, poses = _cameras_txt(folder / "cameras.txt"), _images_txt(folder / "images.txt")
     views = []
     for name, numbers, camera in sorted(poses, key=lambda pose: pose[0]):
         where = f"{folder}: picture {name!r}"
-        if camera not in intrinsics_of:
-            raise FormatError(f"{where}: found camera number {camera}, wanted one of {sorted(intrinsics_of)[:12]}")
-        K, width, height = intrinsics_of[camera]
+        if camera not in lenses:
+            raise FormatError(f"{where}: found camera number {camera}, wanted one of {sorted(lenses)[:12]}")
+        model, parameters, width, height, place = lenses[camera]
+        K, lens = intrinsics(model, parameters, place)
         try:
-            views.append(Camera(_pose(numbers, where), K, width, height, name=name))
+            views.append(Camera(_pose(numbers, where), K, width, height, name=name, lens=lens))
         except InputError as error:
+            if isinstance(error, FormatError):
+                raise
             raise FormatError(f"{where}: {error}") from error
     return Cameras(tuple(views))
 
@@ -89,18 +110,15 @@ class _Bytes:
         end = self.data.find(b"\0", self.at)
         if end < 0:
             raise FormatError(f"{self.path}: found a name without an end at byte {self.at}; the file is cut off")
-        try:
-            name = self.data[self.at : end].decode("utf-8")
-        except UnicodeDecodeError as error:
-            raise FormatError(f"{self.path}: found a name that is not text at byte {self.at} ({error})") from error
+        name = _text(self.data[self.at : end])
         self.at = end + 1
         return name
 
 
-def _cameras_bin(path: Path) -> _Intrinsics:
+def _cameras_bin(path: Path) -> _Lenses:
     file = _Bytes(path)
     models = list(MODELS)
-    found: _Intrinsics = {}
+    found: _Lenses = {}
     (count,) = file.take("<Q")
     for _ in range(int(count)):
         number, model, width, height = (int(value) for value in file.take("<iiQQ"))
@@ -108,7 +126,7 @@ def _cameras_bin(path: Path) -> _Intrinsics:
         if not 0 <= model < len(models):
             raise FormatError(f"{where}: found model number {model}, wanted 0 to {len(models) - 1} (and a pinhole)")
         parameters = file.take(f"<{len(MODELS[models[model]])}d")
-        found[number] = intrinsics(models[model], parameters, where), width, height
+        found[number] = models[model], parameters, width, height, where
     return found
 
 
@@ -125,29 +143,27 @@ def _images_bin(path: Path) -> list[_Pose]:
     return found
 
 
-def _cameras_txt(path: Path) -> _Intrinsics:
-    found: _Intrinsics = {}
+def _cameras_txt(path: Path) -> _Lenses:
+    found: _Lenses = {}
     for number, line in enumerate(_lines(path), start=1):
         if not line:
             continue
         where = f"{path}: line {number} (comments not counted)"
         try:
             camera, model, width, height, *parameters = line.split()
-            K = intrinsics(model, [float(p) for p in parameters], where)
-            found[int(camera)] = K, int(width), int(height)
+            found[int(camera)] = model, tuple(float(p) for p in parameters), int(width), int(height), where
         except ValueError as error:
-            if isinstance(error, FormatError):
-                raise
             raise FormatError(f"{where}: found {line[:80]!r}, wanted CAMERA_ID MODEL WIDTH HEIGHT PARAMS…") from error
     return found
 
 
 def _images_txt(path: Path) -> list[_Pose]:
-    """Two lines a picture: the pose, then its points, of which there may be none."""
+    """Two lines a picture: the pose, then its points. Where there are none that line is blank, or was stripped by a tool."""
     found: list[_Pose] = []
-    lines = enumerate(_lines(path), start=1)
-    for number, line in lines:
-        if not line:
+    may_be_points = False
+    for number, line in enumerate(_lines(path), start=1):
+        if not line or (may_be_points and _are_points(line)):
+            may_be_points = False
             continue
         try:
             _, *numbers, camera, name = line.split(maxsplit=9)
@@ -159,13 +175,31 @@ def _images_txt(path: Path) -> list[_Pose]:
                 f"{path}: line {number} (comments not counted): found {line[:80]!r}, wanted "
                 "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME"
             ) from error
-        next(lines, None)
+        may_be_points = True
     return found
 
 
-def _lines(path: Path) -> list[str]:
+def _are_points(line: str) -> bool:
+    """Whether a line is x, y and the number of a point, again and again; a pose has ten words, of which one is a name."""
+    words = line.split()
+    if len(words) % 3:
+        return False
     try:
-        text = path.read_text(encoding="utf-8")
-    except UnicodeDecodeError as error:
-        raise FormatError(f"{path}: not text ({error})") from error
-    return [line.strip() for line in text.split("\n") if not line.startswith("#")]
+        return all(math.isfinite(float(word)) for word in words)
+    except ValueError:
+        return False
+
+
+def _lines(path: Path) -> list[str]:
+    """Lines that are no comments; bytes that are no UTF-8 are Latin-1, as older tools write names."""
+    data = path.read_bytes()
+    if b"\0" in data:
+        raise FormatError(f"{path}: not text, it holds zero bytes; the file is damaged or of another kind")
+    return [line.strip() for line in _text(data).split("\n") if not line.startswith("#")]
+
+
+def _text(data: bytes) -> str:
+    try:
+        return data.decode("utf-8")
+    except UnicodeDecodeError:
+        return data.decode("latin-1")

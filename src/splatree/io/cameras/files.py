@@ -1,12 +1,12 @@
 """Cameras of a scene from the files that training and reconstruction leave: INRIA, COLMAP, nerfstudio.
 
-All become world-to-camera poses with OpenCV axes (x right, y down, z forward) and intrinsics without distortion. A camera
-with distortion is refused: a Gaussian is projected by a pinhole, so its pictures have to be undistorted first.
+All become world-to-camera poses with OpenCV axes (x right, y down, z forward), intrinsics, and a lens where the file names one.
 """
 
 import json
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,8 +18,8 @@ from splatree.io.cameras import colmap, nerfstudio
 from splatree.io.replacing import replacing
 from splatree.scene.cameras import Camera, Cameras
 
-_COLMAP_FOLDERS = ("sparse/0", "colmap/sparse/0", "sparse", "")
-"""Where a model lies in a folder of pictures, in the order in which they are tried."""
+_COLMAP_FOLDERS = ("sparse", "colmap/sparse", "")
+"""Where a model or several numbered ones lie in a folder of pictures, in the order in which they are tried."""
 
 
 def read_cameras(path: str | os.PathLike[str]) -> Cameras:
@@ -33,7 +33,7 @@ def read_cameras(path: str | os.PathLike[str]) -> Cameras:
     A folder is searched for a COLMAP model, then transforms.json, then cameras.json.
 
     Raises:
-        FormatError: the file is damaged or holds no camera, or a camera has distortion or is no pinhole.
+        FormatError: the file is damaged or holds no camera, or a camera has a lens of an unknown model.
         InputError: there is nothing of these kinds.
     """
     cameras = _read(Path(path))
@@ -45,8 +45,8 @@ def read_cameras(path: str | os.PathLike[str]) -> Cameras:
 def _read(root: Path) -> Cameras:
     if root.is_dir():
         for folder in _COLMAP_FOLDERS:
-            if colmap.is_model(root / folder):
-                return colmap.read(root / folder)
+            if models := colmap.models_in(root / folder):
+                return _largest_model(models)
         for name in ("transforms.json", "cameras.json"):
             if (root / name).is_file():
                 return _read(root / name)
@@ -70,6 +70,19 @@ def _read(root: Path) -> Cameras:
     )
 
 
+def _largest_model(models: Sequence[Path]) -> Cameras:
+    """The first of several models of one folder; COLMAP numbers the pieces that it could not join."""
+    cameras = colmap.read(models[0])
+    if len(models) == 1:
+        return cameras
+    counts = ", ".join(f"{model.name}: {colmap.num_pictures(model)}" for model in models)
+    note = (
+        f"{models[0].parent} holds {len(models)} COLMAP models (pictures by number: {counts}); the one with most pictures, "
+        f"{models[0].name}, is taken; name the folder of another to take that"
+    )
+    return replace(cameras, notes=(*cameras.notes, note))
+
+
 def write_cameras(cameras: Cameras | Sequence[Camera], path: str | os.PathLike[str], *, force: bool = False) -> None:
     """Write the JSON of the 3DGS code; ``cx cy near`` are added where they are not its half sizes and default.
 
@@ -78,6 +91,10 @@ def write_cameras(cameras: Cameras | Sequence[Camera], path: str | os.PathLike[s
     """
     records = []
     for i, camera in enumerate(cameras):
+        if camera.lens is not None:
+            raise InputError(
+                f"{path}: camera {camera.name!r} has a lens, which cameras.json cannot hold; wanted pinholes"
+            )
         record = {
             "id": i,
             "img_name": camera.name,

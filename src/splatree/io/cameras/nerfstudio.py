@@ -14,11 +14,9 @@ import numpy as np
 
 from splatree.errors import FormatError, InputError
 from splatree.io import untrusted
-from splatree.io.cameras.distortion import intrinsics
+from splatree.io.cameras.distortion import lens_of_record
 from splatree.io.images import image_size
 from splatree.scene.cameras import Camera, Cameras
-
-_DISTORTION = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")  # in the order of COLMAP's FULL_OPENCV
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # absurd numbers become infinite, which Camera refuses
@@ -36,17 +34,11 @@ def _view(value: Any, content: dict[str, Any], path: Path, where: str) -> Camera
         width, height = untrusted.integer(lens, "w", where, low=1), untrusted.integer(lens, "h", where, low=1)
     else:
         width, height = _size_of_picture(path.parent, name, where)
-    model = lens.get("camera_model", "OPENCV")
-    if model not in ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "FULL_OPENCV"):
-        raise FormatError(
-            f"{where}: found camera model {str(model)[:40]!r}, wanted a pinhole; undistort the pictures first"
-        )
     fx = _focal(lens, "x", width, where)
     fy = _focal(lens, "y", height, where) if "fl_y" in lens or "camera_angle_y" in lens else fx
     cx = untrusted.number(lens, "cx", where) if "cx" in lens else width / 2
     cy = untrusted.number(lens, "cy", where) if "cy" in lens else height / 2
-    bends = [untrusted.number(lens, key, where) if key in lens else 0.0 for key in _DISTORTION]
-    K = intrinsics("FULL_OPENCV", [fx, fy, cx, cy, *bends], where)
+    K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64)
 
     world_from_camera = untrusted.numbers(frame, "transform_matrix", where, (4, 4)) @ np.diag([1.0, -1.0, -1.0, 1.0])
     rotation = world_from_camera[:3, :3].T
@@ -54,8 +46,10 @@ def _view(value: Any, content: dict[str, Any], path: Path, where: str) -> Camera
     pose[:3, :3] = rotation
     pose[:3, 3] = -rotation @ world_from_camera[:3, 3]
     try:
-        return Camera(pose, K, width, height, name=name)
+        return Camera(pose, K, width, height, name=name, lens=lens_of_record(lens, where))
     except InputError as error:
+        if isinstance(error, FormatError):
+            raise
         raise FormatError(f"{where}: {error}") from error
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 
 from splatree.constants import DILATION_MIN_PX2, FRUSTUM_CLAMP, SIGMA_MAX_PX
+from splatree.errors import InputError
 from splatree.kernels.reference.square import rule_of
 from splatree.scene.cameras import Camera
 from splatree.scene.options import ResolvedOptions
@@ -13,6 +14,11 @@ __all__ = ["pack_square", "pack_view"]
 
 def pack_view(camera: Camera, dilation_px2: float) -> Float64[Array, "25"]:
     """The numbers of the struct View, in its order."""
+    if camera.lens is not None:
+        raise InputError(
+            f"camera {camera.name!r}: found a lens, wanted a pinhole: a stage of a frame knows no other; `render` and `trace` "
+            "take cameras with a lens"
+        )
     rotation, translation = camera.camera_from_world[:3, :3], camera.camera_from_world[:3, 3]
     # Not −Rᵀt: the rotation may be off by 1e-4, and then the pixels of far Gaussians would move.
     center = np.linalg.solve(rotation, -translation)
