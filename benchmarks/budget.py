@@ -66,8 +66,8 @@ def of_mode(city: splatree.Scene, cameras: list[splatree.Camera], share: float) 
             yield row(way, "τ_R px", [frame.selection.pixel_error for frame in frames])
 
     yield row("leaves in view", "% of leaves", [100 * len(frame.selection) / num_leaves for frame in full])
-    thinned = splatree.thin(city.gaussians, splatree.ThinOptions("pairs", keep=share), mode=city.mode).gaussians
-    yield from rows_of("thinned once", splatree.Scene.flat(thinned, mode=city.mode), ALL_LEAVES)
+    thinned = splatree.thin(city, splatree.ThinOptions("pairs", keep=share)).scene
+    yield from rows_of("thinned once", thinned, ALL_LEAVES)
     ways = {
         "cut, pairs": splatree.BuildOptions("pairs"),
         "cut, radius": splatree.BuildOptions("radius"),

@@ -77,17 +77,18 @@ class Judge:
 def thinned(judge: Judge, peers: dict[float, splatree.Gaussians]) -> list[dict[str, object]]:
     """Table 1."""
     rows: list[dict[str, object]] = []
+    leaves = splatree.Scene.flat(judge.leaves, mode=judge.mode)
     for keep in SHARES:
         pairs = splatree.ThinOptions("pairs", keep=keep)
         unseen = splatree.ThinOptions("pairs", keep=keep, visibility=False)
         entries = {
-            "pairs": splatree.thin(judge.leaves, pairs, mode=judge.mode).gaussians,
-            "pairs without visibility": splatree.thin(judge.leaves, unseen, mode=judge.mode).gaussians,
+            "pairs": splatree.thin(leaves, pairs).scene.gaussians,
+            "pairs without visibility": splatree.thin(leaves, unseen).scene.gaussians,
         }
         for name, merge in RULES.items():
             color_radius = None if merge.rule == "mean" else splatree.ThinOptions().color_radius
             options = splatree.ThinOptions("radius", keep=keep, merge=merge, color_radius=color_radius)
-            entries[f"radius: {name}"] = splatree.thin(judge.leaves, options, mode=judge.mode).gaussians
+            entries[f"radius: {name}"] = splatree.thin(leaves, options).scene.gaussians
         if keep in peers:
             entries[f"{PEER} -g cpu -d"] = peers[keep]
         for name, gaussians in entries.items():

@@ -54,9 +54,9 @@ def main() -> None:
         "pairs, keep 10 %": splatree.ThinOptions("pairs", keep=0.1),
     }
     for count in arguments.counts:
-        gaussians = city(count, arguments.degree)
+        scene = splatree.Scene.flat(city(count, arguments.degree))
         for name, options in jobs.items():
-            cost = measure(lambda g=gaussians, o=options: splatree.thin(g, o))
+            cost = measure(lambda s=scene, o=options: splatree.thin(s, o))
             groups = cost.value.groups
             row: dict[str, object] = {
                 "what": f"thin, {name}",
@@ -65,14 +65,14 @@ def main() -> None:
                 "CPU s": cost.cpu_s,
                 "wall s": cost.wall_s,
                 "peak MB": cost.peak_bytes / 1e6,
-                "input MB": gaussians.nbytes / 1e6,
+                "input MB": scene.gaussians.nbytes / 1e6,
                 "rounds": groups.rounds,
                 "visited / row": groups.num_visited / count,
             }
             before = next((r for r in rows if r["what"] == row["what"]), None)
             rows.append(row | {"slope": slope(before, row) if before else ""})
             print(rows[-1], flush=True)
-        del gaussians
+        del scene
     if arguments.peer and shutil.which("npx"):
         rows += against_peer()
     print(table(rows))

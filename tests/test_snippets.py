@@ -72,8 +72,7 @@ def shown_files(tmp_path_factory):
         st.write_image(st.render(scene, camera).image, folder / "photographs" / f"{camera.name}.png")
     streamed = folder / "playbot"
     streamed.mkdir()
-    coarse = st.thin(scene.gaussians, st.ThinOptions(keep=0.2)).gaussians
-    levels = [scene, st.Scene.flat(coarse)]
+    levels = [scene, st.thin(scene, st.ThinOptions(keep=0.2)).scene]
     for i, level in enumerate(levels):
         st.write(level, streamed / f"{i}_0" / "meta.json")
     lods = {str(i): {"file": i, "offset": 0, "count": len(level)} for i, level in enumerate(levels)}

@@ -70,7 +70,7 @@ def frames() -> Iterator[tuple[str, str]]:
                         digest(result.image, result.alpha, result.depth),
                     )
         for keep in (0.5, 0.1):
-            thinned = st.thin(scene.gaussians, st.ThinOptions(keep=keep), mode=mode).gaussians
+            thinned = st.thin(scene, st.ThinOptions(keep=keep)).scene.gaussians
             yield f"thin {mode} {keep}", digest(*columns(thinned))
 
 

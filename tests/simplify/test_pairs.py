@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from splatree import Gaussians, InputError, MergeOptions, ThinOptions, thin
+from splatree import Gaussians, InputError, MergeOptions, Scene, ThinOptions, thin
 from splatree.kernels.cpu.build import pairs
 from splatree.kernels.reference import pairs as reference
 from splatree.simplify.merge import weights_of
@@ -65,20 +65,20 @@ def test_matching_takes_the_cheapest_pairs_that_share_no_row(n, seed, most):
 @pytest.mark.parametrize("count", [1, 7, 100, 299, 300, 400])
 def test_a_count_is_met_exactly_and_groups_hold_each_row_once(count):
     g = random_gaussians(300, seed=3, degree=1)
-    thinned = thin(g, ThinOptions(count=count), mode="antialiased")
+    thinned = thin(Scene.flat(g, mode="antialiased"), ThinOptions(count=count))
     groups = thinned.groups
     assert len(thinned) == len(groups) == min(count, 300)
     np.testing.assert_array_equal(np.sort(groups.rows), np.arange(300))
     assert np.all(np.diff(groups.representatives) > 0)
     np.testing.assert_array_equal(groups.group_from_row[groups.representatives], np.arange(len(groups)))
     if count >= 300:
-        np.testing.assert_array_equal(thinned.gaussians.sh, g.sh)
+        np.testing.assert_array_equal(thinned.scene.gaussians.sh, g.sh)
 
 
 @pytest.mark.parametrize("mode", ["classic", "antialiased"])
 def test_result_does_not_depend_on_threads(mode):
     g = random_gaussians(3000, seed=4)
-    results = [thin(g, ThinOptions(keep=0.3), mode=mode, threads=t).gaussians for t in (1, 2, 4)]
+    results = [thin(Scene.flat(g, mode=mode), ThinOptions(keep=0.3), threads=t).scene.gaussians for t in (1, 2, 4)]
     for other in results[1:]:
         for name in ("means", "quats", "log_scales", "logit_opacities", "sh"):
             np.testing.assert_array_equal(getattr(results[0], name), getattr(other, name))
@@ -89,9 +89,11 @@ def test_twins_merge_first_and_cost_nothing():
     g = Gaussians(
         *(np.concatenate([c, c]) for c in (g.means, g.quats, g.log_scales, np.full(50, -3, np.float32), g.sh))
     )
-    thinned = thin(g, ThinOptions(count=50), mode="antialiased")
+    thinned = thin(Scene.flat(g, mode="antialiased"), ThinOptions(count=50))
     np.testing.assert_array_equal(thinned.groups.group_from_row[:50], thinned.groups.group_from_row[50:])
-    np.testing.assert_allclose(thinned.gaussians.means[thinned.groups.group_from_row[:50]], g.means[:50], rtol=1e-6)
+    np.testing.assert_allclose(
+        thinned.scene.gaussians.means[thinned.groups.group_from_row[:50]], g.means[:50], rtol=1e-6
+    )
 
 
 def test_of_two_pairs_the_one_that_shows_less_merges():
@@ -104,15 +106,15 @@ def test_of_two_pairs_the_one_that_shows_less_merges():
         np.zeros(4, np.float32),
         colors[:, None, :],
     )
-    groups = thin(g, ThinOptions(count=3), mode="classic").groups
+    groups = thin(Scene.flat(g, mode="classic"), ThinOptions(count=3)).groups
     np.testing.assert_array_equal(groups.group_from_row, [0, 0, 1, 2])
 
 
 def test_all_at_one_place_become_one():
     g = random_gaussians(40, seed=6, spread=0.0)
     for mode in ("classic", "antialiased"):
-        thinned = thin(g, ThinOptions(count=1), mode=mode)
-        merged = thinned.gaussians
+        thinned = thin(Scene.flat(g, mode=mode), ThinOptions(count=1))
+        merged = thinned.scene.gaussians
         assert len(merged) == 1 and len(thinned.groups.rows) == 40
         assert np.isfinite(merged.log_scales).all() and np.isfinite(merged.logit_opacities).all()
 
@@ -121,7 +123,7 @@ def test_all_at_one_place_become_one():
 def test_enormous_scales_merge_to_finite_numbers(mode):
     g = random_gaussians(50, seed=9)
     wide = Gaussians(g.means, g.quats, np.full_like(g.log_scales, 80.0), g.logit_opacities, g.sh)
-    merged = thin(wide, ThinOptions(count=5), mode=mode).gaussians
+    merged = thin(Scene.flat(wide, mode=mode), ThinOptions(count=5)).scene.gaussians
     for name in ("means", "quats", "log_scales", "logit_opacities", "sh"):
         assert np.isfinite(getattr(merged, name)).all(), name
 
@@ -130,7 +132,7 @@ def test_gaussians_out_of_reach_are_refused():
     g = random_gaussians(4, seed=10)
     far = Gaussians(g.means * np.float32(1e25), g.quats, g.log_scales, g.logit_opacities, g.sh)
     with pytest.raises(InputError, match="so far apart"):
-        thin(far, ThinOptions(count=1))
+        thin(Scene.flat(far), ThinOptions(count=1))
 
 
 def test_a_neighbour_whose_cost_float32_cannot_hold_is_passed_over():
@@ -146,10 +148,10 @@ def test_a_neighbour_whose_cost_float32_cannot_hold_is_passed_over():
 def test_a_named_opacity_rule_is_kept():
     g = random_gaussians(60, seed=7)
     options = ThinOptions(count=59, merge=MergeOptions(opacity="union"))
-    thinned = thin(g, options, mode="classic")
+    thinned = thin(Scene.flat(g, mode="classic"), options)
     members = thinned.groups.rows[np.repeat(thinned.groups.sizes == 2, thinned.groups.sizes)]
     alphas = 1 / (1 + np.exp(-g.logit_opacities[members].astype(np.float64)))
-    merged = thinned.gaussians.logit_opacities[thinned.groups.sizes == 2][0]
+    merged = thinned.scene.gaussians.logit_opacities[thinned.groups.sizes == 2][0]
     assert 1 / (1 + np.exp(-float(merged))) == pytest.approx(1 - np.prod(1 - alphas), rel=1e-6)
 
 
@@ -157,28 +159,28 @@ def test_a_named_opacity_rule_is_kept():
 def test_a_pair_gets_the_fitted_opacity_in_a_classic_scene(opacity):
     g = random_gaussians(2, seed=12)
     options = ThinOptions(count=1, pixel_size=0.5, visibility=False, merge=MergeOptions(opacity=opacity))
-    thinned = thin(g, options, mode="classic")
+    thinned = thin(Scene.flat(g, mode="classic"), options)
     _, alphas = reference.pair_costs(
         *(g, weights_of(g, "opacity"), np.array([0]), np.array([1])), dilation=0.3 * 0.5**2
     )
     # The kernel's float32 opacity, good to about 1e-6.
-    assert 1 / (1 + np.exp(-float(thinned.gaussians.logit_opacities[0]))) == pytest.approx(alphas[0], rel=1e-5)
+    assert 1 / (1 + np.exp(-float(thinned.scene.gaussians.logit_opacities[0]))) == pytest.approx(alphas[0], rel=1e-5)
     assert 1e-3 < alphas[0] < 0.99  # neither end of what is allowed
 
 
 def test_options_say_what_was_done():
     g = random_gaussians(20, seed=13)
     for mode, opacity, weight in (("classic", "fitted", "opacity"), ("antialiased", "optical", "opacity-area")):
-        thinned = thin(g, ThinOptions(count=5), mode=mode)
+        thinned = thin(Scene.flat(g, mode=mode), ThinOptions(count=5))
         assert thinned.options.method == "pairs"
         assert (thinned.options.merge.opacity, thinned.options.merge.weight) == (opacity, weight)
-        again = thin(g, thinned.options, mode=mode)
-        np.testing.assert_array_equal(again.gaussians.logit_opacities, thinned.gaussians.logit_opacities)
+        again = thin(Scene.flat(g, mode=mode), thinned.options)
+        np.testing.assert_array_equal(again.scene.gaussians.logit_opacities, thinned.scene.gaussians.logit_opacities)
 
 
 def test_fitted_opacity_is_of_pairs_alone():
     with pytest.raises(InputError, match="only merging by pairs"):
-        thin(random_gaussians(20, seed=14), ThinOptions(radius=0.1, merge=MergeOptions(opacity="fitted")))
+        thin(Scene.flat(random_gaussians(20, seed=14)), ThinOptions(radius=0.1, merge=MergeOptions(opacity="fitted")))
 
 
 def test_cost_falls_with_the_square_of_the_visibility():
@@ -204,9 +206,9 @@ def test_of_two_pairs_alike_the_hidden_one_merges():
         np.where(small, 0, 5).astype(np.float32),
         np.repeat(np.arange(n) % 2, 3).reshape(n, 1, 3).astype(np.float32),
     )
-    groups = thin(g, ThinOptions(count=n - 1, pixel_size=1e-3), mode="classic").groups
+    groups = thin(Scene.flat(g, mode="classic"), ThinOptions(count=n - 1, pixel_size=1e-3)).groups
     np.testing.assert_array_equal(groups.rows[groups.start[:-1]][groups.sizes == 2], [2])
-    alike = thin(g, ThinOptions(count=n - 1, pixel_size=1e-3, visibility=False), mode="classic").groups
+    alike = thin(Scene.flat(g, mode="classic"), ThinOptions(count=n - 1, pixel_size=1e-3, visibility=False)).groups
     np.testing.assert_array_equal(alike.rows[alike.start[:-1]][alike.sizes == 2], [0])
 
 

@@ -1,9 +1,11 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from splatree import Gaussians, InputError, ThinOptions, thin
+from splatree import Gaussians, InputError, Scene, ThinOptions, build_lod, thin
 from splatree.kernels.cpu.build import thin as fast
 from splatree.kernels.reference import thin as reference
 from splatree.simplify.merge import importance_of
@@ -108,48 +110,48 @@ def test_far_outliers_share_cells_and_stay_apart():
 
 def test_identical_points_merge_at_radius_zero():
     g = random_gaussians(1).take(np.zeros(5000, np.int64))
-    thinned = thin(g, ThinOptions(radius=0.0))
+    thinned = thin(Scene.flat(g), ThinOptions(radius=0.0))
     assert len(thinned) == 1
-    np.testing.assert_array_equal(thinned.gaussians.means, g.means[:1])
+    np.testing.assert_array_equal(thinned.scene.gaussians.means, g.means[:1])
 
 
 def test_distinct_points_stay_bit_for_bit_at_radius_zero():
     g = random_gaussians(300, degree=1)
-    thinned = thin(g, ThinOptions(radius=0.0))
+    thinned = thin(Scene.flat(g), ThinOptions(radius=0.0))
     for name in ("means", "quats", "log_scales", "logit_opacities", "sh"):
-        assert getattr(thinned.gaussians, name).tobytes() == getattr(g, name).tobytes()
+        assert getattr(thinned.scene.gaussians, name).tobytes() == getattr(g, name).tobytes()
 
 
 def test_radius_beyond_the_scene_leaves_one():
-    assert len(thin(random_gaussians(200), ThinOptions(radius=1e9, color_radius=None))) == 1
+    assert len(thin(Scene.flat(random_gaussians(200)), ThinOptions(radius=1e9, color_radius=None))) == 1
 
 
 @pytest.mark.parametrize("n", [0, 1])
 def test_smallest_scenes(n):
     for options in (ThinOptions(), ThinOptions(keep=0.5), ThinOptions("radius", count=1), ThinOptions(radius=1.0)):
-        assert len(thin(random_gaussians(n), options)) == n
+        assert len(thin(Scene.flat(random_gaussians(n)), options)) == n
 
 
 def test_enormous_scales_merge_to_finite_numbers():
     g = random_gaussians(50)
     wide = Gaussians(g.means, g.quats, np.full_like(g.log_scales, 80.0), g.logit_opacities, g.sh)
-    merged = thin(wide, ThinOptions(radius=10.0)).gaussians
+    merged = thin(Scene.flat(wide), ThinOptions(radius=10.0)).scene.gaussians
     assert np.isfinite(merged.log_scales).all() and np.isfinite(merged.logit_opacities).all()
 
 
 @pytest.mark.parametrize("keep", [0.5, 0.1])
 def test_a_share_is_met_to_one_percent(keep):
     g = random_gaussians(20_000)
-    thinned = thin(g, ThinOptions("radius", keep=keep, color_radius=None))
+    thinned = thin(Scene.flat(g), ThinOptions("radius", keep=keep, color_radius=None))
     assert abs(len(thinned) / (keep * len(g)) - 1) <= 0.01
-    again = thin(g, ThinOptions(radius=thinned.radius, color_radius=None))
+    again = thin(Scene.flat(g), ThinOptions(radius=thinned.radius, color_radius=None))
     np.testing.assert_array_equal(again.groups.group_from_row, thinned.groups.group_from_row)
 
 
 def test_count_that_colour_forbids_is_refused():
     g = random_gaussians(200)
     with pytest.raises(InputError, match="color_radius"):
-        thin(g, ThinOptions("radius", count=1, color_radius=0.01))
+        thin(Scene.flat(g), ThinOptions("radius", count=1, color_radius=0.01))
 
 
 def test_auto_radius_is_the_median_distance_to_the_nearest():
@@ -179,7 +181,7 @@ def test_not_finite_rows_are_named(field):
     columns = {name: getattr(g, name).copy() for name in ("means", "quats", "log_scales", "logit_opacities", "sh")}
     columns[field].reshape(10, -1)[7, 0] = np.nan
     with pytest.raises(InputError, match=rf"{field}\[7\]"):
-        thin(Gaussians(**columns))
+        thin(Scene.flat(Gaussians(**columns)))
 
 
 def test_zero_quaternion_is_named():
@@ -187,7 +189,7 @@ def test_zero_quaternion_is_named():
     quats = g.quats.copy()
     quats[4] = 0
     with pytest.raises(InputError, match=r"quats\[4\]"):
-        thin(Gaussians(g.means, quats, g.log_scales, g.logit_opacities, g.sh))
+        thin(Scene.flat(Gaussians(g.means, quats, g.log_scales, g.logit_opacities, g.sh)))
 
 
 @pytest.mark.parametrize(
@@ -226,3 +228,16 @@ def test_impossible_options_are_refused(wrong):
 def test_options_of_the_other_method_are_refused(given, found):
     with pytest.raises(InputError, match=found):
         ThinOptions(**given)
+
+
+def test_a_scene_is_thinned_as_it_is_drawn_and_by_its_leaves():
+    scene = replace(Scene.flat(random_gaussians(400), mode="antialiased"), threshold=0.01, tile_rule="balanced")
+    alone, tree = thin(scene, ThinOptions(keep=0.5)), build_lod(scene)
+    found = thin(tree, ThinOptions(keep=0.5)).scene
+    assert (found.mode, found.threshold, found.tile_rule) == ("antialiased", 0.01, "balanced")
+    assert found.tree.num_leaves == len(found) == len(alone) and "levels" not in found.source.metadata
+
+
+def test_what_is_no_scene_is_refused_with_what_to_do():
+    with pytest.raises(InputError, match=r"found Gaussians, wanted a Scene; make one with Scene.flat\(gaussians"):
+        thin(random_gaussians(3))

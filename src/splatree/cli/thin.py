@@ -1,6 +1,6 @@
 """``splatree thin``: fewer Gaussians that look alike, merged rather than dropped."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -9,7 +9,6 @@ from tyro.conf import arg
 from splatree.cli.console import Console, size
 from splatree.cli.files import Files, inputs_and_output, read_scene, repairs_of, told
 from splatree.io.registry import stored_bytes, write
-from splatree.scene.scene import Scene
 from splatree.scene.thinning import ThinOptions
 from splatree.simplify.thin import thin
 
@@ -51,13 +50,11 @@ def run(command: Command) -> Result:
     """Read the leaves, thin them, write."""
     inputs, output = inputs_and_output(command.files)
     scene = read_scene(inputs, command.files.reading)
-    leaves = scene.gaussians if scene.tree.is_leaf.all() else scene.gaussians.take(scene.tree.is_leaf)
-    thinned = thin(leaves, command.options, mode=scene.mode)
-    flat = Scene.flat(thinned.gaussians, mode=scene.mode, source=scene.source)
-    lost = write(replace(flat, threshold=scene.threshold, tile_rule=scene.tile_rule), output, force=command.files.force)
+    thinned = thin(scene, command.options)
+    lost = write(thinned.scene, output, force=command.files.force)
     return Result(
         output=output,
-        num_read=len(leaves),
+        num_read=scene.tree.num_leaves,
         num_gaussians=len(thinned),
         radius=thinned.radius,
         rounds=thinned.groups.rounds,

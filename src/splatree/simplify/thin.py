@@ -16,7 +16,7 @@ from splatree.errors import InputError
 from splatree.kernels.cpu.build import thin as kernel
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
-from splatree.scene.scene import Mode
+from splatree.scene.scene import Scene
 from splatree.scene.thinning import Groups, ThinOptions
 from splatree.shapes import Array, Float32
 from splatree.simplify.merge import check_finite, importance_of, merge
@@ -35,43 +35,58 @@ NUM_QUERIES = 2048
 class Thinned:
     """A thinned scene and how it came about."""
 
-    gaussians: Gaussians
-    """One for each group, in the order of their representatives' rows."""
+    scene: Scene
+    """A flat scene: one Gaussian for each group, in the order of their representatives' rows."""
     groups: Groups
-    """Which input rows each stands for."""
+    """Which Gaussians of the input, counted without merged nodes, each stands for."""
     radius: float | None
     """r, world units, given or found; None for `pairs`."""
     options: ThinOptions
     """The rules, method and merge filled in."""
 
     def __len__(self) -> int:
-        return len(self.gaussians)
+        return len(self.scene)
 
 
-def thin(
-    gaussians: Gaussians, options: ThinOptions | None = None, *, mode: Mode = "classic", threads: int = 0
-) -> Thinned:
-    """Thin to a radius, a share or a count; the result is the same for any number of threads.
+def thin(scene: Scene, options: ThinOptions | None = None, *, threads: int = 0) -> Thinned:
+    """Make a scene of fewer Gaussians that looks alike: to a radius, a share or a count.
 
-    ``mode`` is how the result will be drawn (`Scene.mode`): the merge depends on it.
+    `pairs` meets a count exactly. `radius` meets a count to 1 % where the scene allows: duplicates are always merged, and colours
+    that differ by more than ``color_radius`` never are. How Gaussians are merged follows the mode of the scene.
 
-    `pairs` meets a count exactly; `radius` to 1 % where the scene allows: duplicates are always merged, and colours that differ
-    by more than ρ never.
+    Args:
+        scene: any scene. Of a scene with levels only the leaves count.
+        options: how far to thin and by which rules.
+        threads: threads to use; 0: all. The result is the same for any number.
+
+    Returns:
+        The thinned scene, and which Gaussians each of its own stands for.
 
     Raises:
         InputError: NaN or infinity in the Gaussians, or a count that colour does not allow.
+
+    Example:
+        >>> import splatree as st
+        >>> thinned = st.thin(st.Scene.flat(st.Gaussians.empty()), st.ThinOptions(keep=0.25))
+        >>> len(thinned.scene)
+        0
     """
+    if not isinstance(scene, Scene):
+        raise InputError(
+            f"thin: found {type(scene).__name__}, wanted a Scene; make one with Scene.flat(gaussians, mode='classic')"
+        )
     options = options or ThinOptions()
+    gaussians = _leaves_of(scene)
     check_finite(gaussians)
     count = options.count
     if options.keep is not None:
         count = max(1, round(options.keep * len(gaussians)))
     method = options.chosen_method
     if method == "pairs" and count is not None:  # which it has: a count is all that `pairs` meets
-        options = dataclasses.replace(options, method=method, merge=options.merge.resolved(mode, of_pairs=True))
-        merged, groups = merge_pairs(gaussians, count, options, mode=mode, threads=threads)
-        return Thinned(merged, groups, None, options)
-    options = dataclasses.replace(options, method=method, merge=options.merge.resolved(mode))
+        options = dataclasses.replace(options, method=method, merge=options.merge.resolved(scene.mode, of_pairs=True))
+        merged, groups = merge_pairs(gaussians, count, options, mode=scene.mode, threads=threads)
+        return Thinned(_flat(scene, merged), groups, None, options)
+    options = dataclasses.replace(options, method=method, merge=options.merge.resolved(scene.mode))
     space = _Space(gaussians, options, threads)
     with task("thin", 3) as advance:
         if count is not None:
@@ -83,9 +98,22 @@ def thin(
         advance(1)
         groups = space.groups(radius)
         advance(1)
-        merged = merge(gaussians, groups, options.merge, mode=mode, threads=threads)
+        merged = merge(gaussians, groups, options.merge, mode=scene.mode, threads=threads)
         advance(1)
-    return Thinned(merged, groups, radius, options)
+    return Thinned(_flat(scene, merged), groups, radius, options)
+
+
+def _leaves_of(scene: Scene) -> Gaussians:
+    is_leaf = scene.tree.is_leaf
+    return scene.gaussians if is_leaf.all() else scene.gaussians.take(is_leaf)
+
+
+def _flat(scene: Scene, merged: Gaussians) -> Scene:
+    """The merged Gaussians, drawn as the scene is; what its provenance says of levels and clusters no longer holds."""
+    metadata = {key: value for key, value in scene.source.metadata.items() if key not in ("levels", "clusters")}
+    source = dataclasses.replace(scene.source, metadata=metadata)
+    flat = Scene.flat(merged, mode=scene.mode, source=source)
+    return dataclasses.replace(flat, threshold=scene.threshold, tile_rule=scene.tile_rule)
 
 
 def auto_radius(gaussians: Gaussians, *, threads: int = 0) -> float:
