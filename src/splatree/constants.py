@@ -3,10 +3,14 @@
 Kerbl 2023 is "3D Gaussian Splatting for Real-Time Radiance Field Rendering" and its public code.
 """
 
+import math
 from typing import Final
 
 ALPHA_THRESHOLD: Final = 1.0 / 255.0
 """Smallest opacity that is blended: below it 8-bit colour cannot change (Kerbl 2023, rasterizer)."""
+
+LOG2_ALPHA_THRESHOLD: Final = math.log2(ALPHA_THRESHOLD)
+"""The same as a power of two: the kernels compare opacities by their logarithms."""
 
 ALPHA_MAX: Final = 0.99
 """Largest opacity of one splat at one pixel (Kerbl 2023, rasterizer)."""
@@ -45,6 +49,9 @@ the same squared error while they are smaller than a tile, and less for those th
 
 SHRINK_AREA_PX2: Final = 0.3
 """Area √det Σ', px², at which the tile rule `balanced` has τ itself: the smallest that there is with the usual dilation."""
+
+LOG2_SHRINK_AREA_PX2: Final = math.log2(SHRINK_AREA_PX2)
+"""The same as a power of two."""
 
 SHRINK_ENERGY_MIN: Final = 0.01
 """Floor of ln(α/τ) by the tile rule `tau`; never in force beside SHRINK_RATIO_MIN (code of FilterGS)."""

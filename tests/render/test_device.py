@@ -103,7 +103,7 @@ def test_the_columns_go_with_the_scene(scene: st.Scene, at_hand: Device) -> None
 
 
 def test_a_device_that_is_not_known_is_refused(scene: st.Scene) -> None:
-    with pytest.raises(st.InputError, match=r"Scene\.device: found 'gpu', wanted one of cpu, cuda"):
+    with pytest.raises(st.InputError, match=r"Scene\.device: found 'gpu', wanted 'cpu' or 'cuda'"):
         scene.to("gpu")  # type: ignore[arg-type]
 
 

@@ -14,13 +14,15 @@
 //
 // The transmittance of a finished pixel is kept with a minus sign, so one comparison tells that it takes no more light.
 #include "cuda/device.h"
+#include "shared/constants.h"
 #include "shared/ellipse.h"
 
 namespace splatree {
 namespace {
 
 constexpr int WARP_WIDTH = 8, WARP_HEIGHT = 4;
-constexpr float ALPHA_MAX = 0.99f, ALPHA_THRESHOLD = 1.f / 255, TRANSMITTANCE_MIN = 1e-4f, TAPER_SLOPE = 2;
+constexpr float ALPHA_MAX = float(constants::ALPHA_MAX), ALPHA_THRESHOLD = float(constants::ALPHA_THRESHOLD);
+constexpr float TRANSMITTANCE_MIN = float(constants::TRANSMITTANCE_MIN), TAPER_SLOPE = float(constants::TAPER_SLOPE);
 constexpr float SQRT_HALF_LOG2E = 0.849321800f;  // √(½ log2 e): exp(-½ q²) = 2^-(this q)²
 
 // A splat in units in which the exponent is a power of 2.

@@ -5,12 +5,14 @@
 // border), likewise the left end; the part of a convex set in a strip touches all tiles between its ends. Bounds are
 // widened by what float32 may lose, so a tile is left out only if no pixel in it can pass the blend's own test.
 #pragma once
+#include "shared/constants.h"
 #include "shared/elementary.h"
 
 namespace splatree {
 namespace {
 
-constexpr float TILE_PX = 16.f, FAR = 1e9f;
+constexpr float TILE_PX = constants::TILE_PX, FAR = 1e9f;
+constexpr float LOG2_ALPHA_THRESHOLD = float(constants::LOG2_ALPHA_THRESHOLD);
 
 struct Ellipse {
   float x, y;                  // centre, px
@@ -24,8 +26,7 @@ struct Ellipse {
 // log2 of the opacity at which a splat ends: of τ, times (0.3 px² / area)^power, area = √det Σ' = 1 / (a c); but at least of
 // 1/255, or of a smaller τ, and at most of τ. The power 0 gives τ.
 SPLATREE_FN float log2_threshold_of(float log2_threshold, float area_power, float a, float c) {
-  constexpr float LOG2_ALPHA_THRESHOLD = -7.99435344f;
-  const float weighed = log2_threshold + area_power * (log2_of(a * c) - 1.73696559f);
+  const float weighed = log2_threshold + area_power * (log2_of(a * c) + float(constants::LOG2_SHRINK_AREA_PX2));
   return greatest(least(weighed, log2_threshold), least(log2_threshold, LOG2_ALPHA_THRESHOLD));
 }
 
@@ -107,7 +108,6 @@ SPLATREE_FN float nearest_above_or_below(const Ellipse& e, Tiles rows, int num_t
 // The largest opacity in a tile that the splat is not listed in, but 1/255 at least and τ at most; `nearest` is the smallest
 // |L d|² there.
 SPLATREE_FN float floor_of(float log2_opacity, float nearest, float log2_threshold) {
-  constexpr float LOG2_ALPHA_THRESHOLD = -7.99435344f;
   return exp2_of(least(greatest(log2_opacity - 0.72134752f * nearest, LOG2_ALPHA_THRESHOLD), log2_threshold));
 }
 

@@ -33,14 +33,14 @@ std::tuple<int, int64_t> thin_rows(In<float> means, In<float> colors, In<float> 
   return {job.rounds, job.num_visited};
 }
 
-constexpr Choice<MergeRule> MERGE_RULES[] = {{"mean", MergeRule::kMean}, {"moments", MergeRule::kMoments}};
+constexpr Choice<MergeRule> MERGE_RULES[] = {{"mean", MergeRule::MEAN}, {"moments", MergeRule::MOMENTS}};
 
 // `fitted` merges like `standard`: the opacities that were fitted come from the caller.
-constexpr Choice<OpacityRule> OPACITY_RULES[] = {{"union", OpacityRule::kUnion},
-                                                 {"mass", OpacityRule::kMass},
-                                                 {"standard", OpacityRule::kStandard},
-                                                 {"fitted", OpacityRule::kStandard},
-                                                 {"optical", OpacityRule::kOptical}};
+constexpr Choice<OpacityRule> OPACITY_RULES[] = {{"union", OpacityRule::UNION},
+                                                 {"mass", OpacityRule::MASS},
+                                                 {"standard", OpacityRule::STANDARD},
+                                                 {"fitted", OpacityRule::STANDARD},
+                                                 {"optical", OpacityRule::OPTICAL}};
 
 constexpr Choice<bool> KEEPS_POSITION[] = {{"centroid", false}, {"representative", true}};
 

@@ -11,29 +11,30 @@
 
 #include "cpu/build/covariance.h"
 #include "cpu/runtime/pool.h"
+#include "shared/constants.h"
 
 namespace splatree {
 namespace {
 
-constexpr double kLogScaleMax = 80;    // constants.MERGED_LOG_SCALE_MAX
-constexpr double kAlphaMax = 0.999;    // constants.MERGED_ALPHA_MAX
-constexpr double kAreaPower = 1.6075;  // Thomsen's exponent
+constexpr double LOG_SCALE_MAX = constants::MERGED_LOG_SCALE_MAX;
+constexpr double ALPHA_MAX = constants::MERGED_ALPHA_MAX;
+constexpr double AREA_POWER = 1.6075;  // Thomsen's exponent
 
 struct Member {
   double mean[3], variance[3], weight;
   double alpha, depth, log_alpha;  // opacity α, −log(1 − α), log α
 };
 
-double clamped_log_scale(float log_scale) { return std::min(std::max<double>(log_scale, -kLogScaleMax), kLogScaleMax); }
+double clamped_log_scale(float log_scale) { return std::min(std::max<double>(log_scale, -LOG_SCALE_MAX), LOG_SCALE_MAX); }
 
 // Mean projected area / π of an ellipsoid over all directions: a quarter of its surface (Cauchy), the surface by Thomsen's
 // formula, within 1.1 %. `log_variance` are twice the logarithms of the semi-axes.
 double mean_area(const double* log_variance) {
   const double a = log_variance[0], b = log_variance[1], c = log_variance[2];
   const double largest = std::max({a + b, a + c, b + c});
-  const double half = 0.5 * kAreaPower;
+  const double half = 0.5 * AREA_POWER;
   const double sum = std::exp(half * (a + b - largest)) + std::exp(half * (a + c - largest)) + std::exp(half * (b + c - largest));
-  return std::exp(0.5 * largest + std::log(sum / 3) / kAreaPower);
+  return std::exp(0.5 * largest + std::log(sum / 3) / AREA_POWER);
 }
 
 double dilated_area(const double* variance, double added) {
@@ -107,19 +108,19 @@ void eigen_symmetric(double A[3][3], double* values, double* R) {
 
 // Li₂(1 − e^−u) by its series in u (Bernoulli numbers), for 0 ≤ u ≤ 2: the first term left out is below 1e-12.
 double dilogarithm_series(double u) {
-  constexpr double kBernoulli[] = {1.0 / 36,
-                                   -1.0 / 3600,
-                                   1.0 / 211680,
-                                   -1.0 / 10886400,
-                                   1.0 / 526901760,
-                                   -4.0647616451442e-11,
-                                   8.9216910204564e-13,
-                                   -1.9939295860721e-14,
-                                   4.5189800296199e-16,
-                                   -1.0356517612182e-17};
+  constexpr double BERNOULLI[] = {1.0 / 36,
+                                  -1.0 / 3600,
+                                  1.0 / 211680,
+                                  -1.0 / 10886400,
+                                  1.0 / 526901760,
+                                  -4.0647616451442e-11,
+                                  8.9216910204564e-13,
+                                  -1.9939295860721e-14,
+                                  4.5189800296199e-16,
+                                  -1.0356517612182e-17};
   const double u2 = u * u;
   double sum = 0;
-  for (int k = 9; k >= 0; --k) sum = sum * u2 + kBernoulli[k];
+  for (int k = 9; k >= 0; --k) sum = sum * u2 + BERNOULLI[k];
   return u - 0.25 * u2 + u * u2 * sum;
 }
 
@@ -188,7 +189,7 @@ class Merger {
       job_.means[3 * group + a] = static_cast<float>(mean[a]);
     }
     double variance[3];
-    if (job_.rule == MergeRule::kMoments)
+    if (job_.rule == MergeRule::MOMENTS)
       merge_moments(rows, mean, variance, group);
     else
       merge_axes(rows, mean, representative, variance, group);
@@ -236,7 +237,7 @@ class Merger {
     double R[9];
     eigen_symmetric(A, variance, R);
     // Below this share of the largest, an eigenvalue is rounding.
-    const double floor = std::max(variance[0] * 1e-15, std::exp(-2 * kLogScaleMax));
+    const double floor = std::max(variance[0] * 1e-15, std::exp(-2 * LOG_SCALE_MAX));
     const double bound = job_.scale_bound * mean_sigma;
     for (int a = 0; a < 3; ++a) variance[a] = std::min(std::max(variance[a], floor), bound * bound);
     quat_from_rotation(R, job_.quats + 4 * group);
@@ -281,24 +282,24 @@ class Merger {
     const double added = job_.added + job_.dilation * std::max({variance[0], variance[1], variance[2]});
     for (const Member& m : members_) {
       log_through -= m.depth;
-      if (job_.opacity == OpacityRule::kUnion) continue;
-      const double depth = job_.opacity == OpacityRule::kOptical ? dilogarithm(m.depth, -m.log_alpha) : m.alpha;
+      if (job_.opacity == OpacityRule::UNION) continue;
+      const double depth = job_.opacity == OpacityRule::OPTICAL ? dilogarithm(m.depth, -m.log_alpha) : m.alpha;
       mass += depth * dilated_area(m.variance, added);
     }
-    const double limit = logit_of_alpha(kAlphaMax);
+    const double limit = logit_of_alpha(ALPHA_MAX);
     // logit(1 − e^L) = log(e^−L − 1)
     const double union_logit = log_through < -700 ? -log_through : std::log(std::expm1(-log_through));
     double logit = std::min(union_logit, limit), widening = 0;
-    if (job_.opacity != OpacityRule::kUnion) {
+    if (job_.opacity != OpacityRule::UNION) {
       mass /= dilated_area(variance, added);
-      if (job_.opacity == OpacityRule::kOptical) {
-        static const double most = dilogarithm(-std::log1p(-kAlphaMax)), most_covered = coverage(most);
+      if (job_.opacity == OpacityRule::OPTICAL) {
+        static const double most = dilogarithm(-std::log1p(-ALPHA_MAX)), most_covered = coverage(most);
         logit = mass >= most ? limit : mass > 0 ? std::log(std::expm1(inverse_dilogarithm(mass))) : union_logit;
         if (mass > most) widening = 0.5 * std::log(coverage(mass) / most_covered);
-      } else if (job_.opacity == OpacityRule::kMass) {
-        logit = mass > 0 ? logit_of_alpha(std::min(mass, kAlphaMax)) : union_logit;
+      } else if (job_.opacity == OpacityRule::MASS) {
+        logit = mass > 0 ? logit_of_alpha(std::min(mass, ALPHA_MAX)) : union_logit;
       } else {
-        if (mass > -std::expm1(log_through)) logit = logit_of_alpha(std::min(mass, kAlphaMax));
+        if (mass > -std::expm1(log_through)) logit = logit_of_alpha(std::min(mass, ALPHA_MAX));
         if (mass > 1) widening = job_.widening * std::log(std::min(mass, job_.mass_limit));
       }
     }
@@ -355,11 +356,11 @@ void average_children(int64_t n, int64_t width, const int32_t* subtree_end, cons
       for (int64_t j = 0; j < width; ++j) mean[j] += share * value[j];
     }
   };
-  // Subtrees of at most kGrain rows are independent of each other; what lies above them follows.
-  constexpr int64_t kGrain = 1 << 14;
+  // Subtrees of at most GRAIN rows are independent of each other; what lies above them follows.
+  constexpr int64_t GRAIN = 1 << 14;
   std::vector<int64_t> small, large;
   for (int64_t i = 0; i < n;) {
-    if (subtree_end[i] - i <= kGrain) {
+    if (subtree_end[i] - i <= GRAIN) {
       small.push_back(i);
       i = subtree_end[i];
     } else {

@@ -4,8 +4,8 @@
 
 namespace splatree {
 
-enum class MergeRule { kMean, kMoments };
-enum class OpacityRule { kUnion, kMass, kStandard, kOptical };
+enum class MergeRule { MEAN, MOMENTS };
+enum class OpacityRule { UNION, MASS, STANDARD, OPTICAL };
 
 struct GaussianColumns {
   const float *means, *quats, *log_scales, *logit_opacities, *sh;
@@ -23,7 +23,7 @@ struct MergeJob {
   OpacityRule opacity;
   bool keep_position;           // the representative's position instead of the centroid
   double scale_bound;           // κ; infinity: none
-  double widening, mass_limit;  // of OpacityRule::kStandard
+  double widening, mass_limit;  // of OpacityRule::STANDARD
   double dilation;              // variance added to areas, in units of the merged σ_max²
   double added;                 // and in world units²
   const float* opacities;       // num_groups, may be null: where above 0, what a group of two or more gets in place of the rule's

@@ -11,7 +11,7 @@
 namespace splatree::SPLATREE_ISA {
 namespace {
 
-constexpr int LAST = kPairNeighbors - 1;
+constexpr int LAST = PAIR_NEIGHBORS - 1;
 
 SPLATREE_FN float squared(float x) { return x * x; }
 

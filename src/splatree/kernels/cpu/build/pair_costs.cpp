@@ -1,12 +1,13 @@
 // What merging a Gaussian with each of its neighbours changes in the picture (reference/pairs.py has the equations): the
 // candidates are the lanes of a vector. Cost: about ten exponentials and square roots a candidate, in lanes.
 #include "cpu/build/pairs.h"
+#include "shared/constants.h"
 #include "shared/elementary.h"
 
 namespace splatree::SPLATREE_ISA {
 namespace {
 
-constexpr int kLanes = kPairNeighbors;
+constexpr int LANES = PAIR_NEIGHBORS;
 
 // A covariance seen along an axis of the world: [[a, b], [b, c]].
 struct Plane {
@@ -40,9 +41,8 @@ PairCost cheapest_pair(const PairCandidates& pair) {
   const PairRecord& p = *pair.self;
   const float length = __builtin_sqrtf(p.covariance[0] + p.covariance[3] + p.covariance[5]);  // the unit of all lengths
   const float unit = 1.f / length, unit2 = unit * unit;
-  alignas(64) float d[3][kLanes], s[6][kLanes], color[3][kLanes], opacity[kLanes], weight[kLanes], energy[kLanes],
-      visibility[kLanes];
-  for (int l = 0; l < kLanes; ++l) {
+  alignas(64) float d[3][LANES], s[6][LANES], color[3][LANES], opacity[LANES], weight[LANES], energy[LANES], visibility[LANES];
+  for (int l = 0; l < LANES; ++l) {
     const PairRecord& q = *pair.others[l];
     for (int a = 0; a < 3; ++a) d[a][l] = (q.mean[a] - p.mean[a]) * unit;
     for (int a = 0; a < 6; ++a) s[a][l] = q.covariance[a] * unit2;
@@ -53,9 +53,9 @@ PairCost cheapest_pair(const PairCandidates& pair) {
   for (int a = 0; a < 6; ++a) own[a] = p.covariance[a] * unit2;
   const float r = p.color[0], g = p.color[1], b = p.color[2];
 
-  alignas(64) float costs[kLanes], opacities[kLanes];
+  alignas(64) float costs[LANES], opacities[LANES];
 #pragma omp simd
-  for (int l = 0; l < kLanes; ++l) {
+  for (int l = 0; l < LANES; ++l) {
     const float share = weight[l] / (weight[l] + p.weight), rest = 1.f - share;  // of the other, of this one
     const float x = d[0][l], y = d[1][l], z = d[2][l], spread = share * rest;
     const float xx = rest * own[0] + share * s[0][l] + spread * x * x, xy = rest * own[1] + share * s[1][l] + spread * x * y,
@@ -75,7 +75,7 @@ PairCost cheapest_pair(const PairCandidates& pair) {
         p.opacity * (1.f + r * rm + g * gm + b * bm) * pm + opacity[l] * (1.f + r2 * rm + g2 * gm + b2 * bm) * qm;
     const float of_one = (1.f + rm * rm + gm * gm + bm * bm) * mm;
     const float visible = rest * p.visibility + share * visibility[l];
-    const float best = least(greatest(in_common / of_one, 1e-4f * visible), 0.999f * visible);
+    const float best = least(greatest(in_common / of_one, 1e-4f * visible), float(constants::MERGED_ALPHA_MAX) * visible);
     opacities[l] = best / visible;
     // Sizes that differ more than the squares of float32 have no cost: they are merged last.
     costs[l] = least((of_pair - 2.f * best * in_common + best * best * of_one) * (length * length), 3e38f);

@@ -14,13 +14,14 @@
 #include "cpu/runtime/pool.h"
 #include "cpu/runtime/radix.h"
 #include "cpu/runtime/scratch.h"
+#include "shared/constants.h"
 
 namespace splatree {
 namespace {
 
-constexpr float kRoundness = 1.0f / 256;  // a splat thinner than this share of its length counts as that thick
-constexpr float kLogScaleMax = 20;        // beyond, float32 could not hold the square of an area
-constexpr float kShC0 = 0.28209479177387814f;
+constexpr float ROUNDNESS = 1.0f / 256;  // a splat thinner than this share of its length counts as that thick
+constexpr float LOG_SCALE_MAX = 20;      // beyond, float32 could not hold the square of an area
+constexpr float SH_C0 = float(constants::SH_C0);
 
 }  // namespace
 
@@ -29,10 +30,10 @@ PairRecord record_of(const PairJob& job, int64_t row) {
   float variance[3], largest = 0;
   for (int a = 0; a < 3; ++a) {
     r.mean[a] = job.means[3 * row + a];
-    variance[a] = std::exp(2 * std::min(std::max(job.log_scales[3 * row + a], -kLogScaleMax), kLogScaleMax));
+    variance[a] = std::exp(2 * std::min(std::max(job.log_scales[3 * row + a], -LOG_SCALE_MAX), LOG_SCALE_MAX));
     largest = std::max(largest, variance[a]);
   }
-  const float added = static_cast<float>(job.dilation) + kRoundness * kRoundness * largest;
+  const float added = static_cast<float>(job.dilation) + ROUNDNESS * ROUNDNESS * largest;
   covariance_from(job.quats + 4 * row, variance, r.covariance);
   for (const int diagonal : {0, 3, 5}) r.covariance[diagonal] += added;
   r.visibility = job.visibilities ? job.visibilities[row] : 1;
@@ -40,7 +41,7 @@ PairRecord record_of(const PairJob& job, int64_t row) {
   r.weight = job.weights[row];
   float color2 = 1;
   for (int c = 0; c < 3; ++c) {
-    r.color[c] = std::max(job.sh[3 * job.k * row + c] * kShC0 + 0.5f, 0.0f);
+    r.color[c] = std::max(job.sh[3 * job.k * row + c] * SH_C0 + 0.5f, 0.0f);
     color2 += r.color[c] * r.color[c];
   }
   const float* v = r.covariance;
@@ -75,7 +76,7 @@ void best_partners(const PairJob& job) {
           job.partner_from_row[row] = -1, job.costs[row] = HUGE_VALF, job.opacities[row] = 0;
           continue;
         }
-        for (int k = 0; k < kPairNeighbors; ++k) pair.others[k] = &records[found.places[k < pair.count ? k : 0][lane]];
+        for (int k = 0; k < PAIR_NEIGHBORS; ++k) pair.others[k] = &records[found.places[k < pair.count ? k : 0][lane]];
         const PairCost cheapest = vector.cheapest_pair(pair);
         job.partner_from_row[row] = tree.rows[found.places[cheapest.best][lane]];
         job.costs[row] = cheapest.cost;

@@ -5,7 +5,7 @@
 
 namespace splatree {
 
-constexpr int kPairNeighbors = 8;
+constexpr int PAIR_NEIGHBORS = 8;
 
 // What the cost of a pair needs of a Gaussian: a cache line.
 struct PairRecord {
@@ -34,10 +34,10 @@ PairRecord record_of(const PairJob& job, int64_t row);
 
 void best_partners(const PairJob& job);
 
-// Costs of merging one Gaussian with each of up to kPairNeighbors others; the opacity that costs least for each.
+// Costs of merging one Gaussian with each of up to PAIR_NEIGHBORS others; the opacity that costs least for each.
 struct PairCandidates {
   const PairRecord* self;
-  const PairRecord* others[kPairNeighbors];  // none is null: those from `count` on repeat another
+  const PairRecord* others[PAIR_NEIGHBORS];  // none is null: those from `count` on repeat another
   int count;
 };
 struct PairCost {

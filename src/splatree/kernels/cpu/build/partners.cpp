@@ -15,11 +15,11 @@
 namespace splatree {
 namespace {
 
-constexpr int kFew = kPairNeighbors * 3 / 4;
+constexpr int FEW = PAIR_NEIGHBORS * 3 / 4;
 
 int count_neighbors(const int32_t* neighbors) {
   int count = 0;
-  while (count < kPairNeighbors && neighbors[count] >= 0) ++count;
+  while (count < PAIR_NEIGHBORS && neighbors[count] >= 0) ++count;
   return count;
 }
 
@@ -42,7 +42,7 @@ float merged_sigma(const PairRecord& p, const PairRecord& q, double dilation) {
 }
 
 void find_partner(const PairJob& job, const PairRecord* records, int64_t row, const PartnerColumns& columns) {
-  const int32_t* neighbors = columns.neighbors + kPairNeighbors * row;
+  const int32_t* neighbors = columns.neighbors + PAIR_NEIGHBORS * row;
   PairCandidates pair{&records[row], {}, count_neighbors(neighbors)};
   columns.is_stale[row] = 0;
   if (pair.count == 0) {  // all others are farther than float32 can square
@@ -50,7 +50,7 @@ void find_partner(const PairJob& job, const PairRecord* records, int64_t row, co
     columns.costs[row] = columns.sigmas[row] = HUGE_VALF;
     return;
   }
-  for (int k = 0; k < kPairNeighbors; ++k) pair.others[k] = &records[neighbors[k < pair.count ? k : 0]];
+  for (int k = 0; k < PAIR_NEIGHBORS; ++k) pair.others[k] = &records[neighbors[k < pair.count ? k : 0]];
   const PairCost cheapest = kernels().cheapest_pair(pair);
   columns.rows[row] = neighbors[cheapest.best];
   columns.costs[row] = cheapest.cost;
@@ -61,14 +61,14 @@ void find_partner(const PairJob& job, const PairRecord* records, int64_t row, co
 // The nearest points of one, by rising distance.
 struct Nearest {
   int count = 0;
-  float distances2[kPairNeighbors];
-  int32_t rows[kPairNeighbors];
+  float distances2[PAIR_NEIGHBORS];
+  int32_t rows[PAIR_NEIGHBORS];
 
-  float bound() const { return count < kPairNeighbors ? HUGE_VALF : distances2[kPairNeighbors - 1]; }
+  float bound() const { return count < PAIR_NEIGHBORS ? HUGE_VALF : distances2[PAIR_NEIGHBORS - 1]; }
 
   // A point nearer than bound().
   void offer(float distance2, int32_t row) {
-    int i = count < kPairNeighbors ? count++ : count - 1;
+    int i = count < PAIR_NEIGHBORS ? count++ : count - 1;
     for (; i > 0 && distances2[i - 1] > distance2; --i) {
       distances2[i] = distances2[i - 1];
       rows[i] = rows[i - 1];
@@ -80,18 +80,18 @@ struct Nearest {
 
 // Neighbours of a group, each once, none of them itself.
 struct Candidates {
-  int32_t groups[2 * kPairNeighbors];
+  int32_t groups[2 * PAIR_NEIGHBORS];
   int count = 0;
 
   void add(const int32_t* neighbors, const int32_t* group_from_row, int64_t self) {
-    for (int k = 0; k < kPairNeighbors && neighbors[k] >= 0; ++k) {
+    for (int k = 0; k < PAIR_NEIGHBORS && neighbors[k] >= 0; ++k) {
       const int32_t group = group_from_row[neighbors[k]];
       if (group != self && std::find(groups, groups + count, group) == groups + count) groups[count++] = group;
     }
   }
 
   void keep_nearest(const float* means, int64_t self) {
-    if (count <= kPairNeighbors) return;
+    if (count <= PAIR_NEIGHBORS) return;
     Nearest nearest;
     for (int c = 0; c < count; ++c) {
       float distance2 = 0;
@@ -118,7 +118,7 @@ void find_neighbors(const PairJob& job, const PartnerColumns& columns) {
       uint32_t wanted = 0;
       for (int64_t lane = 0; lane < LEAF_POINTS; ++lane) {
         const bool is_wanted =
-            begin + lane < end && count_neighbors(columns.neighbors + kPairNeighbors * int64_t{tree.rows[begin + lane]}) < kFew;
+            begin + lane < end && count_neighbors(columns.neighbors + PAIR_NEIGHBORS * int64_t{tree.rows[begin + lane]}) < FEW;
         reset_list(found, lane, is_wanted);
         wanted |= uint32_t{is_wanted} << lane;
       }
@@ -128,8 +128,8 @@ void find_neighbors(const PairJob& job, const PartnerColumns& columns) {
         if (!(wanted >> (i - begin) & 1)) continue;
         const int64_t row = tree.rows[i];
         const int count = size_of_list(found, i - begin);
-        for (int k = 0; k < kPairNeighbors; ++k)
-          columns.neighbors[kPairNeighbors * row + k] = k < count ? tree.rows[found.places[k][i - begin]] : -1;
+        for (int k = 0; k < PAIR_NEIGHBORS; ++k)
+          columns.neighbors[PAIR_NEIGHBORS * row + k] = k < count ? tree.rows[found.places[k][i - begin]] : -1;
         columns.is_stale[row] = 1;
       }
     }
@@ -154,10 +154,10 @@ void carry_partners(const PairGroups& groups, const float* means, const PartnerC
       const int64_t size = groups.start[g + 1] - groups.start[g];
       Candidates candidates;
       for (int64_t i = groups.start[g]; i < groups.start[g + 1]; ++i)
-        candidates.add(from.neighbors + kPairNeighbors * int64_t{groups.rows[i]}, groups.group_from_row, g);
+        candidates.add(from.neighbors + PAIR_NEIGHBORS * int64_t{groups.rows[i]}, groups.group_from_row, g);
       candidates.keep_nearest(means, g);
-      int32_t* neighbors = to.neighbors + kPairNeighbors * g;
-      std::fill(neighbors, neighbors + kPairNeighbors, -1);
+      int32_t* neighbors = to.neighbors + PAIR_NEIGHBORS * g;
+      std::fill(neighbors, neighbors + PAIR_NEIGHBORS, -1);
       std::copy(candidates.groups, candidates.groups + candidates.count, neighbors);
 
       const int64_t row = groups.representatives[g];

@@ -8,7 +8,7 @@ namespace splatree {
 
 // What is kept of each row.
 struct PartnerColumns {
-  int32_t* neighbors;  // n kPairNeighbors: candidates, −1 where there are fewer
+  int32_t* neighbors;  // n PAIR_NEIGHBORS: candidates, −1 where there are fewer
   int32_t* rows;       // the cheapest of them, −1 if there is none
   float *costs, *opacities;
   float* sigmas;      // longest axis of the two merged, without dilation

@@ -2,17 +2,18 @@
 // float32 may lose is added at the end.
 #include "cpu/build/clusters.h"
 #include "cpu/runtime/isa.h"
+#include "shared/constants.h"
 #include "shared/project.h"
 
 namespace splatree::SPLATREE_ISA {
 namespace {
 
 constexpr int LANES = 16;
-constexpr float LOG2_THRESHOLD = -7.99435344f;  // log2(1/255)
-constexpr float LOGIT_MIN = -5.5383342f;        // of 1/255, less 1e-3 for the rounding of any sigmoid
-constexpr float UPWARDS = 1.00002f;             // the exponential loses 5e-6 at the ends of its range
-constexpr float SLACK = 1e-5f;                  // of k², for the rounding of any logarithm
-constexpr float OUTWARDS = 2.4e-7f;             // of a coordinate: two roundings of it, each 6e-8, and as much again
+constexpr float LOG2_THRESHOLD = float(constants::LOG2_ALPHA_THRESHOLD);
+constexpr float LOGIT_MIN = -5.5383342f;  // of 1/255, less 1e-3 for the rounding of any sigmoid
+constexpr float UPWARDS = 1.00002f;       // the exponential loses 5e-6 at the ends of its range
+constexpr float SLACK = 1e-5f;            // of k², for the rounding of any logarithm
+constexpr float OUTWARDS = 2.4e-7f;       // of a coordinate: two roundings of it, each 6e-8, and as much again
 
 struct alignas(64) Planes {
   float mean[3][LANES], quat[4][LANES], log_scale[3][LANES], logit[LANES];

@@ -25,8 +25,8 @@
 namespace splatree {
 namespace {
 
-constexpr int64_t kCellMax = (int64_t{1} << 21) - 4;  // cells along an axis; with a free one at either end, 3 × 21 bits
-constexpr int kColumns = 9;
+constexpr int64_t CELL_MAX = (int64_t{1} << 21) - 4;  // cells along an axis; with a free one at either end, 3 × 21 bits
+constexpr int COLUMNS = 9;
 
 struct Point {
   float mean[3];
@@ -55,8 +55,8 @@ struct Lattice {
   int shift[3];
 
   Lattice(int64_t n, const float* means, double radius, int threads) {
-    constexpr int64_t kSamples = 4096;
-    const int64_t stride = n / kSamples + 1;
+    constexpr int64_t SAMPLES = 4096;
+    const int64_t stride = n / SAMPLES + 1;
     double span = 0;
     std::vector<float> values;
     for (int a = 0; a < 3; ++a) {
@@ -68,16 +68,16 @@ struct Lattice {
       span = std::max({span, origin[a] - values[trimmed], values[values.size() - 1 - trimmed] - origin[a]});
     }
     // The margin covers the rounding of the product in cell().
-    const double edge = std::max({radius * (1 + 1e-6), span / (kCellMax / 2 - 1), 1e-300});
+    const double edge = std::max({radius * (1 + 1e-6), span / (CELL_MAX / 2 - 1), 1e-300});
     inverse_edge = 1 / edge;
 
-    constexpr int64_t kGrain = 1 << 16;
-    const int64_t num_chunks = (n + kGrain - 1) / kGrain;
+    constexpr int64_t GRAIN = 1 << 16;
+    const int64_t num_chunks = (n + GRAIN - 1) / GRAIN;
     std::vector<float> bounds(6 * num_chunks);
     parallel_chunks(num_chunks, threads, [&](int64_t chunk) {
       float* bound = &bounds[6 * chunk];
-      for (int a = 0; a < 3; ++a) bound[a] = bound[3 + a] = means[3 * chunk * kGrain + a];
-      for (int64_t i = chunk * kGrain; i < std::min(n, (chunk + 1) * kGrain); ++i)
+      for (int a = 0; a < 3; ++a) bound[a] = bound[3 + a] = means[3 * chunk * GRAIN + a];
+      for (int64_t i = chunk * GRAIN; i < std::min(n, (chunk + 1) * GRAIN); ++i)
         for (int a = 0; a < 3; ++a) {
           bound[a] = std::min(bound[a], means[3 * i + a]);
           bound[3 + a] = std::max(bound[3 + a], means[3 * i + a]);
@@ -85,7 +85,7 @@ struct Lattice {
     });
     int bits = 0;
     for (int a = 2; a >= 0; --a) {
-      int64_t low = kCellMax, high = -kCellMax;
+      int64_t low = CELL_MAX, high = -CELL_MAX;
       for (int64_t chunk = 0; chunk < num_chunks; ++chunk) {
         low = std::min(low, cell(bounds[6 * chunk + a], a));
         high = std::max(high, cell(bounds[6 * chunk + 3 + a], a));
@@ -98,7 +98,7 @@ struct Lattice {
 
   int64_t cell(float coordinate, int axis) const {
     const double c = std::floor((coordinate - origin[axis]) * inverse_edge);
-    return static_cast<int64_t>(std::min<double>(std::max<double>(c, -kCellMax / 2), kCellMax / 2));
+    return static_cast<int64_t>(std::min<double>(std::max<double>(c, -CELL_MAX / 2), CELL_MAX / 2));
   }
 
   uint64_t key(const float* mean) const {
@@ -160,11 +160,11 @@ Cells sort_into_cells(const Lattice& lattice, int64_t n, const float* means, con
 class Columns {
  public:
   Columns(const Lattice& lattice, const Cells& cells) : cells_(cells) {
-    static constexpr int kDx[kColumns] = {0, 0, 0, -1, 1, -1, -1, 1, 1}, kDy[kColumns] = {0, -1, 1, 0, 0, -1, 1, -1, 1};
-    for (int k = 0; k < kColumns; ++k) {
+    static constexpr int DX[COLUMNS] = {0, 0, 0, -1, 1, -1, -1, 1, 1}, DY[COLUMNS] = {0, -1, 1, 0, 0, -1, 1, -1, 1};
+    for (int k = 0; k < COLUMNS; ++k) {
       first_[k] = 0;
-      step_[k] = (static_cast<uint64_t>(int64_t{kDx[k]}) << lattice.shift[0]) +
-                 (static_cast<uint64_t>(int64_t{kDy[k]}) << lattice.shift[1]);
+      step_[k] = (static_cast<uint64_t>(int64_t{DX[k]}) << lattice.shift[0]) +
+                 (static_cast<uint64_t>(int64_t{DY[k]}) << lattice.shift[1]);
     }
   }
 
@@ -187,10 +187,10 @@ class Columns {
 
   // The first cell with at least `key`, from where the last search ended: mostly a few cells on, else by galloping.
   void seek(int k, uint64_t key) {
-    constexpr int kNear = 8;
+    constexpr int NEAR = 8;
     const uint64_t* keys = cells_.keys.get();
     int64_t low = first_[k];
-    for (const int64_t near = std::min(low + kNear, cells_.num_cells); low < near; ++low)
+    for (const int64_t near = std::min(low + NEAR, cells_.num_cells); low < near; ++low)
       if (keys[low] >= key) {
         first_[k] = low;
         return;
@@ -207,8 +207,8 @@ class Columns {
   const Cells& cells_;
   uint64_t key_ = 0;
   uint32_t sought_ = 0;  // bit k: first_[k] belongs to key_
-  uint64_t step_[kColumns];
-  int64_t first_[kColumns];
+  uint64_t step_[COLUMNS];
+  int64_t first_[COLUMNS];
 };
 
 struct Metric {
@@ -228,7 +228,7 @@ struct Metric {
   }
 };
 
-enum Status : uint8_t { kUndecided, kMember, kRepresentative };
+enum Status : uint8_t { UNDECIDED, MEMBER, REPRESENTATIVE };
 
 // Where an undecided point goes on scanning: at sorted position `position` in column `column`.
 struct Waiting {
@@ -243,37 +243,37 @@ Status scan(const Cells& cells, Columns& columns, const Metric& metric, const ui
             int64_t& visited) {
   const Point& p = cells.points[waiting.point];
   uint32_t from = waiting.position;
-  for (int k = waiting.column; k < kColumns; ++k, from = 0)
+  for (int k = waiting.column; k < COLUMNS; ++k, from = 0)
     for (int64_t c = columns.first(k); c < cells.num_cells && cells.keys[c] <= columns.last_key(k); ++c)
       for (uint32_t j = std::max(from, cells.start[c]); j < cells.start[c + 1]; ++j) {
         const Point& q = cells.points[j];
         if (q.priority >= p.priority) break;
         ++visited;
-        if (status[j] == kMember || !(metric.distance2(p, q) <= metric.radius2)) continue;
-        if (status[j] == kRepresentative) return kMember;
+        if (status[j] == MEMBER || !(metric.distance2(p, q) <= metric.radius2)) continue;
+        if (status[j] == REPRESENTATIVE) return MEMBER;
         waiting.position = j;
         waiting.column = k;
-        return kUndecided;
+        return UNDECIDED;
       }
-  return kRepresentative;
+  return REPRESENTATIVE;
 }
 
 Scratch<uint8_t> decide(const Lattice& lattice, const Cells& cells, const Metric& metric, ThinJob& job) {
-  constexpr int64_t kGrain = 1 << 14;
+  constexpr int64_t GRAIN = 1 << 14;
   const int64_t n = cells.num_points;
   Scratch<uint8_t> status = allocate<uint8_t>(n), next = allocate<uint8_t>(n);
-  std::memset(status.get(), kUndecided, n);
-  std::memset(next.get(), kUndecided, n);
+  std::memset(status.get(), UNDECIDED, n);
+  std::memset(next.get(), UNDECIDED, n);
   std::atomic<int64_t> visited{0};
   Scratch<Waiting> waiting = allocate<Waiting>(n);
-  parallel_ranges(cells.num_cells, kGrain, job.threads, [&](int64_t first, int64_t last) {
+  parallel_ranges(cells.num_cells, GRAIN, job.threads, [&](int64_t first, int64_t last) {
     for (int64_t c = first; c < last; ++c)
       for (uint32_t i = cells.start[c]; i < cells.start[c + 1]; ++i) waiting[i] = {i, static_cast<uint32_t>(c), 0, 0};
   });
   job.rounds = 0;
   for (int64_t size = n; size > 0;) {
     ++job.rounds;
-    parallel_ranges(size, kGrain, job.threads, [&](int64_t begin, int64_t end) {
+    parallel_ranges(size, GRAIN, job.threads, [&](int64_t begin, int64_t end) {
       Columns columns(lattice, cells);
       int64_t cell = -1, count = 0;
       for (int64_t w = begin; w < end; ++w) {
@@ -281,9 +281,9 @@ Scratch<uint8_t> decide(const Lattice& lattice, const Cells& cells, const Metric
         // The neighbour it waits for is still undecided (position 0 may also mean: not begun; then it scans).
         if (job.rounds > 1) {
           const uint8_t seen = status[waits.position];
-          if (seen == kUndecided) continue;
-          if (seen == kRepresentative) {
-            next[waits.point] = kMember;
+          if (seen == UNDECIDED) continue;
+          if (seen == REPRESENTATIVE) {
+            next[waits.point] = MEMBER;
             continue;
           }
         }
@@ -293,20 +293,20 @@ Scratch<uint8_t> decide(const Lattice& lattice, const Cells& cells, const Metric
       visited.fetch_add(count, std::memory_order_relaxed);
     });
     // What was decided becomes visible; the rest waits on, in the order of the cells.
-    const int64_t num_chunks = (size + kGrain - 1) / kGrain;
+    const int64_t num_chunks = (size + GRAIN - 1) / GRAIN;
     std::vector<int64_t> kept(num_chunks + 1, 0);
     parallel_chunks(num_chunks, job.threads, [&](int64_t chunk) {
       int64_t count = 0;
-      for (int64_t w = chunk * kGrain; w < std::min(size, (chunk + 1) * kGrain); ++w) {
+      for (int64_t w = chunk * GRAIN; w < std::min(size, (chunk + 1) * GRAIN); ++w) {
         const uint32_t point = waiting[w].point;
         status[point] = next[point];
-        if (status[point] == kUndecided) waiting[chunk * kGrain + count++] = waiting[w];
+        if (status[point] == UNDECIDED) waiting[chunk * GRAIN + count++] = waiting[w];
       }
       kept[chunk + 1] = count;
     });
     int64_t total = 0;
     for (int64_t chunk = 0; chunk < num_chunks; ++chunk) {
-      std::copy_n(&waiting[chunk * kGrain], kept[chunk + 1], &waiting[total]);
+      std::copy_n(&waiting[chunk * GRAIN], kept[chunk + 1], &waiting[total]);
       total += kept[chunk + 1];
     }
     size = total;
@@ -323,7 +323,7 @@ Cells representatives_of(const Cells& cells, const uint8_t* status) {
   for (int64_t c = 0; c < cells.num_cells; ++c) {
     const int64_t begin = kept.num_points;
     for (uint32_t i = cells.start[c]; i < cells.start[c + 1]; ++i)
-      if (status[i] == kRepresentative) kept.points[kept.num_points++] = cells.points[i];
+      if (status[i] == REPRESENTATIVE) kept.points[kept.num_points++] = cells.points[i];
     if (kept.num_points > begin) {
       kept.keys[kept.num_cells] = cells.keys[c];
       kept.start[kept.num_cells++] = static_cast<uint32_t>(begin);
@@ -346,7 +346,7 @@ void thin(ThinJob& job) {
   if (!job.assign) {
     for (int64_t i = 0; i < job.n; ++i) {
       const int32_t row = static_cast<int32_t>(row_of(cells.points[i]));
-      job.representative_from_row[row] = status[i] == kRepresentative ? row : -1;
+      job.representative_from_row[row] = status[i] == REPRESENTATIVE ? row : -1;
     }
     return;
   }
@@ -361,10 +361,10 @@ void thin(ThinJob& job) {
         const Point& p = cells.points[i];
         const int32_t row = static_cast<int32_t>(row_of(p));
         int32_t nearest = row;
-        if (status[i] == kMember) {
+        if (status[i] == MEMBER) {
           double best = std::numeric_limits<double>::infinity();
           uint64_t best_priority = 0;
-          for (int k = 0; k < kColumns; ++k)
+          for (int k = 0; k < COLUMNS; ++k)
             for (int64_t d = columns.first(k); d < kept.num_cells && kept.keys[d] <= columns.last_key(k); ++d)
               for (uint32_t j = kept.start[d]; j < kept.start[d + 1]; ++j) {
                 const Point& q = kept.points[j];
@@ -399,7 +399,7 @@ void nearest_distances(int64_t n, const float* means, int64_t num_queries, const
       Columns columns(lattice, cells);
       columns.move_to(lattice.key(point.mean));
       double best = std::numeric_limits<double>::infinity();
-      for (int k = 0; k < kColumns; ++k)
+      for (int k = 0; k < COLUMNS; ++k)
         for (int64_t d = columns.first(k); d < cells.num_cells && cells.keys[d] <= columns.last_key(k); ++d)
           for (uint32_t j = cells.start[d]; j < cells.start[d + 1]; ++j)
             if (row_of(cells.points[j]) != static_cast<uint32_t>(queries[q]))

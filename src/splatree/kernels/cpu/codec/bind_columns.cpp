@@ -22,19 +22,19 @@ using Values = nb::ndarray<const float, nb::ndim<1>, nb::c_contig, nb::device::c
 
 using Quads = nb::ndarray<const float, nb::shape<-1, 4>, nb::c_contig, nb::device::cpu>;
 
-constexpr int64_t kMaxRecordBytes = 1 << 20;  // a chunk of records is read at once
-const int64_t kScalarBytes[] = {1, 1, 2, 2, 4, 4, 4, 8};
+constexpr int64_t MAX_RECORD_BYTES = 1 << 20;  // a chunk of records is read at once
+const int64_t SCALAR_BYTES[] = {1, 1, 2, 2, 4, 4, 4, 8};
 
 // `offsets` and `types` list the values of the first column, then of the second, and so on.
 template <class Matrices>
 std::vector<Column> columns_of(int64_t stride, const Longs& offsets, const Bytes& types, const Matrices& matrices) {
   const int64_t num_rows = matrices.empty() ? 0 : static_cast<int64_t>(matrices[0].shape(0));
-  if (stride <= 0 || stride > kMaxRecordBytes) throw std::invalid_argument("columns: no such size of a record");
-  if (matrices.size() > kMaxColumns) throw std::invalid_argument("columns: too many columns");
+  if (stride <= 0 || stride > MAX_RECORD_BYTES) throw std::invalid_argument("columns: no such size of a record");
+  if (matrices.size() > MAX_COLUMNS) throw std::invalid_argument("columns: too many columns");
   if (offsets.size() != types.size()) throw std::invalid_argument("columns: offsets and types differ in length");
   for (size_t i = 0; i < offsets.size(); ++i)
-    if (types.data()[i] >= sizeof kScalarBytes / sizeof *kScalarBytes || offsets.data()[i] < 0 ||
-        offsets.data()[i] + kScalarBytes[types.data()[i]] > stride)
+    if (types.data()[i] >= sizeof SCALAR_BYTES / sizeof *SCALAR_BYTES || offsets.data()[i] < 0 ||
+        offsets.data()[i] + SCALAR_BYTES[types.data()[i]] > stride)
       throw std::invalid_argument("columns: a value lies outside of its record");
 
   std::vector<Column> columns;

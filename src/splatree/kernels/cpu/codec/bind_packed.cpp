@@ -25,7 +25,7 @@ void bind_pack(const In<float>& means, const In<float>& quats, const In<float>& 
                       order.data(),    num_rows,        static_cast<int>(sh.shape(1)), bounds.data(),    vertices.data(),
                       rest.data(),     nullptr};
   nb::gil_scoped_release released;
-  parallel_chunks((num_rows + kPackedChunk - 1) / kPackedChunk, threads,
+  parallel_chunks((num_rows + PACKED_CHUNK - 1) / PACKED_CHUNK, threads,
                   [&](int64_t chunk) { kernels().pack_chunk(job, chunk); });
 }
 
@@ -46,7 +46,7 @@ void bind_unpack(const In<float>& bounds, const In<uint32_t>& vertices, const In
                       const_cast<uint8_t*>(rest.data()),
                       logit_table.data()};
   nb::gil_scoped_release released;
-  parallel_chunks((num_rows + kPackedChunk - 1) / kPackedChunk, threads,
+  parallel_chunks((num_rows + PACKED_CHUNK - 1) / PACKED_CHUNK, threads,
                   [&](int64_t chunk) { kernels().unpack_chunk(job, chunk); });
 }
 

@@ -13,11 +13,11 @@ using namespace nanobind::literals;
 namespace splatree {
 namespace {
 
-constexpr int64_t kRowsPerChunk = 1 << 12;  // 4096 rows of 180 bytes stay in a second-level cache
+constexpr int64_t ROWS_PER_CHUNK = 1 << 12;  // 4096 rows of 180 bytes stay in a second-level cache
 
 ByteColumn column_of(float* values, int64_t stride, int64_t skip, uint8_t* codes, int64_t width, const In<float>& scale,
                      const In<float>& offset, const int32_t* step) {
-  if (width > kMaxWidth || skip < 0 || skip + width > stride || int64_t(scale.size()) != width || int64_t(offset.size()) != width)
+  if (width > MAX_WIDTH || skip < 0 || skip + width > stride || int64_t(scale.size()) != width || int64_t(offset.size()) != width)
     throw std::invalid_argument("quantize: the columns do not fit together");
   if (width != 3 && width != 9 && width != 24 && width != 45)
     throw std::invalid_argument("quantize: wanted 3, 9, 24 or 45 values a row");
@@ -37,7 +37,7 @@ void bind_to_bytes(const In<float>& values, int64_t skip, const In<float>& scale
                                       scale, offset, step.data());
   const int64_t num_rows = values.shape(0);
   nb::gil_scoped_release released;
-  parallel_ranges(num_rows, kRowsPerChunk, threads, [&](int64_t begin, int64_t end) { kernels().quantize(column, begin, end); });
+  parallel_ranges(num_rows, ROWS_PER_CHUNK, threads, [&](int64_t begin, int64_t end) { kernels().quantize(column, begin, end); });
 }
 
 void bind_from_bytes(const In<uint8_t>& codes, const In<float>& scale, const In<float>& offset, const Out<float>& values,
@@ -46,14 +46,14 @@ void bind_from_bytes(const In<uint8_t>& codes, const In<float>& scale, const In<
       column_of(values.data(), values.shape(1), skip, const_cast<uint8_t*>(codes.data()), codes.shape(1), scale, offset, nullptr);
   const int64_t num_rows = values.shape(0);
   nb::gil_scoped_release released;
-  parallel_ranges(num_rows, kRowsPerChunk, threads,
+  parallel_ranges(num_rows, ROWS_PER_CHUNK, threads,
                   [&](int64_t begin, int64_t end) { kernels().dequantize(column, begin, end); });
 }
 
 void bind_bytes_from_logits(const In<float>& logits, const Out<uint8_t>& codes, int threads) {
   const int64_t num_rows = logits.shape(0);
   nb::gil_scoped_release released;
-  parallel_ranges(num_rows, 4 * kRowsPerChunk, threads,
+  parallel_ranges(num_rows, 4 * ROWS_PER_CHUNK, threads,
                   [&](int64_t begin, int64_t end) { kernels().bytes_from_logits(logits.data(), begin, end, codes.data()); });
 }
 
@@ -67,14 +67,15 @@ void bind_fixed_from_means(const In<float>& means, const In<float>& signs, float
   const Triples job = triples_of(means.data(), codes.data(), signs, scale);
   const int64_t num_rows = means.shape(0);
   nb::gil_scoped_release released;
-  parallel_ranges(num_rows, kRowsPerChunk, threads, [&](int64_t begin, int64_t end) { kernels().pack_fixed(job, begin, end); });
+  parallel_ranges(num_rows, ROWS_PER_CHUNK, threads, [&](int64_t begin, int64_t end) { kernels().pack_fixed(job, begin, end); });
 }
 
 void bind_means_from_fixed(const In<uint8_t>& codes, float scale, const Out<float>& means, int threads) {
   const Triples job{means.data(), const_cast<uint8_t*>(codes.data()), {}, scale};
   const int64_t num_rows = means.shape(0);
   nb::gil_scoped_release released;
-  parallel_ranges(num_rows, kRowsPerChunk, threads, [&](int64_t begin, int64_t end) { kernels().unpack_fixed(job, begin, end); });
+  parallel_ranges(num_rows, ROWS_PER_CHUNK, threads,
+                  [&](int64_t begin, int64_t end) { kernels().unpack_fixed(job, begin, end); });
 }
 
 QuatCode kind_of(int64_t width) {
@@ -87,7 +88,7 @@ void bind_codes_from_quats(const In<float>& quats, const In<float>& signs, const
   const QuatCode kind = kind_of(codes.shape(1));
   const int64_t num_rows = quats.shape(0);
   nb::gil_scoped_release released;
-  parallel_ranges(num_rows, kRowsPerChunk, threads,
+  parallel_ranges(num_rows, ROWS_PER_CHUNK, threads,
                   [&](int64_t begin, int64_t end) { kernels().pack_quats(job, kind, begin, end); });
 }
 
@@ -96,7 +97,7 @@ void bind_quats_from_codes(const In<uint8_t>& codes, const Out<float>& quats, in
   const QuatCode kind = kind_of(codes.shape(1));
   const int64_t num_rows = quats.shape(0);
   nb::gil_scoped_release released;
-  parallel_ranges(num_rows, kRowsPerChunk, threads,
+  parallel_ranges(num_rows, ROWS_PER_CHUNK, threads,
                   [&](int64_t begin, int64_t end) { kernels().unpack_quats(job, kind, begin, end); });
 }
 

@@ -13,7 +13,7 @@ using namespace nb::literals;
 
 namespace {
 
-constexpr int64_t kRowsPerChunk = 4096;
+constexpr int64_t ROWS_PER_CHUNK = 4096;
 
 float* floats(const nb::object& gaussians, const char* name, int64_t num_rows, int64_t width, bool is_written) {
   const auto column = nb::cast<In<float>>(gaussians.attr(name));
@@ -33,8 +33,8 @@ SplatColumns columns_of(const nb::object& gaussians, int64_t num_rows, bool is_w
 }
 
 int64_t records_in(size_t num_bytes) {
-  if (num_bytes % kSplatBytes) throw std::invalid_argument("splat: wanted records of 32 bytes");
-  return static_cast<int64_t>(num_bytes) / kSplatBytes;
+  if (num_bytes % SPLAT_BYTES) throw std::invalid_argument("splat: wanted records of 32 bytes");
+  return static_cast<int64_t>(num_bytes) / SPLAT_BYTES;
 }
 
 float bind_encode(const nb::object& gaussians, const Out<uint8_t>& records, int threads) {
@@ -43,7 +43,7 @@ float bind_encode(const nb::object& gaussians, const Out<uint8_t>& records, int 
   std::atomic<int32_t> largest{0};
   {
     nb::gil_scoped_release released;
-    parallel_ranges(num_rows, kRowsPerChunk, threads, [&](int64_t begin, int64_t end) {
+    parallel_ranges(num_rows, ROWS_PER_CHUNK, threads, [&](int64_t begin, int64_t end) {
       const int32_t found = kernels().encode_splats(from, begin, end, records.data());
       int32_t seen = largest.load();
       while (found > seen && !largest.compare_exchange_weak(seen, found)) {
@@ -62,7 +62,7 @@ void bind_decode(const In<uint8_t>& records, const nb::object& gaussians, int th
   if (to.sh_stride != 3) throw std::invalid_argument("splat: wanted harmonics of degree 0");
   static const SplatTables tables = splat_tables();
   nb::gil_scoped_release released;
-  parallel_ranges(num_rows, kRowsPerChunk, threads,
+  parallel_ranges(num_rows, ROWS_PER_CHUNK, threads,
                   [&](int64_t begin, int64_t end) { kernels().decode_splats(records.data(), tables, to, begin, end); });
 }
 
@@ -70,17 +70,17 @@ void bind_rank(const nb::object& gaussians, const Out<uint16_t>& ranks, int thre
   const int64_t num_rows = static_cast<int64_t>(ranks.size());
   const SplatColumns from = columns_of(gaussians, num_rows, false);
   nb::gil_scoped_release released;
-  parallel_ranges(num_rows, kRowsPerChunk, threads,
+  parallel_ranges(num_rows, ROWS_PER_CHUNK, threads,
                   [&](int64_t begin, int64_t end) { kernels().rank_splats(from, begin, end, ranks.data()); });
 }
 
 void bind_place(const In<uint8_t>& records, const In<uint16_t>& ranks, const Out<int64_t>& places, int file) {
   const int64_t num_rows = records_in(records.size());
-  if (static_cast<int64_t>(ranks.size()) != num_rows || places.size() != kSplatRanks)
+  if (static_cast<int64_t>(ranks.size()) != num_rows || places.size() != SPLAT_RANKS)
     throw std::invalid_argument("splat: wanted a rank for each record and a place for each rank");
   nb::gil_scoped_release released;
   for (int64_t row = 0; row < num_rows; ++row)
-    if (ranks.data()[row] >= kSplatRanks) throw std::invalid_argument("splat: no such rank");
+    if (ranks.data()[row] >= SPLAT_RANKS) throw std::invalid_argument("splat: no such rank");
   place_splats(records.data(), ranks.data(), num_rows, places.data(), file);
 }
 

@@ -14,8 +14,8 @@
 namespace splatree {
 namespace {
 
-constexpr int64_t kBytesPerChunk = 1 << 17;   // records in and as many floats out fit a second-level cache of 512 kB
-constexpr int64_t kValuesPerChunk = 1 << 18;  // 1 MB
+constexpr int64_t BYTES_PER_CHUNK = 1 << 17;   // records in and as many floats out fit a second-level cache of 512 B
+constexpr int64_t VALUES_PER_CHUNK = 1 << 18;  // 1 MB
 
 void raise(std::atomic<int32_t>& largest, int32_t found) {
   int32_t seen = largest.load(std::memory_order_relaxed);
@@ -80,9 +80,9 @@ Layout layout_of(const Column& column) {
   return Layout::channels;
 }
 
-template <int kWidth>
+template <int WIDTH>
 void copy_runs(const uint8_t* from, int64_t stride, float* out, int64_t num_rows) {
-  for (int64_t row = 0; row < num_rows; ++row) std::memcpy(out + row * kWidth, from + row * stride, kWidth * 4);
+  for (int64_t row = 0; row < num_rows; ++row) std::memcpy(out + row * WIDTH, from + row * stride, WIDTH * 4);
 }
 
 Quad load_loose(const void* from) { return load<Quad>(static_cast<const uint8_t*>(from)); }
@@ -90,16 +90,16 @@ void store_loose(void* to, Quad quad) { std::memcpy(to, &quad, sizeof quad); }
 
 // Harmonics four at a time; the last four overlap those before where their number is no multiple of four. The three of degree 1
 // go one by one.
-template <int kPerChannel>
+template <int PER_CHANNEL>
 void copy_channels(const uint8_t* first, const uint8_t* rest, int64_t stride, float* out, int64_t num_rows) {
-  for (int64_t row = 0; row < num_rows; ++row, first += stride, rest += stride, out += 3 * (kPerChannel + 1)) {
+  for (int64_t row = 0; row < num_rows; ++row, first += stride, rest += stride, out += 3 * (PER_CHANNEL + 1)) {
     std::memcpy(out, first, 12);
-    for (int j = 0; kPerChannel < 4 && j < kPerChannel; ++j)
-      for (int c = 0; c < 3; ++c) out[3 + 3 * j + c] = load<float>(rest + 4 * (c * kPerChannel + j));
-    for (int next = 0; kPerChannel >= 4 && next < kPerChannel; next += 4) {
-      const int j = std::min(next, kPerChannel - 4);
+    for (int j = 0; PER_CHANNEL < 4 && j < PER_CHANNEL; ++j)
+      for (int c = 0; c < 3; ++c) out[3 + 3 * j + c] = load<float>(rest + 4 * (c * PER_CHANNEL + j));
+    for (int next = 0; PER_CHANNEL >= 4 && next < PER_CHANNEL; next += 4) {
+      const int j = std::min(next, PER_CHANNEL - 4);
       const uint8_t* at = rest + 4 * j;
-      Quad r = load_loose(at), g = load_loose(at + 4 * kPerChannel), b = load_loose(at + 8 * kPerChannel);
+      Quad r = load_loose(at), g = load_loose(at + 4 * PER_CHANNEL), b = load_loose(at + 8 * PER_CHANNEL);
       interleave_triples(r, g, b);
       float* triples = out + 3 + 3 * j;
       store_loose(triples, r), store_loose(triples + 4, g), store_loose(triples + 8, b);
@@ -136,24 +136,24 @@ void copy_column(const uint8_t* records, int64_t stride, const Column& column, L
   copy_scattered(records, stride, column, out, num_rows);
 }
 
-template <int kWidth>
+template <int WIDTH>
 void place_runs(const float* from, uint8_t* out, int64_t stride, int64_t num_rows) {
-  for (int64_t row = 0; row < num_rows; ++row) std::memcpy(out + row * stride, from + row * kWidth, kWidth * 4);
+  for (int64_t row = 0; row < num_rows; ++row) std::memcpy(out + row * stride, from + row * WIDTH, WIDTH * 4);
 }
 
-template <int kPerChannel>
+template <int PER_CHANNEL>
 void place_channels(const float* from, uint8_t* first, uint8_t* rest, int64_t stride, int64_t num_rows) {
-  for (int64_t row = 0; row < num_rows; ++row, first += stride, rest += stride, from += 3 * (kPerChannel + 1)) {
+  for (int64_t row = 0; row < num_rows; ++row, first += stride, rest += stride, from += 3 * (PER_CHANNEL + 1)) {
     std::memcpy(first, from, 12);
-    for (int j = 0; kPerChannel < 4 && j < kPerChannel; ++j)
-      for (int c = 0; c < 3; ++c) std::memcpy(rest + 4 * (c * kPerChannel + j), from + 3 + 3 * j + c, 4);
-    for (int next = 0; kPerChannel >= 4 && next < kPerChannel; next += 4) {
-      const int j = std::min(next, kPerChannel - 4);
+    for (int j = 0; PER_CHANNEL < 4 && j < PER_CHANNEL; ++j)
+      for (int c = 0; c < 3; ++c) std::memcpy(rest + 4 * (c * PER_CHANNEL + j), from + 3 + 3 * j + c, 4);
+    for (int next = 0; PER_CHANNEL >= 4 && next < PER_CHANNEL; next += 4) {
+      const int j = std::min(next, PER_CHANNEL - 4);
       const float* triples = from + 3 + 3 * j;
       Quad r = load_loose(triples), g = load_loose(triples + 4), b = load_loose(triples + 8);
       transpose_triples(r, g, b);
       uint8_t* at = rest + 4 * j;
-      store_loose(at, r), store_loose(at + 4 * kPerChannel, g), store_loose(at + 8 * kPerChannel, b);
+      store_loose(at, r), store_loose(at + 4 * PER_CHANNEL, g), store_loose(at + 8 * PER_CHANNEL, b);
     }
   }
 }
@@ -198,13 +198,13 @@ const uint8_t* read_bytes(int file, int64_t at, int64_t num_bytes) {
 }  // namespace
 
 void deinterleave(int file, int64_t start, int64_t num_rows, int64_t stride, Column* columns, int num_columns, int threads) {
-  Layout layouts[kMaxColumns];
-  std::atomic<int32_t> largest[kMaxColumns];
+  Layout layouts[MAX_COLUMNS];
+  std::atomic<int32_t> largest[MAX_COLUMNS];
   for (int c = 0; c < num_columns; ++c) {
     layouts[c] = layout_of(columns[c]);
     largest[c] = 0;
   }
-  const int64_t rows_per_chunk = std::max<int64_t>(1, kBytesPerChunk / stride);
+  const int64_t rows_per_chunk = std::max<int64_t>(1, BYTES_PER_CHUNK / stride);
   parallel_ranges(num_rows, rows_per_chunk, threads, [&](int64_t begin, int64_t end) {
     const uint8_t* records = read_bytes(file, start + begin * stride, (end - begin) * stride);
     for (int c = 0; c < num_columns; ++c) {
@@ -218,9 +218,9 @@ void deinterleave(int file, int64_t start, int64_t num_rows, int64_t stride, Col
 }
 
 void interleave(const Column* columns, int num_columns, int64_t num_rows, int64_t stride, uint8_t* records, int threads) {
-  Layout layouts[kMaxColumns];
+  Layout layouts[MAX_COLUMNS];
   for (int c = 0; c < num_columns; ++c) layouts[c] = layout_of(columns[c]);
-  const int64_t rows_per_chunk = std::max<int64_t>(1, kBytesPerChunk / stride);
+  const int64_t rows_per_chunk = std::max<int64_t>(1, BYTES_PER_CHUNK / stride);
   parallel_ranges(num_rows, rows_per_chunk, threads, [&](int64_t begin, int64_t end) {
     for (int c = 0; c < num_columns; ++c)
       place_column(columns[c].data + begin * columns[c].width, columns[c], layouts[c], records + begin * stride, stride,
@@ -230,14 +230,14 @@ void interleave(const Column* columns, int num_columns, int64_t num_rows, int64_
 
 float largest_magnitude(const float* values, int64_t num_values, int threads) {
   std::atomic<int32_t> largest{0};
-  parallel_ranges(num_values, kValuesPerChunk, threads,
+  parallel_ranges(num_values, VALUES_PER_CHUNK, threads,
                   [&](int64_t begin, int64_t end) { raise(largest, kernels().largest_bits(values + begin, end - begin)); });
   return magnitude(largest.load());
 }
 
 float shortest(const float* vectors, int64_t num_vectors, int threads) {
   std::atomic<float> shortest{INFINITY};
-  parallel_ranges(num_vectors, kValuesPerChunk / 4, threads, [&](int64_t begin, int64_t end) {
+  parallel_ranges(num_vectors, VALUES_PER_CHUNK / 4, threads, [&](int64_t begin, int64_t end) {
     float found = INFINITY;
     for (int64_t i = begin; i < end; ++i) {
       const float* v = vectors + 4 * i;

@@ -19,7 +19,7 @@ struct Column {
   float largest_magnitude;  // result: as that of largest_magnitude()
 };
 
-constexpr int kMaxColumns = 64;
+constexpr int MAX_COLUMNS = 64;
 
 // columns[c].data[row × width + j] = the value at byte start + row × stride + offsets[j] of an open file, for each column, row
 // and j; and the largest magnitude of each column, found while its values are in the cache.

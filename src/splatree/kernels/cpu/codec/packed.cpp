@@ -6,14 +6,15 @@
 #include <string.h>
 
 #include "cpu/runtime/quad.h"
+#include "shared/constants.h"
 #include "shared/quantize.h"
 
 namespace splatree::SPLATREE_ISA {
 namespace {
 
-constexpr int CHUNK = kPackedChunk;
+constexpr int CHUNK = PACKED_CHUNK;
 constexpr int AHEAD = 24;  // rows whose cache lines are on their way while one is read
-constexpr float SH_C0 = 0.28209479177387814f;
+constexpr float SH_C0 = float(constants::SH_C0);
 constexpr float LOG_SCALE_MAX = 20.f;  // of the bounds of a chunk
 
 struct alignas(64) Planes {
@@ -179,7 +180,7 @@ void pack_chunk(const PackedJob& job, int64_t chunk) {
   pack_rotations(p, p.packed[1]);
   pack_range(p.log_scale, low + 3, high + 3, p.packed[2]);
   pack_colors(p, low + 6, high + 6, p.packed[3]);
-  float* bounds = job.bounds + chunk * kPackedBounds;
+  float* bounds = job.bounds + chunk * PACKED_BOUNDS;
   for (int kind = 0; kind < 3; ++kind)
     for (int c = 0; c < 3; ++c) bounds[6 * kind + c] = low[3 * kind + c], bounds[6 * kind + 3 + c] = high[3 * kind + c];
   for (int i = 0; i < used; ++i)
@@ -188,7 +189,7 @@ void pack_chunk(const PackedJob& job, int64_t chunk) {
 
 void unpack_chunk(const PackedJob& job, int64_t chunk) {
   const int used = rows_of(job, chunk), k = job.num_coefficients, num_rest = 3 * (k - 1);
-  const float* bounds = job.bounds + chunk * kPackedBounds;
+  const float* bounds = job.bounds + chunk * PACKED_BOUNDS;
   float table[256];
   fill_rest_table(table);
   Planes p;

@@ -4,8 +4,8 @@
 
 namespace splatree {
 
-constexpr int kPackedChunk = 256;
-constexpr int kPackedBounds = 18;  // min and max of x y z, of the log-scales, of r g b, three at a time
+constexpr int PACKED_CHUNK = 256;
+constexpr int PACKED_BOUNDS = 18;  // min and max of x y z, of the log-scales, of r g b, three at a time
 
 // Columns of Gaussians, and the packed form of them.
 struct PackedJob {

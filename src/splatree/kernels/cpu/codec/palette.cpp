@@ -13,25 +13,25 @@
 namespace splatree {
 namespace {
 
-constexpr int64_t kPointsPerChunk = 1 << 12;
+constexpr int64_t POINTS_PER_CHUNK = 1 << 12;
 
-int64_t blocks_for(int64_t num_centres) { return (num_centres + kLanes - 1) / kLanes; }
+int64_t blocks_for(int64_t num_centres) { return (num_centres + LANES - 1) / LANES; }
 
-int64_t floats_for(int64_t num_centres, int64_t dims) { return blocks_for(num_centres) * (dims + 1) * kLanes; }
+int64_t floats_for(int64_t num_centres, int64_t dims) { return blocks_for(num_centres) * (dims + 1) * LANES; }
 
 // Lays row-major centres out in blocks: centre i in lane i mod 16.
 Centres arrange(const float* centres, int64_t count, int64_t dims, float* blocks) {
   for (int64_t b = 0; b < blocks_for(count); ++b)
-    for (int64_t l = 0; l < kLanes; ++l) {
-      const int64_t i = b * kLanes + l;
-      float* lane = blocks + b * (dims + 1) * kLanes + l;
+    for (int64_t l = 0; l < LANES; ++l) {
+      const int64_t i = b * LANES + l;
+      float* lane = blocks + b * (dims + 1) * LANES + l;
       double norm = 0;
       for (int64_t d = 0; d < dims; ++d) {
         const float x = i < count ? centres[i * dims + d] : 0;
-        lane[d * kLanes] = x;
+        lane[d * LANES] = x;
         norm += double(x) * x;
       }
-      lane[dims * kLanes] = i < count ? float(norm / 2) : std::numeric_limits<float>::infinity();
+      lane[dims * LANES] = i < count ? float(norm / 2) : std::numeric_limits<float>::infinity();
     }
   return {blocks, blocks_for(count), dims};
 }
@@ -40,12 +40,12 @@ Centres arrange(const float* centres, int64_t count, int64_t dims, float* blocks
 // point: a point's result does not depend on its companions.
 template <class At, class Search>
 void each_four(int64_t count, const At& at, const Search& search) {
-  constexpr int64_t kAhead = 4 * kPointsAtOnce;  // points between the fetch of one and its use
-  for (int64_t k = 0; k < count; k += kPointsAtOnce) {
-    const float* points[kPointsAtOnce];
-    for (int64_t p = 0; p < kPointsAtOnce; ++p) {
+  constexpr int64_t AHEAD = 4 * POINTS_AT_ONCE;  // points between the fetch of one and its use
+  for (int64_t k = 0; k < count; k += POINTS_AT_ONCE) {
+    const float* points[POINTS_AT_ONCE];
+    for (int64_t p = 0; p < POINTS_AT_ONCE; ++p) {
       points[p] = at(std::min(k + p, count - 1));
-      __builtin_prefetch(at(std::min(k + p + kAhead, count - 1)));
+      __builtin_prefetch(at(std::min(k + p + AHEAD, count - 1)));
     }
     search(points, k);
   }
@@ -57,7 +57,7 @@ void each_nearest(const Centres& centres, int64_t count, const At& at, const Vis
   each_four(count, at, [&](const float* const* points, int64_t k) {
     NearestCentres nearest;
     kernels().nearest_centres(centres, points, &nearest);
-    for (int64_t p = 0; p < kPointsAtOnce && k + p < count; ++p) visit(k + p, nearest.score[p], nearest.centre[p]);
+    for (int64_t p = 0; p < POINTS_AT_ONCE && k + p < count; ++p) visit(k + p, nearest.score[p], nearest.centre[p]);
   });
 }
 
@@ -65,13 +65,13 @@ void each_nearest(const Centres& centres, int64_t count, const At& at, const Vis
 // without branches, which could not be foretold: a float's bits order as an integer's do, once those below zero are turned.
 int64_t best_lane(const float* scores, const int32_t* blocks) {
   int64_t best = std::numeric_limits<int64_t>::max();
-  for (int64_t l = 0; l < kLanes; ++l) {
+  for (int64_t l = 0; l < LANES; ++l) {
     int32_t bits;
     std::memcpy(&bits, scores + l, sizeof bits);
     bits ^= (bits >> 31) & 0x7fffffff;
-    best = std::min(best, int64_t(bits) * (int64_t(1) << 32) + blocks[l] * kLanes + l);
+    best = std::min(best, int64_t(bits) * (int64_t(1) << 32) + blocks[l] * LANES + l);
   }
-  return best & (kLanes - 1);
+  return best & (LANES - 1);
 }
 
 // K-means of `count` points: starts from points evenly spread along the running sum of their weights.
@@ -115,16 +115,16 @@ void split_group(const float* points, const float* weights, int64_t count, int64
 void nearest_few(const Points& points, const float* centres, int64_t num_centres, int64_t num_near, int32_t* near, int threads) {
   Scratch<float> blocks = allocate<float>(floats_for(num_centres, points.dims));
   const Centres arranged = arrange(centres, num_centres, points.dims, blocks.get());
-  parallel_ranges(points.count, kPointsPerChunk, threads, [&](int64_t begin, int64_t end) {
+  parallel_ranges(points.count, POINTS_PER_CHUNK, threads, [&](int64_t begin, int64_t end) {
     const auto at = [&](int64_t k) { return points.values + (begin + k) * points.dims; };
     each_four(end - begin, at, [&](const float* const* four, int64_t first) {
       LaneMinima minima;
       kernels().nearest_lanes(arranged, four, &minima);
-      for (int64_t p = 0; p < kPointsAtOnce && begin + first + p < end; ++p) {
+      for (int64_t p = 0; p < POINTS_AT_ONCE && begin + first + p < end; ++p) {
         int32_t* out = near + (begin + first + p) * num_near;
         for (int64_t j = 0; j < num_near; ++j) {
           const int64_t lane = best_lane(minima.score[p], minima.block[p]);
-          out[j] = int32_t(minima.block[p][lane] * kLanes + lane);
+          out[j] = int32_t(minima.block[p][lane] * LANES + lane);
           minima.score[p][lane] = std::numeric_limits<float>::infinity();
         }
       }
@@ -208,9 +208,9 @@ void label_means(const float* vectors, int64_t stride, int64_t width, const floa
 
 void add_to_sums(const float* vectors, int64_t stride, int64_t width, const float* weights, const int32_t* labels,
                  int64_t num_rows, double* sums) {
-  constexpr int64_t kAhead = 4;  // rows between the fetch of a label's sums and their use
+  constexpr int64_t AHEAD = 4;  // rows between the fetch of a label's sums and their use
   for (int64_t i = 0; i < num_rows; ++i) {
-    const double* later = sums + labels[i + kAhead < num_rows ? i + kAhead : i] * (width + 1);
+    const double* later = sums + labels[i + AHEAD < num_rows ? i + AHEAD : i] * (width + 1);
     for (int64_t j = 0; j <= width; j += 8) __builtin_prefetch(later + j, 1);
     double* row = sums + labels[i] * (width + 1);
     const double w = weights[i];

@@ -4,7 +4,7 @@
 
 namespace splatree {
 
-constexpr int kMaxWidth = 48;  // values of a row of any column
+constexpr int MAX_WIDTH = 48;  // values of a row of any column
 
 // A column of float rows and one of byte rows. A row of floats may be part of a longer one (the harmonics without the DC).
 struct ByteColumn {
@@ -12,8 +12,8 @@ struct ByteColumn {
   uint8_t* codes;  // row r starts at r × width
   int64_t stride;
   int width;
-  float scale[kMaxWidth], offset[kMaxWidth];  // of each place: to codes, code = scale × value + offset; from codes, the reverse
-  int32_t step[kMaxWidth];                    // to codes: whole multiples of it, a power of two
+  float scale[MAX_WIDTH], offset[MAX_WIDTH];  // of each place: to codes, code = scale × value + offset; from codes, the reverse
+  int32_t step[MAX_WIDTH];                    // to codes: whole multiples of it, a power of two
 };
 
 // Three fixed-point numbers of 24 bits a row, or a quaternion in four bytes (smallest three) or three (xyz, w ≥ 0).

@@ -7,8 +7,8 @@
 
 namespace splatree {
 
-constexpr int64_t kLanes = 16;
-constexpr int64_t kPointsAtOnce = 4;  // share the loads of a block: 8 accumulators fit the registers of x86-64-v3
+constexpr int64_t LANES = 16;
+constexpr int64_t POINTS_AT_ONCE = 4;  // share the loads of a block: 8 accumulators fit the registers of x86-64-v3
 
 // Blocks of centres: block × (dims + 1) × 16; the last plane holds |c|²/2, infinity where a lane has no centre.
 struct Centres {
@@ -19,14 +19,14 @@ struct Centres {
 
 // For each of four points and each lane, the least score of the lane's centres and the block that has it.
 struct LaneMinima {
-  alignas(64) float score[kPointsAtOnce][kLanes];
-  alignas(64) int32_t block[kPointsAtOnce][kLanes];
+  alignas(64) float score[POINTS_AT_ONCE][LANES];
+  alignas(64) int32_t block[POINTS_AT_ONCE][LANES];
 };
 
 // For each of four points the nearest centre and its score.
 struct NearestCentres {
-  float score[kPointsAtOnce];
-  int32_t centre[kPointsAtOnce];
+  float score[POINTS_AT_ONCE];
+  int32_t centre[POINTS_AT_ONCE];
 };
 
 // out[i × dims + d] = Σ_j (vectors[i × stride + j] − origin[j]) axes[j × padded + d], j < width; `padded` is the next multiple

@@ -9,21 +9,21 @@
 namespace splatree {
 namespace {
 
-constexpr int64_t kRowsPerChunk = 1 << 13;
-constexpr int64_t kAhead = 8;  // rows between the fetch of an entry of the palette and its use
+constexpr int64_t ROWS_PER_CHUNK = 1 << 13;
+constexpr int64_t AHEAD = 8;  // rows between the fetch of an entry of the palette and its use
 
 // The number of bounds below a value. The bounds' range is cut into cells; a value's cell is found by one product, which keeps
 // order, so only the bounds of its own cell are left to search.
 class Codebook {
  public:
   explicit Codebook(const float* bounds) : bounds_(bounds), low_(bounds[0]) {
-    const float range = bounds[kBounds - 1] - low_;
-    scale_ = range > 0 && range < std::numeric_limits<float>::infinity() ? kCells / range : 0;
-    for (int cell = 0, i = 0; cell <= kCells; ++cell) {
-      while (i < kBounds && cell_of(bounds[i]) < cell) ++i;
+    const float range = bounds[BOUNDS - 1] - low_;
+    scale_ = range > 0 && range < std::numeric_limits<float>::infinity() ? CELLS / range : 0;
+    for (int cell = 0, i = 0; cell <= CELLS; ++cell) {
+      while (i < BOUNDS && cell_of(bounds[i]) < cell) ++i;
       first_[cell] = uint8_t(i);
     }
-    first_[kCells + 1] = kBounds;
+    first_[CELLS + 1] = BOUNDS;
   }
 
   uint8_t code(float value) const {
@@ -40,16 +40,16 @@ class Codebook {
   }
 
  private:
-  static constexpr int kBounds = 255, kCells = 2048;
+  static constexpr int BOUNDS = 255, CELLS = 2048;
 
   int cell_of(float value) const {
     const float cell = (value - low_) * scale_;
-    return cell > 0 ? cell < kCells ? int(cell) : kCells : 0;
+    return cell > 0 ? cell < CELLS ? int(cell) : CELLS : 0;
   }
 
   const float* bounds_;
   float low_, scale_;
-  uint8_t first_[kCells + 2];  // bounds in the cells before
+  uint8_t first_[CELLS + 2];  // bounds in the cells before
 };
 
 double rounded_in(double value, double top) {
@@ -78,11 +78,11 @@ class FirstRow {
     while (row < least && !row_.compare_exchange_weak(least, row)) {
     }
   }
-  int64_t get() const { return row_ == kNone ? -1 : row_.load(); }
+  int64_t get() const { return row_ == NONE ? -1 : row_.load(); }
 
  private:
-  static constexpr int64_t kNone = std::numeric_limits<int64_t>::max();
-  std::atomic<int64_t> row_{kNone};
+  static constexpr int64_t NONE = std::numeric_limits<int64_t>::max();
+  std::atomic<int64_t> row_{NONE};
 };
 
 // The three smaller components of a quaternion, byte by byte.
@@ -125,7 +125,7 @@ void encode_sog(const SogEncodeJob& job, int threads) {
     low[axis] = job.mean_ranges[axis];
     steps[axis] = 65535 / (spread > 0 ? spread : 1);
   }
-  parallel_ranges(job.num_rows, kRowsPerChunk, threads, [&](int64_t begin, int64_t end) {
+  parallel_ranges(job.num_rows, ROWS_PER_CHUNK, threads, [&](int64_t begin, int64_t end) {
     for (int64_t row = begin; row < end; ++row) {
       const int64_t i = job.places[row];
       for (int axis = 0; axis < 3; ++axis) {
@@ -150,7 +150,7 @@ SogDamage decode_sog(const SogDecodeJob& job, int threads) {
   const SmallComponents components;
   const int64_t num_rest = job.sh_stride - 3;
   FirstRow wrong_tag, wrong_label;
-  parallel_ranges(job.num_rows, kRowsPerChunk, threads, [&](int64_t begin, int64_t end) {
+  parallel_ranges(job.num_rows, ROWS_PER_CHUNK, threads, [&](int64_t begin, int64_t end) {
     for (int64_t i = begin; i < end; ++i) {
       float* sh = job.sh + job.sh_stride * i;
       for (int axis = 0; axis < 3; ++axis) {
@@ -162,7 +162,7 @@ SogDamage decode_sog(const SogDecodeJob& job, int threads) {
       job.logit_opacities[i] = job.logit_table[job.sh0[4 * i + 3]];
       if (!decode_quat(job.quats_pixels + 4 * i, components, job.quats + 4 * i)) wrong_tag.found(i);
       if (num_rest == 0) continue;
-      const int64_t ahead = i + kAhead < end ? i + kAhead : end - 1;
+      const int64_t ahead = i + AHEAD < end ? i + AHEAD : end - 1;
       __builtin_prefetch(job.palette + num_rest * label_of(job, ahead));
       const int64_t label = label_of(job, i);
       if (label < job.palette_size) {

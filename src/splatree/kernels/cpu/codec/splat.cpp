@@ -6,13 +6,14 @@
 #include <stdint.h>
 #include <string.h>
 
+#include "shared/constants.h"
 #include "shared/elementary.h"
 
 namespace splatree::SPLATREE_ISA {
 namespace {
 
 constexpr int ROWS = 64;  // as planes on the stack
-constexpr float C0 = 0.28209479177387814f;
+constexpr float C0 = float(constants::SH_C0);
 
 // 1 + e^−x; beyond ±80 nothing changes that a code or a rank could show.
 SPLATREE_FN float inverse_opacity(float logit) { return 1.f + exp_of(-least(greatest(logit, -80.f), 80.f)); }
@@ -75,7 +76,7 @@ int32_t encode_splats(const SplatColumns& from, int64_t begin, int64_t end, uint
       largest = rgb > largest ? rgb : largest;
     }
     for (int64_t i = 0; i < count; ++i) {
-      uint8_t* out = records + (row + i) * kSplatBytes;
+      uint8_t* out = records + (row + i) * SPLAT_BYTES;
       const float* log_scales = from.log_scales + 3 * (row + i);
       const float scales[3] = {__builtin_expf(log_scales[0]), __builtin_expf(log_scales[1]), __builtin_expf(log_scales[2])};
       memcpy(out, from.means + 3 * (row + i), 12);
@@ -89,7 +90,7 @@ int32_t encode_splats(const SplatColumns& from, int64_t begin, int64_t end, uint
 
 void decode_splats(const uint8_t* records, const SplatTables& tables, const SplatColumns& to, int64_t begin, int64_t end) {
   for (int64_t row = begin; row < end; ++row) {
-    const uint8_t* record = records + row * kSplatBytes;
+    const uint8_t* record = records + row * SPLAT_BYTES;
     memcpy(to.means + 3 * row, record, 12);
     float scales[3];
     memcpy(scales, record + 12, 12);

@@ -4,8 +4,8 @@
 
 namespace splatree {
 
-constexpr int64_t kSplatBytes = 32;
-constexpr int kSplatRanks = 4096;
+constexpr int64_t SPLAT_BYTES = 32;
+constexpr int SPLAT_RANKS = 4096;
 
 // Columns of Gaussians; harmonics have `sh_stride` floats a row, of which the first three are the DC.
 struct SplatColumns {

@@ -9,6 +9,7 @@
 
 #include "cpu/runtime/isa.h"
 #include "cpu/runtime/pool.h"
+#include "shared/constants.h"
 #include "shared/elementary.h"
 #include "shared/record.h"
 
@@ -19,8 +20,8 @@ constexpr int TILE = 16, BLOCKS = 16, LANES = 16;
 constexpr int GROUP = 8;    // pairs whose blocks are found before the first of them is blended
 constexpr int AHEAD = 8;    // pairs between the fetch of a record and its use
 constexpr int PERIOD = 32;  // pairs between looks for finished blocks
-constexpr float ALPHA_MAX = 0.99f, ALPHA_THRESHOLD = 1.f / 255, TRANSMITTANCE_MIN = 1e-4f;
-constexpr float TAPER_SLOPE = 2;
+constexpr float ALPHA_MAX = float(constants::ALPHA_MAX), ALPHA_THRESHOLD = float(constants::ALPHA_THRESHOLD);
+constexpr float TRANSMITTANCE_MIN = float(constants::TRANSMITTANCE_MIN), TAPER_SLOPE = float(constants::TAPER_SLOPE);
 constexpr float SQRT_HALF_LOG2E = 0.849321800f;  // √(½ log2 e): exp(-½ q²) = 2^-(this q)²
 
 struct alignas(64) Tile {

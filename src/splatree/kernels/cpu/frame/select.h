@@ -2,11 +2,12 @@
 #pragma once
 #include <cstdint>
 
+#include "shared/constants.h"
 #include "shared/select.h"
 
 namespace splatree {
 
-constexpr int BLOCKS_PER_GROUP = 64;
+constexpr int BLOCKS_PER_GROUP = constants::BLOCKS_PER_GROUP;
 constexpr int MAX_BLOCK_ROWS = 1024;
 
 // Bounds of b runs of rows: lower and upper corners of the means, [b 3] each, and largest standard deviation of the leaves and

@@ -19,35 +19,35 @@ struct KeyRow {
 };
 
 inline void radix_sort(Scratch<KeyRow>& items, int64_t n, int threads) {
-  constexpr int kDigitBits = 11, kDigits = 1 << kDigitBits;
-  constexpr int64_t kGrain = 1 << 17;
-  const int64_t num_chunks = (n + kGrain - 1) / kGrain;
+  constexpr int DIGIT_BITS = 11, DIGITS = 1 << DIGIT_BITS;
+  constexpr int64_t GRAIN = 1 << 17;
+  const int64_t num_chunks = (n + GRAIN - 1) / GRAIN;
   if (n < 2) return;
   Scratch<KeyRow> other = allocate<KeyRow>(n);
-  std::vector<uint32_t> counts(static_cast<size_t>(num_chunks) * kDigits);
+  std::vector<uint32_t> counts(static_cast<size_t>(num_chunks) * DIGITS);
 
   uint64_t differing = 0;
   for (int64_t i = 1; i < n; ++i) differing |= items[i].key ^ items[0].key;
-  for (int shift = 0; shift < 64 && (differing >> shift) != 0; shift += kDigitBits) {
-    if (((differing >> shift) & (kDigits - 1)) == 0) continue;
+  for (int shift = 0; shift < 64 && (differing >> shift) != 0; shift += DIGIT_BITS) {
+    if (((differing >> shift) & (DIGITS - 1)) == 0) continue;
     parallel_chunks(num_chunks, threads, [&](int64_t chunk) {
-      uint32_t* count = &counts[chunk * kDigits];
-      for (int d = 0; d < kDigits; ++d) count[d] = 0;
-      const int64_t end = n < (chunk + 1) * kGrain ? n : (chunk + 1) * kGrain;
-      for (int64_t i = chunk * kGrain; i < end; ++i) ++count[(items[i].key >> shift) & (kDigits - 1)];
+      uint32_t* count = &counts[chunk * DIGITS];
+      for (int d = 0; d < DIGITS; ++d) count[d] = 0;
+      const int64_t end = n < (chunk + 1) * GRAIN ? n : (chunk + 1) * GRAIN;
+      for (int64_t i = chunk * GRAIN; i < end; ++i) ++count[(items[i].key >> shift) & (DIGITS - 1)];
     });
     uint32_t place = 0;
-    for (int d = 0; d < kDigits; ++d)
+    for (int d = 0; d < DIGITS; ++d)
       for (int64_t chunk = 0; chunk < num_chunks; ++chunk) {
-        uint32_t& count = counts[chunk * kDigits + d];
+        uint32_t& count = counts[chunk * DIGITS + d];
         const uint32_t size = count;
         count = place;
         place += size;
       }
     parallel_chunks(num_chunks, threads, [&](int64_t chunk) {
-      uint32_t* next = &counts[chunk * kDigits];
-      const int64_t end = n < (chunk + 1) * kGrain ? n : (chunk + 1) * kGrain;
-      for (int64_t i = chunk * kGrain; i < end; ++i) other[next[(items[i].key >> shift) & (kDigits - 1)]++] = items[i];
+      uint32_t* next = &counts[chunk * DIGITS];
+      const int64_t end = n < (chunk + 1) * GRAIN ? n : (chunk + 1) * GRAIN;
+      for (int64_t i = chunk * GRAIN; i < end; ++i) other[next[(items[i].key >> shift) & (DIGITS - 1)]++] = items[i];
     });
     std::swap(items, other);
   }
