@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from splatree.render.counters import FrameCounters, frame_counters, write_counters
     from splatree.render.evaluate import Evaluation, evaluate
     from splatree.render.framing.frame import Framing, frame_scene
-    from splatree.render.paths import PathOptions, flyout, orbit, through
+    from splatree.render.paths import PathOptions, flyout, orbit, through, turn
     from splatree.render.pipeline import render, trace
     from splatree.render.tensors import draw, scene_from_tensors
     from splatree.render.timing import Timing, time_frames
@@ -145,6 +145,7 @@ __all__ = [
     "time_frames",
     "trace",
     "trace_batch",
+    "turn",
     "write",
     "write_cameras",
     "write_counters",
@@ -231,6 +232,7 @@ _HOME = {
     "time_frames": "splatree.render.timing",
     "trace": "splatree.render.pipeline",
     "trace_batch": "splatree.render.batch",
+    "turn": "splatree.render.paths",
     "write": "splatree.io.registry",
     "write_cameras": "splatree.io.cameras.files",
     "write_counters": "splatree.render.counters",

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from splatree.cli.render import file_names
+from splatree.cli.pictures import file_names
 from splatree.io.cameras.files import write_cameras
 from splatree.io.images import read_image, write_image
 from splatree.io.options import WriteOptions

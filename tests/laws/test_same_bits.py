@@ -59,7 +59,7 @@ def frames() -> Iterator[tuple[str, str]]:
         for method in METHODS:
             tree = st.build_clusters(st.build_lod(scene, st.BuildOptions(method=method)), 64)
             yield f"tree {mode} {method}", digest(*columns(tree.gaussians), *tree_columns(tree))
-            for camera in st.flyout(tree, st.PathOptions(views=3, width=200, height=120)):
+            for camera in st.flyout(tree, st.PathOptions(views=3, up=(0, -1, 0), width=200, height=120)):
                 for name, render, select in views():
                     frame = st.trace(tree, camera, render, select)
                     found = digest(frame.selection.rows, frame.splats.records, frame.bins.splat_from_pair)

@@ -47,7 +47,7 @@ class Command:
 
     output: Annotated[Path, arg(aliases=["-o"])] = Path("splatree-demo")
     """Folder for report.html and its pictures; an earlier report there is replaced."""
-    made: Annotated[PathOptions, arg(name="", help="")] = PathOptions(views=6, elevation_deg=40.0)
+    made: Annotated[PathOptions, arg(name="", help="")] = PathOptions(views=6, up=(0.0, -1.0, 0.0), elevation_deg=40.0)
     select: Annotated[SelectOptions, arg(name="", help="")] = SelectOptions()
     console: Annotated[Console, arg(name="", help="")] = Console()
 

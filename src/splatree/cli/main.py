@@ -48,6 +48,9 @@ VERBS = {
 GROUPS = ("bench",)
 """Verbs whose next word names one of several commands."""
 
+ALIASES = {"--fov": "--fov-y-deg"}
+"""Short names of options."""
+
 USAGE = """usage: splatree <verb> [options]
 
 {verbs}
@@ -133,6 +136,7 @@ def _run(verb: str, words: list[str], module: Any, command_type: Any, descriptio
 
     from splatree.cli.console import UsageError, progress_shown
 
+    words = [ALIASES.get(word, word) for word in words]
     try:
         with _defaults_trusted():
             command = tyro.cli(
@@ -162,7 +166,8 @@ def _run(verb: str, words: list[str], module: Any, command_type: Any, descriptio
         if console.json:
             text = json.dumps(_plain(result), indent=2, ensure_ascii=False, allow_nan=False)
         elif not console.quiet:
-            text = module.show(result)
+            says_more = console.verbose and "verbose" in inspect.signature(module.show).parameters
+            text = module.show(result, verbose=True) if says_more else module.show(result)
     except UsageError as error:
         _complain(f"splatree {verb}: error: {error}")
         return 2

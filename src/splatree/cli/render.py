@@ -1,53 +1,67 @@
 """``splatree render``: pictures or a video of a scene."""
 
-import re
-from collections import Counter
-from collections.abc import Iterable
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 from tyro.conf import Positional, arg
 
 from splatree.cli.console import Console, UsageError, table
 from splatree.cli.files import Reading, check_inputs, read_scene
-from splatree.errors import InputError, OutputError
-from splatree.io.cameras.files import read_cameras
-from splatree.io.images import write_image
-from splatree.io.replacing import check_target
+from splatree.cli.pictures import (
+    PlaneSuffix,
+    Targets,
+    file_names,
+    is_picture,
+    make_folder,
+    refuse_existing,
+    remove_stale,
+    targets_of,
+)
+from splatree.cli.viewpoint import Viewpoint, Views, named_views, views_of
+from splatree.errors import InputError
+from splatree.io.registry import detect, level_of
 from splatree.render.batch import trace_batch
 from splatree.render.counters import frame_counters, write_counters
-from splatree.render.paths import PathOptions, flyout, orbit
+from splatree.render.paths import PathOptions
 from splatree.render.video import check_video, open_video
-from splatree.scene.cameras import Camera, Cameras
 from splatree.scene.frame import Frame
 from splatree.scene.options import RenderOptions, SelectOptions
 from splatree.scene.scene import DeviceName, Scene
 
+TURNTABLE_VIEWS = 120
+"""Views of --turntable if --views does not say: four seconds at 30 a second."""
+
 
 @dataclass(frozen=True)
 class Command:
-    """Draw pictures or a video of a scene, from given cameras or along a path made for it."""
+    """Draw pictures or a video of a scene, from given cameras or from where it looks best.
+
+    Without -o, one picture is written beside you: city.ply becomes city.png. -o pic.png names it; -o FOLDER writes all views.
+    """
 
     paths: Positional[tuple[Path, ...]]
     """Scene; several files or folders are read as one."""
     output: Annotated[Path | None, arg(aliases=["-o"])] = None
-    """Folder for the pictures, one PNG a view."""
+    """One picture (.png), or a folder for one picture a view."""
+    turntable: Path | None = None
+    """Video (.mp4) of one turn around the scene, or around within it; needs the extra `video`."""
     video: Path | None = None
-    """Video to write (.mp4), of cameras that all have one size; needs the extra `video`."""
-    counters: Path | None = None
-    """Folder for the work of each cluster and tile, one .npz a view (render/counters.py says what is in it)."""
+    """Video to write (.mp4), of the views that are drawn; needs the extra `video`."""
     fps: float = 30.0
     """Pictures a second in the video."""
-    cameras: Path | None = None
-    """cameras.json, transforms.json or a COLMAP model; without it a path is made."""
-    scale: float = 1.0
-    """Factor on the width and height of the cameras."""
-    path: Literal["orbit", "flyout"] = "orbit"
-    """Path to make without --cameras: around the scene, or away from it."""
+    viewpoint: Annotated[Viewpoint, arg(name="", help="")] = Viewpoint()
+    level: int | None = None
+    """Draw one level of detail: 0 is the finest, the one above it comes next."""
+    depth: PlaneSuffix | None = None
+    """Also write the depth of each pixel: `exr` in world units, `png` in steps that the file names (16 bits)."""
+    alpha: PlaneSuffix | None = None
+    """Also write the share of light that the scene stops at each pixel, in the same ways."""
+    counters: Path | None = None
+    """Folder for the work of each cluster and tile, one .npz a view (render/counters.py says what is in it)."""
     force: bool = False
-    """Replace pictures and the video if they exist."""
+    """Replace pictures and videos if they exist, and remove pictures of an earlier run from the folder."""
     device: DeviceName = "cpu"
     """Where to select and draw: `cuda` is an NVIDIA GPU; `splatree doctor` says what it needs."""
     made: Annotated[PathOptions, arg(name="", help="")] = PathOptions()
@@ -82,13 +96,17 @@ class Rendered:
     """What was drawn."""
 
     output: Path | None
-    """Folder of the pictures."""
+    """The picture, or the folder of the pictures."""
     video: Path | None
     """The video."""
     counters: Path | None
     """Folder of the counters."""
     views: tuple[View, ...]
     """One entry a picture."""
+    reasons: tuple[str, ...] = ()
+    """How the views were chosen, a sentence each; none for given cameras."""
+    num_removed: int = 0
+    """Pictures of an earlier run that were removed from the folder."""
     notes: tuple[str, ...] = ()
     """What the reader of the cameras chose or left out."""
 
@@ -96,62 +114,112 @@ class Rendered:
 def run(command: Command) -> Rendered:
     """Draw each view and write it before the next is drawn."""
     check_inputs(command.paths)
-    if command.output is None and command.video is None and command.counters is None:
-        raise UsageError("found nothing to write, wanted -o FOLDER for pictures, --video FILE.mp4 or --counters FOLDER")
-    if not command.scale > 0:
-        raise UsageError(f"scale: found {command.scale}, wanted more than 0")
-    if command.video is not None:
-        check_target(command.video)
+    video = _video(command)
+    output = _output(command, video)
+    named = named_views(command.viewpoint)
+    if output is not None and is_picture(output):
+        refuse_existing([output], force=command.force)
+    scene = _scene(command)
+    made = command.made
+    if command.turntable is not None and made.views == PathOptions().views:
+        made = replace(made, views=TURNTABLE_VIEWS)
+    views = named or views_of(scene, command.viewpoint, made)
+    if output is not None and is_picture(output) and video is None:
+        views = replace(views, cameras=views.cameras[:1])
+    targets = targets_of(file_names(views.cameras), output, command.counters, depth=command.depth, alpha=command.alpha)
+    for folder in (output if output and not is_picture(output) else None, command.counters):
+        if folder is not None:
+            make_folder(folder)
+    refuse_existing([path for target in targets for path in target.paths], force=command.force)
+    drawn = _drawn(command, scene, views, targets, video)
+    removed = 0
+    if command.force and output is not None and not is_picture(output):
+        removed = remove_stale(output, [path for target in targets for path in target.paths])
+    return Rendered(output, video, command.counters, drawn, views.reasons, removed, views.notes)
+
+
+def _video(command: Command) -> Path | None:
+    """The video to write, checked."""
+    if command.turntable is not None and (command.video is not None or command.viewpoint.cameras is not None):
+        other = "--video" if command.video is not None else "--cameras"
+        raise UsageError(f"turntable: found beside {other}, wanted one of them; --video follows cameras")
+    if command.turntable is not None and command.viewpoint.view is not None:
+        raise UsageError("turntable: found beside --view, wanted all views; -o pic.png --view N draws one")
+    video = command.turntable or command.video
+    if video is not None:
         try:
-            check_video(command.video, command.fps)
+            check_video(video, command.fps)
         except InputError as error:
             raise UsageError(str(error)) from error
-    named = None if command.cameras is None else read_cameras(command.cameras)
-    scene = read_scene(command.paths, command.reading).to(command.device)
-    cameras = [camera.scaled(command.scale) for camera in (_made(scene, command) if named is None else named)]
-    names = file_names(cameras)
-    targets = [command.video] if command.video else []
-    for folder, suffix in ((command.output, "png"), (command.counters, "npz")):
-        if folder is not None:
-            _make_folder(folder)
-            targets += [folder / f"{name}.{suffix}" for name in names]
-    existing = [target for target in targets if target.exists()]
-    if existing and not command.force:
-        raise OutputError(f"{existing[0]}: exists already; choose another name or folder, or use --force")
-    views = []
+        refuse_existing([video], force=command.force)
+    return video
+
+
+def _output(command: Command, video: Path | None) -> Path | None:
+    """The picture or the folder; where nothing at all is named, a picture named like the scene."""
+    output = command.output
+    if output is None and video is None and command.counters is None:
+        output = Path(f"{_name_of(command.paths[0])}.png")
+    if output is None and (command.depth or command.alpha):
+        raise UsageError("depth, alpha: found no -o, wanted a picture or a folder to write them beside")
+    if output is not None and not is_picture(output) and output.suffix and not output.is_dir() and command.output:
+        suffix = output.suffix.lower()
+        if suffix in (".jpg", ".jpeg", ".webp", ".exr", ".bmp", ".tif", ".tiff", ".gif", ".mp4"):
+            wanted = "--video for an .mp4" if suffix == ".mp4" else "a picture (.png) or a folder"
+            raise UsageError(f"{output}: found suffix {output.suffix!r}, wanted {wanted}")
+    return output
+
+
+def _name_of(path: Path) -> str:
+    """city for city.ply, city.compressed.ply and city/."""
+    if not path.is_file():
+        return path.resolve().name or "scene"
+    return path.name.removesuffix(path.suffix).removesuffix(".compressed") or "scene"
+
+
+def _scene(command: Command) -> Scene:
+    """The scene, or one level of it."""
+    level = command.level
+    if level is None:
+        return read_scene(command.paths, command.reading).to(command.device)
+    if len(command.paths) == 1 and (found := detect(command.paths[0])) is not None and found.holds.levels == "one of":
+        return read_scene(command.paths, command.reading, level=level).to(command.device)
+    return level_of(read_scene(command.paths, command.reading), level).to(command.device)
+
+
+def _drawn(
+    command: Command, scene: Scene, views: Views, targets: list[Targets], video: Path | None
+) -> tuple[View, ...]:
+    drawn = []
     with ExitStack() as stack:
-        add = (
-            stack.enter_context(open_video(command.video, fps=command.fps, force=command.force))
-            if command.video
-            else None
-        )
-        frames = trace_batch(scene, cameras, command.options, command.select)
-        for name, frame in zip(names, frames, strict=True):
-            file = None
-            if command.output is not None:
-                file = command.output / f"{name}.png"
-                write_image(frame.result.image, file, force=command.force)
-            if command.counters is not None:
-                counters = frame_counters(scene, frame)
-                write_counters(counters, command.counters / f"{name}.npz", force=command.force)
+        add = stack.enter_context(open_video(video, fps=command.fps, force=command.force)) if video else None
+        for target, frame in zip(
+            targets, trace_batch(scene, views.cameras, command.options, command.select), strict=True
+        ):
+            target.write(frame.result, force=command.force)
+            if target.counters is not None:
+                write_counters(frame_counters(scene, frame), target.counters, force=command.force)
             if add is not None:
                 add(frame.result.image)
-            views.append(_view(frame, file))
-    return Rendered(command.output, command.video, command.counters, tuple(views), named.notes if named else ())
+            drawn.append(_view(frame, target.picture))
+    return tuple(drawn)
 
 
-def show(rendered: Rendered) -> str:
-    """The views as a table."""
-    rows = [
+def show(rendered: Rendered, *, verbose: bool = False) -> str:
+    """What was written, how views were chosen, and with ``verbose`` what each took."""
+    rows: list[dict[str, object]] = [
         {"view": view.name, "nodes": view.selected, "pairs": view.pairs}
-        | {f"{stage} ms": ms for stage, ms in view.ms.items()}
+        | ({f"{stage} ms": ms for stage, ms in view.ms.items()} if verbose else {})
         for view in rendered.views
     ]
-    written = (rendered.output, rendered.video, rendered.counters)
-    targets = " and ".join(str(target) for target in written if target)
+    lines = [table(rows)] if len(rows) > 1 or verbose else []
     said = (*rendered.notes, *(note for view in rendered.views for note in view.notes))
-    notes = [f"note: {note}" for note in dict.fromkeys(said)]
-    return "\n".join([table(rows), *notes, f"wrote {targets}"])
+    lines += [f"note: {note}" for note in dict.fromkeys(said)]
+    lines += [f"view: {reason}" for reason in rendered.reasons]
+    if rendered.num_removed:
+        lines.append(f"removed {rendered.num_removed} picture{'s' * (rendered.num_removed != 1)} of an earlier run")
+    written = (rendered.output, rendered.video, rendered.counters)
+    return "\n".join([*lines, f"wrote {' and '.join(str(target) for target in written if target)}"])
 
 
 def _view(frame: Frame, file: Path | None) -> View:
@@ -165,21 +233,3 @@ def _view(frame: Frame, file: Path | None) -> View:
         ms=frame.result.milliseconds,
         notes=chosen.notes,
     )
-
-
-def _made(scene: Scene, command: Command) -> Cameras:
-    return (orbit if command.path == "orbit" else flyout)(scene, command.made)
-
-
-def file_names(cameras: Iterable[Camera]) -> list[str]:
-    """A file name for each view: its camera's name without folders and suffix, or its number where that is not unique."""
-    stems = [re.sub(r"[^\w.-]+", "_", Path(camera.name).stem) for camera in cameras]
-    counts = Counter(stems)
-    return [stem if stem and counts[stem] == 1 else f"{i:04d}" for i, stem in enumerate(stems)]
-
-
-def _make_folder(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"{folder}: cannot be made a folder ({error.strerror})") from error

@@ -2,12 +2,20 @@
 
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from splatree.errors import FormatError, InputError, ShapeError
+from splatree.io.exr import SOFTWARE, write_exr
 from splatree.io.replacing import replacing
 from splatree.shapes import Array, Float32
+
+if TYPE_CHECKING:
+    from PIL import PngImagePlugin
+
+_HEAD_BYTES = 1024
+"""Text entries stand before the pixels."""
 
 
 def read_image(path: str | os.PathLike[str], *, size: tuple[int, int] | None = None) -> Float32[Array, "h w 3"]:
@@ -64,7 +72,56 @@ def write_image(image: Float32[Array, "h w 3"], path: str | os.PathLike[str], *,
         raise InputError(f"{path}: found NaN in the picture, wanted numbers")
     pixels = np.rint(np.clip(image, 0, 1) * 255).astype(np.uint8)
     with replacing(path, force=force) as temporary, temporary.open("wb") as file:
-        Image.fromarray(pixels).save(file, format="PNG")
+        Image.fromarray(pixels).save(file, format="PNG", pnginfo=_signed())
+
+
+def write_plane(
+    plane: Float32[Array, "h w"], path: str | os.PathLike[str], *, channel: str, force: bool = False
+) -> None:
+    """Write one float32 plane, of depth or alpha: as it is into an .exr, or as PNG of 16 bits.
+
+    A PNG holds steps of ``largest value / 65535``, rounded; its text entry ``step`` says how much a step is.
+
+    Args:
+        plane: values of at least 0.
+        path: a file with the suffix .png or .exr.
+        channel: name of the channel in an .exr: "Z" for depth, "A" for alpha.
+        force: replace the file if it exists.
+    """
+    from PIL import Image
+
+    if Path(path).suffix.lower() == ".exr":
+        write_exr({channel: plane}, path, force=force)
+        return
+    if Path(path).suffix.lower() != ".png":
+        raise InputError(f"{path}: planes are written as PNG or EXR, wanted the suffix .png or .exr")
+    if not np.isfinite(plane).all() or plane.min(initial=0) < 0:
+        raise InputError(f"{path}: found values that are negative or not finite, wanted at least 0; write an .exr")
+    step = max(float(plane.max(initial=0)), 1e-30) / 65535
+    steps = np.rint(plane.astype(np.float64) / step).astype(np.uint16)
+    with replacing(path, force=force) as temporary, temporary.open("wb") as file:
+        Image.fromarray(steps).save(file, format="PNG", pnginfo=_signed(step=f"{step:.9g}"))
+
+
+def is_ours(path: Path) -> bool:
+    """Whether a picture, PNG or EXR, says that splatree wrote it."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(_HEAD_BYTES)
+    except OSError:
+        return False
+    signature = f"Software\0{SOFTWARE}".encode() if path.suffix.lower() == ".png" else b"software\0string\0"
+    return signature in head and SOFTWARE.encode() in head
+
+
+def _signed(**entries: str) -> "PngImagePlugin.PngInfo":
+    """Text entries of a PNG: who wrote it, and others."""
+    from PIL.PngImagePlugin import PngInfo
+
+    info = PngInfo()
+    for name, text in {"Software": SOFTWARE, **entries}.items():
+        info.add_text(name, text)
+    return info
 
 
 def _existing(path: str | os.PathLike[str]) -> Path:

@@ -448,6 +448,19 @@ def read_one(path: Path, options: ReadOptions) -> Scene:
     return replace(scene, source=replace(scene.source, paths=(str(path),), format=found.name))
 
 
+def level_of(scene: Scene, level: int) -> Scene:
+    """One level of a scene as a flat scene: 0 are the leaves, each next one is a step nearer to the roots.
+
+    Raises:
+        InputError: the scene has no such level.
+    """
+    num_levels = scene.tree.num_levels
+    if not 0 <= level < num_levels:
+        wanted = "0, as it has one level" if num_levels == 1 else f"0 (the finest) to {num_levels - 1}"
+        raise InputError(f"level: found {level}, wanted {wanted}; `splatree build` makes levels")
+    return _cut(scene, None if level == 0 else num_levels - 1 - level)
+
+
 def _cut(scene: Scene, depth: int | None) -> Scene:
     """The leaves, or the nodes at a depth and the leaves above it, as a flat scene."""
     if depth is not None and depth < 0:

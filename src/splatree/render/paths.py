@@ -14,6 +14,9 @@ import numpy as np
 from splatree.constants import NEAR
 from splatree.errors import InputError
 from splatree.maths.rotations import matrices_from_quats, quat_from_matrix
+from splatree.render.framing.frame import Framing
+from splatree.render.framing.survey import survey_of
+from splatree.render.framing.upright import guess_up
 from splatree.scene.cameras import Camera, Cameras
 from splatree.scene.scene import Scene
 from splatree.shapes import Array, Float64
@@ -34,33 +37,41 @@ NEAR_SHARE: Final = 0.01
 """The near plane is at most this share of the distance to the target: a scene in kilometres must not vanish in front of it."""
 
 
+ELEVATION_DEG: Final = 30.0
+"""Height of the eye above the horizon where none is asked for."""
+
+FOV_Y_DEG: Final = 50.0
+"""Vertical field of view where none is asked for, degrees."""
+
+
 @dataclass(frozen=True)
 class PathOptions:
     """Views made for a scene."""
 
     views: int = 60
     """Number of views."""
-    up: tuple[float, float, float] = (0.0, -1.0, 0.0)
-    """Direction that is up in the world; most 3DGS scenes have y down."""
-    elevation_deg: float = 30.0
-    """Height of the camera above the horizon, degrees, as seen from the target; −90 to 90."""
+    up: tuple[float, float, float] | None = None
+    """Direction x y z that is up in the world; None: guessed from the scene and its file."""
+    elevation_deg: float | None = None
+    """Height of the camera above the horizon, degrees, as seen from the target, -90 to 90; None: 30, and for `turn` as it
+    looks best."""
     width: int = 960
     """Image width, px."""
     height: int = 540
     """Image height, px."""
-    fov_y_deg: float = 50.0
-    """Vertical field of view, degrees."""
+    fov_y_deg: float | None = None
+    """Vertical field of view, degrees (--fov for short); None: 50, and 65 from within a scene."""
 
     def __post_init__(self) -> None:
         if self.views < 1:
             raise InputError(f"views: found {self.views}, wanted at least 1")
         if self.width < 1 or self.height < 1:
             raise InputError(f"width, height: found {self.width} × {self.height}, wanted at least 1 × 1 px")
-        if not np.linalg.norm(self.up) > 0:
+        if self.up is not None and not 0 < np.linalg.norm(self.up) < np.inf:
             raise InputError(f"up: found {self.up}, wanted a direction")
-        if not -90 <= self.elevation_deg <= 90:
+        if self.elevation_deg is not None and not -90 <= self.elevation_deg <= 90:
             raise InputError(f"elevation_deg: found {self.elevation_deg}, wanted -90 to 90")
-        if not 0 < self.fov_y_deg < 180:
+        if self.fov_y_deg is not None and not 0 < self.fov_y_deg < 180:
             raise InputError(f"fov_y_deg: found {self.fov_y_deg}, wanted between 0 and 180")
 
 
@@ -75,13 +86,11 @@ def orbit(scene: Scene, options: PathOptions | None = None) -> Cameras:
     radius = min(
         max(radius, _weighted_quantile(np.linalg.norm(means - centre, axis=1), weights, RIM_SHARE)), RIM_MAX * radius
     )
-    half_y = np.radians(options.fov_y_deg) / 2
+    half_y = np.radians(options.fov_y_deg or FOV_Y_DEG) / 2
     half_x = np.arctan(np.tan(half_y) * options.width / options.height)
     distance = radius / np.sin(min(half_x, half_y))
     turns = np.arange(options.views) / options.views
-    return _cameras(
-        centre, options, turns, np.full(options.views, distance), np.full(options.views, options.elevation_deg)
-    )
+    return _cameras(_upright(scene, options), centre, turns, np.full(options.views, distance))
 
 
 def flyout(scene: Scene, options: PathOptions | None = None, *, nearest: float = 0.3, farthest: float = 8.0) -> Cameras:
@@ -94,7 +103,7 @@ def flyout(scene: Scene, options: PathOptions | None = None, *, nearest: float =
         raise InputError(f"flyout: found nearest {nearest} and farthest {farthest}, wanted 0 < nearest <= farthest")
     centre, radius = bounds_of(scene)
     distances = radius * np.geomspace(nearest, farthest, options.views)
-    return _cameras(centre, options, np.zeros(options.views), distances, np.full(options.views, options.elevation_deg))
+    return _cameras(_upright(scene, options), centre, np.zeros(options.views), distances)
 
 
 def through(cameras: Sequence[Camera], views: int) -> Cameras:
@@ -153,18 +162,57 @@ def _weighted_quantile(values: Array, weights: Array, share: float) -> float:
     return float(values[order[np.searchsorted(below, share * below[-1])]])
 
 
-def _cameras(centre: Array, options: PathOptions, turns: Array, distances: Array, elevations_deg: Array) -> Cameras:
-    direction = _directions_above(np.asarray(options.up, np.float64))
+def turn(framing: Framing, options: PathOptions | None = None) -> Cameras:
+    """Views all round, the first is the framing's: about the target of a scene seen from outside, about the eye from within.
+
+    The vertical is that of the framing; ``options.up`` is not looked at.
+
+    Example::
+
+        framing = st.frame_scene(scene)
+        with st.open_video("turntable.mp4") as add:
+            for camera in st.turn(framing, st.PathOptions(views=120)):
+                add(st.render(scene, camera).image)
+    """
+    options = options or PathOptions()
+    if options.elevation_deg is not None:
+        framing = framing.raised(options.elevation_deg)
+    first = framing.camera(options.width, options.height, fov_y_deg=options.fov_y_deg)
     views = []
-    for i, (turn, distance, elevation_deg) in enumerate(zip(turns, distances, elevations_deg, strict=True)):
-        eye = centre + distance * direction(2 * np.pi * turn, np.radians(elevation_deg))
+    for i, angle in enumerate(np.arange(options.views) / options.views * 2 * np.pi):
+        rotation = _about(framing.up, angle)
+        pivot = framing.eye if framing.inside else framing.target
+        eye, target = (pivot + rotation @ (point - pivot) for point in (framing.eye, framing.target))
+        turned = Camera.look_at(eye, target, up=framing.up)
+        views.append(replace(first, camera_from_world=turned.camera_from_world, name=f"view_{i:04d}"))
+    return Cameras(tuple(views))
+
+
+def _about(axis: Array, angle: float) -> Float64[Array, "3 3"]:
+    """The rotation about a unit vector by an angle, rad."""
+    return np.asarray(matrices_from_quats(np.append(np.cos(angle / 2), np.sin(angle / 2) * axis)[None])[0])
+
+
+def _upright(scene: Scene, options: PathOptions) -> PathOptions:
+    """The options with a direction that is up."""
+    if options.up is not None:
+        return options
+    return replace(options, up=guess_up(survey_of(scene), scene.source).up)
+
+
+def _cameras(options: PathOptions, centre: Array, turns: Array, distances: Array) -> Cameras:
+    direction = _directions_above(np.asarray(options.up, np.float64))
+    elevation = np.radians(ELEVATION_DEG if options.elevation_deg is None else options.elevation_deg)
+    views = []
+    for i, (turned, distance) in enumerate(zip(turns, distances, strict=True)):
+        eye = centre + distance * direction(2 * np.pi * turned, elevation)
         camera = Camera.look_at(
             eye,
             centre,
             up=np.asarray(options.up),
             width=options.width,
             height=options.height,
-            fov_y_deg=options.fov_y_deg,
+            fov_y_deg=options.fov_y_deg or FOV_Y_DEG,
         )
         views.append(replace(camera, near=min(NEAR, NEAR_SHARE * float(distance)), name=f"view_{i:04d}"))
     return Cameras(tuple(views))

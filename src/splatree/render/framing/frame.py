@@ -20,6 +20,7 @@ import numpy as np
 
 from splatree.constants import NEAR
 from splatree.errors import InputError
+from splatree.render.framing.panorama import horizontals
 from splatree.render.framing.standpoint import Standpoint, from_inside, from_outside, looks_enclosed
 from splatree.render.framing.survey import Survey, survey_of, weighted_quantiles
 from splatree.render.framing.upright import guess_up
@@ -76,6 +77,43 @@ class Framing:
         distance = float(np.linalg.norm(self.target - self.eye))
         return replace(camera, near=min(NEAR, NEAR_SHARE * distance), name="first")
 
+    def moved(
+        self,
+        *,
+        eye: Sequence[float] | None = None,
+        target: Sequence[float] | None = None,
+        distance: float | None = None,
+    ) -> "Framing":
+        """The framing from another place, of another point, or at another distance between both; what is None stays.
+
+        With a new eye alone the target stays, and the other way round. ``distance`` moves the eye along the line to the target.
+        """
+        to = self.target if target is None else np.asarray(target, np.float64)
+        place = self.eye if eye is None else np.asarray(eye, np.float64)
+        for name, point in (("eye", place), ("target", to)):
+            if point.shape != (3,) or not np.isfinite(point).all():
+                raise InputError(f"{name}: found {point.tolist()}, wanted x y z")
+        if not np.linalg.norm(place - to) > 0:
+            raise InputError(f"eye: found {place.tolist()}, which is the target; wanted another point")
+        if distance is not None:
+            if not 0 < distance < np.inf:
+                raise InputError(f"distance: found {distance}, wanted more than 0")
+            if eye is not None:
+                raise InputError("distance: found it beside an eye, which already says how far; wanted one of them")
+            place = to + distance * (place - to) / np.linalg.norm(place - to)
+        return replace(self, eye=place, target=to)
+
+    def raised(self, elevation_deg: float) -> "Framing":
+        """The framing with its eye at another height above the horizon, as seen from the target, degrees."""
+        back = self.eye - self.target
+        flat = back - (back @ self.up) * self.up
+        if not np.linalg.norm(flat) > 1e-9 * np.linalg.norm(back):
+            flat = horizontals(self.up)[0]
+        flat = flat / np.linalg.norm(flat)
+        angle = np.radians(elevation_deg)
+        direction = np.cos(angle) * flat + np.sin(angle) * self.up
+        return replace(self, eye=self.target + np.linalg.norm(back) * direction)
+
 
 def frame_scene(
     scene: Scene, *, up: Sequence[float] | None = None, inside: bool | None = None, aspect: float = 16 / 9
@@ -123,7 +161,7 @@ def frame_scene(
         eye=stand.eye,
         target=stand.target,
         fov_y_deg=stand.fov_y_deg,
-        reasons=(*reasons, stand.reason),
+        reasons=tuple(reasons),
         is_sure=is_sure,
     )
 

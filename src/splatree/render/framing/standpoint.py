@@ -52,8 +52,6 @@ class Standpoint:
     """What it looks at."""
     fov_y_deg: float
     """Vertical field of view, degrees."""
-    reason: str
-    """Why, in a sentence."""
 
 
 def looks_enclosed(survey: Survey, up: Array, centre: Array, radius: float) -> tuple[bool, str]:
@@ -95,7 +93,7 @@ def from_outside(survey: Survey, up: Array, centre: Array, radius: float, aspect
         if blocked < BLOCKED:
             break
     assert best is not None
-    return Standpoint(*best, OUTSIDE_FOV_DEG, "the eye is where trial pictures show most of it")
+    return Standpoint(*best, OUTSIDE_FOV_DEG)
 
 
 def from_inside(survey: Survey, up: Array, centre: Array, radius: float, aspect: float) -> Standpoint:
@@ -105,7 +103,7 @@ def from_inside(survey: Survey, up: Array, centre: Array, radius: float, aspect:
     back = min(room.free(-forward), radius)
     eye = room.eye - 0.6 * back * forward
     target = room.eye + min(0.5 * far, radius) * forward - 0.08 * min(far, radius) * up
-    return Standpoint(eye, target, INSIDE_FOV_DEG, "the eye is near one end of the longest free line")
+    return Standpoint(eye, target, INSIDE_FOV_DEG)
 
 
 def _fitted(points: Array, centre: Array, backward: Array, up: Array, aspect: float) -> tuple[Array, float]:

@@ -121,7 +121,10 @@ def _custom(up: Array) -> float:
 def _facing(survey: Survey, up: Array) -> float:
     """Share of the flat surface that faces along an axis."""
     weights = survey.weights * survey.flatness
-    return float(weights[np.abs(survey.normals @ up) > math.cos(math.radians(FACING_DEG))].sum() / weights.sum())
+    return float(
+        weights[np.abs(survey.normals @ up) > math.cos(math.radians(FACING_DEG))].sum()
+        / max(float(weights.sum()), 1e-300)
+    )
 
 
 def _ground(survey: Survey, up: Array) -> float:
@@ -145,7 +148,7 @@ def _floor(survey: Survey, up: Array) -> float:
     step = max(high - low, 1e-9) / 60
     edges = low + step * np.arange(-1, math.ceil((tenth - low) / step) + 3)
     sheets = np.histogram(heights[faces], bins=edges, weights=weights[faces])[0]
-    return float((sheets[:-1] + sheets[1:]).max(initial=0) / weights.sum())
+    return float((sheets[:-1] + sheets[1:]).max(initial=0) / max(float(weights.sum()), 1e-300))
 
 
 def _gravity(survey: Survey, up: Array) -> float:
