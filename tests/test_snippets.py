@@ -18,9 +18,11 @@ from splatree.cli.main import VERBS, main
 ROOT = Path(__file__).parent.parent
 PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *ROOT.glob("docs/**/*.md")])
 PAGES = [page for page in PAGES if page.name not in ("cli.md", "use-a-gpu.md")]  # generated; needs a GPU
-MORE = {"eval": ["--frames", "2", "--width", "64"]} | {
-    verb: ["--force"] for verb in ("build", "convert", "render", "thin")
-}
+MORE = (
+    {"eval": ["--frames", "2", "--width", "64"]}
+    | {verb: ["--force"] for verb in ("build", "convert", "render", "thin")}
+    | {"render": ["--force", "--width", "64", "--height", "36"]}
+)
 """What keeps a command quick, and lets it write over the files of the folder."""
 
 
