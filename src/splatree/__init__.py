@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     )
     from splatree.io.cameras.files import read_cameras, write_cameras
     from splatree.io.convert import Converted, ConvertOptions, convert
+    from splatree.io.formats.splatree.head import SceneHead, common_head
+    from splatree.io.formats.splatree.rows import SceneRows, StoredScene, open_scene
+    from splatree.io.formats.splatree.writer import SceneWriter, create_scene
     from splatree.io.images import read_image, write_image
     from splatree.io.options import ReadOptions, WriteOptions
     from splatree.io.registry import read, read_levels, write
@@ -99,10 +102,14 @@ __all__ = [
     "RenderOptions",
     "RenderResult",
     "Scene",
+    "SceneHead",
+    "SceneRows",
+    "SceneWriter",
     "SelectOptions",
     "Selection",
     "ShapeError",
     "SplatreeError",
+    "StoredScene",
     "StreamOptions",
     "Streamed",
     "ThinOptions",
@@ -115,8 +122,10 @@ __all__ = [
     "build_lod",
     "calibrate",
     "calibrated",
+    "common_head",
     "contribution_histogram",
     "convert",
+    "create_scene",
     "cull",
     "draw",
     "edit",
@@ -126,6 +135,7 @@ __all__ = [
     "frame_scene",
     "link_levels",
     "merge",
+    "open_scene",
     "open_video",
     "orbit",
     "psnr",
@@ -186,10 +196,14 @@ _HOME = {
     "RenderOptions": "splatree.scene.options",
     "RenderResult": "splatree.scene.frame",
     "Scene": "splatree.scene.scene",
+    "SceneHead": "splatree.io.formats.splatree.head",
+    "SceneRows": "splatree.io.formats.splatree.rows",
+    "SceneWriter": "splatree.io.formats.splatree.writer",
     "SelectOptions": "splatree.scene.options",
     "Selection": "splatree.scene.frame",
     "ShapeError": "splatree.errors",
     "SplatreeError": "splatree.errors",
+    "StoredScene": "splatree.io.formats.splatree.rows",
     "StreamOptions": "splatree.stream.options",
     "Streamed": "splatree.stream.result",
     "ThinOptions": "splatree.scene.thinning",
@@ -202,8 +216,10 @@ _HOME = {
     "build_lod": "splatree.lod.build",
     "calibrate": "splatree.render.calibrate",
     "calibrated": "splatree.render.calibrate",
+    "common_head": "splatree.io.formats.splatree.head",
     "contribution_histogram": "splatree.render.contribution",
     "convert": "splatree.io.convert",
+    "create_scene": "splatree.io.formats.splatree.writer",
     "cull": "splatree.clusters.cull",
     "draw": "splatree.render.tensors",
     "edit": "splatree.edit.edit",
@@ -213,6 +229,7 @@ _HOME = {
     "frame_scene": "splatree.render.framing.frame",
     "link_levels": "splatree.lod.link",
     "merge": "splatree.simplify.merge",
+    "open_scene": "splatree.io.formats.splatree.rows",
     "open_video": "splatree.render.video",
     "orbit": "splatree.render.paths",
     "psnr": "splatree.metrics.psnr",

@@ -75,7 +75,7 @@ def scene_with_levels(
     return replace(scene, tree=tree, blocks=index_blocks(gaussians, tree))
 
 
-def check_extents(extents: Float32[Array, "n"], where: str) -> None:
+def check_extents(extents: Float32[Array, "n"], where: str, *, first_row: int = 0) -> None:
     """Refuse extents that the selection cannot use.
 
     Raises:
@@ -85,5 +85,5 @@ def check_extents(extents: Float32[Array, "n"], where: str) -> None:
     if not usable.all():
         row = int(np.argmin(usable))
         raise FormatError(
-            f"{where}: row {row}, tree.extents: found {extents[row]}, wanted 0 or more, finite; build the levels again"
+            f"{where}: row {first_row + row}, tree.extents: found {extents[row]}, wanted 0 or more; build the levels again"
         )

@@ -1,0 +1,169 @@
+"""The container of a ``.splatree``: a safetensors file, opened without reading its columns.
+
+The file is an eight-byte length, a JSON header, and the columns, each where the header says. Everything that the header says is
+held against the size of the file before a column is looked at.
+"""
+
+import json
+import math
+import mmap
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from splatree.errors import FormatError
+from splatree.io import untrusted
+from splatree.shapes import Array
+
+__all__ = ["VERSION", "Column", "Container", "header_bytes", "open_container", "placed"]
+
+VERSION = 1
+"""Version written, and the newest that is read; a new field of a scene does not change it, a new meaning does."""
+
+_HEADER_MAX = 100_000_000
+"""Bytes; the limit of the safetensors library."""
+
+_ALIGNMENT = 64
+"""The first column starts at a multiple of this, so that mapped columns are aligned as kernels like them."""
+
+_DTYPES = {
+    "BOOL": "bool",
+    "U8": "uint8",
+    "I8": "int8",
+    "U16": "uint16",
+    "I16": "int16",
+    "U32": "uint32",
+    "I32": "int32",
+    "F32": "float32",
+    "U64": "uint64",
+    "I64": "int64",
+    "F64": "float64",
+}
+_NAMES = {dtype: name for name, dtype in _DTYPES.items()}
+
+
+@dataclass(frozen=True)
+class Column:
+    """Where a column lies in the file."""
+
+    dtype: np.dtype[Any]
+    """Its type, little-endian."""
+    shape: tuple[int, ...]
+    """Its shape, rows first."""
+    start: int
+    """Its first byte in the file."""
+
+    @property
+    def num_bytes(self) -> int:
+        """Bytes of the whole column."""
+        return math.prod(self.shape) * self.dtype.itemsize
+
+    @property
+    def bytes_per_row(self) -> int:
+        """Bytes of one row."""
+        return math.prod(self.shape[1:]) * self.dtype.itemsize
+
+
+@dataclass(frozen=True, eq=False)
+class Container:
+    """An open file: what its header says, and the columns on demand."""
+
+    path: Path
+    """The file."""
+    values: Mapping[str, Any]
+    """The strings of the header."""
+    columns: Mapping[str, Column]
+    """The columns by name."""
+    mapped: mmap.mmap
+    """The file, mapped read-only: a page is read when a value on it is."""
+
+    def rows(self, name: str, begin: int = 0, end: int | None = None) -> Array:
+        """Rows of a column, as a view of the mapped file; a copy where they are not aligned."""
+        column = self.columns[name]
+        num_rows = column.shape[0] if column.shape else 1
+        begin, end, _ = slice(begin, end).indices(num_rows)
+        shape = (max(end - begin, 0), *column.shape[1:])
+        if not math.prod(shape):
+            return np.empty(shape, column.dtype)
+        rows: Array = np.ndarray(shape, column.dtype, self.mapped, column.start + begin * column.bytes_per_row)
+        return rows if rows.flags.aligned else rows.copy()
+
+
+def open_container(path: Path) -> Container:
+    """Read and check the header of a file, and map the file.
+
+    Raises:
+        FormatError: the file is cut off, damaged, or of another kind or version.
+    """
+    where = str(path)
+    with path.open("rb") as file:
+        num_bytes = path.stat().st_size
+        header_size = int.from_bytes(file.read(8), "little")
+        if num_bytes < 8 or header_size > min(_HEADER_MAX, num_bytes - 8):
+            raise FormatError(
+                f"{where}: found a header of {header_size} bytes in a file of {num_bytes}; the file is cut off or no .splatree"
+            )
+        header = untrusted.as_object(untrusted.parse_json(file.read(header_size), where), where)
+        mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+    values = untrusted.as_object(header.pop("__metadata__", None), f"{where}: __metadata__")
+    version = values.get("version")
+    if values.get("format") != "splatree" or version != str(VERSION):
+        raise FormatError(
+            f"{where}: found format {values.get('format')!r}, version {version!r}, wanted 'splatree', '{VERSION}'; "
+            "a newer file needs a newer splatree, other safetensors are no scene"
+        )
+    start = 8 + header_size
+    columns = {name: _column(entry, start, num_bytes, f"{where}: {name}") for name, entry in header.items()}
+    total = sum(column.num_bytes for column in columns.values())
+    if total != num_bytes - start:
+        raise FormatError(
+            f"{where}: found {num_bytes - start} bytes behind the header, wanted {total} for its columns; the file is cut off "
+            "or damaged"
+        )
+    return Container(path, values, columns, mapped)
+
+
+def placed(shapes: Mapping[str, tuple[np.dtype[Any], tuple[int, ...]]]) -> dict[str, Column]:
+    """Where columns of these types and shapes go, counted from the end of the header.
+
+    Wide types come first. Then each column is aligned, as its predecessors' sizes are multiples of its own width.
+    """
+    columns: dict[str, Column] = {}
+    start = 0
+    for name, (dtype, shape) in sorted(shapes.items(), key=lambda item: -item[1][0].itemsize):
+        columns[name] = Column(dtype, shape, start)
+        start += columns[name].num_bytes
+    return columns
+
+
+def header_bytes(values: Mapping[str, str], columns: Mapping[str, Column]) -> bytes:
+    """The head of a file: the length of the header and the header, padded."""
+    header: dict[str, Any] = {"__metadata__": {"format": "splatree", "version": str(VERSION), **values}}
+    for name, column in columns.items():
+        ends = [column.start, column.start + column.num_bytes]
+        header[name] = {"dtype": _NAMES[column.dtype.name], "shape": column.shape, "data_offsets": ends}
+    text = json.dumps(header, separators=(",", ":")).encode()
+    text += b" " * (-(8 + len(text)) % _ALIGNMENT)
+    return len(text).to_bytes(8, "little") + text
+
+
+def _column(entry: Any, start: int, num_bytes: int, where: str) -> Column:
+    entry = untrusted.as_object(entry, where)
+    name = untrusted.text(entry, "dtype", where)
+    if name not in _DTYPES:
+        raise FormatError(f"{where}: found dtype {name!r}, wanted one of {', '.join(_DTYPES)}")
+    dtype = np.dtype(_DTYPES[name]).newbyteorder("<")
+    sizes = untrusted.as_list(untrusted.field(entry, "shape", where), where)
+    shape = tuple(untrusted.as_integer(size, f"{where}: shape") for size in sizes)
+    ends = untrusted.as_list(untrusted.field(entry, "data_offsets", where), where)
+    offsets = [untrusted.as_integer(end, f"{where}: data_offsets", high=2**62) for end in ends]
+    size = math.prod(shape) * dtype.itemsize
+    if len(shape) > 8 or len(offsets) != 2 or offsets[1] - offsets[0] != size or start + offsets[1] > num_bytes:
+        raise FormatError(
+            f"{where}: found bytes {offsets} for shape {shape} of {dtype.name} ({size} bytes) in a file that holds "
+            f"{num_bytes - start} bytes of columns; the file is cut off or damaged"
+        )
+    return Column(dtype, shape, start + offsets[0])

@@ -1,0 +1,190 @@
+"""Read some rows of a ``.splatree`` and nothing else of it.
+
+`open_scene` reads the header. `StoredScene.rows` maps the rows that are asked for, checks their values and leaves the rest of the
+file on the disk. So a program can go through a scene that is larger than memory.
+"""
+
+import os
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+
+import numpy as np
+
+from splatree.errors import FormatError, InputError
+from splatree.io.check import checked_rows
+from splatree.io.formats.splatree.container import Container, open_container
+from splatree.io.formats.splatree.fields import column_types, source_from, value_of
+from splatree.io.formats.splatree.head import SceneHead
+from splatree.io.formats.splatree.older import record_of_provenance
+from splatree.io.levels import check_extents
+from splatree.kernels.cpu.frame.blocks import index_blocks
+from splatree.scene.gaussians import Gaussians
+from splatree.scene.levels import LevelRecord
+from splatree.scene.scene import Scene
+from splatree.scene.tree import GaussianTree
+from splatree.shapes import Array, Float32, Int32, UInt8, UInt32, check_fields
+
+__all__ = ["SceneRows", "StoredScene", "open_scene"]
+
+
+@dataclass(frozen=True, eq=False)
+class SceneRows:
+    """A run of rows of a scene with levels or without."""
+
+    begin: int
+    """The first row, in the scene."""
+    gaussians: Gaussians
+    """The Gaussians of the rows."""
+    subtree_end: Int32[Array, "n"]
+    """One past the last row of the subtree of each row, counted in the scene."""
+    depth: UInt8[Array, "n"]
+    """Edges from the root, in the scene."""
+    extents: Float32[Array, "n"]
+    """Extent of each row, world units (`GaussianTree.extents`)."""
+    ids: UInt32[Array, "n"] | None
+    """Identity of each row; None: the row number."""
+
+    def __post_init__(self) -> None:
+        check_fields(self, n=len(self.gaussians))
+
+    def __len__(self) -> int:
+        return len(self.gaussians)
+
+    @staticmethod
+    def of(scene: Scene) -> "SceneRows":
+        """All rows of a scene in memory."""
+        tree = scene.tree
+        return SceneRows(0, scene.gaussians, tree.subtree_end, tree.depth, tree.extents, scene.ids)
+
+    def scene(self, head: SceneHead) -> Scene:
+        """The rows as a scene of their own, drawn as ``head`` says.
+
+        Raises:
+            InputError: the rows are not whole subtrees of siblings.
+        """
+        n, top = len(self), int(self.depth.min(initial=255)) if len(self) else 0
+        if n and (int(self.subtree_end.max()) > self.begin + n or int(self.depth[0]) != top):
+            raise InputError(
+                f"rows {self.begin} to {self.begin + n}: found subtrees that reach beyond them, or rows above the first; wanted "
+                "whole subtrees of siblings"
+            )
+        tree = GaussianTree(
+            self.subtree_end - np.int32(self.begin), self.depth - np.uint8(top), self.extents, head.record
+        )
+        ids = self.ids if self.ids is not None else np.arange(self.begin, self.begin + n, dtype=np.uint32)
+        scene = Scene(self.gaussians, tree, ids, mode=head.mode, threshold=head.threshold, tile_rule=head.tile_rule)
+        blocks = index_blocks(self.gaussians, tree) if tree.depth.any() else None
+        return replace(scene, blocks=blocks, source=head.source)
+
+
+@dataclass(frozen=True, eq=False)
+class StoredScene:
+    """A ``.splatree`` whose rows are read when they are asked for."""
+
+    head: SceneHead
+    """How many rows there are, and how they are drawn."""
+    file: Container
+    """The file."""
+
+    def __len__(self) -> int:
+        return self.head.num_rows
+
+    def rows(self, begin: int, end: int) -> SceneRows:
+        """Map the rows ``begin`` to ``end`` and check their values; no other row is read.
+
+        Args:
+            begin: first row, 0 or more.
+            end: one past the last row, at most the number of rows.
+
+        Returns:
+            The rows, read-only, as views of the file. They stay valid when the handle is gone.
+
+        Raises:
+            InputError: there are no such rows.
+            FormatError: a value cannot be used.
+        """
+        if not 0 <= begin <= end <= len(self):
+            raise InputError(
+                f"{self.file.path}: found rows {begin} to {end}, wanted some of the {len(self)} rows there are"
+            )
+        where, file = str(self.file.path), self.file
+        columns = {f.name: file.rows(f"gaussians.{f.name}", begin, end) for f in fields(Gaussians)}
+        gaussians, _ = checked_rows(Gaussians(**columns), where, repair=False, first_row=begin)
+        tree = {name: file.rows(f"tree.{name}", begin, end) for name in ("subtree_end", "depth", "extents")}
+        ids = file.rows("ids", begin, end) if self.head.has_ids else None
+        rows = SceneRows(begin, gaussians, tree["subtree_end"], tree["depth"], tree["extents"], ids)
+        check_extents(rows.extents, where, first_row=begin)
+        wrong = (rows.subtree_end <= np.arange(begin, end)) | (rows.subtree_end > len(self))
+        if wrong.any():
+            i = int(np.argmax(wrong))
+            raise FormatError(
+                f"{where}: row {begin + i}, tree.subtree_end: found {rows.subtree_end[i]}, wanted {begin + i + 1} to {len(self)}"
+            )
+        return rows
+
+
+def open_scene(path: str | os.PathLike[str]) -> StoredScene:
+    """Open a ``.splatree`` to read some of its rows.
+
+    Args:
+        path: the file; of another format, convert it first.
+
+    Returns:
+        A handle; nothing but the header has been read.
+
+    Raises:
+        FormatError: the file is no ``.splatree``, cut off or damaged.
+        InputError: the file cannot be read.
+
+    Example:
+        >>> import splatree as st
+        >>> _ = st.write(st.Scene.flat(st.Gaussians.empty()), "empty.splatree", force=True)
+        >>> len(st.open_scene("empty.splatree").rows(0, 0))
+        0
+    """
+    try:
+        file = open_container(Path(path))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
+    try:
+        return StoredScene(_head_of(file), file)
+    except FormatError:
+        raise
+    except InputError as error:
+        raise FormatError(f"{path}: {error}") from error
+
+
+def _head_of(file: Container) -> SceneHead:
+    where, columns, values = str(file.path), file.columns, file.values
+    sh = columns.get("gaussians.sh")
+    if sh is None or len(sh.shape) != 3 or sh.shape[1] not in (1, 4, 9, 16) or sh.shape[2] != 3:
+        raise FormatError(
+            f"{where}: gaussians.sh: found {sh and sh.shape}, wanted rows of 1, 4, 9 or 16 coefficients of RGB"
+        )
+    n, has_ids = sh.shape[0], "ids" in columns
+    for name, (dtype, shape) in column_types(n, sh.shape[1], has_ids=has_ids).items():
+        found = columns.get(name)
+        if found is None or found.shape != shape or found.dtype != dtype:
+            said = "no such column" if found is None else f"{found.dtype.name} of shape {found.shape}"
+            raise FormatError(
+                f"{where}: {name}: found {said}, wanted {dtype.name} of shape {shape}; the file is damaged"
+            )
+    source = source_from(values, "source", where)
+    record = None
+    if "tree.record" in values:
+        record = LevelRecord.from_json(str(values["tree.record"]))
+    elif "levels" in source.metadata:
+        record = record_of_provenance(source.metadata["levels"])
+    try:
+        return SceneHead(
+            num_rows=n,
+            sh_degree=(1, 4, 9, 16).index(sh.shape[1]),
+            mode=value_of(values, "mode", where),
+            threshold=value_of(values, "threshold", where),
+            tile_rule=value_of(values, "extent", where) if "extent" in values else None,
+            record=record,
+            has_ids=has_ids,
+            source=replace(source, paths=(where,), format="splatree"),
+        )
+    except TypeError as error:
+        raise FormatError(f"{where}: {error}") from error

@@ -1,0 +1,122 @@
+"""Write a ``.splatree`` part by part: memory holds one part at a time.
+
+The columns of the file follow each other, so where each of them lies depends on the number of rows. It is said beforehand
+(`SceneHead`), and each part is written into its place in every column.
+"""
+
+import json
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import fields
+from typing import BinaryIO
+
+import numpy as np
+
+from splatree.errors import InputError
+from splatree.io.check import refuse_unusable
+from splatree.io.formats.splatree.container import Column, header_bytes, placed
+from splatree.io.formats.splatree.fields import STORED_AS, column_types, source_text
+from splatree.io.formats.splatree.head import SceneHead
+from splatree.io.formats.splatree.rows import SceneRows
+from splatree.io.replacing import replacing
+from splatree.scene.gaussians import Gaussians
+from splatree.scene.scene import Scene
+from splatree.shapes import Array
+
+__all__ = ["SceneWriter", "create_scene"]
+
+
+class SceneWriter:
+    """A ``.splatree`` that is being written, part by part; `create_scene` makes one."""
+
+    def __init__(self, file: BinaryIO, head: SceneHead) -> None:
+        self.head = head
+        """What the file will hold."""
+        self.num_written = 0
+        """Rows written so far."""
+        self._file = file
+        k = (head.sh_degree + 1) ** 2
+        self._places = placed(column_types(head.num_rows, k, has_ids=head.has_ids))
+        text = header_bytes(_values(head), self._places)
+        self._start = len(text)
+        file.write(text)
+        file.truncate(self._start + sum(place.num_bytes for place in self._places.values()))
+
+    def append(self, part: Scene | SceneRows) -> None:
+        """Write the rows of a part after those before it.
+
+        Args:
+            part: a scene, whose roots stand beside those before it; or rows of a stored scene. Runs of rows that follow each
+                other in a stored scene may be appended one after the other, whatever subtrees they cut.
+
+        Raises:
+            InputError: there are more rows than were announced, or harmonics of a higher degree.
+            FormatError: a value cannot be used.
+        """
+        rows = SceneRows.of(part) if isinstance(part, Scene) else part
+        begin, end = self.num_written, self.num_written + len(rows)
+        if end > self.head.num_rows:
+            raise InputError(
+                f"part: found {end} rows with those before it, wanted at most the {self.head.num_rows} announced"
+            )
+        if rows.gaussians.sh_degree > self.head.sh_degree:
+            raise InputError(
+                f"part: found harmonics of degree {rows.gaussians.sh_degree}, wanted at most the degree {self.head.sh_degree} "
+                "announced"
+            )
+        refuse_unusable(rows.gaussians, "part to write", first_row=begin)
+        gaussians = rows.gaussians.with_sh_degree(self.head.sh_degree)
+        for f in fields(Gaussians):
+            self._write(f"gaussians.{f.name}", begin, getattr(gaussians, f.name))
+        self._write("tree.subtree_end", begin, rows.subtree_end + np.int32(begin - rows.begin))
+        self._write("tree.depth", begin, rows.depth)
+        self._write("tree.extents", begin, rows.extents)
+        if self.head.has_ids:
+            self._write("ids", begin, np.arange(begin, end, dtype=np.uint32) if rows.ids is None else rows.ids)
+        self.num_written = end
+
+    def _write(self, name: str, begin: int, rows: Array) -> None:
+        place: Column = self._places[name]
+        self._file.seek(self._start + place.start + begin * place.bytes_per_row)
+        self._file.write(np.ascontiguousarray(rows, place.dtype).reshape(-1).view(np.uint8).data)
+
+
+@contextmanager
+def create_scene(path: str | os.PathLike[str], head: SceneHead, *, force: bool = False) -> Iterator[SceneWriter]:
+    """Write a ``.splatree`` part by part: whole or not at all.
+
+    Args:
+        path: the new file.
+        head: how many rows there will be, and how they are drawn.
+        force: replace the file if it exists.
+
+    Yields:
+        A writer whose `append` takes the parts. The file takes its place when the block ends.
+
+    Raises:
+        InputError: fewer or more rows were appended than announced.
+        OutputError: the file exists, or could not be written; an old file is then whole.
+
+    Example:
+        >>> import splatree as st
+        >>> scene = st.Scene.flat(st.Gaussians.empty())
+        >>> with st.create_scene("empty.splatree", st.SceneHead.of(scene), force=True) as writer:
+        ...     writer.append(scene)
+    """
+    with replacing(path, force=force) as temporary:
+        with temporary.open("wb") as file:
+            writer = SceneWriter(file, head)
+            yield writer
+        if writer.num_written != head.num_rows:
+            raise InputError(f"{path}: found {writer.num_written} rows appended, wanted the {head.num_rows} announced")
+
+
+def _values(head: SceneHead) -> dict[str, str]:
+    """The strings of the header, as `format.write` has them."""
+    values = {"mode": json.dumps(head.mode), "threshold": json.dumps(head.threshold)}
+    if head.tile_rule is not None:
+        values[STORED_AS["tile_rule"]] = json.dumps(head.tile_rule)
+    if head.record is not None:
+        values["tree.record"] = head.record.to_json()
+    return {**values, "source": source_text(head.source)}
