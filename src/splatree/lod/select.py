@@ -6,8 +6,7 @@ run in NumPy over all rows: they are there to be compared with.
 
 Rows of clusters that culling leaves out are not drawn; with the rule `exact` they could not be seen anyway.
 
-A budget is met by raising τ_R: coarser cuts are nested in finer ones, so the number of nodes falls as τ_R grows (but for
-the few at the border of the image), and interpolation between two values finds where it fits.
+A budget is met by raising τ_R (lod/budget.py).
 """
 
 from collections.abc import Callable
@@ -23,6 +22,7 @@ from splatree.errors import InputError
 from splatree.kernels.cpu.frame import select as cpu
 from splatree.kernels.cpu.frame.blocks import index_blocks
 from splatree.kernels.reference import select as reference
+from splatree.lod.budget import meet_budget, meet_budget_from
 from splatree.lod.serial import select_serial
 from splatree.scene.cameras import Camera
 from splatree.scene.clusters import Culling
@@ -46,13 +46,6 @@ __all__ = [
     "smallest_radius",
 ]
 
-BUDGET_SHARE = 0.98
-"""A selection that holds this share of its budget is not refined further."""
-BUDGET_PRECISION = 1.005
-"""Nor is one whose τ_R is known to this factor; near the border of the image counts may jump by more than 2 %."""
-COARSEST_PX = 2.0**24
-"""Largest finite τ_R that a budget tries: beyond any image. Only nodes that reach behind the near plane are larger: infinite."""
-
 
 class Selector(Protocol):
     """Anything that chooses the rows of a view of one scene, in the place of `select`: see lod/baselines.py."""
@@ -70,13 +63,15 @@ def select(
     dilation_px2: float = DILATION_PX2,
     threshold: float | None = None,
     culling: Culling | None = None,
+    last: float | None = None,
     threads: int = 0,
 ) -> Selection:
     """Choose the rows to draw.
 
     ``dilation_px2`` is what the drawing adds to each splat's variance; ``threshold`` the opacity τ at which a splat ends (None:
     the scene's), below which the view test `footprint` drops it. ``culling`` is what `cull_scene` found for the same
-    camera and options; None: it is found here.
+    camera and options; None: it is found here. ``last`` is the τ_R, px, of the view before, for the budget of a camera that
+    moves: the search begins there and is content with 90 % of the budget (lod/budget.py). None: a view alone.
 
     Raises:
         InputError: a budget that not even the roots in view meet; or a rule of culling for a scene without clusters.
@@ -122,13 +117,15 @@ def select(
             rows = rows[small]
         return rows, visited
 
-    rows, visited = rows_at(options.pixel_error)
-    pixel_error = options.pixel_error
-    smallest = smallest_radius(options.radius, dilation_px2)
-    if options.budget is not None and len(rows) > options.budget:
-        rows, visited, pixel_error = _meet_budget(
-            rows_at, options.budget, max(pixel_error, smallest), len(rows), camera
-        )
+    finest, smallest = options.pixel_error, smallest_radius(options.radius, dilation_px2)
+    if options.budget is not None and last is not None:
+        rows, visited, pixel_error = meet_budget_from(rows_at, options.budget, (finest, smallest), last, camera)
+    else:
+        rows, visited = rows_at(finest)
+        pixel_error = finest
+        if options.budget is not None and len(rows) > options.budget:
+            coarser = max(finest, smallest)
+            rows, visited, pixel_error = meet_budget(rows_at, options.budget, coarser, len(rows), camera)
     notes = notes_on(pixel_error, options.radius, dilation_px2)
     record = scene.tree.record
     if options.radius != "sphere" and pixel_error > 0 and record is not None and record.rule == "linked":
@@ -241,45 +238,3 @@ def _select_on_device(
 
     drawing = ResolvedOptions((0.0, 0.0, 0.0), scene.mode, dilation_px2, threshold, 0)
     return renderer_of(scene).select(camera, drawing, replace(options, budget=None, max_radius=None))
-
-
-def _meet_budget(
-    rows_at: Callable[[float], tuple[Array, int]], budget: int, finest: float, num_finest: int, camera: Camera
-) -> tuple[Array, int, float]:
-    """Rows at a τ_R above ``finest``, where there are too many, whose number is just within the budget.
-
-    Nodes are fewer as τ_R grows, about as 1/τ_R² on surfaces: interpolation between the logarithms takes a handful of steps.
-    """
-    fine, num_fine = finest, num_finest
-    coarse = max(finest, 0.1)
-    found: tuple[Array, int] = np.zeros(0, np.int32), 0
-    while coarse < COARSEST_PX:
-        coarse *= max(2.0, float(np.sqrt(num_fine / budget)))
-        found = rows_at(coarse)
-        if len(found[0]) <= budget:
-            break
-        if fine == finest:
-            _check_roots(len(rows_at(np.inf)[0]), budget, camera)
-        fine, num_fine = coarse, len(found[0])
-    else:
-        return *rows_at(np.inf), np.inf  # what is left is refined at any finite τ_R: it reaches behind the near plane
-
-    wanted = (1 + BUDGET_SHARE) / 2 * budget
-    while coarse > BUDGET_PRECISION * max(fine, 1e-3) and len(found[0]) < BUDGET_SHARE * budget:
-        drop = np.log(num_fine / max(len(found[0]), 1))
-        share = np.clip(np.log(num_fine / wanted) / drop, 0.1, 0.9)
-        middle = float(max(fine, coarse / 16) ** (1 - share) * coarse**share)
-        between = rows_at(middle)
-        if len(between[0]) <= budget:
-            coarse, found = middle, between
-        else:
-            fine, num_fine = middle, len(between[0])
-    return *found, float(coarse)
-
-
-def _check_roots(num_roots: int, budget: int, camera: Camera) -> None:
-    if num_roots > budget:
-        raise InputError(
-            f"budget: found {num_roots} roots in view of camera {camera.name!r}, wanted at most {budget} nodes; "
-            f"build levels with fewer roots or allow more nodes"
-        )
