@@ -4,6 +4,7 @@ import json
 import re
 import shlex
 import shutil
+import webbrowser
 from importlib.resources import as_file, files
 from pathlib import Path
 
@@ -88,6 +89,8 @@ def folder(shown_files, tmp_path, monkeypatch):
     """A copy of it, and the current folder."""
     copy = shutil.copytree(shown_files, tmp_path / "copy")
     monkeypatch.chdir(copy)
+    monkeypatch.setattr(st.Viewer, "wait", lambda viewer: None)  # a page that nobody looks at
+    monkeypatch.setattr(webbrowser, "open", lambda url: True)
     return copy
 
 

@@ -67,6 +67,8 @@ if TYPE_CHECKING:
     from splatree.stream.options import StreamOptions
     from splatree.stream.result import Streamed
     from splatree.stream.stream import stream
+    from splatree.view.options import ViewOptions
+    from splatree.view.viewer import Viewer, view
 
 __all__ = [
     "Baseline",
@@ -116,6 +118,8 @@ __all__ = [
     "Thinned",
     "TileContributions",
     "Timing",
+    "ViewOptions",
+    "Viewer",
     "WriteOptions",
     "baseline",
     "build_clusters",
@@ -156,6 +160,7 @@ __all__ = [
     "trace",
     "trace_batch",
     "turn",
+    "view",
     "write",
     "write_cameras",
     "write_counters",
@@ -210,6 +215,8 @@ _HOME = {
     "Thinned": "splatree.simplify.thin",
     "TileContributions": "splatree.render.contribution",
     "Timing": "splatree.render.timing",
+    "ViewOptions": "splatree.view.options",
+    "Viewer": "splatree.view.viewer",
     "WriteOptions": "splatree.io.options",
     "baseline": "splatree.lod.baselines",
     "build_clusters": "splatree.clusters.build",
@@ -250,6 +257,7 @@ _HOME = {
     "trace": "splatree.render.pipeline",
     "trace_batch": "splatree.render.batch",
     "turn": "splatree.render.paths",
+    "view": "splatree.view.viewer",
     "write": "splatree.io.registry",
     "write_cameras": "splatree.io.cameras.files",
     "write_counters": "splatree.render.counters",

@@ -38,6 +38,7 @@ VERBS = {
     "build": "build the levels of detail of a scene",
     "calibrate": "choose the opacity at which splats end, by a loss of quality that is allowed",
     "render": "draw pictures or a video",
+    "view": "look at a scene in a browser",
     "stream": "write what viewers on the web load piece by piece",
     "eval": "compare the levels of detail with all leaves, or with photographs",
     "bench": "run a table or a figure of a paper again",

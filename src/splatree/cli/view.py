@@ -1,0 +1,85 @@
+"""``splatree view``: look at a scene in a browser."""
+
+import contextlib
+import sys
+import webbrowser
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+from splatree.cli.console import Console, UsageError
+from splatree.cli.files import Reading, check_inputs, read_scene
+from splatree.io.cameras.files import read_cameras
+from splatree.io.photos import Photos
+from splatree.view.options import ViewOptions
+from splatree.view.viewer import Viewer
+
+
+@dataclass(frozen=True)
+class Command:
+    """Look at a scene in a browser, also over SSH and without a GPU; Ctrl-C ends it."""
+
+    paths: Positional[tuple[Path, ...]]
+    """Scene; several files or folders are read as one. Levels of detail are built first where there are none."""
+    beside: Path | None = None
+    """Another scene to compare it with, side by side under one camera."""
+    cameras: Path | None = None
+    """Views to list: cameras.json, transforms.json or a COLMAP model."""
+    photos: Path | None = None
+    """Folder of the photographs of these views."""
+    no_browser: bool = False
+    """Only print the address."""
+    options: Annotated[ViewOptions, arg(name="", help="")] = ViewOptions()
+    reading: Annotated[Reading, arg(name="", help="")] = Reading()
+    console: Annotated[Console, arg(name="", help="")] = Console()
+
+
+@dataclass(frozen=True)
+class Viewed:
+    """What was shown."""
+
+    url: str
+    """Address that it was shown at."""
+    num_nodes: int
+    """Nodes of the scene, with those that were built."""
+
+
+def run(command: Command) -> Viewed:
+    """Read, build what is missing, serve until interrupted."""
+    check_inputs(command.paths)
+    if command.photos is not None and command.cameras is None:
+        raise UsageError("found --photos without --cameras, wanted the cameras that took them too")
+    cameras = None if command.cameras is None else read_cameras(command.cameras)
+    photos = None
+    if command.photos is not None and cameras is not None:
+        photos = Photos(command.photos, list(cameras))
+    scene = read_scene(command.paths, command.reading)
+    beside = None if command.beside is None else read_scene((command.beside,), command.reading)
+    names = (command.paths[0].name or str(command.paths[0]), "" if command.beside is None else command.beside.name)
+    viewer = Viewer(scene, command.options, beside=beside, names=names, cameras=cameras, photos=photos)
+    with viewer:
+        _announce(viewer, command)
+        if not command.no_browser:
+            webbrowser.open(viewer.url)
+        with contextlib.suppress(KeyboardInterrupt):
+            viewer.wait()
+    return Viewed(viewer.url, viewer.num_nodes)
+
+
+def _announce(viewer: Viewer, command: Command) -> None:
+    """Say where to look, at once: the result comes only at the end."""
+    if command.console.quiet:
+        return
+    lines = [f"look at {viewer.url}"]
+    if command.options.is_local:
+        lines.append(
+            f"from another machine: ssh -L {viewer.port}:localhost:{viewer.port} this-machine, then open the same address"
+        )
+    print("\n".join([*lines, "Ctrl-C ends it"]), file=sys.stderr, flush=True)
+
+
+def show(viewed: Viewed) -> str:
+    """The result in words."""
+    return f"showed {viewed.num_nodes:,} nodes at {viewed.url}"

@@ -1,0 +1,273 @@
+"""One page and its worker.
+
+The page sends views faster than they can be answered. For each kind of answer only the newest view is kept, in a slot and not in
+a queue, and a thread of the client's own answers: points first, then cuts, then pictures. A first cut comes in steps of 18,000,
+80,000 and 300,000 nodes, so that there is a picture after 0.65 MB; a newer view ends the steps of an older one.
+"""
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from splatree.errors import SplatreeError
+from splatree.scene.cameras import Camera
+from splatree.scene.frame import Selection
+from splatree.shapes import Array
+from splatree.view.exhibit import Exhibit
+from splatree.view.messages import Ack, Request, Want, pack_message, parse
+from splatree.view.pictures import encode, layer_of
+from splatree.view.slots import Slots
+
+__all__ = ["Client"]
+
+LADDER: Final = (18_000, 80_000, 300_000)
+"""Nodes of the first cuts: 0.65 MB, 2.9 MB, 10.8 MB."""
+
+FIRST_TAU_PX: Final = 32.0
+"""Where the search of the first budget begins: a cut of few nodes, whatever the scene."""
+
+UNDER_WAY: Final = 2
+"""Messages that the page need not have acknowledged for the next to be sent."""
+
+PATIENCE_S: Final = 30.0
+"""Time after which a page that takes nothing in is given up."""
+
+BOXES_MAX: Final = 4_000
+"""Boxes sent at most: 96 kB."""
+
+POINT_PX: Final = 9
+"""Side of the picture that is drawn to find the point behind a pixel."""
+
+ORDER: Final[tuple[Want, ...]] = ("point", "cut", "frame", "boxes")
+"""Whose turn it is first."""
+
+
+class Client:
+    """A connected page."""
+
+    def __init__(self, exhibit: Exhibit, send: Callable[[bytes], None], capacity: int) -> None:
+        self._exhibit, self._send, self._capacity = exhibit, send, capacity
+        self._turn = threading.Condition()
+        self._wanted: dict[Want, Request] = {}
+        self._news: list[bytes] = []
+        self._new_exhibit: Exhibit | None = exhibit
+        self._sent = self._acked = 0
+        self._is_open = True
+        self._slots = Slots(exhibit.scene, exhibit.centre, capacity)
+        self._last = FIRST_TAU_PX  # τ_R of the last cut
+        self._rung = 0
+        self.camera: Camera | None = None
+        """The newest view of the page."""
+        self.seen_s = time.monotonic()
+        """When it last said something."""
+
+    def receive(self, text: str) -> None:
+        """Take a text of the page.
+
+        Raises:
+            InputError: it is not what a page sends.
+        """
+        said = parse(text, self._exhibit.centre)
+        with self._turn:
+            self.seen_s = time.monotonic()
+            if isinstance(said, Ack):
+                self._acked = max(self._acked, min(said.count, self._sent))
+            else:
+                self._wanted[said.want] = said
+                self.camera = said.camera
+            self._turn.notify_all()
+
+    def show(self, exhibit: Exhibit) -> None:
+        """Show another scene from now on."""
+        with self._turn:
+            self._new_exhibit = exhibit
+            self._turn.notify_all()
+
+    def look(self, camera: Camera) -> None:
+        """Let the page take a camera."""
+        pose = np.linalg.inv(camera.camera_from_world)
+        pose[:3, 3] -= self._exhibit.centre
+        fov = 2 * np.degrees(np.arctan(0.5 * camera.height / camera.K[1, 1]))
+        with self._turn:
+            self._news.append(pack_message({"kind": "look", "c2w": pose[:3].ravel().tolist(), "fov": float(fov)}))
+            self._turn.notify_all()
+
+    def close(self) -> None:
+        """End the worker after what it is doing."""
+        with self._turn:
+            self._is_open = False
+            self._turn.notify_all()
+
+    def run(self) -> None:
+        """Answer until the page is gone; ends by itself if the page takes nothing in for 30 s."""
+        while True:
+            with self._turn:
+                while self._is_open and not (self._news or self._new_exhibit or self._wanted):
+                    self._turn.wait()
+                if not self._is_open:
+                    return
+                news, self._news = self._news, []
+                new, self._new_exhibit = self._new_exhibit, None
+                want = next((want for want in ORDER if want in self._wanted), None)
+                request = self._wanted.pop(want) if want and not new else None
+            if new is not None:
+                self._begin(new)
+            for message in news:
+                self._send(message)
+            if request is not None:
+                try:
+                    self._answer(request)
+                except SplatreeError as error:
+                    self._send(pack_message({"kind": "error", "seq": request.seq, "text": str(error)}))
+
+    def _begin(self, exhibit: Exhibit) -> None:
+        self._exhibit, self._last, self._rung = exhibit, FIRST_TAU_PX, 0
+        self._slots = Slots(exhibit.scene, exhibit.centre, self._capacity)
+        self._send(pack_message({"kind": "scene", "capacity": self._capacity, **exhibit.facts}))
+
+    def _answer(self, request: Request) -> None:
+        if request.want == "cut":
+            self._cut(request)
+        elif request.want == "frame":
+            self._frame(request)
+        elif request.want == "point":
+            self._point(request)
+        else:
+            self._boxes(request)
+
+    def _cut(self, request: Request) -> None:
+        """One cut, or a step towards it: then the request is put back, unless a newer one has come."""
+        budget = min(request.select.budget or self._capacity, self._capacity)
+        is_step = self._rung < len(LADDER) and LADDER[self._rung] < budget
+        if is_step:
+            budget = LADDER[self._rung]
+        camera, eye = with_guard(request.camera, request.guard), request.camera.position
+        start = time.process_time()
+        chosen = self._exhibit.cut(camera, replace(request.select, budget=budget), self._last)
+        selected = time.process_time()
+        change = self._slots.move(chosen.rows, eye)
+        packed = time.process_time()
+        self._last = chosen.pixel_error
+        is_step = is_step and len(chosen) > 0.5 * budget
+        if is_step:
+            self._rung += 1
+            self._last = _next_guess(chosen, LADDER[self._rung] if self._rung < len(LADDER) else 4 * budget)
+        else:
+            self._rung = len(LADDER)
+        is_last = not (is_step or change.is_behind)
+        depths = np.bincount(self._exhibit.scene.tree.depth[chosen.rows], minlength=1)
+        header = {
+            "kind": "cut",
+            "seq": request.seq,
+            "rows": len(chosen),
+            "drop": len(change.drop),
+            "add": len(change.add),
+            "tint": len(change.tint),
+            "last": is_last,
+            "visited": chosen.num_visited,
+            "tau": finite(chosen.pixel_error),
+            "select_ms": 1e3 * (selected - start),
+            "pack_ms": 1e3 * (packed - selected),
+            "levels": depths.tolist(),
+        }
+        self._deliver(pack_message(header, change.payload))
+        if not is_last:
+            with self._turn:
+                self._wanted.setdefault("cut", request)
+
+    def _frame(self, request: Request) -> None:
+        start = time.perf_counter()
+        result, chosen = self._exhibit.draw(request.camera, request.select, request.background, request.box)
+        drawn = time.perf_counter()
+        picture = encode(layer_of(result, request.layer), request.packing, request.quality)
+        header = {
+            "kind": "frame",
+            "seq": request.seq,
+            "width": request.camera.width,
+            "height": request.camera.height,
+            "type": f"image/{request.packing}",
+            "rows": len(chosen),
+            "visited": chosen.num_visited,
+            "tau": finite(chosen.pixel_error),
+            "pairs": result.counters.num_pairs,
+            "draw_ms": 1e3 * (drawn - start),
+            "encode_ms": 1e3 * (time.perf_counter() - drawn),
+        }
+        self._deliver(pack_message(header, picture))
+
+    def _point(self, request: Request) -> None:
+        """Where the ray through a pixel ends, by the depth of a picture of a few pixels around it."""
+        K = request.camera.K.copy()
+        K[0, 2] += POINT_PX / 2 - request.at[0]
+        K[1, 2] += POINT_PX / 2 - request.at[1]
+        camera = replace(request.camera, K=K, width=POINT_PX, height=POINT_PX)
+        result, _ = self._exhibit.draw(camera, request.select, (0.0, 0.0, 0.0), request.box)
+        covered = result.alpha > 0.3
+        point = None
+        if covered.any():
+            depth = float(np.median(result.depth[covered]))
+            x, y = request.at[0] - request.camera.K[0, 2], request.at[1] - request.camera.K[1, 2]
+            ray = np.array([x / K[0, 0], y / K[1, 1], 1.0]) * depth
+            W, t = camera.camera_from_world[:3, :3], camera.camera_from_world[:3, 3]
+            point = (W.T @ (ray - t) - self._exhibit.centre).tolist()
+        self._send(pack_message({"kind": "point", "seq": request.seq, "point": point}))
+
+    def _boxes(self, request: Request) -> None:
+        boxes = boxes_of(self._exhibit, request.boxes, self._slots.rows)
+        boxes = (boxes - self._exhibit.centre).astype("<f4")
+        header = {"kind": "boxes", "seq": request.seq, "of": request.boxes, "count": len(boxes)}
+        self._send(pack_message(header, boxes.tobytes()))
+
+    def _deliver(self, message: bytes) -> None:
+        """Send once the page has taken in all but the last two messages.
+
+        Raises:
+            TimeoutError: it does not.
+        """
+        with self._turn:
+            if not self._turn.wait_for(lambda: not self._is_open or self._sent - self._acked < UNDER_WAY, PATIENCE_S):
+                raise TimeoutError(f"the page has taken nothing in for {PATIENCE_S:g} s")
+            self._sent += 1
+            if not self._is_open:
+                return
+        self._send(message)
+
+
+def with_guard(camera: Camera, guard: float) -> Camera:
+    """The camera with a larger picture: by a share on each side."""
+    if not guard:
+        return camera
+    x, y = round(guard * camera.width), round(guard * camera.height)
+    K = camera.K.copy()
+    K[0, 2] += x
+    K[1, 2] += y
+    return replace(camera, K=K, width=camera.width + 2 * x, height=camera.height + 2 * y)
+
+
+def boxes_of(exhibit: Exhibit, kind: str, rows: Array) -> Array:
+    """Boxes "b 2 3" of the blocks or clusters that hold some of the rows; evenly chosen where there are too many."""
+    scene = exhibit.scene
+    if kind == "clusters" and scene.clusters is not None:
+        found = np.unique(np.searchsorted(scene.clusters.start, rows, side="right") - 1)
+        low, high = scene.clusters.box_low, scene.clusters.box_high
+    elif kind == "blocks" and scene.blocks is not None:
+        found = np.unique(rows // scene.blocks.rows_per_block)
+        low, high = scene.blocks.lower, scene.blocks.upper
+    else:
+        return np.zeros((0, 2, 3))
+    found = found[:: max(1, -(-len(found) // BOXES_MAX))]
+    return np.stack([low[found], high[found]], axis=1).astype(np.float64)
+
+
+def finite(value: float) -> float | None:
+    """JSON has no infinity."""
+    return float(value) if np.isfinite(value) else None
+
+
+def _next_guess(chosen: Selection, budget: int) -> float:
+    """τ_R of a budget from that of another: nodes fall about as 1/τ_R²."""
+    return chosen.pixel_error * float(np.sqrt(len(chosen) / budget)) if np.isfinite(chosen.pixel_error) else np.inf

@@ -1,0 +1,138 @@
+"""A scene on show: what the worker of each page asks of it, and what the page is told at first.
+
+Selection and drawing use all threads of the machine, so calls take turns. Coordinates of the page are relative to a centre: a
+scene in map coordinates keeps its precision in the float32 of a browser.
+"""
+
+import threading
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from splatree.errors import InputError
+from splatree.lod.blocks import with_blocks
+from splatree.lod.build import build_lod
+from splatree.lod.select import for_levels, select
+from splatree.progress import task
+from splatree.render.framing.frame import Framing, frame_scene
+from splatree.render.pipeline import render
+from splatree.scene.cameras import Camera
+from splatree.scene.frame import RenderResult, Selection
+from splatree.scene.options import RenderOptions, SelectOptions
+from splatree.scene.scene import Scene
+from splatree.shapes import Array, Float64
+
+__all__ = ["Exhibit", "exhibit", "with_levels"]
+
+FLAT_MAX = 50_000
+"""Scenes of more Gaussians get levels before they are shown: fewer fit into any budget as they are."""
+
+
+@dataclass(frozen=True, eq=False)
+class Exhibit:
+    """A scene as it is shown."""
+
+    scene: Scene
+    """The scene with its block index."""
+    name: str
+    """What it is called in the page."""
+    framing: Framing
+    """What is up, how large it is, and the view that is shown first."""
+    lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
+    """Held by the call that is at work."""
+
+    @property
+    def centre(self) -> Float64[Array, "3"]:
+        """Where the coordinates of the page begin, world units."""
+        return self.framing.centre
+
+    def cut(self, camera: Camera, options: SelectOptions, last: float | None) -> Selection:
+        """The rows of a view; the search of a budget begins at ``last``."""
+        drawing = RenderOptions().resolved(self.scene)
+        with self.lock:
+            return select(
+                self.scene,
+                camera,
+                for_levels(options, self.scene),
+                dilation_px2=drawing.dilation_px2,
+                threshold=drawing.least_threshold,
+                last=last,
+            )
+
+    def draw(
+        self, camera: Camera, options: SelectOptions, background: tuple[float, float, float], box: Array | None = None
+    ) -> tuple[RenderResult, Selection]:
+        """The picture of a view and what it drew; of a ``box`` "2 3" only what has its centre inside, world units."""
+        found: list[Selection] = []
+
+        def choose(camera: Camera, *, dilation_px2: float, threshold: float, threads: int = 0) -> Selection:
+            chosen = select(
+                self.scene,
+                camera,
+                for_levels(options, self.scene),
+                dilation_px2=dilation_px2,
+                threshold=threshold,
+                threads=threads,
+            )
+            if box is not None:
+                means = self.scene.gaussians.means[chosen.rows]
+                chosen = replace(chosen, rows=chosen.rows[((means >= box[0]) & (means <= box[1])).all(axis=1)])
+            found.append(chosen)
+            return chosen
+
+        with self.lock:
+            result = render(self.scene, camera, RenderOptions(background=background), choose)
+        return result, found[-1]
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """What the page is told of it."""
+        tree, g, framing = self.scene.tree, self.scene.gaussians, self.framing
+        return {
+            "name": self.name,
+            "nodes": len(self.scene),
+            "leaves": tree.num_leaves,
+            "levels": tree.num_levels,
+            "degree": g.sh_degree,
+            "mode": self.scene.mode,
+            "centre": framing.centre.tolist(),
+            "radius": framing.radius,
+            "up": framing.up.tolist(),
+            "sure": framing.is_sure,
+            "inside": framing.inside,
+            "near": framing.camera().near,
+            "fov": framing.fov_y_deg,
+            "eye": (framing.eye - framing.centre).tolist(),
+            "target": (framing.target - framing.centre).tolist(),
+            "clusters": 0 if self.scene.clusters is None else len(self.scene.clusters),
+        }
+
+
+def exhibit(
+    scene: Scene, name: str = "scene", *, framing: Framing | None = None, up: Sequence[float] | None = None
+) -> Exhibit:
+    """Make a scene ready to be shown: with levels and a block index, and a first view.
+
+    Args:
+        scene: what is shown.
+        name: what it is called in the page.
+        framing: how to look at it first; None: decided by the scene.
+        up: direction that is up, for a framing that is decided here; None: guessed.
+
+    Raises:
+        InputError: the scene is empty.
+    """
+    if len(scene) == 0:
+        raise InputError(f"{name}: found no Gaussians, wanted at least one to show")
+    scene = with_blocks(with_levels(scene))
+    if framing is None:
+        with task(f"frame {name}"):
+            framing = frame_scene(scene, up=up)
+    return Exhibit(scene, name, framing)
+
+
+def with_levels(scene: Scene) -> Scene:
+    """The scene with levels of detail: built now if it has none and is too large to be shown whole."""
+    if scene.tree.depth.any() or len(scene) <= FLAT_MAX:
+        return scene
+    return build_lod(scene)

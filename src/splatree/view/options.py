@@ -1,0 +1,47 @@
+"""How a scene is shown: defaults live here alone; the command line's help is these docstrings."""
+
+from dataclasses import dataclass
+
+from splatree.constants import PIXEL_ERROR
+from splatree.errors import InputError
+
+CAPACITY = 1 << 21
+"""Nodes that a page holds at most: 64 MiB of graphics memory at 32 bytes a node."""
+
+LOOPBACK = ("127.0.0.1", "localhost", "::1")
+"""Names of this machine that no other machine can reach."""
+
+
+@dataclass(frozen=True)
+class ViewOptions:
+    """Where and how a scene is shown."""
+
+    port: int = 0
+    """Port to listen on; 0: any that is free."""
+    host: str = "127.0.0.1"
+    """Address to listen on. Any address but this machine's own needs the token that is part of the printed address."""
+    budget: int = 300_000
+    """Nodes drawn at most; a slider of the page changes it."""
+    pixel_error: float = PIXEL_ERROR
+    """τ_R, px: a node whose projected radius is at most this stands for its subtree; a slider of the page changes it."""
+    up: tuple[float, float, float] | None = None
+    """Direction that is up in the scene; None: it is guessed."""
+    frames: bool = False
+    """Draw on the server only and send pictures, as for browsers without WebGL2."""
+    allow_origin: tuple[str, ...] = ()
+    """Other addresses whose pages may embed the viewer and talk to it, such as https://hub.example of a notebook server."""
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.port <= 65535:
+            raise InputError(f"port: found {self.port}, wanted 0 to 65535")
+        if not 1_000 <= self.budget <= CAPACITY:
+            raise InputError(f"budget: found {self.budget:,} nodes, wanted 1,000 to {CAPACITY:,}")
+        if not 0 <= self.pixel_error <= 1e4:
+            raise InputError(f"pixel_error: found {self.pixel_error}, wanted 0 to 10000 px")
+        if not self.host:
+            raise InputError("host: found nothing, wanted an address, such as 127.0.0.1")
+
+    @property
+    def is_local(self) -> bool:
+        """Whether only this machine can connect."""
+        return self.host in LOOPBACK

@@ -1,0 +1,280 @@
+// What surrounds the picture: title, status, tools, settings, help.
+import { address } from './address.js';
+import { boxLines, frusta } from './lines.js';
+import { bytes, button, choice, count, make, section, share, slider, tick } from './panel.js';
+import { psnr } from './psnr.js';
+import { Views } from './views.js';
+
+const at = (id) => document.getElementById(id);
+const UPS = { '−y': [0, -1, 0], '+y': [0, 1, 0], '+z': [0, 0, 1], '−z': [0, 0, -1], '+x': [1, 0, 0], '−x': [-1, 0, 0] };
+const BACKGROUNDS = { dark: [0.043, 0.051, 0.063], light: [0.957, 0.961, 0.949], black: [0, 0, 0], white: [1, 1, 1] };
+const ICONS = {
+  orbit: 'M12 4a8 8 0 1 0 8 8M12 8a4 4 0 1 0 4 4M20 4v5h-5', fly: 'M3 12 21 4l-6 17-3-7z', home: 'M4 11 12 4l8 7v9h-5v-6H9v6H4z',
+  shot: 'M4 8h4l2-3h4l2 3h4v12H4zM12 10a4 4 0 1 0 .01 0', share: 'M9 12 15 8M9 12l6 4M6 12h.01M18 7h.01M18 17h.01',
+  record: 'M12 6a6 6 0 1 0 .01 0', theme: 'M12 4a8 8 0 1 0 8 9A6 6 0 0 1 12 4', help: 'M9 9a3 3 0 1 1 4 3c-1 .6-1 1-1 2M12 18h.01', panel: 'M4 7h16M4 12h16M4 17h10',
+};
+
+export class Page {
+  constructor(app, settings) {
+    this.app = app;
+    this.settings = settings;
+    this.views = new Views(app, this);
+    document.documentElement.dataset.theme = localStorage.getItem('splatree.theme') ?? (matchMedia('(prefers-color-scheme: light)').matches ? 'light' : 'dark');
+    at('name').textContent = settings.scenes.join('  |  ');
+    document.title = `${settings.scenes[0]} · splatree`;
+    if (new URLSearchParams(location.search).has('noui')) document.body.classList.add('bare');
+    this.makeTools();
+    this.makePanel();
+    this.makeDivider();
+  }
+
+  icon(name, hint, onclick) {
+    const svg = `<svg viewBox="0 0 24 24" aria-hidden="true"><path d="${ICONS[name]}"/></svg>`;
+    const made = make('button', { type: 'button', class: 'icon', title: hint, 'aria-label': hint, onclick });
+    made.innerHTML = svg;
+    return made;
+  }
+
+  makeTools() {
+    const mode = (name) => () => {
+      this.app.controls.mode = name;
+      this.orbit.setAttribute('aria-pressed', String(name === 'orbit'));
+      this.fly.setAttribute('aria-pressed', String(name === 'fly'));
+    };
+    this.orbit = this.icon('orbit', 'Orbit: drag turns about the scene (1)', mode('orbit'));
+    this.fly = this.icon('fly', 'Fly: W A S D Q E move, drag looks round (2)', mode('fly'));
+    this.record = this.icon('record', 'Record a path of cameras (C)', () => this.views.toggleRecording());
+    at('tools').append(
+      this.orbit, this.fly, this.icon('home', 'First view (R)', () => this.app.reset()),
+      make('i'),
+      this.icon('shot', 'Save the picture (P)', () => this.views.savePicture()), this.record,
+      this.icon('share', 'Copy the address of this view (L)', () => this.copy(address(this.app.camera, this.app.state), 'The address of this view is copied.')),
+      make('i'),
+      this.icon('theme', 'Dark or light (T)', () => this.toggleTheme()), this.icon('help', 'Help (H)', () => this.help()),
+      this.icon('panel', 'Settings (O)', () => document.body.classList.toggle('open')),
+    );
+    this.orbit.setAttribute('aria-pressed', 'true');
+  }
+
+  key(code) {
+    const keys = {
+      KeyR: () => this.app.reset(), KeyP: () => this.views.savePicture(), KeyC: () => this.views.toggleRecording(), KeyT: () => this.toggleTheme(),
+      KeyH: () => this.help(), KeyO: () => document.body.classList.toggle('open'), KeyL: () => this.copy(address(this.app.camera, this.app.state), 'The address of this view is copied.'),
+      Digit1: () => this.orbit.click(), Digit2: () => this.fly.click(), KeyK: () => this.views.add(),
+    };
+    keys[code]?.();
+  }
+
+  makePanel() {
+    const { state } = this.app, set = (name) => (value) => {
+      state[name] = value;
+      this.app.changed();
+    };
+    this.budget = slider('Nodes', { low: 20_000, high: this.app.frames ? 1_000_000 : 2_000_000, value: state.budget, show: count, hint: 'Most nodes that are drawn' }, set('budget'));
+    this.tau = slider('τ', { low: 0.5, high: 200, value: Math.max(0.5, state.tau), show: (v) => `${v} px`, hint: 'A node that looks at most this large stands for all below it' }, set('tau'));
+    this.layers = choice('Show', [['color', 'Colour'], ['levels', 'Levels', 'Depth in the tree: violet is coarse, yellow is fine'], ['cut', 'Cut', 'Green: leaves. Orange: merged nodes'], ['depth', 'Depth'], ['alpha', 'Alpha']].filter(([key]) => !this.app.frames || !['levels', 'cut'].includes(key)), 'color', set('layer'));
+    this.exact = tick('Exact picture when still', state.exact, set('exact'), 'The server draws the same cut with splatree itself');
+    this.leaves = tick('… of all leaves', state.leaves, set('leaves'), 'The full scene, without levels of detail');
+    this.histogram = make('div', { class: 'histogram', title: 'Nodes of the cut by depth in the tree' });
+    this.facts = make('dl', { class: 'facts' });
+    const up = choice('Up', Object.keys(UPS).map((name) => [name, name]), '−y', (name) => {
+      this.app.camera.up = UPS[name];
+      this.app.camera.frame = null;
+      this.app.changed();
+    });
+    this.up = up;
+    const fov = slider('Field of view', { low: 10, high: 120, value: 50, show: (v) => `${Math.round(v)}°` }, (value) => {
+      this.app.camera.fov = value;
+      this.app.changed();
+    });
+    const background = choice('Background', [['theme', 'Theme'], ['black', 'Black'], ['white', 'White']], 'theme', set('background'));
+    const boxes = choice('Boxes', [['none', 'None'], ['blocks', 'Blocks', 'Runs of 256 rows: what the selection looks at'], ['clusters', 'Clusters']], 'none', (kind) => this.showBoxes(kind));
+    this.clip = tick('Clipping box', false, (isOn) => this.setClip(isOn));
+    this.clipRows = make('div', { class: 'clip', hidden: true });
+    at('panel').append(
+      section('Detail', true, this.budget, this.tau, this.exact, this.leaves, this.histogram),
+      section('Show', true, this.layers, ...(this.app.frames ? [] : [boxes]), background),
+      section('Scene', false, make('span', { class: 'name' }, 'Up'), up, fov, this.clip, this.clipRows, this.facts),
+      section('Cameras', false, ...this.views.rows()),
+    );
+  }
+
+  sceneCame(layer) {
+    const { facts } = layer, first = this.app.layers[0] === layer;
+    if (!first) return;
+    const close = Object.entries(UPS).sort((a, b) => dotOf(b[1], facts.up) - dotOf(a[1], facts.up))[0][0];
+    this.up.pick(close, true);
+    const rows = { leaves: count(facts.leaves), nodes: count(facts.nodes), levels: facts.levels, harmonics: `degree ${facts.degree}`, drawn: facts.mode, radius: facts.radius.toPrecision(4) };
+    this.facts.replaceChildren(...Object.entries(rows).flatMap(([name, value]) => [make('dt', {}, name), make('dd', {}, String(value))]));
+    this.budget.setValue(this.app.state.budget);
+    this.tau.setValue(Math.max(0.5, this.app.state.tau));
+    this.views.sceneCame();
+  }
+
+  showStatus() {
+    const { app } = this, layer = app.layers[0], header = app.frames ? layer.frameHeader : layer.header;
+    if (!header) return;
+    const total = app.layers.reduce((sum, l) => sum + l.link.bytes, 0);
+    const isExact = app.layers.every((l) => l.isExact);
+    const parts = [
+      ['nodes', count(header.rows)], ['visited', count(header.visited)], ['τ', header.tau == null ? '∞' : `${header.tau.toPrecision(3)} px`],
+      ['loaded', bytes(total)], ['server', `${Math.round(app.frames ? header.draw_ms + header.encode_ms : header.select_ms + header.pack_ms)} ms`],
+      ['fps', app.stats.fps ? app.stats.fps.toFixed(app.stats.fps < 10 ? 1 : 0) : '–'],
+    ];
+    at('status').replaceChildren(
+      make('span', { class: 'lamp', 'data-on': String(isExact), title: isExact ? 'This is the picture of splatree itself' : 'Drawn by the browser' }),
+      make('span', { class: 'exact' }, isExact ? (app.frames || app.state.leaves ? 'exact' : app.stats.psnr ? `exact, browser ${app.stats.psnr.toFixed(1)} dB` : 'exact') : app.frames ? 'moving' : 'live'),
+      ...parts.map(([name, value]) => make('span', { class: `stat ${name}` }, make('em', {}, name), value)),
+    );
+    if (header.levels) this.showLevels(header.levels);
+  }
+
+  showLevels(levels) {
+    const most = Math.max(...levels, 1), depth = Math.max(levels.length, this.app.facts.levels);
+    this.histogram.replaceChildren(...Array.from({ length: depth }, (_, i) => {
+      const bar = make('b', { title: `depth ${i}: ${(levels[i] ?? 0).toLocaleString()} nodes` });
+      bar.style.height = `${Math.max(levels[i] ? 4 : 0, (100 * (levels[i] ?? 0)) / most)}%`;
+      return bar;
+    }));
+  }
+
+  background() {
+    const name = this.app.state.background;
+    return BACKGROUNDS[name === 'theme' ? document.documentElement.dataset.theme : name];
+  }
+
+  toggleTheme() {
+    const { dataset } = document.documentElement;
+    dataset.theme = dataset.theme === 'dark' ? 'light' : 'dark';
+    localStorage.setItem('splatree.theme', dataset.theme);
+    this.app.changed();
+  }
+
+  /** PSNR between the browser's picture and the exact ones of the layers, in dB. */
+  compare(pixels, layers) {
+    return psnr(pixels, layers.map((layer) => layer.bitmap), this.app.state.split);
+  }
+
+  showBoxes(kind) {
+    delete this.app.lines.boxes;
+    this.boxes = kind;
+    if (kind !== 'none') this.askBoxes();
+    this.app.isDirty = true;
+  }
+
+  askBoxes() {
+    const layer = this.app.layers[0];
+    if (layer.facts) layer.link.want({ ...this.app.request(layer), want: 'boxes', boxes: this.boxes });
+  }
+
+  boxesCame(header, boxes) {
+    if (header.of !== this.boxes) return;
+    if (!header.count) this.notice(`This scene has no ${this.boxes}.`, 3000);
+    this.app.lines.boxes = { points: boxLines(boxes), color: [0.55, 0.85, 0.62, 0.45] };
+    this.app.isDirty = true;
+  }
+
+  setClip(isOn) {
+    const { facts, state } = this.app;
+    if (isOn && facts) {
+      const r = facts.radius * 1.5;
+      const low = [0, 0, 0], high = [1, 1, 1];
+      const put = () => {
+        state.box = [...low.map((v) => -r + 2 * r * v), ...high.map((v) => -r + 2 * r * v)];
+        this.app.lines.clip = { points: boxLines(new Float32Array(state.box)), color: [0.95, 0.76, 0.3, 0.9] };
+        this.app.changed();
+      };
+      this.clipRows.replaceChildren(...['x', 'y', 'z'].flatMap((axis, i) => [
+        share(`${axis} from`, 0, (v) => { low[i] = Math.min(v, high[i]); put(); }),
+        share(`${axis} to`, 1, (v) => { high[i] = Math.max(v, low[i]); put(); }),
+      ]));
+      put();
+    } else {
+      state.box = null;
+      delete this.app.lines.clip;
+      this.app.changed();
+    }
+    this.clipRows.hidden = !isOn;
+  }
+
+  makeDivider() {
+    if (this.settings.scenes.length < 2) {
+      this.app.state.split = 1;
+      return;
+    }
+    const divider = at('divider');
+    divider.hidden = false;
+    const put = (share) => {
+      this.app.state.split = Math.min(0.98, Math.max(0.02, share));
+      divider.style.left = `${100 * this.app.state.split}%`;
+      this.app.stats.psnr = null;
+      this.app.isDirty = true;
+    };
+    divider.addEventListener('pointerdown', (event) => divider.setPointerCapture(event.pointerId));
+    divider.addEventListener('pointermove', (event) => event.buttons && put(event.clientX / innerWidth));
+    put(0.5);
+  }
+
+  offerFrames() {
+    this.app.stats.slow = 0;
+    if (this.offered) return;
+    this.offered = true;
+    const url = new URL(location.href);
+    url.searchParams.set('renderer', 'frames');
+    const row = make('span', {}, 'This browser draws fewer than 5 pictures a second. ');
+    row.append(make('a', { href: url.href }, 'Let the server draw'), ', or lower the number of nodes.');
+    this.notice(row, 12000);
+  }
+
+  notice(content, duration = 0) {
+    const notice = at('notice');
+    clearTimeout(this.noticeTimer);
+    notice.hidden = !content;
+    notice.replaceChildren(content || '');
+    if (content && duration) this.noticeTimer = setTimeout(() => (notice.hidden = true), duration);
+  }
+
+  async copy(text, said) {
+    try {
+      await navigator.clipboard.writeText(text);
+      this.notice(said, 2500);
+    } catch {
+      this.notice('This browser does not permit copying; the text is in the console.', 4000);
+      console.info(text);
+    }
+  }
+
+  help() {
+    const rows = [
+      ['drag', 'turn about the scene, or look round while flying'], ['right drag, shift drag, two fingers', 'move across'], ['wheel, pinch', 'come nearer to what is under the pointer'],
+      ['double click, double tap', 'turn about this point'], ['W A S D, Q E', 'fly; with shift three times as fast'], ['arrows', 'turn'], ['R', 'first view'], ['1, 2', 'orbit, fly'],
+      ['K', 'add this camera to the list'], ['C', 'record a path'], ['P', 'save the picture'], ['L', 'copy the address of this view'], ['T', 'dark or light'], ['O', 'settings'],
+    ];
+    const close = button('Close', 'Close', () => at('help').close());
+    at('help').replaceChildren(make('h2', {}, 'Moving about'), make('dl', {}, ...rows.flatMap(([key, text]) => [make('dt', {}, key), make('dd', {}, text)])), close);
+    at('help').showModal();
+  }
+
+  step(now) {
+    this.views.step(now);
+    if (this.boxes && this.boxes !== 'none' && this.app.layers[0].header !== this.boxesOf && this.app.layers[0].isSettled) {
+      this.boxesOf = this.app.layers[0].header;
+      this.askBoxes();
+    }
+  }
+
+  showFrusta(cameras, chosen) {
+    delete this.app.lines.cameras;
+    delete this.app.lines.chosen;
+    if (cameras.length) {
+      const size = this.app.facts.radius * 0.06;
+      this.app.lines.cameras = { points: frusta(cameras.filter((camera) => camera !== chosen), size), color: [0.45, 0.7, 1, 0.7] };
+      if (chosen) this.app.lines.chosen = { points: frusta([chosen], size), color: [1, 0.75, 0.3, 1] };
+    }
+    this.app.isDirty = true;
+  }
+}
+
+function dotOf(a, b) {
+  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}

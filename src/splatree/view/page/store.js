@@ -1,0 +1,95 @@
+// The nodes of one scene in the page: what came in and is not yet drawn, and the order in which they are drawn.
+//
+// A change is kept until the worker's order that knows of it is back; then texture and order change together, so every picture
+// shows one exact cut.
+const WORDS = 8; // of a node, as nodes.py packs it
+export const ROW = 1024; // nodes in a row of the texture
+
+export class Store {
+  constructor(capacity, onOrder) {
+    this.capacity = capacity;
+    this.words = new Uint32Array(capacity * WORDS);
+    this.floats = new Float32Array(this.words.buffer);
+    this.version = 0; // of the last change that came in
+    this.pending = [];
+    this.isSorting = false;
+    this.header = null; // of the last change that is drawn
+    this.onOrder = onOrder;
+    this.worker = new Worker(new URL('./sorter.js', import.meta.url), { type: 'module' });
+    this.worker.onmessage = (event) => this.sorted(event.data);
+    this.worker.postMessage({ change: { capacity } });
+  }
+
+  clear() {
+    this.pending = [];
+    this.version++;
+    this.worker.postMessage({ change: { capacity: this.capacity } });
+  }
+
+  /** Take in a message of kind `cut`. */
+  take(header, data, offset) {
+    const part = (count) => {
+      const array = new Uint32Array(data, offset, count);
+      offset += 4 * count;
+      return array;
+    };
+    const change = { header, drop: part(header.drop), add: part(header.add), nodes: part(WORDS * header.add) };
+    change.tint = part(header.tint);
+    change.colors = part(header.tint);
+    change.version = ++this.version;
+    this.pending.push(change);
+    const floats = new Float32Array(change.nodes.buffer, change.nodes.byteOffset, change.nodes.length);
+    const points = new Float32Array(3 * header.add);
+    for (let i = 0; i < header.add; i++) {
+      for (let k = 0; k < 3; k++) points[3 * i + k] = floats[WORDS * i + k];
+    }
+    this.worker.postMessage({ change: { drop: change.drop.slice(), add: change.add.slice(), points } }, [points.buffer]);
+  }
+
+  /** Ask for the order of a view; the newest one follows when the worker is free. */
+  sort(view) {
+    if (this.isSorting) {
+      this.next = view;
+      return;
+    }
+    this.isSorting = true;
+    this.next = null;
+    this.worker.postMessage({ view, version: this.version });
+  }
+
+  sorted({ version, order, range, ms }) {
+    this.isSorting = false;
+    const rows = new Set();
+    const applied = [];
+    while (this.pending.length && this.pending[0].version <= version) {
+      const change = this.pending.shift();
+      applied.push(change.header);
+      for (let i = 0; i < change.add.length; i++) {
+        const slot = change.add[i];
+        this.words.set(change.nodes.subarray(WORDS * i, WORDS * i + WORDS), WORDS * slot);
+        rows.add((slot / ROW) | 0);
+      }
+      for (let i = 0; i < change.tint.length; i++) {
+        this.words[WORDS * change.tint[i] + 4] = change.colors[i];
+        rows.add((change.tint[i] / ROW) | 0);
+      }
+    }
+    if (applied.length) this.header = applied.at(-1);
+    this.onOrder({ order, range, ms, applied, runs: runsOf(rows) });
+    if (this.next) this.sort(this.next);
+  }
+
+  close() {
+    this.worker.terminate();
+  }
+}
+
+/** Rows of the texture as runs [first, end). */
+function runsOf(rows) {
+  const sorted = [...rows].sort((a, b) => a - b), runs = [];
+  for (const row of sorted) {
+    if (runs.length && runs.at(-1)[1] === row) runs.at(-1)[1]++;
+    else runs.push([row, row + 1]);
+  }
+  return runs;
+}

@@ -1,0 +1,299 @@
+"""HTTP and WebSockets of the viewer (Starlette on uvicorn), in a thread of its own.
+
+``/`` is the page, ``/page/NAME`` its files, ``/cameras.json`` the views of a file, ``/photo/NUMBER`` their photographs, ``/ws``
+the connection of a page. Files are served from a list that is made when the server starts: no path of a request is ever opened.
+"""
+
+import asyncio
+import concurrent.futures
+import contextlib
+import io
+import json
+import logging
+import socket
+import threading
+import time
+from collections.abc import AsyncIterator, Mapping
+from importlib.resources import files
+from typing import Any, Final
+
+import numpy as np
+import uvicorn
+from starlette.applications import Starlette
+from starlette.requests import Request as HttpRequest
+from starlette.responses import JSONResponse, PlainTextResponse, Response
+from starlette.routing import Route, WebSocketRoute
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from splatree.errors import InputError, OutputError
+from splatree.scene.cameras import Camera, Cameras
+from splatree.shapes import Array
+from splatree.view.client import PATIENCE_S, Client
+from splatree.view.exhibit import Exhibit
+from splatree.view.guard import Guard
+from splatree.view.messages import TEXT_BYTES
+from splatree.view.options import CAPACITY, ViewOptions
+
+__all__ = ["Server"]
+
+CLIENTS_MAX: Final = 16
+"""Pages that are connected at once."""
+
+IDLE_S: Final = 600.0
+"""A page that says nothing for so long is let go; it connects again when it is looked at."""
+
+PHOTO_PX: Final = 1600
+"""Longer side of a photograph as it is sent."""
+
+TYPES: Final = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
+"""Files that the page is made of."""
+
+
+class Server:
+    """The server of one viewer."""
+
+    def __init__(
+        self,
+        exhibits: list[Exhibit],
+        options: ViewOptions,
+        token: str | None,
+        cameras: Cameras | None = None,
+        photos: Mapping[str, Array] | None = None,
+    ) -> None:
+        self.exhibits, self._options, self._token = exhibits, options, token
+        self._cameras, self._photos = cameras, photos
+        self._workers = concurrent.futures.ThreadPoolExecutor(CLIENTS_MAX + 1, "splatree view client")
+        self._files = _page_files()
+        self._lock = threading.Lock()
+        self._clients: list[tuple[int, Client]] = []
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._thread: threading.Thread | None = None
+        self._socket = _listen(options)
+        self.port: int = self._socket.getsockname()[1]
+        """Port that it listens on."""
+        routes = [
+            Route("/", self._index),
+            Route("/page/{name}", self._file),
+            Route("/cameras.json", self._views),
+            Route("/photo/{number:int}", self._photo),
+            WebSocketRoute("/ws", self._connect),
+        ]
+        app = Guard(Starlette(routes=routes, lifespan=self._lifespan), options, token)
+        config = uvicorn.Config(
+            app,
+            log_config=None,
+            access_log=False,
+            server_header=False,
+            ws="websockets-sansio",
+            ws_max_size=TEXT_BYTES,
+            ws_per_message_deflate=False,
+            timeout_graceful_shutdown=2,
+        )
+        logging.getLogger("uvicorn.error").setLevel(logging.ERROR)
+        self._uvicorn = uvicorn.Server(config)
+
+    def start(self) -> None:
+        """Begin to answer."""
+        self._thread = threading.Thread(
+            target=self._uvicorn.run, args=([self._socket],), daemon=True, name="splatree view"
+        )
+        self._thread.start()
+        while not self._uvicorn.started and self._thread.is_alive():
+            time.sleep(0.01)
+
+    def stop(self) -> None:
+        """Let all pages go and stop."""
+        with self._lock:
+            clients = list(self._clients)
+        for _, client in clients:
+            client.close()
+        self._uvicorn.should_exit = True
+        if self._thread is not None:
+            self._thread.join(10)
+        self._workers.shutdown(wait=False)
+        self._socket.close()
+
+    def show(self, which: int, exhibit: Exhibit) -> None:
+        """Show another scene in the place ``which``."""
+        self.exhibits[which] = exhibit
+        for client in self.clients(which):
+            client.show(exhibit)
+
+    def clients(self, which: int = 0) -> list[Client]:
+        """Workers of the pages that show the scene ``which``."""
+        with self._lock:
+            return [client for place, client in self._clients if place == which]
+
+    @contextlib.asynccontextmanager
+    async def _lifespan(self, app: Starlette) -> AsyncIterator[None]:
+        self._loop = asyncio.get_running_loop()
+        yield
+
+    async def _index(self, request: HttpRequest) -> Response:
+        host = request.headers.get("host", "")
+        policy = {
+            "default-src": "'none'",
+            "script-src": "'self'",
+            "worker-src": "'self'",
+            "style-src": "'self'",
+            "img-src": "'self' blob: data:",
+            "media-src": "blob:",
+            "connect-src": f"'self' ws://{host} wss://{host}",
+            "base-uri": "'none'",
+            "form-action": "'none'",
+            "frame-ancestors": " ".join(
+                [
+                    "'self'",
+                    "http://localhost:*",
+                    "http://127.0.0.1:*",
+                    "vscode-webview:",
+                    "vscode-file:",
+                    *self._options.allow_origin,
+                ]
+            ),
+        }
+        text = self._files["index.html"][0].decode()
+        settings = {
+            "budget": self._options.budget,
+            "tau": self._options.pixel_error,
+            "frames": self._options.frames,
+            "scenes": [exhibit.name for exhibit in self.exhibits],
+            "capacity": CAPACITY,
+        }
+        text = text.replace("{{settings}}", json.dumps(settings).replace("&", "&amp;").replace('"', "&quot;"))
+        headers = {
+            "Content-Security-Policy": "; ".join(f"{name} {value}" for name, value in policy.items()),
+            "Referrer-Policy": "no-referrer",
+            "X-Content-Type-Options": "nosniff",
+            "Cache-Control": "no-store",
+        }
+        return Response(text, media_type="text/html", headers=headers)
+
+    async def _file(self, request: HttpRequest) -> Response:
+        found = self._files.get(request.path_params["name"])
+        if found is None:
+            return PlainTextResponse("not found\n", 404)
+        headers = {"X-Content-Type-Options": "nosniff", "Cache-Control": "no-cache"}
+        return Response(found[0], media_type=found[1], headers=headers)
+
+    async def _views(self, request: HttpRequest) -> Response:
+        views = [] if self._cameras is None else list(self._cameras)
+        centre = self.exhibits[0].centre
+        return JSONResponse([_view(camera, centre, camera.name in (self._photos or {})) for camera in views])
+
+    async def _photo(self, request: HttpRequest) -> Response:
+        number = request.path_params["number"]
+        if self._photos is None or self._cameras is None or not 0 <= number < len(self._cameras):
+            return PlainTextResponse("not found\n", 404)
+        name = self._cameras[number].name
+        if name not in self._photos:
+            return PlainTextResponse("not found\n", 404)
+        photos = self._photos
+        data = await asyncio.get_running_loop().run_in_executor(None, lambda: _jpeg(photos[name]))
+        return Response(data, media_type="image/jpeg", headers={"Cache-Control": "private, max-age=600"})
+
+    async def _connect(self, socket: WebSocket) -> None:
+        try:
+            which = int(socket.query_params.get("scene", "0"))
+            capacity = int(socket.query_params.get("capacity", str(CAPACITY)))
+        except ValueError:
+            which = capacity = -1
+        if not (0 <= which < len(self.exhibits) and 1 << 16 <= capacity <= CAPACITY):
+            await socket.close(1008, "scene or capacity: found none that there is")
+            return
+        await socket.accept()
+        loop = asyncio.get_running_loop()
+        client = Client(self.exhibits[which], lambda data: _send_from_thread(loop, socket, data), capacity)
+        with self._lock:
+            is_full = len(self._clients) >= CLIENTS_MAX
+            if not is_full:
+                self._clients.append((which, client))
+        if is_full:
+            await socket.close(1013, f"{CLIENTS_MAX} pages are connected already; close one")
+            return
+        work = loop.run_in_executor(self._workers, client.run)
+        listening = asyncio.ensure_future(_listen_to(socket, client))
+        code, reason = 1000, ""
+        try:
+            await asyncio.wait({work, listening}, return_when=asyncio.FIRST_COMPLETED)
+            if listening.done() and listening.exception() is not None:
+                code, reason = 1008, str(listening.exception())[:120]
+        finally:
+            client.close()
+            listening.cancel()
+            with self._lock:
+                self._clients = [entry for entry in self._clients if entry[1] is not client]
+        with contextlib.suppress(RuntimeError, TimeoutError, WebSocketDisconnect):  # it may be gone already
+            await asyncio.wait_for(socket.close(code, reason), 2)
+        await asyncio.gather(work, listening, return_exceptions=True)
+
+
+async def _listen_to(socket: WebSocket, client: Client) -> None:
+    """Hand on what the page says.
+
+    Raises:
+        InputError: it says what no page says, or nothing for ten minutes.
+    """
+    while True:
+        try:
+            text = await asyncio.wait_for(socket.receive_text(), IDLE_S)
+        except TimeoutError:
+            raise InputError("idle for ten minutes") from None
+        except WebSocketDisconnect:
+            return
+        except KeyError:
+            raise InputError("message: found bytes, wanted a text") from None
+        client.receive(text)
+
+
+def _send_from_thread(loop: asyncio.AbstractEventLoop, socket: WebSocket, data: bytes) -> None:
+    """Send and wait until the connection has taken the data.
+
+    Raises:
+        TimeoutError: it does not within half a minute.
+    """
+    asyncio.run_coroutine_threadsafe(socket.send_bytes(data), loop).result(PATIENCE_S)
+
+
+def _listen(options: ViewOptions) -> socket.socket:
+    family = socket.AF_INET6 if ":" in options.host else socket.AF_INET
+    try:
+        return socket.create_server((options.host, options.port), family=family)
+    except OSError as error:
+        raise OutputError(
+            f"{options.host}:{options.port}: cannot be listened on ({error.strerror}); choose another --port or --host"
+        ) from error
+
+
+def _page_files() -> dict[str, tuple[bytes, str]]:
+    """Contents and types of the page's files by name."""
+    folder = files("splatree.view") / "page"
+    found = {}
+    for entry in folder.iterdir():
+        suffix = "." + entry.name.rpartition(".")[2]
+        if suffix in TYPES:
+            found[entry.name] = (entry.read_bytes(), TYPES[suffix])
+    return found
+
+
+def _view(camera: Camera, centre: Array, has_photo: bool) -> dict[str, Any]:
+    pose = np.linalg.inv(camera.camera_from_world)
+    pose[:3, 3] -= centre
+    return {
+        "name": camera.name,
+        "c2w": pose[:3].ravel().tolist(),
+        "f": float(camera.K[1, 1]),
+        "w": camera.width,
+        "h": camera.height,
+        "photo": has_photo,
+    }
+
+
+def _jpeg(image: Array) -> bytes:
+    from PIL import Image
+
+    picture = Image.fromarray(np.rint(255 * np.clip(image, 0, 1)).astype(np.uint8))
+    picture.thumbnail((PHOTO_PX, PHOTO_PX))
+    file = io.BytesIO()
+    picture.save(file, "JPEG", quality=85)
+    return file.getvalue()

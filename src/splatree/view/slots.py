@@ -1,0 +1,107 @@
+"""What a page holds, slot by slot, and what takes it from one cut to the next.
+
+A page keeps its nodes in numbered slots. The numbers are given out here, so a message needs no answer: each one names the slots
+that fall free and the slots that new nodes go into, and turns one exact cut into another. Cost of a step: a few passes over the
+rows of the cut; memory: 4 bytes a row of the scene, touched where rows were shown, and 16 bytes a slot.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from splatree.scene.scene import Scene
+from splatree.shapes import Array, Float64, Int32, UInt32
+from splatree.view.nodes import pack_colors, pack_nodes
+
+__all__ = ["Change", "Slots"]
+
+EYE_SHARE = 0.05
+"""A node's colour is sent again when the eye has moved by this share of its distance since: an angle of 3° at most."""
+
+TINTS = 50_000
+"""Colours sent again in one message at most; the rest follows: 400 kB."""
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """What takes a page from one cut to the next."""
+
+    drop: UInt32[Array, "d"]
+    """Slots that fall free."""
+    add: UInt32[Array, "a"]
+    """Slots that are filled; some may have fallen free by the same change."""
+    nodes: UInt32[Array, "a 8"]
+    """What they are filled with (nodes.py)."""
+    tint: UInt32[Array, "t"]
+    """Slots whose colour changes."""
+    colors: UInt32[Array, "t"]
+    """Their colours."""
+    is_behind: bool
+    """Whether more colours have to change than one message holds."""
+
+    @property
+    def payload(self) -> bytes:
+        """All arrays one after the other, little-endian."""
+        parts = (self.drop, self.add, self.nodes, self.tint, self.colors)
+        return b"".join(np.ascontiguousarray(part, "<u4").tobytes() for part in parts)
+
+
+class Slots:
+    """The slots of one page; not for several threads at once."""
+
+    def __init__(self, scene: Scene, centre: Float64[Array, "3"], capacity: int) -> None:
+        self._scene, self._centre, self.capacity = scene, centre, capacity
+        self._slot_after = np.zeros(
+            len(scene), np.int32
+        )  # slot + 1 of each row, 0 for none: zeros cost no memory at first
+        self._stamp = np.zeros(capacity, np.int32)  # the last step in which each slot was used
+        self._step = 0
+        self._free = np.arange(capacity - 1, -1, -1, dtype=np.int32)  # a stack, its top at the end
+        self._eyes = np.zeros((capacity, 3), np.float32) if scene.gaussians.sh_degree else None
+        self._eye: Float64[Array, 3] | None = None
+        self._is_behind = False
+        self.rows: Int32[Array, v] = np.zeros(0, np.int32)
+        """Rows that the page holds, ascending."""
+
+    @property
+    def slots(self) -> Int32[Array, "v"]:
+        """The slot of each row that the page holds."""
+        return self._slot_after[self.rows] - 1
+
+    def move(self, rows: Int32[Array, "v"], eye: Float64[Array, "3"]) -> Change:
+        """Let the page hold ``rows``, at most as many as there are slots, seen from ``eye``."""
+        self._step += 1
+        slots = self._slot_after[rows] - 1
+        known = slots >= 0
+        kept, new = slots[known], rows[~known]
+        self._stamp[kept] = self._step
+        held = self.slots
+        gone = self._stamp[held] != self._step
+        drop = held[gone]
+        self._slot_after[self.rows[gone]] = 0
+        free = np.concatenate([self._free, drop])
+        self._free, add = free[: len(free) - len(new)], free[len(free) - len(new) :]
+        self._slot_after[new] = add + 1
+        self.rows = rows
+        tint, colors = self._tints(rows[known], kept, eye)
+        if self._eyes is not None:
+            self._eyes[add] = eye - self._centre
+        nodes = pack_nodes(self._scene, new, eye, self._centre)
+        return Change(
+            drop.astype(np.uint32), add.astype(np.uint32), nodes, tint.astype(np.uint32), colors, self._is_behind
+        )
+
+    def _tints(self, rows: Array, slots: Array, eye: Array) -> tuple[Array, Array]:
+        """The slots whose colours the eye has left behind, and their new colours."""
+        none = np.zeros(0, np.uint32)
+        if self._eyes is None or (not self._is_behind and self._eye is not None and np.array_equal(eye, self._eye)):
+            return none, none
+        self._eye = eye
+        here = (eye - self._centre).astype(np.float32)
+        moved = ((self._eyes[slots] - here) ** 2).sum(axis=1)
+        distance = ((self._scene.gaussians.means[rows] - eye.astype(np.float32)) ** 2).sum(axis=1)
+        stale = np.flatnonzero(moved > EYE_SHARE**2 * distance)
+        self._is_behind = len(stale) > TINTS
+        stale = stale[:TINTS]
+        self._eyes[slots[stale]] = here
+        return slots[stale], pack_colors(self._scene, rows[stale], eye)

@@ -1,0 +1,225 @@
+"""The worker of a page, without a network."""
+
+import json
+import struct
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from splatree.errors import InputError
+from splatree.lod.select import count_nested, select
+from splatree.render.pipeline import render
+from splatree.scene.cameras import Camera
+from splatree.scene.options import SelectOptions
+from splatree.view import client as module
+from splatree.view.client import Client, with_guard
+
+from .scenes import on_show
+
+
+class FakePage:
+    """Keeps what is sent, and acknowledges it unless it has stopped reading."""
+
+    def __init__(self, capacity=1 << 16, reads=True):
+        self.exhibit = on_show()
+        self.messages, self.reads, self.taken = [], reads, 0
+        self.arrived = threading.Condition()
+        self.client = Client(self.exhibit, self.send, capacity)
+        self.failed = None
+        self.thread = threading.Thread(target=self.run, daemon=True)
+        self.thread.start()
+
+    def run(self):
+        try:
+            self.client.run()
+        except TimeoutError as error:
+            self.failed = error
+
+    def send(self, data):
+        (length,) = struct.unpack("<I", data[:4])
+        header, payload = json.loads(data[4 : 4 + length]), data[4 + length :]
+        with self.arrived:
+            self.messages.append((header, payload))
+            self.arrived.notify_all()
+        if header["kind"] in ("cut", "frame") and self.reads:
+            self.taken += 1
+            self.client.receive(json.dumps({"ack": self.taken}))
+
+    def wait_for(self, kind, seq=None):
+        def found():
+            return next(
+                (m for m in self.messages if m[0]["kind"] == kind and (seq is None or m[0].get("seq") == seq)
+                 and m[0].get("last", True)),
+                None,
+            )  # fmt: skip
+
+        with self.arrived:
+            assert self.arrived.wait_for(lambda: found() is not None, 20), [m[0] for m in self.messages]
+        return found()
+
+    def ask(self, camera=None, **more):
+        camera = camera or self.exhibit.framing.camera(160, 90)
+        pose = np.linalg.inv(camera.camera_from_world)
+        pose[:3, 3] -= self.exhibit.centre
+        view = {"want": "cut", "seq": 1, "c2w": pose[:3].ravel().tolist(), "f": camera.K[0, 0], "w": camera.width}
+        view |= {"h": camera.height, "near": camera.near, "tau": 1.0, "budget": 1000}
+        self.client.receive(json.dumps({**view, **more}))
+
+    def close(self):
+        self.client.close()
+        self.thread.join(10)
+        assert not self.thread.is_alive()
+
+
+@pytest.fixture
+def page():
+    made = FakePage()
+    yield made
+    made.close()
+
+
+def test_a_page_is_told_of_the_scene_first(page):
+    facts, _ = page.wait_for("scene")
+    assert facts["leaves"] == 2000
+    assert facts["degree"] == 3
+    assert len(facts["eye"]) == 3
+
+
+def test_a_cut_is_one_of_the_tree_and_fits_the_budget(page):
+    page.ask(tau=0.0)
+    header, payload = page.wait_for("cut", 1)
+    assert header["rows"] <= 1000
+    assert header["add"] * 36 == len(payload)
+    assert count_nested(page.exhibit.scene.tree, page.client._slots.rows) == 0
+
+
+def test_a_cut_without_a_limit_is_that_of_select(page):
+    camera = page.exhibit.framing.camera(160, 90)
+    page.ask(camera, tau=4.0, budget=50_000)
+    page.wait_for("cut", 1)
+    expected = select(page.exhibit.scene, camera, SelectOptions(pixel_error=4.0))
+    np.testing.assert_array_equal(page.client._slots.rows, expected.rows)
+
+
+def test_a_first_cut_comes_in_steps(monkeypatch):
+    monkeypatch.setattr(module, "LADDER", (1000, 1500))
+    page = FakePage()
+    page.ask(tau=0.0, budget=3000)
+    page.wait_for("cut", 1)
+    page.close()
+    sizes = [header["rows"] for header, _ in page.messages if header["kind"] == "cut"]
+    assert len(sizes) == 3
+    assert sizes[0] <= 1000 < sizes[1] <= 1500 < sizes[2] <= 3000
+    assert [header["last"] for header, _ in page.messages if header["kind"] == "cut"] == [False, False, True]
+
+
+def test_of_a_thousand_views_only_the_newest_are_answered(page):
+    page.wait_for("scene")
+    with page.exhibit.lock:  # the worker waits here, while views come in
+        for seq in range(1, 1001):
+            page.ask(seq=seq)
+        time.sleep(0.02)
+    page.wait_for("cut", 1000)
+    assert sum(header["kind"] == "cut" for header, _ in page.messages) <= 3
+
+
+def test_a_page_that_stops_reading_is_given_up_and_others_go_on(monkeypatch):
+    monkeypatch.setattr(module, "PATIENCE_S", 0.3)
+    stuck = FakePage(reads=False)
+    for seq in range(1, 6):
+        stuck.ask(seq=seq)
+        time.sleep(0.03)
+    stuck.thread.join(20)
+    assert isinstance(stuck.failed, TimeoutError)
+    assert sum(header["kind"] == "cut" for header, _ in stuck.messages) <= module.UNDER_WAY
+    other = FakePage()
+    other.ask(seq=9)
+    other.wait_for("cut", 9)
+    other.close()
+
+
+def test_a_picture_is_that_of_render(page):
+    from io import BytesIO
+
+    from PIL import Image
+
+    camera = page.exhibit.framing.camera(160, 90)
+    page.ask(camera, want="frame", packing="png", tau=2.0, budget=50_000, background=[0, 0, 0])
+    header, payload = page.wait_for("frame", 1)
+    found = np.asarray(Image.open(BytesIO(payload)))
+    image = render(page.exhibit.scene, camera, select=SelectOptions(pixel_error=2.0)).image
+    # The camera goes through JSON and back: the last bits of its pose may differ.
+    assert np.abs(found.astype(int) - np.rint(255 * np.clip(image, 0, 1))).max() <= 1
+    assert (header["width"], header["height"], header["type"]) == (160, 90, "image/png")
+
+
+@pytest.mark.parametrize("layer", ["depth", "alpha"])
+def test_depth_and_alpha_are_pictures_too(page, layer):
+    page.ask(want="frame", layer=layer, quality=90)
+    header, payload = page.wait_for("frame", 1)
+    assert header["type"] == "image/jpeg"
+    assert payload[:2] == b"\xff\xd8"
+
+
+def test_a_box_hides_what_lies_outside(page):
+    camera = page.exhibit.framing.camera(160, 90)
+    _, chosen = page.exhibit.draw(camera, SelectOptions(pixel_error=0.0), (0, 0, 0), np.array([[-0.5] * 3, [0.5] * 3]))
+    inside = page.exhibit.scene.gaussians.means[chosen.rows]
+    assert len(inside) > 0
+    assert np.abs(inside).max() <= 0.5
+
+
+def test_the_point_behind_a_pixel_is_on_its_ray(page):
+    camera = Camera.look_at([0, 0, -6], [0, 0, 0], width=160, height=90)
+    page.ask(camera, want="point", at=[90.0, 40.0], tau=0.0, budget=50_000)
+    header, _ = page.wait_for("point")
+    x, y, z = np.array(header["point"]) + page.exhibit.centre - [0, 0, -6]
+    u, v = camera.K[0, 0] * x / z + 80, camera.K[1, 1] * y / z + 45
+    assert (u, v) == (pytest.approx(90, abs=1e-3), pytest.approx(40, abs=1e-3))
+    assert 3 < z < 9
+
+
+def test_boxes_hold_the_nodes_of_the_cut(page):
+    page.ask(tau=0.0, budget=50_000)
+    page.wait_for("cut", 1)
+    page.ask(want="boxes", seq=2)
+    header, payload = page.wait_for("boxes", 2)
+    boxes = np.frombuffer(payload, "<f4").reshape(-1, 2, 3) + page.exhibit.centre
+    assert header["count"] == len(boxes) > 0
+    means = page.exhibit.scene.gaussians.means[page.client._slots.rows]
+    held = ((means[:, None] >= boxes[:, 0] - 1e-4) & (means[:, None] <= boxes[:, 1] + 1e-4)).all(-1).any(-1)
+    assert held.all()
+
+
+def test_another_scene_begins_anew(page):
+    page.ask()
+    page.wait_for("cut", 1)
+    page.client.show(on_show(degree=0))
+    with page.arrived:
+        assert page.arrived.wait_for(lambda: sum(h["kind"] == "scene" for h, _ in page.messages) == 2, 20)
+    page.ask(seq=2)
+    header, _ = page.wait_for("cut", 2)
+    assert header["add"] == header["rows"]
+
+
+def test_an_error_is_told_and_the_page_lives_on(page, monkeypatch):
+    def refuse(*_):
+        raise InputError("budget: found too many roots")
+
+    monkeypatch.setattr(module.Exhibit, "cut", refuse)
+    page.ask(seq=1)
+    header, _ = page.wait_for("error", 1)
+    assert header["text"] == "budget: found too many roots"
+    monkeypatch.undo()
+    page.ask(seq=2)
+    page.wait_for("cut", 2)
+
+
+def test_a_guard_adds_the_same_to_all_sides():
+    camera = Camera.look_at([0, 0, -6], [0, 0, 0], width=200, height=100)
+    wide = with_guard(camera, 0.1)
+    assert (wide.width, wide.height, wide.K[0, 2], wide.K[1, 2]) == (240, 120, 120, 60)
+    assert wide.K[0, 0] == camera.K[0, 0]
+    assert with_guard(camera, 0.0) is camera
