@@ -90,11 +90,12 @@ class Forest:
         start = np.cumsum(sizes[is_family]) - sizes[is_family]
         roots = self.roots[level.representatives]
         roots[is_family] = np.arange(first, first + num_families, dtype=np.int32)
+        extents = None if level.extents is None else level.extents[is_family]
         return dataclasses.replace(
             self,
             columns=(*self.columns, level.merged.take(is_family)),
             weights=(*self.weights, level.weights[is_family]),
-            families=(*self.families, Families(first, children, start, level.extent)),
+            families=(*self.families, Families(first, children, start, extents)),
             sizes=(*self.sizes, level.size),
             counts=(*self.counts, len(roots)),
             num_sizes=self.num_sizes + 1,
@@ -124,8 +125,8 @@ class NewLevel:
     """Weight of each group."""
     visibilities: Float32[Array, "g"] | None = None
     """How much of each group is seen; None: the rule does not ask."""
-    extent: float | None = None
-    """Extent of the new nodes, world units; None: that of a ball that holds what is below."""
+    extents: Float32[Array, "g"] | None = None
+    """Extent of each group if it becomes a node, world units; None: that of a ball that holds what is below."""
 
 
 def forest_of_leaves(

@@ -53,6 +53,9 @@ LARGE_PX = 16.0
 SATURATED = 0.98
 """A fitted opacity from here on says that more is shown than one Gaussian can; the merge's own rule follows."""
 
+FLOAT32_MAX = float(np.finfo(np.float32).max)
+"""The largest extent that a tree holds."""
+
 ROUND_SHARE = 0.25
 """Pairs that a round merges at most, as a share of the Gaussians: those cheapest to merge twice get their turn."""
 
@@ -91,7 +94,7 @@ def grow_by_pairs(
                 merged=present.gaussians,
                 weights=present.weights,
                 visibilities=present.visibilities,
-                extent=PIXEL_ERROR * size,
+                extents=np.full(len(present), min(PIXEL_ERROR * size, FLOAT32_MAX), np.float32),
             )
             forest = forest.with_level(level)
             advance(float(num_before - len(present)))

@@ -12,7 +12,7 @@ import numpy as np
 
 from splatree.errors import InputError
 from splatree.scene.tree import GaussianTree
-from splatree.shapes import Array, Float64, Int32, Int64
+from splatree.shapes import Array, Float32, Float64, Int32, Int64
 
 __all__ = ["Families", "Order", "preorder"]
 
@@ -27,8 +27,8 @@ class Families:
     """Numbers of the children, family by family, in the order in which they are to stand."""
     start: Int64[Array, "f"]
     """Index into ``children`` of each family's first."""
-    extent: float | None = None
-    """Extent of the new nodes, world units; None: that of a ball that holds what is below."""
+    extents: Float32[Array, "f"] | None = None
+    """Extent of each new node, world units; None: that of a ball that holds what is below."""
 
     @property
     def parents(self) -> Array:
@@ -58,7 +58,7 @@ def preorder(levels: Sequence[Families], roots: Int32[Array, "r"], means: Array,
 
     ``means`` (n 3) are the nodes' centres and ``reach`` (n) their own 3σ. An extent is the radius of a ball around the node's
     mean that holds its own and all descendants' 3σ ellipsoids: max(reach, max over children c of |x_c − x| + extent_c),
-    never less than a child's, rounded upwards. Families with an extent of their own have that in place of it.
+    never less than a child's, rounded upwards. Families with extents of their own have those in place of it.
     """
     n = len(means)
     size, extents = np.ones(n, np.int32), reach.astype(np.float64)
@@ -87,8 +87,8 @@ def preorder(levels: Sequence[Families], roots: Int32[Array, "r"], means: Array,
     extents_up[row] = np.minimum(extents * (1 + 1e-9), np.finfo(np.float32).max)
     np.nextafter(extents_up, np.finfo(np.float32).max, out=extents_up)
     for level in levels:
-        if level.extent is not None:
-            extents_up[row[level.parents]] = level.extent
+        if level.extents is not None:
+            extents_up[row[level.parents]] = level.extents
     subtree_end, depth_of_row = np.empty(n, np.int32), np.empty(n, np.uint8)
     subtree_end[row] = row + size
     depth_of_row[row] = depth
