@@ -66,6 +66,7 @@ if TYPE_CHECKING:
     from splatree.simplify.thin import Thinned, thin
     from splatree.stream.options import StreamOptions
     from splatree.stream.result import Streamed
+    from splatree.stream.serve import ServeOptions, StreamServer, serve
     from splatree.stream.stream import stream
     from splatree.view.options import ViewOptions
     from splatree.view.viewer import Viewer, view
@@ -109,10 +110,12 @@ __all__ = [
     "SceneWriter",
     "SelectOptions",
     "Selection",
+    "ServeOptions",
     "ShapeError",
     "SplatreeError",
     "StoredScene",
     "StreamOptions",
+    "StreamServer",
     "Streamed",
     "ThinOptions",
     "Thinned",
@@ -151,6 +154,7 @@ __all__ = [
     "render_batch",
     "scene_from_tensors",
     "select",
+    "serve",
     "ssim",
     "stream",
     "thin",
@@ -209,7 +213,9 @@ _HOME = {
     "ShapeError": "splatree.errors",
     "SplatreeError": "splatree.errors",
     "StoredScene": "splatree.io.formats.splatree.rows",
+    "ServeOptions": "splatree.stream.serve",
     "StreamOptions": "splatree.stream.options",
+    "StreamServer": "splatree.stream.serve",
     "Streamed": "splatree.stream.result",
     "ThinOptions": "splatree.scene.thinning",
     "Thinned": "splatree.simplify.thin",
@@ -248,6 +254,7 @@ _HOME = {
     "render_batch": "splatree.render.batch",
     "scene_from_tensors": "splatree.render.tensors",
     "select": "splatree.lod.select",
+    "serve": "splatree.stream.serve",
     "ssim": "splatree.metrics.ssim",
     "stream": "splatree.stream.stream",
     "thin": "splatree.simplify.thin",

@@ -40,6 +40,7 @@ VERBS = {
     "render": "draw pictures or a video",
     "view": "look at a scene in a browser",
     "stream": "write what viewers on the web load piece by piece",
+    "serve": "serve streams to viewers on the web",
     "eval": "compare the levels of detail with all leaves, or with photographs",
     "bench": "run a table or a figure of a paper again",
     "formats": "list the formats that are read and written",

@@ -21,7 +21,7 @@ class Command:
     `sog` is a folder for PlayCanvas, SuperSplat and Babylon.js, `rad` a file for Spark. A scene without levels of detail gets
     them first. A command that was interrupted goes on where it stopped when it is given again.
 
-    Example: splatree stream city.splatree city_stream
+    Example: splatree stream city.splatree city_stream; then splatree serve city_stream
     """
 
     paths: Positional[tuple[Path, ...]]

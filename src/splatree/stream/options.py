@@ -24,6 +24,9 @@ class StreamOptions:
     """sog: Gaussians of a chunk, for which a viewer chooses one level."""
     unit_rows: int = 65_536
     """sog: Gaussians of a file of the two finest levels; files of coarser levels have twice as many."""
+    node_px: float = 7.5
+    """sog: extent, in pixels, at which merged nodes are expected to be drawn. A viewer with a budget draws them larger than the 3
+    px that they were made for, and their opacities follow from that; 3 keeps those of the tree."""
     sh_degree: int | None = None
     """Cut off spherical harmonics above this degree; None: keep all."""
 
@@ -46,5 +49,6 @@ _USED_BY: dict[str, tuple[StreamFormat, ...]] = {
     "levels": ("sog",),
     "chunk_leaves": ("sog",),
     "unit_rows": ("sog",),
+    "node_px": ("sog",),
     "sh_degree": ("sog", "rad"),
 }

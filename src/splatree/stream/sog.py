@@ -8,7 +8,7 @@ not shown. Layout: docs/reference/formats/streamed_sog.md.
 import json
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -26,6 +26,7 @@ from splatree.shapes import Array
 from splatree.stream.boxes import box_around, outward
 from splatree.stream.chunks import TreeChunks, chunks_of_tree
 from splatree.stream.levels import Level, levels_of_tree
+from splatree.stream.opacities import logits_of_level
 from splatree.stream.options import StreamOptions
 from splatree.stream.parts import Folder, digest_of
 from splatree.stream.result import LevelWritten, Streamed
@@ -74,7 +75,7 @@ def write_sog(scene: Scene, output: Path, options: StreamOptions, *, force: bool
     boxes[:, 0], boxes[:, 1] = np.inf, -np.inf
     names, num_there = [], 0
     with task(f"write {output.name}", sum(map(len, levels))) as advance:
-        write = partial(_write_unit, scene, levels, folder)
+        write = partial(_write_unit, scene, levels, folder, options)
         for unit, written in zip(units, in_order(write, units, threads), strict=True):
             own = slice(unit.first_chunk, unit.end_chunk)
             boxes[own, 0] = np.minimum(boxes[own, 0], written.boxes[:, 0])
@@ -101,10 +102,13 @@ def _units(levels: tuple[Level, ...], unit_rows: int) -> Iterator[_Unit]:
             first, number = end, number + 1
 
 
-def _write_unit(scene: Scene, levels: tuple[Level, ...], folder: Folder, unit: _Unit) -> _Written:
+def _write_unit(
+    scene: Scene, levels: tuple[Level, ...], folder: Folder, options: StreamOptions, unit: _Unit
+) -> _Written:
     level = levels[unit.level]
     offsets = level.offsets[unit.first_chunk : unit.end_chunk + 1]
-    g = scene.gaussians.take(level.rows[offsets[0] : offsets[-1]])
+    rows = level.rows[offsets[0] : offsets[-1]]
+    g = replace(scene.gaussians.take(rows), logit_opacities=logits_of_level(scene, level, rows, options.node_px))
     settings = WriteOptions(sh_palette=_palette_size(len(g)) if g.sh_degree else None)
     name = f"{unit.level}_{unit.number}-{digest_of(g, scene.mode, settings)}"
     was_there = folder.has(name)

@@ -7,6 +7,7 @@ from typing import get_args
 
 from splatree.errors import InputError
 from splatree.lod.build import build_lod
+from splatree.lod.options import BuildOptions
 from splatree.scene.scene import Scene
 from splatree.stream.options import StreamFormat, StreamOptions
 from splatree.stream.rad import write_rad
@@ -27,7 +28,7 @@ def stream(
 ) -> Streamed:
     """Write a scene as a stream that viewers on the web load piece by piece, finer where the camera is near.
 
-    All formats are cut from the scene's one tree. A scene without levels gets them first, by `build_lod` with its defaults. A
+    All formats are cut from the scene's one tree. A scene without levels gets them first, by pairs. A
     stream that was interrupted goes on where it stopped when the same call is made again. The files are the same for any
     number of threads.
 
@@ -65,7 +66,7 @@ def stream(
     if degree < scene.gaussians.sh_degree:
         scene = replace(scene, gaussians=scene.gaussians.with_sh_degree(degree), clusters=None)
     if scene.tree.num_leaves == len(scene):
-        scene = build_lod(scene, threads=threads)
+        scene = build_lod(scene, BuildOptions(method="pairs"), threads=threads)
     if format == "rad":
         return write_rad(scene, Path(output), force=force)
     return write_sog(scene, Path(output), options, force=force, threads=threads)

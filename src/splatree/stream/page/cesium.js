@@ -1,0 +1,43 @@
+// 3D Tiles in CesiumJS. Tiles have z up; the scene's y down and z forward become z up and −y.
+import { fail, fov, number, position, state, stream, target } from './query.js';
+
+const C = window.Cesium;
+C.Ion.defaultAccessToken = '';
+const webgl = { preserveDrawingBuffer: true };
+const widget = new C.CesiumWidget('cesium', {
+  baseLayer: false, globe: false, skyBox: false, skyAtmosphere: false, contextOptions: { webgl }, msaaSamples: 1,
+});
+const scene = widget.scene;
+scene.backgroundColor = C.Color.BLACK;
+scene.fog.enabled = false;
+scene.highDynamicRange = false;
+state.stop = () => { widget.useDefaultRenderLoop = false; };
+
+const settings = { maximumScreenSpaceError: number('sse', 16) };
+const tileset = await C.Cesium3DTileset.fromUrl(stream, settings).catch(fail);
+if (tileset) {
+  scene.primitives.add(tileset);
+  const matrix = C.Matrix4.clone(tileset.root.computedTransform);
+  const tile = ([x, y, z]) => new C.Cartesian3(-x, -z, -y);
+  const point = (v) => C.Matrix4.multiplyByPoint(matrix, tile(v), new C.Cartesian3());
+  const along = (v) => C.Cartesian3.normalize(
+    C.Matrix4.multiplyByPointAsVector(matrix, tile(v), new C.Cartesian3()), new C.Cartesian3());
+  const aspect = innerWidth / innerHeight;
+  const tangent = Math.tan((fov * Math.PI) / 360);
+  scene.camera.frustum.fov = 2 * Math.atan(tangent * Math.max(1, aspect));
+  scene.camera.frustum.near = 0.01;
+  if (position) {
+    const direction = along(target.map((x, i) => x - position[i]));
+    const right = C.Cartesian3.normalize(C.Cartesian3.cross(direction, along([0, -1, 0]), new C.Cartesian3()), new C.Cartesian3());
+    const up = C.Cartesian3.cross(right, direction, new C.Cartesian3());
+    scene.camera.setView({ destination: point(position), orientation: { direction, up } });
+  } else {
+    widget.zoomTo(tileset);
+  }
+  let quiet = 0;
+  scene.postRender.addEventListener(() => {
+    const drawn = tileset.gaussianSplatPrimitive?._numSplats ?? 0;
+    quiet = drawn > 0 && tileset.tilesLoaded ? quiet + 1 : 0;
+    Object.assign(state, { drawn, tiles: tileset.statistics.selected, ready: quiet > 20 });
+  });
+}

@@ -1,0 +1,18 @@
+// What the address of a page asks for: the stream, the camera in coordinates of the scene (x right, y down, z forward), a budget.
+const query = new URL(location.href).searchParams;
+const vector = (name, otherwise) => (query.has(name) ? query.get(name).split(',').map(Number) : otherwise);
+
+export const stream = new URL('../' + query.get('stream'), location.href).href;
+export const position = vector('pos', null);
+export const target = vector('target', [0, 0, 0]);
+export const fov = Number(query.get('fov') ?? 50);
+export const number = (name, otherwise) => (query.has(name) ? Number(query.get(name)) : otherwise);
+
+// What tests and curious people look at: whether all that the view needs is drawn, and how much that is.
+export const state = { ready: false, stop: () => {} };
+window.splatree = state;
+
+export function fail(error) {
+  state.error = String(error?.message ?? error);
+  document.body.append(Object.assign(document.createElement('p'), { className: 'error', textContent: state.error }));
+}

@@ -1,0 +1,60 @@
+"""The levels that PlayCanvas 2.23 chooses of a streamed SOG: bands of distance, moved until a budget of Gaussians is met.
+
+The distance of a chunk is that of its box from the eye. Of a box whose half side is longer than the median half side of all
+boxes, three quarters of what is longer are taken off first. A chunk behind the eye counts as up to 1.5 times as far. The
+distance is then scaled by tan(fov / 2) of the smaller field of view against that of 45°. The level is one of bands that each
+are three times as deep as the one before; all bands move together, to the finest place where the sum of all chunks fits the
+budget. A chunk without the level takes its next finer one, or its coarsest if it has none that coarse.
+"""
+
+import numpy as np
+
+from splatree.scene.cameras import Camera
+from splatree.shapes import Array, Float64, Int64
+from splatree.stream.readers.sog_stream import Ranges
+
+__all__ = ["select_playcanvas"]
+
+_SHRINK, _BEHIND, _BAND = 0.75, 1.5, 3.0
+_HALVINGS = 40
+
+
+def select_playcanvas(ranges: Ranges, camera: Camera, budget: int, *, band: float = _BAND) -> Int64[Array, "c"]:
+    """The level of each chunk; the coarsest of all where even that is more than ``budget`` Gaussians."""
+    distances = np.log(_distances(ranges.boxes, camera))
+    num_levels, num_chunks = ranges.counts.shape
+    chunk = np.arange(num_chunks)
+    has = ranges.counts > 0
+    # What stands for each level: itself, the next finer that there is, or the finest.
+    present = np.maximum.accumulate(np.where(has, np.arange(num_levels)[:, None], -1), axis=0)
+    present = np.where(present < 0, has.argmax(axis=0), present)
+
+    def levels_at(shift: float) -> Array:
+        wanted = np.clip(np.floor((distances - shift) / np.log(band)) + 1, 0, num_levels - 1).astype(np.int64)
+        return np.asarray(present[wanted, chunk])
+
+    def fits(levels: Array) -> bool:
+        return int(ranges.counts[levels, chunk].sum()) <= budget
+
+    coarse = float(distances.min()) - num_levels * np.log(band) - 1
+    fine = float(distances.max()) + 1
+    if fits(levels_at(fine)):
+        return levels_at(fine)
+    for _ in range(_HALVINGS):
+        middle = (coarse + fine) / 2
+        coarse, fine = (middle, fine) if fits(levels_at(middle)) else (coarse, middle)
+    return levels_at(coarse)
+
+
+def _distances(boxes: Float64[Array, "c 2 3"], camera: Camera) -> Float64[Array, "c"]:
+    half = (boxes[:, 1] - boxes[:, 0]) / 2
+    usual = np.sort(half, axis=0)[len(half) // 2]
+    trim = np.maximum(0, half - usual) * _SHRINK
+    eye = camera.position
+    away = np.clip(eye, boxes[:, 0] + trim, boxes[:, 1] - trim) - eye
+    distances = np.linalg.norm(away, axis=1)
+    ahead = away @ camera.camera_from_world[2, :3]
+    is_behind = (ahead < 0) & (distances > 1e-2)
+    distances[is_behind] *= 1 - ahead[is_behind] / distances[is_behind] * (_BEHIND - 1)
+    half_fov = min(camera.width / camera.K[0, 0], camera.height / camera.K[1, 1]) / 2  # its tangent
+    return np.asarray(np.maximum(distances * half_fov / np.tan(np.radians(22.5)), 1e-6))

@@ -1,0 +1,170 @@
+"""The server of streams: what it answers, and what it does not."""
+
+import http.client
+import socket
+import threading
+from urllib.parse import urlsplit
+
+import pytest
+
+import splatree as st
+from splatree.stream.serve import StreamServer, streams_in
+
+from .conftest import forest
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    path = tmp_path_factory.mktemp("served")
+    st.stream(forest(200, seed=1), path / "city", options=st.StreamOptions(levels=2))
+    st.stream(forest(200, seed=1), path / "city.rad", "rad")
+    (path / "secret.txt").write_text("secret")
+    (path.parent / "outside.json").write_text("{}")
+    (path / "link.json").symlink_to(path.parent / "outside.json")
+    return path
+
+
+@pytest.fixture(scope="module")
+def server(folder):
+    server = st.serve(folder, st.ServeOptions(port=0))
+    yield server
+    server.stop()
+
+
+def ask(server, path, method="GET", **headers):
+    parts = urlsplit(server.address)
+    connection = http.client.HTTPConnection(parts.hostname, parts.port, timeout=10)
+    sent = {name.replace("_", "-"): value for name, value in headers.items()}
+    connection.request(method, path, headers=sent)
+    answer = connection.getresponse()
+    body = answer.read()
+    connection.close()
+    return answer.status, {name.lower(): value for name, value in answer.getheaders()}, body
+
+
+def test_files_are_served_whole_and_by_ranges(server, folder):
+    data = (folder / "city.rad").read_bytes()
+    size = len(data)
+    status, headers, body = ask(server, "/city.rad")
+    assert (status, body) == (200, data)
+    assert headers["accept-ranges"] == "bytes"
+    for text, begin, end in (("0-0", 0, 1), ("5-9", 5, 10), (f"{size - 3}-", size - 3, size), ("-4", size - 4, size)):
+        status, headers, body = ask(server, "/city.rad", Range=f"bytes={text}", Origin="https://example.org")
+        assert (status, body) == (206, data[begin:end]), text
+        assert headers["content-range"] == f"bytes {begin}-{end - 1}/{size}"
+        assert headers["access-control-allow-origin"] == "*"
+    status, headers, _ = ask(server, "/city.rad", Range=f"bytes={size}-")
+    assert status == 416 and headers["content-range"].endswith(f"*/{size}")
+    assert ask(server, "/city.rad", Range="bytes=9-5")[0] in (400, 416)
+    status, headers, body = ask(server, "/city.rad", "HEAD")
+    assert (status, body, headers["content-length"]) == (200, b"", str(size))
+
+
+def test_units_are_kept_for_ever_and_manifests_are_asked_for_again(server, folder):
+    unit = next((folder / "city").glob("0_0-*/meta.json")).relative_to(folder)
+    status, headers, _ = ask(server, f"/{unit}")
+    assert status == 200 and "immutable" in headers["cache-control"]
+    assert headers["content-type"].startswith("application/json")
+    status, headers, _ = ask(server, "/city/lod-meta.json")
+    assert headers["cache-control"] == "no-cache"
+    status, _, body = ask(server, "/city/lod-meta.json", If_None_Match=headers["etag"])
+    assert (status, body) == (304, b"")
+
+
+def test_the_address_lists_what_there_is(server):
+    status, _, body = ask(server, "/")
+    assert status == 200
+    assert b'href="open/playcanvas?stream=city/lod-meta.json"' in body and b'href="open/spark?stream=city.rad"' in body
+    for viewer, package in (("playcanvas", b"/playcanvas@2."), ("spark", b"/spark@2."), ("cesium", b"/cesium@1.")):
+        status, headers, body = ask(server, f"/open/{viewer}")
+        assert status == 200 and package in body and b"{{" not in body
+        status, headers, _ = ask(server, f"/page/{viewer}.js")
+        assert status == 200 and headers["content-type"].startswith("text/javascript")
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/secret.txt",
+        "/link.json",
+        "/../outside.json",
+        "/..%2foutside.json",
+        "/city/../../outside.json",
+        "/city/%2e%2e/%2e%2e/outside.json",
+        "//etc/passwd",
+        "/city",
+        "/city/",
+        "/nothing.json",
+        "/a%00.json",
+        "/open/evil",
+        "/page/../serve.py",
+        "/page/serve.py",
+        "/packages/three/build/three.module.js",
+    ],
+)
+def test_nothing_else_is_served(server, path):
+    assert ask(server, path)[0] == 404
+
+
+def test_other_names_of_this_machine_are_refused(server):
+    """A site that lets a name of its own point here would read what the server has."""
+    assert ask(server, "/city.rad", Host="evil.example")[0] == 403
+    assert ask(server, "/city.rad", Host="localhost:1234")[0] == 200
+
+
+def test_a_server_for_others_wants_the_token_of_its_address(folder):
+    server = st.serve(folder, st.ServeOptions(host="0.0.0.0", port=0))
+    try:
+        token = urlsplit(server.address).path.strip("/")
+        assert len(token) >= 20
+        assert ask(server, f"/{token}/city.rad", Host="anything")[0] == 200
+        for path in ("/", "/city.rad", f"/{token[:-1]}/city.rad", "/open/spark"):
+            assert ask(server, path)[0] == 404
+    finally:
+        server.stop()
+
+
+def test_nothing_but_loopback_is_listened_on_by_default(server):
+    assert urlsplit(server.address).hostname == "127.0.0.1"
+    assert server._http._socket.getsockname()[0] == "127.0.0.1"
+
+
+def test_packages_come_from_a_folder_where_one_is_named(folder, tmp_path):
+    (tmp_path / "three" / "build").mkdir(parents=True)
+    (tmp_path / "three" / "build" / "three.module.js").write_text("export {}")
+    server = st.serve(folder, st.ServeOptions(port=0, packages=str(tmp_path)))
+    try:
+        assert ask(server, "/packages/three/build/three.module.js")[2] == b"export {}"
+        assert b'"/packages/three/build/three.module.js"' in ask(server, "/open/spark")[2]
+    finally:
+        server.stop()
+
+
+def test_a_client_that_stops_reading_harms_nobody(server):
+    parts = urlsplit(server.address)
+    idle = socket.create_connection((parts.hostname, parts.port))
+    idle.sendall(b"GET /city.rad HTTP/1.1\r\nHost: localhost\r\n\r\n")
+    answers = []
+    threads = [threading.Thread(target=lambda: answers.append(ask(server, "/city.rad")[0])) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(10)
+    idle.close()
+    assert answers == [200] * 8
+
+
+def test_what_cannot_be_served_is_refused(folder, tmp_path, server):
+    with pytest.raises(st.InputError, match="found no folder"):
+        StreamServer(tmp_path / "none", st.ServeOptions(port=0))
+    with pytest.raises(st.InputError, match=r"found no lod-meta\.json, tileset\.json or \.rad in it"):
+        StreamServer(tmp_path, st.ServeOptions(port=0))
+    with pytest.raises(st.InputError, match="packages: found none"):
+        StreamServer(folder, st.ServeOptions(port=0, packages="none"))
+    port = urlsplit(server.address).port
+    with pytest.raises(st.OutputError, match="cannot be listened on"):
+        StreamServer(folder, st.ServeOptions(port=port))
+
+
+def test_streams_are_found_one_folder_deep(folder):
+    assert list(streams_in(folder)) == ["city.rad", "city/lod-meta.json"]
