@@ -13,7 +13,7 @@ import pytest
 import splatree
 from splatree import Scene, WriteOptions
 from splatree.constants import SH_C0
-from splatree.maths.forests import links_from_preorder
+from splatree.io.formats.rad.nodes import nodes_of
 from splatree.maths.rotations import matrices_from_quats
 
 HERE = Path(__file__).parent
@@ -73,9 +73,11 @@ def test_splat_transform_reads_our_ksplat(tmp_path, level):
     np.testing.assert_allclose(*(1 / (1 + np.exp(-g.logit_opacities)) for g in (ours, theirs)), atol=1e-5)
 
 
-@pytest.mark.parametrize(("compression", "levels"), [(0, True), (1, False), (2, True)])
-def test_spark_decodes_our_rad_to_our_values(tmp_path, compression, levels):
-    scene = splatree.build_lod(block()) if levels else block()
+@pytest.mark.parametrize(("compression", "method"), [(0, "radius"), (1, None), (2, "radius"), (2, "pairs")])
+def test_spark_decodes_our_rad_to_our_values(tmp_path, compression, method):
+    """Levels by pairs have extents that we keep in a property of our own: Spark passes over it."""
+    levels = method is not None
+    scene = splatree.build_lod(block(), splatree.BuildOptions(method)) if method else block()
     splatree.write(scene, tmp_path / "a.rad", options=WriteOptions(compression=compression))
     data = decoded("decode_rad.cjs", "@sparkjsdev/spark", tmp_path / "a.rad")
     count = np.frombuffer(data, "<u4", 1)[0]
@@ -84,8 +86,8 @@ def test_spark_decodes_our_rad_to_our_values(tmp_path, compression, levels):
     assert above == int(levels)
     words = np.frombuffer(data, "<u4", offset=8)
     first, second = words[: 4 * count].reshape(-1, 4), words[4 * count : 8 * count].reshape(-1, 4)
-    links = links_from_preorder(scene.tree.depth)
-    ours = back.gaussians.take(links.row_from_node)
+    nodes = nodes_of(scene, tmp_path) if levels else None
+    ours = back.gaussians if nodes is None else back.gaussians.take(nodes.rows)
     first, second = first[above:], second[above:]
 
     # Spark keeps float32 means, half precision of everything else and rotations in 10, 10 and 12 bits.
@@ -111,12 +113,12 @@ def test_spark_decodes_our_rad_to_our_values(tmp_path, compression, levels):
     assert np.abs(harmonics[whole] - found).max() <= 0.51 * np.broadcast_to(step[..., None], sizes.shape)[whole].max()
     assert np.corrcoef(np.sign(harmonics).ravel(), signs.ravel())[0, 1] > 0.9  # 0 has a sign there
 
-    if not levels:
+    if nodes is None:
         return
-    tree = words[12 * count :].reshape(-1, 4)[above:]
-    np.testing.assert_array_equal(tree[:, 2] & 0xFFFF, links.num_children)
-    inner = links.num_children > 0
-    np.testing.assert_array_equal(tree[inner, 3], links.first_child[inner] + above)
+    tree = words[12 * count :].reshape(-1, 4)
+    np.testing.assert_array_equal(tree[:, 2] & 0xFFFF, nodes.num_children)
+    inner = nodes.num_children > 0
+    np.testing.assert_array_equal(tree[inner, 3], nodes.first_child[inner])
 
 
 def rotations(codes: np.ndarray) -> np.ndarray:
