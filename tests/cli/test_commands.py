@@ -38,6 +38,8 @@ def test_info_counts_and_places_the_scene(splatree, small_tree):
     assert info["num_gaussians"] == NUM_GAUSSIANS
     assert info["num_nodes"] == len(scene) > NUM_GAUSSIANS
     assert info["levels"] == scene.tree.num_levels == len(info["nodes_per_depth"])
+    assert (info["record"]["rule"], info["record"]["profile"]) == ("radius-thinning", "exact")
+    assert info["record"]["steps"] == list(scene.tree.record.steps)
     assert sum(info["nodes_per_depth"]) == info["num_nodes"]
     assert info["sh_degree"] == 3
     assert info["box_min"] == [float(x) for x in scene.gaussians.means[scene.tree.is_leaf].min(axis=0)]
