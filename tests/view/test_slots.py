@@ -4,8 +4,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+from splatree.kernels.cpu.codec.nodes import pack_nodes
 from splatree.view import slots as module
-from splatree.view.nodes import pack_nodes
 from splatree.view.slots import Slots
 
 from .scenes import scene
@@ -44,7 +44,9 @@ def test_a_page_holds_the_cut_after_any_changes(seed, counts):
         mirror.take(slots.move(rows, FAR))
         assert mirror.live.sum() == count
         assert set(np.flatnonzero(mirror.live)) == set(slots.slots.tolist())
-        np.testing.assert_array_equal(mirror.words[slots.slots], pack_nodes(shown, rows, FAR, CENTRE))
+        np.testing.assert_array_equal(
+            mirror.words[slots.slots], pack_nodes(shown.gaussians, shown.tree, rows, FAR, CENTRE)
+        )
 
 
 def test_the_same_cut_again_sends_nothing():
@@ -74,7 +76,9 @@ def test_colours_follow_an_eye_that_moves_and_not_one_that_rests():
     assert len(change.tint) == 300
     assert not change.is_behind
     mirror.take(change)
-    np.testing.assert_array_equal(mirror.words[slots.slots], pack_nodes(shown, rows, there, CENTRE))
+    np.testing.assert_array_equal(
+        mirror.words[slots.slots], pack_nodes(shown.gaussians, shown.tree, rows, there, CENTRE)
+    )
 
 
 def test_a_scene_without_harmonics_sends_no_colours():

@@ -9,9 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from splatree.kernels.cpu.codec.nodes import pack_colors, pack_nodes
+from splatree.kernels.cpu.codec.slots import keep, release, stale
 from splatree.scene.scene import Scene
 from splatree.shapes import Array, Float64, Int32, UInt32
-from splatree.view.nodes import pack_colors, pack_nodes
 
 __all__ = ["Change", "Slots"]
 
@@ -31,7 +32,7 @@ class Change:
     add: UInt32[Array, "a"]
     """Slots that are filled; some may have fallen free by the same change."""
     nodes: UInt32[Array, "a 8"]
-    """What they are filled with (nodes.py)."""
+    """What they are filled with (kernels/reference/nodes.py)."""
     tint: UInt32[Array, "t"]
     """Slots whose colour changes."""
     colors: UInt32[Array, "t"]
@@ -54,9 +55,10 @@ class Slots:
         self._slot_after = np.zeros(
             len(scene), np.int32
         )  # slot + 1 of each row, 0 for none: zeros cost no memory at first
-        self._stamp = np.zeros(capacity, np.int32)  # the last step in which each slot was used
+        self._stamps = np.zeros(capacity, np.int32)  # the last step in which each slot was used
         self._step = 0
-        self._free = np.arange(capacity - 1, -1, -1, dtype=np.int32)  # a stack, its top at the end
+        self._free = np.arange(capacity - 1, -1, -1, dtype=np.int32)  # a stack of free slots …
+        self._num_free = capacity  # … up to here
         self._eyes = np.zeros((capacity, 3), np.float32) if scene.gaussians.sh_degree else None
         self._eye: Float64[Array, 3] | None = None
         self._is_behind = False
@@ -69,39 +71,29 @@ class Slots:
         return self._slot_after[self.rows] - 1
 
     def move(self, rows: Int32[Array, "v"], eye: Float64[Array, "3"]) -> Change:
-        """Let the page hold ``rows``, at most as many as there are slots, seen from ``eye``."""
+        """Let the page hold ``rows``, ascending, at most as many as there are slots, seen from ``eye``."""
         self._step += 1
-        slots = self._slot_after[rows] - 1
-        known = slots >= 0
-        kept, new = slots[known], rows[~known]
-        self._stamp[kept] = self._step
-        held = self.slots
-        gone = self._stamp[held] != self._step
-        drop = held[gone]
-        self._slot_after[self.rows[gone]] = 0
-        free = np.concatenate([self._free, drop])
-        self._free, add = free[: len(free) - len(new)], free[len(free) - len(new) :]
+        new = keep(rows, self._slot_after, self._stamps, self._step)
+        drop = release(self.rows, self._slot_after, self._stamps, self._step)
+        self._free[self._num_free : self._num_free + len(drop)] = drop
+        top = self._num_free + len(drop)
+        self._num_free = top - len(new)
+        add = self._free[self._num_free : top].copy()
         self._slot_after[new] = add + 1
-        self.rows = rows
-        tint, colors = self._tints(rows[known], kept, eye)
         if self._eyes is not None:
             self._eyes[add] = eye - self._centre
-        nodes = pack_nodes(self._scene, new, eye, self._centre)
-        return Change(
-            drop.astype(np.uint32), add.astype(np.uint32), nodes, tint.astype(np.uint32), colors, self._is_behind
-        )
+        self.rows = rows
+        nodes = pack_nodes(self._scene.gaussians, self._scene.tree, new, eye, self._centre)
+        tint, colors = self._tints(eye)
+        return Change(drop.view(np.uint32), add.view(np.uint32), nodes, tint.view(np.uint32), colors, self._is_behind)
 
-    def _tints(self, rows: Array, slots: Array, eye: Array) -> tuple[Array, Array]:
+    def _tints(self, eye: Array) -> tuple[Int32[Array, "t"], UInt32[Array, "t"]]:
         """The slots whose colours the eye has left behind, and their new colours."""
-        none = np.zeros(0, np.uint32)
         if self._eyes is None or (not self._is_behind and self._eye is not None and np.array_equal(eye, self._eye)):
-            return none, none
+            return np.zeros(0, np.int32), np.zeros(0, np.uint32)
         self._eye = eye
-        here = (eye - self._centre).astype(np.float32)
-        moved = ((self._eyes[slots] - here) ** 2).sum(axis=1)
-        distance = ((self._scene.gaussians.means[rows] - eye.astype(np.float32)) ** 2).sum(axis=1)
-        stale = np.flatnonzero(moved > EYE_SHARE**2 * distance)
-        self._is_behind = len(stale) > TINTS
-        stale = stale[:TINTS]
-        self._eyes[slots[stale]] = here
-        return slots[stale], pack_colors(self._scene, rows[stale], eye)
+        g, view = self._scene.gaussians, (eye, self._centre, EYE_SHARE)
+        rows, self._is_behind = stale(self.rows, self._slot_after, g.means, self._eyes, view, TINTS)
+        slots = self._slot_after[rows] - 1
+        self._eyes[slots] = eye - self._centre
+        return slots, pack_colors(g, rows, eye)

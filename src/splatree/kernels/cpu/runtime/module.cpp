@@ -31,6 +31,7 @@ void bind_partners(nb::module_& m);
 void bind_splat(nb::module_& m);
 void bind_cuda(nb::module_& m);
 void bind_packed(nb::module_& m);
+void bind_nodes(nb::module_& m);
 }  // namespace splatree
 
 NB_MODULE(_core, m) {
@@ -84,4 +85,5 @@ NB_MODULE(_core, m) {
   bind_splat(m);
   bind_cuda(m);
   bind_packed(m);
+  bind_nodes(m);
 }

@@ -1,0 +1,136 @@
+// A row at a time: what is gathered of it lies in five places of memory, which takes longer than the arithmetic.
+#include "cpu/codec/nodes.h"
+
+#include <cmath>
+
+#include "cpu/runtime/pool.h"
+#include "shared/harmonics.h"
+
+namespace splatree {
+namespace {
+
+constexpr int64_t ROWS_PER_CHUNK = 2048;
+constexpr float COLOR_MAX = 2.f, LOG_SCALE_MAX = 20.f;
+
+float held(float x, float low, float high) { return x < low ? low : x > high ? high : x; }
+
+uint32_t rounded(float x) { return static_cast<uint32_t>(std::nearbyint(x)); }
+
+uint32_t bits(float x) {
+  uint32_t word;
+  __builtin_memcpy(&word, &x, 4);
+  return word;
+}
+
+uint32_t color_of(const NodeColumns& columns, int64_t row, const double* eye) {
+  const float* mean = columns.means + 3 * row;
+  float basis[16];
+  float x = 0, y = 0, z = 0;
+  if (columns.degree) {
+    x = static_cast<float>(mean[0] - eye[0]), y = static_cast<float>(mean[1] - eye[1]), z = static_cast<float>(mean[2] - eye[2]);
+    const float length = std::sqrt(x * x + y * y + z * z), inverse = 1.f / (length > 1e-37f ? length : 1e-37f);
+    x *= inverse, y *= inverse, z *= inverse;
+  }
+  harmonics_of(x, y, z, columns.degree, basis, 1);
+  const int count = (columns.degree + 1) * (columns.degree + 1);
+  const float* sh = columns.sh + 3 * count * row;
+  float color[3] = {0.5f, 0.5f, 0.5f};
+  for (int k = 0; k < count; ++k)
+    for (int c = 0; c < 3; ++c) color[c] += basis[k] * sh[3 * k + c];
+  for (float& channel : color) channel = held(channel * (1 / COLOR_MAX), 0.f, 1.f);
+  return rounded(2047 * color[0]) | rounded(2047 * color[1]) << 11 | rounded(1023 * color[2]) << 22;
+}
+
+// The index of the largest component, and the others in their order, 16 bits each.
+int smallest_three(const float* quat, uint32_t (&small)[3]) {
+  double norm = 0;
+  int largest = 0;
+  for (int i = 0; i < 4; ++i) {
+    norm += static_cast<double>(quat[i]) * quat[i];
+    if (std::fabs(quat[i]) > std::fabs(quat[largest])) largest = i;
+  }
+  norm = std::sqrt(norm);
+  const double scale = (quat[largest] < 0 ? -1 : 1) * 32767 * 1.4142135623730951 / (norm > 1e-37 ? norm : 1e-37);
+  for (int i = 0, j = 0; i < 4; ++i)
+    if (i != largest) small[j++] = static_cast<uint32_t>(static_cast<int32_t>(std::nearbyint(quat[i] * scale))) & 0xffff;
+  return largest;
+}
+
+}  // namespace
+
+void pack_nodes(const NodeColumns& columns, const int32_t* subtree_end, const uint8_t* depth, const int32_t* rows, int64_t num_rows,
+                const double* eye, const double* centre, uint32_t* out, int threads) {
+  parallel_ranges(num_rows, ROWS_PER_CHUNK, threads, [&](int64_t begin, int64_t end) {
+    for (int64_t i = begin; i < end; ++i) {
+      const int64_t row = rows[i];
+      uint32_t* words = out + 8 * i;
+      for (int axis = 0; axis < 3; ++axis) words[axis] = bits(static_cast<float>(columns.means[3 * row + axis] - centre[axis]));
+      uint32_t small[3], scale[3];
+      const int largest = smallest_three(columns.quats + 4 * row, small);
+      for (int axis = 0; axis < 3; ++axis) {
+        const float share = held(columns.log_scales[3 * row + axis] * (1 / LOG_SCALE_MAX), -1.f, 1.f);
+        scale[axis] = rounded((share + 1.f) * 32767.5f);
+      }
+      const float opacity = 1.f / (1.f + std::exp(-columns.logit_opacities[row]));
+      const uint32_t level = (depth[row] < 127 ? depth[row] : 127) | (subtree_end[row] == row + 1) << 7;
+      words[3] = largest | level << 8 | rounded(65535 * opacity) << 16;
+      words[4] = color_of(columns, row, eye);
+      words[5] = small[0] | small[1] << 16;
+      words[6] = small[2] | scale[0] << 16;
+      words[7] = scale[1] | scale[2] << 16;
+    }
+  });
+}
+
+void pack_colors(const NodeColumns& columns, const int32_t* rows, int64_t num_rows, const double* eye, uint32_t* out, int threads) {
+  parallel_ranges(num_rows, ROWS_PER_CHUNK, threads, [&](int64_t begin, int64_t end) {
+    for (int64_t i = begin; i < end; ++i) out[i] = color_of(columns, rows[i], eye);
+  });
+}
+
+int64_t keep_slots(const int32_t* rows, int64_t num_rows, const int32_t* slot_after, int32_t* stamps, int32_t step, int32_t* out) {
+  int64_t count = 0;
+  for (int64_t i = 0; i < num_rows; ++i) {
+    const int32_t after = slot_after[rows[i]];
+    if (after)
+      stamps[after - 1] = step;
+    else
+      out[count++] = rows[i];
+  }
+  return count;
+}
+
+int64_t release_slots(const int32_t* held, int64_t num_held, int32_t* slot_after, const int32_t* stamps, int32_t step, int32_t* out) {
+  int64_t count = 0;
+  for (int64_t i = 0; i < num_held; ++i) {
+    const int32_t slot = slot_after[held[i]] - 1;
+    if (stamps[slot] == step) continue;
+    slot_after[held[i]] = 0;
+    out[count++] = slot;
+  }
+  return count;
+}
+
+int64_t stale_slots(const int32_t* rows, int64_t num_rows, const int32_t* slot_after, const float* means, const float* eyes,
+                    const double* eye, const double* centre, double share, int64_t limit, int32_t* out) {
+  float at[3], here[3];
+  for (int axis = 0; axis < 3; ++axis) {
+    at[axis] = static_cast<float>(eye[axis]);
+    here[axis] = static_cast<float>(eye[axis] - centre[axis]);
+  }
+  const float allowed = static_cast<float>(share * share);
+  int64_t count = 0;
+  for (int64_t i = 0; i < num_rows && count <= limit; ++i) {
+    const float* from = eyes + 3 * int64_t(slot_after[rows[i]] - 1);
+    const float* mean = means + 3 * int64_t(rows[i]);
+    float moved = 0, distance = 0;
+    for (int axis = 0; axis < 3; ++axis) {
+      moved += (from[axis] - here[axis]) * (from[axis] - here[axis]);
+      distance += (mean[axis] - at[axis]) * (mean[axis] - at[axis]);
+    }
+    if (moved > allowed * distance) out[count++] = rows[i];
+  }
+  return count;
+}
+
+}  // namespace splatree

@@ -1,0 +1,31 @@
+"""Nodes in 32 bytes, natively; kernels/reference/nodes.py is the definition."""
+
+import numpy as np
+
+from splatree.kernels.cpu import _core
+from splatree.kernels.reference.nodes import NODE_WORDS
+from splatree.scene.gaussians import Gaussians
+from splatree.scene.tree import GaussianTree
+from splatree.shapes import Array, Float64, Int32, UInt32
+
+__all__ = ["pack_colors", "pack_nodes"]
+
+
+def pack_nodes(
+    gaussians: Gaussians,
+    tree: GaussianTree,
+    rows: Int32[Array, "v"],
+    eye: Float64[Array, "3"],
+    centre: Float64[Array, "3"],
+) -> UInt32[Array, "v 8"]:
+    """The rows as words; colours are seen from ``eye``, means relative to ``centre``, world units."""
+    out = np.empty((len(rows), NODE_WORDS), np.uint32)
+    _core.pack_nodes(gaussians, tree, np.ascontiguousarray(rows), eye, centre, out)
+    return out
+
+
+def pack_colors(gaussians: Gaussians, rows: Int32[Array, "v"], eye: Float64[Array, "3"]) -> UInt32[Array, "v"]:
+    """The colours of rows seen from ``eye``, a word each."""
+    out = np.empty(len(rows), np.uint32)
+    _core.pack_colors(gaussians, np.ascontiguousarray(rows), eye, out)
+    return out
