@@ -124,6 +124,6 @@ def test_pages_show_commands():
 
 
 @pytest.mark.parametrize("page", [*PAGES, ROOT / "benchmarks" / "RESULTS.md"], ids=lambda page: page.name)
-def test_named_benchmarks_and_scripts_exist(page):
-    named = re.findall(r"`(?:python )?((?:benchmarks|scripts)/[\w./]+)", page.read_text())
+def test_named_benchmarks_scripts_and_sources_exist(page):
+    named = re.findall(r"`(?:python )?((?:benchmarks|scripts|src/splatree|tests|docs)/[\w./-]+\w)`", page.read_text())
     assert [name for name in named if not (ROOT / name).exists()] == []
