@@ -22,6 +22,8 @@ if TYPE_CHECKING:
         ShapeError,
         SplatreeError,
     )
+    from splatree.hardware.config import Machine
+    from splatree.hardware.study import Simulation, simulate
     from splatree.io.cameras.files import read_cameras, write_cameras
     from splatree.io.convert import Converted, ConvertOptions, convert
     from splatree.io.formats.splatree.head import SceneHead, common_head
@@ -97,6 +99,7 @@ __all__ = [
     "Groups",
     "InputError",
     "LevelRecord",
+    "Machine",
     "MergeOptions",
     "MissingExtraError",
     "OutputError",
@@ -112,6 +115,7 @@ __all__ = [
     "Selection",
     "ServeOptions",
     "ShapeError",
+    "Simulation",
     "SplatreeError",
     "StoredScene",
     "StreamOptions",
@@ -155,6 +159,7 @@ __all__ = [
     "scene_from_tensors",
     "select",
     "serve",
+    "simulate",
     "ssim",
     "stream",
     "thin",
@@ -197,6 +202,7 @@ _HOME = {
     "Groups": "splatree.scene.thinning",
     "InputError": "splatree.errors",
     "LevelRecord": "splatree.scene.levels",
+    "Machine": "splatree.hardware.config",
     "MergeOptions": "splatree.scene.thinning",
     "MissingExtraError": "splatree.errors",
     "OutputError": "splatree.errors",
@@ -211,6 +217,7 @@ _HOME = {
     "SelectOptions": "splatree.scene.options",
     "Selection": "splatree.scene.frame",
     "ShapeError": "splatree.errors",
+    "Simulation": "splatree.hardware.study",
     "SplatreeError": "splatree.errors",
     "StoredScene": "splatree.io.formats.splatree.rows",
     "ServeOptions": "splatree.stream.serve",
@@ -255,6 +262,7 @@ _HOME = {
     "scene_from_tensors": "splatree.render.tensors",
     "select": "splatree.lod.select",
     "serve": "splatree.stream.serve",
+    "simulate": "splatree.hardware.study",
     "ssim": "splatree.metrics.ssim",
     "stream": "splatree.stream.stream",
     "thin": "splatree.simplify.thin",

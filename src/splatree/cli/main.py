@@ -42,6 +42,7 @@ VERBS = {
     "stream": "write what viewers on the web load piece by piece",
     "serve": "serve streams to viewers on the web",
     "eval": "compare the levels of detail with all leaves, or with photographs",
+    "simulate": "simulate an accelerator on the frames of a scene, cycle by cycle",
     "bench": "run a table or a figure of a paper again",
     "formats": "list the formats that are read and written",
     "doctor": "say what is there to draw with: processor, GPU, driver, compiler",

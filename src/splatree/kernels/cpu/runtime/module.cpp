@@ -24,6 +24,7 @@ void bind_thin(nb::module_& m);
 void bind_select(nb::module_& m);
 void bind_clusters(nb::module_& m);
 void bind_cull(nb::module_& m);
+void bind_machine(nb::module_& m);
 void bind_rotate(nb::module_& m);
 void bind_quantize(nb::module_& m);
 void bind_baselines(nb::module_& m);
@@ -78,6 +79,7 @@ NB_MODULE(_core, m) {
   bind_select(m);
   bind_clusters(m);
   bind_cull(m);
+  bind_machine(m);
   bind_rotate(m);
   bind_quantize(m);
   bind_baselines(m);

@@ -1,0 +1,283 @@
+"""The machine: clocks, lanes, latencies, buffers, memory and number formats.
+
+Jo 2024 (§4 and Table II) fixes the clock, the bandwidth, the memory on the chip and the three engines. Everything else is an
+assumption: each field says where its default comes from. Sources: Jo = Jo 2024; GSCore = Lee 2024 (ASPLOS); Neo = the artefact of
+arXiv 2511.12930; LPDDR4 = DRAMsim3's LPDDR4_8Gb_x16_2400; ours = chosen here.
+"""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from splatree.errors import InputError
+from splatree.scene.literals import check_literals
+
+__all__ = ["BackEnd", "Dram", "Identification", "Machine", "Records", "Step1", "Step2"]
+
+Fidelity = Literal["L0", "L1", "L2"]
+"""How the DRAM is modelled: bandwidth and latency; with refresh, turns and jumps; with channels and banks."""
+
+Order = Literal["index", "morton", "frequency", "previous-frame", "two-level", "oracle", "adversarial"]
+"""In which order clusters are visited (Jo 2024, §4.3); `oracle` and `adversarial` bound what any order can gain."""
+
+Format = Literal["fp32", "fp16", "fixed"]
+"""Number format of the records in DRAM."""
+
+
+@dataclass(frozen=True)
+class Dram:
+    """The memory beside the chip."""
+
+    fidelity: Fidelity = "L1"
+    """`L0` bandwidth and latency; `L1` also refresh, turns between reading and writing, and jumps; `L2` channels and banks."""
+    bandwidth_gbps: float = 25.6
+    """Peak of all channels, 10⁹ bytes a second (Jo, Table II; four channels of LPDDR4-3200 x16 have exactly that)."""
+    latency_ns: float = 100.0
+    """From a request to its first line while nothing else waits (ours: 50 cycles of 500 MHz)."""
+    channels: int = 4
+    """Channels (Neo)."""
+    banks: int = 8
+    """Banks of a channel (LPDDR4)."""
+    line_bytes: int = 64
+    """Bytes of one request (Neo)."""
+    row_bytes: int = 2048
+    """Bytes of an open row (LPDDR4)."""
+    interleave_bytes: int = 256
+    """Consecutive bytes in one channel (ours)."""
+    window: int = 32
+    """Requests of a channel among which those of open rows go first, L2 (ours)."""
+    write_batch: int = 16
+    """Lines that wait before the bus turns to writing (ours)."""
+    activate_ns: float = 12.5
+    """tRCD: opening a row (LPDDR4, 15 cycles of 0.833 ns)."""
+    precharge_ns: float = 12.5
+    """tRP: closing it (LPDDR4)."""
+    row_active_ns: float = 26.7
+    """tRAS: least time that a row stays open (LPDDR4, 32 cycles)."""
+    activate_gap_ns: float = 10.0
+    """tRRD: between two activations of a channel (JEDEC LPDDR4)."""
+    four_activates_ns: float = 40.0
+    """tFAW: window of four activations (JEDEC LPDDR4)."""
+    turn_ns: float = 7.5
+    """Turn between reading and writing (ours)."""
+    refresh_ns: float = 326.5
+    """tRFC: length of a refresh (LPDDR4, 392 cycles)."""
+    refresh_interval_ns: float = 7213.8
+    """tREFI: from one refresh to the next (LPDDR4, 8,660 cycles); 0: none."""
+
+    def __post_init__(self) -> None:
+        check_literals(self)
+        _positive(
+            self, "dram", "bandwidth_gbps", "channels", "banks", "line_bytes", "row_bytes", "window", "write_batch"
+        )
+        _not_negative(self, "dram", "latency_ns", "refresh_ns", "refresh_interval_ns", "turn_ns")
+        if self.row_bytes % self.line_bytes or self.interleave_bytes % self.line_bytes:
+            raise InputError(
+                f"dram: found rows of {self.row_bytes} and turns of {self.interleave_bytes} bytes, wanted multiples of a "
+                f"line, {self.line_bytes}"
+            )
+        if self.banks > 64:
+            raise InputError(f"dram.banks: found {self.banks}, wanted at most 64")
+
+
+@dataclass(frozen=True)
+class Identification:
+    """Step 0: the cluster identification engine (CIE)."""
+
+    rule: Literal["exact", "paper"] = "exact"
+    """Four side planes, which lose nothing, or Eq. 3 of the paper without its division; the exact rule reads 8 bytes more."""
+    interval: int = 1
+    """Cycles from one cluster to the next: 1 is four rows of multipliers, 16 one shared column (ours)."""
+    latency: int = 8
+    """Cycles from the input to the output, both FIFOs included (measured on the RTL, `splatree rtl`)."""
+    record_fifo: int = 64
+    """Records of clusters that wait (ours)."""
+    selected_fifo: int = 16
+    """Kept clusters that wait for step 1 (ours)."""
+
+    def __post_init__(self) -> None:
+        check_literals(self)
+        _positive(self, "identification", "interval", "latency", "record_fifo", "selected_fifo")
+
+
+@dataclass(frozen=True)
+class Step1:
+    """Projection of means and covariances, and which Gaussians touch the picture."""
+
+    lanes: float = 4.0
+    """Gaussians a cycle (GSCore has four units of culling and conversion)."""
+    latency: int = 40
+    """Cycles of the pipeline (ours)."""
+    buffer_kb: float = 64.0
+    """One half of the ping-pong buffer, KiB (ours)."""
+
+    def __post_init__(self) -> None:
+        check_literals(self)
+        _positive(self, "step1", "lanes", "latency", "buffer_kb")
+
+
+@dataclass(frozen=True)
+class Step2:
+    """Colours of the survivors."""
+
+    lanes: float = 1.0
+    """Gaussians a cycle: 48 multipliers (ours)."""
+    latency: int = 30
+    """Cycles of the pipeline (ours)."""
+    buffer_kb: float = 128.0
+    """One half of the ping-pong buffer, KiB (ours)."""
+    streamed_share: float = 0.77
+    """Share of survivors in a run from which all of its colours are read in one piece; above 1: never. A gathered record of 196
+    bytes touches four lines, so 0.77 is where both take the same bytes."""
+
+    def __post_init__(self) -> None:
+        check_literals(self)
+        _positive(self, "step2", "lanes", "latency", "buffer_kb")
+
+
+@dataclass(frozen=True)
+class BackEnd:
+    """Distribution to tiles, sorting and blending."""
+
+    pairs_per_cycle: float = 4.0
+    """Pairs of splat and tile listed a cycle (ours)."""
+    bin_kb: float = 128.0
+    """Buffer of pairs that wait for their line, KiB (ours)."""
+    sort_keys: int = 16
+    """Keys that the bitonic unit takes a cycle (GSCore)."""
+    sort_kb: float = 32.0
+    """One half of the buffer of lists, KiB (ours)."""
+    sort_latency: int = 20
+    """Cycles of the sorter's pipeline (ours)."""
+    renderers: int = 2
+    """Tiles that are blended at once (ours; Neo has four)."""
+    lanes: int = 64
+    """Pixels of a renderer: one splat over one 8 × 8 px subtile a cycle (Neo)."""
+    blend_latency: int = 12
+    """Cycles of the blending pipeline (ours)."""
+    skips_subtiles: bool = True
+    """Whether a splat is evaluated only in the 8 × 8 px subtiles that its ellipse touches."""
+    overlaps: bool = False
+    """Whether the back end of one frame works beside the front end of the next."""
+    cache_kb: float = 128.0
+    """Cache of projected records, KiB (ours)."""
+    cache_ways: int = 8
+    """Ways of a set of the cache (ours)."""
+    tile_order: Literal["rows", "morton"] = "morton"
+    """Order in which tiles are drawn: row by row, or along a Morton curve, which finds more in the cache."""
+
+    def __post_init__(self) -> None:
+        check_literals(self)
+        _positive(self, "back", "pairs_per_cycle", "bin_kb", "sort_keys", "sort_kb", "renderers", "lanes", "cache_ways")
+        _not_negative(self, "back", "cache_kb", "sort_latency", "blend_latency")
+
+
+@dataclass(frozen=True)
+class Records:
+    """Bytes of what lies in DRAM."""
+
+    format: Format = "fp32"
+    """`fp32` as in the paper; `fp16` as in Neo; `fixed` as in SPZ: 24-bit means, 8-bit scales and harmonics."""
+
+    def __post_init__(self) -> None:
+        check_literals(self)
+
+    def cluster(self, *, exact: bool) -> int:
+        """A cluster: centre, radius, first row, count; the exact rule also reads the radius of the means, padded."""
+        return 32 if exact else 24
+
+    @property
+    def geometry(self) -> int:
+        """A Gaussian in step 1: mean, scale, quaternion."""
+        return {"fp32": 40, "fp16": 20, "fixed": 16}[self.format]
+
+    def color(self, coefficients: int) -> int:
+        """A Gaussian in step 2: harmonics of three channels, opacity."""
+        return (3 * coefficients + 1) * {"fp32": 4, "fp16": 2, "fixed": 1}[self.format]
+
+    @property
+    def splat(self) -> int:
+        """A projected record."""
+        return 44 if self.format == "fp32" else 22
+
+    @property
+    def pair(self) -> int:
+        """An entry of a tile's list: depth and index."""
+        return 8 if self.format == "fp32" else 6
+
+
+@dataclass(frozen=True)
+class Machine:
+    """An accelerator."""
+
+    name: str = "jo2024"
+    """Name in tables."""
+    clock_mhz: float = 500.0
+    """Clock of the chip (Jo, Table II)."""
+    clustering: bool = True
+    """Whether clusters are identified; without, every Gaussian is read."""
+    ping_pong: bool = True
+    """Whether the engines have two halves of a buffer, or one."""
+    order: Order = "frequency"
+    """Order in which clusters are visited (Jo, §4.3: "high usage frequencies")."""
+    sram_kb: float = 1024.0
+    """All memory on the chip, KiB (Jo, Table II)."""
+    static_w: float = 0.3
+    """Power that is drawn whatever happens, W (ours)."""
+    dram: Dram = field(default_factory=Dram)
+    """The memory beside the chip."""
+    identification: Identification = field(default_factory=Identification)
+    """Step 0."""
+    step1: Step1 = field(default_factory=Step1)
+    """Projection."""
+    step2: Step2 = field(default_factory=Step2)
+    """Colours."""
+    back: BackEnd = field(default_factory=BackEnd)
+    """Tiles."""
+    records: Records = field(default_factory=Records)
+    """Bytes of records."""
+
+    def __post_init__(self) -> None:
+        check_literals(self)
+        _positive(self, "machine", "clock_mhz", "sram_kb")
+        _not_negative(self, "machine", "static_w")
+        if self.rows_of_step1 < 1 or self.rows_of_step2(1) < 1:
+            raise InputError(
+                "machine: found a buffer that holds no record, wanted room for at least one; enlarge buffer_kb"
+            )
+        halves = 2 if self.ping_pong else 1
+        buffers = halves * (self.step1.buffer_kb + self.step2.buffer_kb + self.back.sort_kb)
+        buffers += self.back.bin_kb + self.back.cache_kb
+        if buffers > self.sram_kb:
+            raise InputError(
+                f"machine.sram_kb: found {self.sram_kb:g} KiB, wanted at least the {buffers:g} KiB of its buffers"
+            )
+
+    def cycles(self, nanoseconds: float) -> float:
+        """Cycles of the chip's clock."""
+        return nanoseconds * self.clock_mhz / 1e3
+
+    @property
+    def bytes_per_cycle(self) -> float:
+        """DRAM's peak bytes in a cycle of the chip's clock."""
+        return self.dram.bandwidth_gbps * 1e3 / self.clock_mhz
+
+    @property
+    def rows_of_step1(self) -> int:
+        """Gaussians in one half of the buffer of step 1."""
+        return int(self.step1.buffer_kb * 1024 // self.records.geometry)
+
+    def rows_of_step2(self, coefficients: int) -> int:
+        """Gaussians in one half of the buffer of step 2, with what step 1 left of them."""
+        return int(self.step2.buffer_kb * 1024 // (self.records.color(coefficients) + self.records.splat))
+
+
+def _positive(options: object, group: str, *names: str) -> None:
+    for name in names:
+        if not 0 < getattr(options, name) < 1e12:
+            raise InputError(f"{group}.{name}: found {getattr(options, name)!r}, wanted more than 0")
+
+
+def _not_negative(options: object, group: str, *names: str) -> None:
+    for name in names:
+        if not 0 <= getattr(options, name) < 1e12:
+            raise InputError(f"{group}.{name}: found {getattr(options, name)!r}, wanted 0 or more")

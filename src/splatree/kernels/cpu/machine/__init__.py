@@ -1,0 +1,1 @@
+"""The accelerator's cycle-stepped core, which `splatree.hardware` drives."""
