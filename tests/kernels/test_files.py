@@ -1,8 +1,9 @@
 import sys
 
+import numpy as np
 import pytest
 
-from splatree.kernels.cpu.runtime.files import reserve
+from splatree.kernels.cpu.runtime.files import reserve, write_at
 
 TOO_MUCH = 1 << 61
 """Bytes; no disk has them."""
@@ -30,3 +31,14 @@ def test_nothing_to_reserve_is_no_error(tmp_path):
         with pytest.raises(ValueError, match="no less than 0"):
             reserve(file, -1)
     assert (tmp_path / "a").stat().st_size == 0
+
+
+def test_bytes_are_written_at_their_place(tmp_path):
+    path = tmp_path / "a"
+    with path.open("wb", buffering=0) as file:
+        write_at(file, 4, np.arange(3, dtype=np.uint16)[::-1])
+        write_at(file, 0, b"abcd")
+        write_at(file, 2, b"")
+    assert path.read_bytes() == b"abcd\2\0\1\0\0\0"
+    with path.open("rb") as file, pytest.raises(OSError, match="Bad file descriptor"):
+        write_at(file, 0, b"a")

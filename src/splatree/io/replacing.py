@@ -8,6 +8,8 @@ from pathlib import Path
 from splatree.errors import OutputError, SplatreeError
 from splatree.progress import renamed
 
+ON_WINDOWS = os.name == "nt"
+
 
 @contextmanager
 def replacing(path: str | os.PathLike[str], *, force: bool = False) -> Iterator[Path]:
@@ -31,14 +33,21 @@ def replacing(path: str | os.PathLike[str], *, force: bool = False) -> Iterator[
             yield temporary
         _flush(temporary, os.O_RDWR)
         temporary.replace(target)
-        _flush(target.parent, os.O_RDONLY)
+        if not ON_WINDOWS:  # which opens no folders; its file systems write the new name down themselves
+            _flush(target.parent, os.O_RDONLY)
     except SplatreeError as error:
         # A writer knows the file by its temporary name alone.
         error.args = tuple(str(part).replace(str(temporary), str(path)) for part in error.args)
         raise
     except OSError as error:
+        is_open = ON_WINDOWS and isinstance(error, PermissionError) and target.exists()
+        advice = (
+            "; Windows replaces no file that is open or mapped: close the scene that was read from it"
+            if is_open
+            else ""
+        )
         raise OutputError(
-            f"{path}: could not be written ({error.strerror or error}); the old file, if any, is whole"
+            f"{path}: could not be written ({error.strerror or error}); the old file, if any, is whole{advice}"
         ) from error
     finally:
         temporary.unlink(missing_ok=True)

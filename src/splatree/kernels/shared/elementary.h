@@ -32,13 +32,14 @@ SPLATREE_FN float exp2_within(float x) {
   p = p * f + 2.402212024e-1f;
   p = p * f + 6.931469440e-1f;
   p = p * f + 1.f;
-  return float_of(bits_of(p) + (bits_of(shifted) << 23));
+  // Unsigned: what is shifted out, and anything for other x, is no overflow.
+  return float_of(int(unsigned(bits_of(p)) + (unsigned(bits_of(shifted)) << 23)));
 }
 
 // log2 of a positive normal number with an absolute error of about 1e-7 max(1, |log2 x|).
 SPLATREE_FN float log2_of(float x) {
-  const int exponent = (bits_of(x) - 0x3f3504f3) >> 23;  // so that 1 + f is in [√½, √2)
-  const float f = float_of(bits_of(x) - exponent * (1 << 23)) - 1.f;
+  const int exponent = int(unsigned(bits_of(x)) - 0x3f3504f3u) >> 23;  // so that 1 + f is in [√½, √2)
+  const float f = float_of(int(unsigned(bits_of(x)) - (unsigned(exponent) << 23))) - 1.f;
   // Minimax polynomial of degree 8 for log2(1 + f) / f, absolute error 6.7e-09.
   float p = 1.254124186e-01f;
   p = p * f - 2.103033353e-01f;

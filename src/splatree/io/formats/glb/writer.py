@@ -5,7 +5,6 @@ where it belongs, and the JSON, which holds the bounds of the means, into the ro
 """
 
 import json
-import os
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -22,6 +21,7 @@ from splatree.io.formats.glb.container import GLB_BYTES_MAX, MAGIC
 from splatree.io.formats.glb.reader import EXTENSION, GLTF_AXES, SPZ_EXTENSION
 from splatree.io.formats.spz import format as spz
 from splatree.io.options import WriteOptions
+from splatree.kernels.cpu.runtime.files import write_at
 from splatree.maths.axes import harmonic_signs, quat_signs, signs_between
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
@@ -93,14 +93,14 @@ def _write_plain(chunks: Chunks, file: BinaryIO, path: Path) -> tuple[str, ...]:
         for g in chunks:
             refuse_unusable(g, "scene to write", first_row=begin)
             for attribute, start, values in zip(attributes, starts, _columns(g), strict=False):
-                _write_at(file, at + start + begin * attribute.row_bytes, values)
+                write_at(file, at + start + begin * attribute.row_bytes, values)
             means = g.means * _SIGNS
             low, high = np.minimum(low, means.min(axis=0)), np.maximum(high, means.max(axis=0))
             begin += len(g)
             advance(len(g))
     bounds = np.stack([low, high]) if n else np.zeros((2, 3))
     text = _json(chunks, attributes, bounds, views, starts[-1], packed=False).ljust(room)
-    _write_at(file, 0, _head(text, starts[-1]))
+    write_at(file, 0, _head(text, starts[-1]))
     return ()
 
 
@@ -200,11 +200,3 @@ def _columns(g: Gaussians) -> Iterator[Array]:
     yield opacities.astype(np.float32)
     for k, sign in enumerate(harmonic_signs(_SIGNS, g.sh_degree)):
         yield g.sh[:, k] * sign
-
-
-def _write_at(file: BinaryIO, offset: int, data: bytes | Array) -> None:
-    """All bytes: the system may take a part of them."""
-    view = memoryview(data if isinstance(data, bytes) else data.tobytes())
-    while len(view):
-        written = os.pwrite(file.fileno(), view, offset)
-        view, offset = view[written:], offset + written

@@ -9,6 +9,7 @@
 namespace splatree {
 namespace {
 
+constexpr double LN_2 = 0.69314718055994531;
 constexpr float INFINITE = std::numeric_limits<float>::infinity();
 
 // Corners of a box that grows; NaN is never drawn and passed over.
@@ -34,7 +35,7 @@ float greater(float a, float b) { return a > b ? a : b; }  // and here
 uint8_t class_of(const float* log_scales, float log_third) {
   const float a = log_scales[0], b = log_scales[1], c = log_scales[2];
   const float middle = lesser(log_third, greater(lesser(a, b), lesser(greater(a, b), c)));
-  const double size_class = std::floor(middle * (CLASSES_PER_OCTAVE / M_LN2)) + CLASS_OF_UNIT;
+  const double size_class = std::floor(middle * (CLASSES_PER_OCTAVE / LN_2)) + CLASS_OF_UNIT;
   return uint8_t(size_class > 0 ? size_class < LEAF_CLASS - 1 ? size_class : LEAF_CLASS - 1 : 0);
 }
 

@@ -4,6 +4,7 @@
 #include <stdexcept>
 #include <system_error>
 
+#include "cpu/runtime/arrays.h"
 #include "cpu/runtime/files.h"
 
 namespace nb = nanobind;
@@ -26,10 +27,23 @@ void bind_files(nb::module_& m) {
     try {
       std::rethrow_exception(thrown);
     } catch (const std::system_error& error) {
+#ifdef _WIN32
+      if (error.code().category() == std::system_category()) {
+        PyErr_SetFromWindowsErr(error.code().value());
+        return;
+      }
+#endif
       errno = error.code().value();
       PyErr_SetFromErrno(PyExc_OSError);
     }
   });
+  m.def(
+      "write_at",
+      [](int file, In<uint8_t> data, int64_t at) {
+        nb::gil_scoped_release released;
+        write_at(file, data.data(), int64_t(data.size()), at);
+      },
+      "file"_a, "data"_a, "at"_a);
   m.def("reserve", &bind_reserve, "file"_a, "num_bytes"_a);
 }
 

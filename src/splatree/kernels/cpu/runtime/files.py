@@ -1,10 +1,13 @@
-"""Room on the disk for a file that is about to be written."""
+"""Room on the disk for a file that is about to be written, and bytes at places of it, on every system."""
 
 from typing import BinaryIO
 
-from splatree.kernels.cpu import _core
+import numpy as np
 
-__all__ = ["reserve"]
+from splatree.kernels.cpu import _core
+from splatree.shapes import Array
+
+__all__ = ["reserve", "write_at"]
 
 
 def reserve(file: BinaryIO, num_bytes: int) -> None:
@@ -16,3 +19,13 @@ def reserve(file: BinaryIO, num_bytes: int) -> None:
         OSError: there is not as much room.
     """
     _core.reserve(file.fileno(), num_bytes)
+
+
+def write_at(file: BinaryIO, offset: int, data: bytes | Array) -> None:
+    """Write all bytes at a place of an open, unbuffered file; several threads may write to different places at once.
+
+    Raises:
+        OSError: the system refuses.
+    """
+    flat = np.frombuffer(data if isinstance(data, bytes) else np.ascontiguousarray(data).data.cast("B"), np.uint8)
+    _core.write_at(file.fileno(), flat, offset)

@@ -12,21 +12,41 @@
   static Kernels table(const char* name) { return {name SPLATREE_KERNELS(SPLATREE_ENTRY)}; } \
   }
 
-#if defined(__x86_64__)
+// The levels that CMakeLists.txt compiles.
+#ifdef SPLATREE_LEVEL_v4
 SPLATREE_DECLARE(isa_v4)
+#endif
+#ifdef SPLATREE_LEVEL_v3
 SPLATREE_DECLARE(isa_v3)
+#endif
+#ifdef SPLATREE_LEVEL_v2
 SPLATREE_DECLARE(isa_v2)
-#else
+#endif
+#ifdef SPLATREE_LEVEL_native
 SPLATREE_DECLARE(isa_native)
 #endif
 
 namespace splatree {
 namespace {
 
-#if defined(__x86_64__)
-const Kernels tables[] = {isa_v4::table("v4"), isa_v3::table("v3"), isa_v2::table("v2")};
+// Best first.
+const Kernels tables[] = {
+#ifdef SPLATREE_LEVEL_v4
+    isa_v4::table("v4"),
+#endif
+#ifdef SPLATREE_LEVEL_v3
+    isa_v3::table("v3"),
+#endif
+#ifdef SPLATREE_LEVEL_v2
+    isa_v2::table("v2"),
+#endif
+#ifdef SPLATREE_LEVEL_native
+    isa_native::table("native"),
+#endif
+};
 
 bool runs(const Kernels& table) {
+#if defined(__x86_64__)
   // The levels of the x86-64 psABI.
   switch (table.isa[1]) {
     case '4':
@@ -34,15 +54,13 @@ bool runs(const Kernels& table) {
              __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512vl");
     case '3':
       return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") && __builtin_cpu_supports("bmi2");
-    default:
+    case '2':
       return __builtin_cpu_supports("sse4.2") && __builtin_cpu_supports("popcnt");
   }
-}
-#else
-const Kernels tables[] = {isa_native::table("native")};
-
-bool runs(const Kernels&) { return true; }
 #endif
+  (void)table;
+  return true;  // native: what the compiler takes for granted
+}
 
 const Kernels* best() {
   for (const Kernels& table : tables)

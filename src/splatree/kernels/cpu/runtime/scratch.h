@@ -9,11 +9,18 @@
 #ifdef __linux__
 #include <sys/mman.h>
 #endif
+#ifdef _WIN32
+#include <malloc.h>
+#endif
 
 namespace splatree {
 
 struct Free {
+#ifdef _WIN32
+  void operator()(void* p) const { _aligned_free(p); }
+#else
   void operator()(void* p) const { std::free(p); }
+#endif
 };
 
 template <class T>
@@ -25,7 +32,11 @@ Scratch<T> allocate(int64_t count) {
   const size_t bytes = size_t(count) * sizeof(T);
   const size_t alignment = bytes >= 2 * huge ? huge : 64;
   const size_t rounded = (bytes / alignment + 1) * alignment;
+#ifdef _WIN32
+  void* p = _aligned_malloc(rounded, alignment);
+#else
   void* p = std::aligned_alloc(alignment, rounded);
+#endif
   if (!p) throw std::bad_alloc();
 #ifdef MADV_HUGEPAGE
   if (alignment == huge) madvise(p, rounded, MADV_HUGEPAGE);
