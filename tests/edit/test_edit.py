@@ -10,7 +10,7 @@ import splatree
 from splatree import Camera, EditOptions, Gaussians, InputError, Scene, SelectOptions, build_lod, edit, psnr, render
 from splatree.edit.edit import edit_rows
 from splatree.edit.rows import keep_leaves
-from splatree.edit.similarity import Similarity, similarity_from_options
+from splatree.edit.similarity import Similarity, move_from_options
 from splatree.lod.select import select
 
 COLUMNS = ("means", "quats", "log_scales", "logit_opacities", "sh")
@@ -38,7 +38,7 @@ def test_the_moved_scene_looks_the_same_from_the_moved_camera(city, mode):
     middle = np.median(city.gaussians.means, axis=0).astype(np.float64)
     camera = Camera.look_at(middle + [30, -90, -120], middle, width=160, height=90)
     image = render(scene, camera).image
-    again = render(edit(scene, MOVE), moved_camera(camera, similarity_from_options(MOVE))).image
+    again = render(edit(scene, MOVE), moved_camera(camera, move_from_options(MOVE).similarity)).image
     # The goal. What is left is float32 in means some hundred units from the origin: 1e-5 of a pixel's width.
     assert image.std() > 0.05 and psnr(again, image) > 60
 
@@ -49,7 +49,7 @@ def test_harmonics_turn_with_the_scene(city):
     camera = Camera.look_at(middle + [30, -90, -120], middle, width=160, height=90)
     turned = edit(city, MOVE)
     kept = replace(turned, gaussians=replace(turned.gaussians, sh=city.gaussians.sh))
-    image = render(kept, moved_camera(camera, similarity_from_options(MOVE))).image
+    image = render(kept, moved_camera(camera, move_from_options(MOVE).similarity)).image
     assert psnr(image, render(city, camera).image) < 40
 
 
@@ -80,7 +80,7 @@ def test_rows_are_edited_as_the_scene_is(city, options):
     """Chunk by chunk gives the same bits as the whole: no row depends on its place."""
     whole = edit(city, options).gaussians
     few = [city.gaussians.take(np.arange(begin, min(begin + 1000, len(city)))) for begin in range(0, len(city), 1000)]
-    parts = Gaussians.concatenate([edit_rows(part, options) for part in few])
+    parts = Gaussians.concatenate([edit_rows(part, options, move_from_options(options)) for part in few])
     assert len(whole) > 0 and all(getattr(whole, c).tobytes() == getattr(parts, c).tobytes() for c in COLUMNS)
 
 
@@ -130,7 +130,7 @@ def test_a_moved_tree_keeps_its_levels_and_bounds(tree):
     camera = Camera.look_at(middle + [30, -90, -120], middle, width=160, height=90)
     options = SelectOptions(pixel_error=8)
     before = select(tree, camera, options).rows
-    after = select(moved, moved_camera(camera, similarity_from_options(MOVE)), options).rows
+    after = select(moved, moved_camera(camera, move_from_options(MOVE).similarity), options).rows
     # The same cut, but for nodes whose radius rounds to the other side of the limit.
     assert len(np.setxor1d(before, after)) <= 0.002 * len(before) and len(before) > 50
 

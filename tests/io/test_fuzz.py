@@ -104,7 +104,11 @@ def read_any(path: Path, repair: bool) -> None:
     else:
         checked(scene, "accepted", repair=False)
         assert np.isfinite(scene.tree.extents).all()
-    found = detect(path)
+    try:
+        found = detect(path)
+    except SplatreeError:  # an empty file, or what a server sent in the place of one
+        assert scene is None
+        return
     if found is not None and found.read_chunks is not None:
         check_chunks(found, path, repair, scene)
 

@@ -10,7 +10,7 @@ from tyro.conf import arg
 
 from splatree.cli.calibrate import Views, in_words, training_views, views_in_words
 from splatree.cli.console import Console, UsageError, size, table
-from splatree.cli.files import Files, inputs_and_output, read_scene, repairs_of, told
+from splatree.cli.files import Files, inputs_and_output, lost_and_noted, read_scene, repairs_of, told
 from splatree.clusters.build import ClusterOptions, build_clusters
 from splatree.io.photos import PhotosUsed
 from splatree.io.registry import read_levels, stored_bytes, write
@@ -78,7 +78,7 @@ class Built:
     photographs: PhotosUsed | None = None
     """Which photographs it was chosen with; None if none were given."""
     notes: tuple[str, ...] = ()
-    """What the reader of the cameras chose or left out."""
+    """What the readers of the scene and of the cameras did that the user should know, a sentence each."""
 
 
 def run(command: Command) -> Built:
@@ -99,9 +99,10 @@ def run(command: Command) -> Built:
         scene = build_clusters(scene, command.clusters, command.clustering)
     calibration = None
     if views is not None:
+        views = views.relative_to(scene)
         calibration = calibrate(scene, views.cameras, command.calibration, photos=views.photos)
         scene = calibrated(scene, calibration, held_out=views.rule)
-    lost = write(scene, output, force=command.files.force)
+    lost, notes = lost_and_noted(scene, write(scene, output, force=command.files.force))
     report = report_levels(scene)
     return Built(
         output=output,
@@ -118,7 +119,7 @@ def run(command: Command) -> Built:
         lost=lost,
         calibration=calibration,
         photographs=None if views is None else views.used,
-        notes=() if views is None else views.notes,
+        notes=(*notes, *(() if views is None else views.notes)),
     )
 
 

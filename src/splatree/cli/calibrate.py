@@ -1,10 +1,11 @@
 """``splatree calibrate``: choose τ, the opacity at which splats end, and keep it in the scene."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
 from tyro.conf import arg
 
 from splatree.cli.console import Console, table
@@ -18,6 +19,7 @@ from splatree.render.calibrate import CalibrateOptions, Calibration, calibrate, 
 from splatree.render.paths import PathOptions, flyout, orbit
 from splatree.scene.cameras import Camera
 from splatree.scene.options import RenderOptions, SelectOptions
+from splatree.scene.scene import Scene
 
 
 @dataclass(frozen=True)
@@ -50,6 +52,11 @@ class TrainingViews:
     """Which views were left out, and of how many."""
     notes: tuple[str, ...] = ()
     """What the reader of the cameras chose or left out."""
+
+    def relative_to(self, scene: Scene) -> "TrainingViews":
+        """The same views in the coordinates of a scene with an origin."""
+        origin = np.asarray(scene.source.origin)
+        return replace(self, cameras=[camera.moved(origin) for camera in self.cameras]) if origin.any() else self
 
     @property
     def used(self) -> PhotosUsed | None:
@@ -95,7 +102,9 @@ def run(command: Command) -> Calibrated:
     inputs, output = (paths, paths[0]) if in_place else inputs_and_output(command.files, keeps_tree=True)
     views = training_views(command.views)
     scene = read_scene(inputs, command.files.reading)
-    if views is None:
+    if views is not None:
+        views = views.relative_to(scene)
+    else:
         made = {"orbit": orbit, "flyout": flyout}[command.path](scene, command.made)
         views = TrainingViews(list(made), None, "")
     held_out = views.rule

@@ -11,7 +11,7 @@ from splatree.cli.files import Files, inputs_and_output, told
 from splatree.edit.options import EditOptions
 from splatree.errors import InputError
 from splatree.io.convert import ConvertOptions, convert
-from splatree.io.options import ReadOptions, WriteOptions
+from splatree.io.options import ReadOptions, Repair, WriteOptions
 from splatree.io.registry import stored_bytes
 
 
@@ -53,13 +53,16 @@ class Result:
     """What of the inputs the file does not hold, a sentence each."""
     in_chunks: bool
     """Whether it went in chunks, with bounded memory."""
+    notes: tuple[str, ...] = ()
+    """What reading did that the user should know, a sentence each."""
 
 
 def run(command: Command) -> Result:
     """Read, edit, write."""
     inputs, output = inputs_and_output(command.files, options=command.options)
     reading = command.files.reading
-    read = ReadOptions(command.level, "drop" if command.drop_invalid else reading.repair, reading.input_axes)
+    repair: Repair = "drop" if command.drop_invalid else reading.repair
+    read = ReadOptions(command.level, repair, reading.input_axes, reading.ignore_properties)
     try:
         options = ConvertOptions(read, command.edit, command.options, command.depth)
     except InputError as error:
@@ -73,6 +76,7 @@ def run(command: Command) -> Result:
         repairs=done.repairs,
         lost=done.lost,
         in_chunks=done.in_chunks,
+        notes=done.notes,
     )
 
 
@@ -80,4 +84,4 @@ def show(result: Result) -> str:
     """The result in words."""
     of = f" of {result.num_read:,}" if result.num_read != result.num_gaussians else ""
     wrote = f"wrote {result.output}: {result.num_gaussians:,}{of} Gaussians, {size(result.bytes)}"
-    return "\n".join([wrote, *told(result.repairs, result.lost)])
+    return "\n".join([wrote, *told(result.repairs, result.lost, result.notes)])

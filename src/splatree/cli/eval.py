@@ -10,7 +10,7 @@ import numpy as np
 from tyro.conf import Positional, arg
 
 from splatree.cli.console import Console, UsageError, table
-from splatree.cli.files import Reading, check_inputs, read_scene
+from splatree.cli.files import Reading, check_inputs, lost_and_noted, read_scene
 from splatree.errors import InputError
 from splatree.io.cameras.files import read_cameras
 from splatree.io.cameras.split import split_views
@@ -138,7 +138,7 @@ class Evaluated:
     photographs: PhotosUsed | None = None
     """Which photographs were used, and which are missing; None if none were given."""
     notes: tuple[str, ...] = ()
-    """What the reader of the cameras chose or left out."""
+    """What the readers of the scene and of the cameras did that the user should know, a sentence each."""
 
 
 def run(command: Command) -> Evaluated:
@@ -150,9 +150,8 @@ def run(command: Command) -> Evaluated:
     if command.training and command.data is None:
         raise UsageError("training: found no --data, wanted photographs; without them no view is held out")
     source = command.cameras or command.data
-    named = None if source is None else read_cameras(source)
     scene = with_blocks(read_scene(command.paths, command.reading)).to(command.device)
-    cameras = flyout(scene, command.made) if named is None else named
+    cameras = flyout(scene, command.made) if source is None else read_cameras(source, origin=scene.source.origin)
     photos = None if command.data is None else Photos(command.data, cameras.views)
     held_out, training, compared_with = _views(cameras.views if photos is None else photos.views, command)
     if photos is not None:
@@ -195,7 +194,7 @@ def run(command: Command) -> Evaluated:
         training_mean=_means([view for view in views if not view.held_out]),
         views=views,
         photographs=None if photos is None else photos.used,
-        notes=cameras.notes,
+        notes=(*lost_and_noted(scene)[1], *cameras.notes),
     )
 
 

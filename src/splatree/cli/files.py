@@ -10,6 +10,7 @@ from tyro.conf import Positional, arg
 
 from splatree.cli.console import UsageError
 from splatree.errors import InputError, OutputError
+from splatree.io.notes import notes_in, sentences_in
 from splatree.io.options import WriteOptions
 from splatree.io.registry import FOLDER_FILE, format_to_write, formats, read
 from splatree.io.replacing import check_target
@@ -25,6 +26,8 @@ class Reading:
     """Fix or drop values that cannot be used, and count them, instead of stopping."""
     input_axes: AxesName | None = None
     """Where x, y, z point in an .spz that does not say it: left or right, up or down, front or back; None: RDF, as in a .ply."""
+    ignore_properties: bool = False
+    """Read a .ply whose other properties change the picture (motion, other kernels) without them, and say what is lost."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +55,13 @@ def check_inputs(paths: tuple[Path, ...]) -> None:
 
 def read_scene(paths: Sequence[Path], reading: Reading, *, level: int | None = None) -> Scene:
     """One scene from all paths."""
-    return read(paths, level=level, repair=reading.repair, axes=reading.input_axes)
+    return read(
+        paths,
+        level=level,
+        repair=reading.repair,
+        axes=reading.input_axes,
+        ignore_properties=reading.ignore_properties,
+    )
 
 
 def repairs_of(scene: Scene) -> dict[str, int]:
@@ -60,10 +69,18 @@ def repairs_of(scene: Scene) -> dict[str, int]:
     return dict(json.loads(scene.source.metadata.get("repairs", "{}")))
 
 
-def told(repairs: Mapping[str, int], lost: Sequence[str]) -> list[str]:
-    """What reading changed and writing lost, a line each."""
+def lost_and_noted(scene: Scene, lost: Sequence[str] = ()) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """What reading and writing a scene lost, and what the reader noted, a sentence each."""
+    metadata = scene.source.metadata
+    both = dict.fromkeys((*sentences_in(metadata, "lost"), *lost))
+    return tuple(both), notes_in(metadata, scene.source.origin)
+
+
+def told(repairs: Mapping[str, int], lost: Sequence[str], notes: Sequence[str] = ()) -> list[str]:
+    """What reading changed and noted, and what reading and writing lost, a line each."""
     counts = ", ".join(f"{rule} {count:,}" for rule, count in repairs.items())
-    return [*([f"repaired: {counts}"] if repairs else []), *(f"lost: {sentence}" for sentence in lost)]
+    lines = [f"repaired: {counts}"] if repairs else []
+    return [*lines, *(f"note: {note}" for note in notes), *(f"lost: {sentence}" for sentence in lost)]
 
 
 def inputs_and_output(

@@ -1,5 +1,6 @@
 """``splatree info``: what a scene holds."""
 
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -9,9 +10,11 @@ from tyro.conf import Positional, arg
 
 from splatree.cli.console import Console, size, table
 from splatree.cli.files import Reading, check_inputs, read_scene
+from splatree.io.notes import origin_in_words, sentences_in
 from splatree.io.registry import stored_bytes
 from splatree.render.paths import bounds_of
 from splatree.scene.levels import LevelRecord
+from splatree.scene.origin import NO_ORIGIN, STEPS_PER_SIGMA, Origin, coarsest_step
 from splatree.scene.scene import Scene
 
 
@@ -65,6 +68,10 @@ class Info:
     """Largest coordinates of the centres, world units."""
     centre: tuple[float, ...]
     """Median of the centres, weighted by opacity."""
+    origin: Origin
+    """Where the zero of the scene lies: what its coordinates are relative to in memory."""
+    coordinate_step: float
+    """Distance of neighbouring float32 numbers at the scene's coordinates, world units."""
     radius: float
     """Distance from there that holds 90 % of the opacity, world units."""
     opacity: dict[str, float]
@@ -86,6 +93,7 @@ def describe(scene: Scene) -> Info:
     leaves = scene.gaussians.take(scene.tree.is_leaf)
     opacities = 1 / (1 + np.exp(-leaves.logit_opacities.astype(np.float64)))
     centre, radius = bounds_of(scene) if len(scene) else (np.zeros(3), 0.0)
+    origin = np.asarray(scene.source.origin)
     box = leaves.means if len(leaves) else np.zeros((1, 3), np.float32)
     return Info(
         paths=scene.source.paths,
@@ -102,14 +110,20 @@ def describe(scene: Scene) -> Info:
         tile_rule=scene.tile_rule or "ellipse",
         file_bytes=sum(stored_bytes(Path(path)) for path in scene.source.paths),
         bytes=scene.gaussians.nbytes,
-        box_min=tuple(float(x) for x in box.min(axis=0)),
-        box_max=tuple(float(x) for x in box.max(axis=0)),
-        centre=tuple(float(x) for x in centre),
+        box_min=_point(box.min(axis=0) + origin),
+        box_max=_point(box.max(axis=0) + origin),
+        centre=_point(centre + origin),
+        origin=scene.source.origin,
+        coordinate_step=coarsest_step(float(np.abs(centre).max())),
         radius=radius,
         opacity=_quantiles(opacities),
         scale=_quantiles(np.exp(leaves.log_scales.max(axis=1, initial=-np.inf).astype(np.float64))),
         metadata=dict(scene.source.metadata),
     )
+
+
+def _point(numbers: np.ndarray) -> tuple[float, ...]:
+    return tuple(float(x) for x in numbers)
 
 
 def _clusters(scene: Scene) -> dict[str, float] | None:
@@ -121,7 +135,10 @@ def _clusters(scene: Scene) -> dict[str, float] | None:
 
 def show(info: Info) -> str:
     """The description in words."""
-    point = "({:.4g}, {:.4g}, {:.4g})".format
+    digits = _digits(info)
+    point = f"({{:.{digits}g}}, {{:.{digits}g}}, {{:.{digits}g}})".format
+    sentences = [(key, text) for key in ("notes", "lost") for text in sentences_in(info.metadata, key)]
+    rest = {key: value for key, value in info.metadata.items() if key not in ("notes", "lost")}
     rows = [
         ("read", ", ".join(info.paths) or "(in memory)"),
         ("format", info.format),
@@ -138,9 +155,29 @@ def show(info: Info) -> str:
         ("90 % within", f"{info.radius:.4g} of {point(*info.centre)}"),
         ("opacity", _in_words(info.opacity)),
         ("largest scale", _in_words(info.scale)),
-        *((f"  {key}", value if len(value) < 200 else value[:197] + "...") for key, value in info.metadata.items()),
+        ("coordinates", _step_words(info)),
+        *(({"notes": "note", "lost": "lost"}[key], text) for key, text in sentences),
+        *((f"  {key}", value if len(value) < 200 else value[:197] + "...") for key, value in rest.items()),
     ]
     return table([{"": name, " ": value} for name, value in rows]).strip("\n ")
+
+
+def _digits(info: Info) -> int:
+    """Significant digits with which a coordinate says four of the scene's size."""
+    largest = max(map(abs, (*info.box_min, *info.box_max)))
+    length = max(high - low for low, high in zip(info.box_min, info.box_max, strict=True))
+    return min(max(4, 4 + math.ceil(math.log10(largest / length))), 15) if 0 < length < largest else 4
+
+
+def _step_words(info: Info) -> str:
+    relative = "" if info.origin == NO_ORIGIN else f"relative to the origin {origin_in_words(info.origin)}; "
+    words = f"{relative}float32 leaves steps of {info.coordinate_step:.2g}"
+    if info.coordinate_step * STEPS_PER_SIGMA > info.scale["median"] > 0:
+        words += (
+            f", coarse beside the median scale {info.scale['median']:.2g}: the file was written far from zero; move it with "
+            "--translate before it is rounded, in the program that made it or from a file in double precision"
+        )
+    return words
 
 
 def _record_words(record: LevelRecord) -> str:

@@ -7,7 +7,7 @@ from typing import Annotated
 from tyro.conf import arg
 
 from splatree.cli.console import Console, size
-from splatree.cli.files import Files, inputs_and_output, read_scene, repairs_of, told
+from splatree.cli.files import Files, inputs_and_output, lost_and_noted, read_scene, repairs_of, told
 from splatree.io.registry import stored_bytes, write
 from splatree.scene.thinning import ThinOptions
 from splatree.simplify.thin import thin
@@ -43,7 +43,9 @@ class Result:
     repairs: dict[str, int]
     """How many values or rows each rule of repair touched."""
     lost: tuple[str, ...]
-    """What the file does not hold, a sentence each."""
+    """What of the inputs the file does not hold, a sentence each."""
+    notes: tuple[str, ...] = ()
+    """What reading did that the user should know, a sentence each."""
 
 
 def run(command: Command) -> Result:
@@ -52,6 +54,7 @@ def run(command: Command) -> Result:
     scene = read_scene(inputs, command.files.reading)
     thinned = thin(scene, command.options)
     lost = write(thinned.scene, output, force=command.files.force)
+    lost, notes = lost_and_noted(scene, lost)
     return Result(
         output=output,
         num_read=scene.tree.num_leaves,
@@ -62,6 +65,7 @@ def run(command: Command) -> Result:
         bytes=stored_bytes(output),
         repairs=repairs_of(scene),
         lost=lost,
+        notes=notes,
     )
 
 
@@ -73,4 +77,4 @@ def show(result: Result) -> str:
         f"wrote {result.output}: {result.num_gaussians:,} of {result.num_read:,} Gaussians ({share:.1f} %), "
         f"{how}, {size(result.bytes)}"
     )
-    return "\n".join([wrote, *told(result.repairs, result.lost)])
+    return "\n".join([wrote, *told(result.repairs, result.lost, result.notes)])

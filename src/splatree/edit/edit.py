@@ -11,14 +11,15 @@ import numpy as np
 
 from splatree.edit.options import EditOptions
 from splatree.edit.rows import in_morton_order, keep_leaves
-from splatree.edit.similarity import Similarity, similarity_from_options
+from splatree.edit.similarity import Move, Similarity, move_from_options
 from splatree.kernels.cpu.frame.blocks import index_blocks
 from splatree.scene.gaussians import Gaussians
+from splatree.scene.origin import Origin
 from splatree.scene.scene import Scene
 from splatree.scene.tree import GaussianTree
 from splatree.shapes import Array, Bool, Float32
 
-__all__ = ["edit", "edit_rows"]
+__all__ = ["edit", "edit_rows", "move_from_options"]
 
 
 def edit(scene: Scene, options: EditOptions) -> Scene:
@@ -27,10 +28,11 @@ def edit(scene: Scene, options: EditOptions) -> Scene:
     Moving keeps the tree. Filters look at leaves: a merged node stays if all leaves below it do; how many went says
     ``source.metadata["lost"]``.
     """
-    similarity = similarity_from_options(options)
+    move = move_from_options(options, scene.source.origin)
+    similarity = move.similarity
     moved = _moved(scene.gaussians, similarity)
     if options.may_drop_rows:
-        is_kept = kept_rows(scene.gaussians, moved, options)
+        is_kept = kept_rows(scene.gaussians, moved, options, move.origin)
         num_merged = len(scene) - scene.tree.num_leaves
         kept = keep_leaves(scene, is_kept)
         moved = _moved(kept.gaussians, similarity) if len(kept) < len(scene) else moved
@@ -47,16 +49,17 @@ def edit(scene: Scene, options: EditOptions) -> Scene:
         extents = similarity.extents(scene.tree.extents, moved)
         record = None if scene.tree.record is None else scene.tree.record.scaled(similarity.scale)
         scene = _with_gaussians(scene, gaussians, replace(scene.tree, extents=extents, record=record, roots=None))
+    scene = replace(scene, source=replace(scene.source, origin=move.origin))
     return in_morton_order(scene) if options.order == "morton" else scene
 
 
-def edit_rows(gaussians: Gaussians, options: EditOptions) -> Gaussians:
-    """As `edit`, of a chunk of a flat scene; the order is not looked at."""
-    similarity = similarity_from_options(options)
+def edit_rows(gaussians: Gaussians, options: EditOptions, move: Move) -> Gaussians:
+    """As `edit`, of a chunk of a flat scene, by the ``move`` of the options and its origin; the order is not looked at."""
+    similarity = move.similarity
     g = gaussians.with_sh_degree(min(options.sh_degree, gaussians.sh_degree))
     moved = _moved(g, similarity)
     if options.may_drop_rows:
-        is_kept = kept_rows(g, moved, options)
+        is_kept = kept_rows(g, moved, options, move.origin)
         if not is_kept.all():
             g, moved = g.take(is_kept), moved[is_kept]
     return g if similarity.is_identity else similarity.gaussians(g, moved)
@@ -67,17 +70,17 @@ def _moved(g: Gaussians, similarity: Similarity) -> Float32[Array, "n 3"]:
     return g.means if similarity.is_identity else similarity.points(g.means)
 
 
-def kept_rows(g: Gaussians, moved: Float32[Array, "n 3"], options: EditOptions) -> Bool[Array, "n"]:
-    """Rows that pass all filters; ``moved`` are their means after the move."""
+def kept_rows(g: Gaussians, moved: Float32[Array, "n 3"], options: EditOptions, origin: Origin) -> Bool[Array, "n"]:
+    """Rows that pass all filters; ``moved`` are their means after the move, relative to ``origin``."""
     kept = np.ones(len(g), bool)
     if options.min_opacity > 0:
         kept &= g.logit_opacities >= np.float32(math.log(options.min_opacity / (1 - options.min_opacity)))
     if options.crop_box is not None:
-        low, high = np.asarray(options.crop_box).reshape(2, 3)
+        low, high = np.asarray(options.crop_box).reshape(2, 3) - np.asarray(origin)
         kept &= ((moved >= low) & (moved <= high)).all(axis=1)
     if options.crop_sphere is not None:
         *centre, radius = options.crop_sphere
-        kept &= np.square(moved - np.asarray(centre)).sum(axis=1) <= radius * radius
+        kept &= np.square(moved - (np.asarray(centre) - np.asarray(origin))).sum(axis=1) <= radius * radius
     return kept
 
 

@@ -14,9 +14,10 @@ from splatree.kernels.cpu.codec.rotate import rotate_harmonics
 from splatree.maths.harmonics import rotations_of_harmonics
 from splatree.maths.rotations import matrix_from_angles, quat_from_matrix
 from splatree.scene.gaussians import Gaussians
+from splatree.scene.origin import NO_ORIGIN, Origin, settled
 from splatree.shapes import Array, Float32, Float64, check_fields
 
-__all__ = ["Similarity", "similarity_from_options"]
+__all__ = ["Move", "Similarity", "move_from_options"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,9 +69,26 @@ class Similarity:
         return np.asarray(extents * np.float32(self.scale * (1 + 2**-21)) + np.float32(reach * 2**-21), np.float32)
 
 
-def similarity_from_options(options: EditOptions) -> Similarity:
-    """The map that the options name."""
-    return Similarity(options.scale, matrix_from_angles(options.rotate), np.asarray(options.translate, np.float64))
+@dataclass(frozen=True, eq=False)
+class Move:
+    """A map of the world as it is done to a scene with an origin: x + o → x' + o'."""
+
+    similarity: Similarity
+    """What is done to the rows."""
+    origin: Origin
+    """o', the origin of the scene after it."""
+
+
+def move_from_options(options: EditOptions, origin: Origin = NO_ORIGIN) -> Move:
+    """The map that the options name, of a scene with an origin.
+
+    With x the means and o the origin, s R (x + o) + t = s R x + (s R o + t): the last sum, in float64, becomes the new origin,
+    and on axes where it has become small a translation of the rows.
+    """
+    rotation, translation = matrix_from_angles(options.rotate), np.asarray(options.translate, np.float64)
+    target = options.scale * rotation @ np.asarray(origin) + translation if origin != NO_ORIGIN else translation
+    moved, rest = settled(target, origin)
+    return Move(Similarity(options.scale, rotation, rest), moved)
 
 
 def _products(p: Float64[Array, "4"], quats: Float32[Array, "n 4"]) -> Float32[Array, "n 4"]:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 from splatree.errors import InputError
 from splatree.scene.gaussians import Gaussians
+from splatree.scene.origin import NO_ORIGIN, Origin
 from splatree.scene.scene import Mode, Scene
 
 ROWS_PER_CHUNK = 1 << 14
@@ -37,6 +38,8 @@ class Chunks:
     """As that of `Source`."""
     repairs: Counts = field(default_factory=dict)
     """What reading had to change, by rule; whole after the first pass."""
+    origin: Origin = NO_ORIGIN
+    """As that of `Source`."""
 
     def __len__(self) -> int:
         return self.num_gaussians
@@ -69,7 +72,7 @@ def chunks_of(scene: Scene, *, rows: int = ROWS_PER_CHUNK) -> Chunks:
         for begin in range(0, len(g), rows):
             yield g.rows(begin, begin + rows)
 
-    return Chunks(len(g), g.sh_degree, scene.mode, make, scene.source.metadata)
+    return Chunks(len(g), g.sh_degree, scene.mode, make, scene.source.metadata, origin=scene.source.origin)
 
 
 def counted_chunks(
@@ -80,6 +83,7 @@ def counted_chunks(
     metadata: Mapping[str, str],
     *,
     drops_rows: bool,
+    origin: Origin = NO_ORIGIN,
 ) -> Chunks:
     """The chunks of ``parts``, which come with what reading had to change in each; where it may drop some of the ``num_rows``,
     they are gone through once to count those that are left."""
@@ -93,4 +97,4 @@ def counted_chunks(
         repairs.update(counts)  # each pass finds the same
 
     num_left = sum(map(len, make())) if drops_rows else num_rows
-    return Chunks(num_left, sh_degree, mode, make, metadata, repairs)
+    return Chunks(num_left, sh_degree, mode, make, metadata, repairs, origin)

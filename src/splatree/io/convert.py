@@ -13,16 +13,18 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from splatree.edit.edit import edit, edit_rows
+from splatree.edit.edit import edit, edit_rows, move_from_options
 from splatree.edit.options import EditOptions
 from splatree.errors import InputError
 from splatree.io.chunks import Chunks
 from splatree.io.inputs import find_inputs
-from splatree.io.joined import joined, joined_source
+from splatree.io.joined import joined, joined_source, relative_to
+from splatree.io.notes import notes_in, sentences_in
 from splatree.io.options import ReadOptions, WriteOptions
 from splatree.io.registry import detect, format_to_write, read_one, write, write_chunks
 from splatree.progress import track
 from splatree.scene.gaussians import Gaussians
+from splatree.scene.origin import Origin
 from splatree.scene.scene import Source
 
 __all__ = ["ConvertOptions", "Converted", "convert"]
@@ -60,6 +62,8 @@ class Converted:
     """How many values or rows each rule of repair touched."""
     in_chunks: bool
     """Whether it went in chunks, with bounded memory."""
+    notes: tuple[str, ...] = ()
+    """What reading did that the user should know, a sentence each."""
 
 
 def convert(
@@ -93,7 +97,7 @@ def convert(
     num_read = scene.tree.num_leaves
     scene = edit(scene, options.edit)
     lost = write(scene, target, depth=options.depth, force=force, options=options.write)
-    return _converted(num_read, scene.tree.num_leaves, scene.source.metadata, lost)
+    return _converted(num_read, scene.tree.num_leaves, scene.source.metadata, lost, scene.source.origin)
 
 
 def _opened(paths: Sequence[Path], options: ReadOptions) -> list[Chunks] | None:
@@ -114,7 +118,7 @@ def _in_chunks(
     chunks = _joined_chunks(parts, paths)
     edited = _edited_chunks(chunks, options.edit)
     lost = write_chunks(edited, target, force=force, options=options.write)
-    return _converted(len(chunks), len(edited), chunks.metadata, lost, parts)
+    return _converted(len(chunks), len(edited), chunks.metadata, lost, edited.origin, parts)
 
 
 def _converted(
@@ -122,14 +126,15 @@ def _converted(
     num_written: int,
     metadata: Mapping[str, str],
     lost: tuple[str, ...],
+    origin: Origin,
     parts: Sequence[Chunks] = (),
 ) -> Converted:
     """``parts`` are the inputs, if they were read in chunks."""
-    lost = (*json.loads(metadata.get("lost", "[]")), *lost)
+    lost = (*sentences_in(metadata, "lost"), *lost)
     repairs: Counter[str] = Counter(json.loads(metadata.get("repairs", "{}")))
     for part in parts:
         repairs.update(part.repairs)
-    return Converted(num_read, num_written, lost, dict(repairs), in_chunks=bool(parts))
+    return Converted(num_read, num_written, lost, dict(repairs), bool(parts), notes_in(metadata, origin))
 
 
 def _joined_chunks(parts: Sequence[Chunks], paths: Sequence[Path]) -> Chunks:
@@ -148,19 +153,22 @@ def _joined_chunks(parts: Sequence[Chunks], paths: Sequence[Path]) -> Chunks:
     def make() -> Iterator[Gaussians]:
         for part in parts:
             for chunk in part:
-                yield chunk.with_sh_degree(degree)
+                yield relative_to(chunk.with_sh_degree(degree), part.origin, first.origin)
 
     metadata = joined_source([Source(metadata=part.metadata) for part in parts]).metadata
-    return Chunks(sum(map(len, parts)), degree, first.mode, make, metadata)
+    return Chunks(sum(map(len, parts)), degree, first.mode, make, metadata, origin=first.origin)
 
 
 def _edited_chunks(chunks: Chunks, options: EditOptions) -> Chunks:
     if options == EditOptions():
         return chunks
-    count = len(chunks)
+    count, move = len(chunks), move_from_options(options, chunks.origin)
     if options.may_drop_rows:
-        count = sum(len(edit_rows(chunk, options)) for chunk in track(chunks, "count what is left"))
-    degree = min(chunks.sh_degree, options.sh_degree)
+        count = sum(len(edit_rows(chunk, options, move)) for chunk in track(chunks, "count what is left"))
     return replace(
-        chunks, num_gaussians=count, sh_degree=degree, make=lambda: (edit_rows(chunk, options) for chunk in chunks)
+        chunks,
+        num_gaussians=count,
+        sh_degree=min(chunks.sh_degree, options.sh_degree),
+        make=lambda: (edit_rows(chunk, options, move) for chunk in chunks),
+        origin=move.origin,
     )

@@ -1,15 +1,34 @@
 """Files that people have but that are not read, and what to do with them."""
 
+import re
 from pathlib import Path
 
-__all__ = ["advice"]
+__all__ = ["advice", "not_content"]
 
 _PICKLES = (".pth", ".pt", ".ckpt", ".pkl", ".pickle")
 _PICKLE_PROTOCOLS = tuple(bytes([0x80, protocol]) for protocol in range(2, 6))
 
 
+def not_content(head: bytes) -> str | None:
+    """What a file is that a download left in the place of its content; None for other files. ``head`` is its first bytes."""
+    if not head:
+        return "is empty: a download or a copy that did not finish; fetch it again"
+    if head.startswith(b"version https://git-lfs.github.com/spec/"):
+        number = re.search(rb"\nsize (\d{1,18})\s", head)
+        size = f" for {int(number[1]) / 2**20:,.1f} MiB" if number else ""
+        return f"is a Git LFS pointer{size}, not the file itself; fetch it with `git lfs pull`"
+    start = head[:512].lstrip(b"\xef\xbb\xbf \t\r\n").lower()
+    if start.startswith((b"<!doctype html", b"<html", b"<head", b"<?xml")):
+        title = re.search(rb"<title>([^<]{1,80})</title>", head, re.IGNORECASE)
+        words = f" ({title[1].decode('utf-8', 'replace').strip()!r})" if title else ""
+        return f"is a web page{words}, not a scene: the server answered with it in place of the file; fetch it again"
+    return None
+
+
 def advice(path: Path, head: bytes) -> str | None:
     """What a file of a kind that is known but not read is, and how to export a scene from it; None for other files."""
+    if content := not_content(head):
+        return content
     if path.suffix.lower() in _PICKLES or head.startswith(_PICKLE_PROTOCOLS) or _is_checkpoint(head):
         return (
             "is a pickled checkpoint (3DGS, gsplat, LoG, FilterGS, Octree-GS), which could run any code when it is loaded and so "

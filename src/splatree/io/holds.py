@@ -5,8 +5,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 from splatree.constants import ALPHA_THRESHOLD, SH_MAX_DEGREE
+from splatree.io.notes import origin_in_words
 from splatree.scene.levels import UNKNOWN_LEVELS, LevelRecord
 from splatree.scene.names import Mode
+from splatree.scene.origin import NO_ORIGIN, Origin
 
 Levels = Literal["none", "one of", "tree"]
 """Levels of detail: the file has none; `read` takes one of several; the file keeps the tree."""
@@ -30,8 +32,16 @@ class Holds:
     """Whether it keeps how levels were made and are to be drawn (`LevelRecord`, and the extents that belong to it)."""
     clusters: bool = False
     """Whether it keeps clusters."""
+    origin: bool = False
+    """Whether it keeps where the zero of the scene lies in the world, or writes coordinates precisely enough to need none."""
     axes: str = "as in the scene"
     """Axes that the format prescribes; the scene is turned to them and back."""
+
+
+def origin_lost(holds: Holds, name: str, origin: Origin) -> Iterator[str]:
+    """That coordinates are relative to an origin which the format ``name`` cannot hold."""
+    if origin != NO_ORIGIN and not holds.origin:
+        yield f"the origin {origin_in_words(origin)}: {name} cannot hold it, its coordinates are relative to it"
 
 
 def losses(

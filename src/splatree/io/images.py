@@ -8,6 +8,7 @@ import numpy as np
 
 from splatree.errors import FormatError, InputError, ShapeError
 from splatree.io.exr import SOFTWARE, write_exr
+from splatree.io.foreign import not_content
 from splatree.io.replacing import replacing
 from splatree.shapes import Array, Float32
 
@@ -41,7 +42,7 @@ def read_image(path: str | os.PathLike[str], *, size: tuple[int, int] | None = N
                 image = image.resize(size, Image.Resampling.BOX)
             return np.asarray(image, np.float32) / np.float32(255)
     except (OSError, SyntaxError, ValueError, EOFError, Image.DecompressionBombError) as error:
-        raise FormatError(f"{file}: not a whole picture ({error})") from error
+        raise FormatError(f"{file}: {_fault(file, error)}") from error
 
 
 def image_size(path: str | os.PathLike[str]) -> tuple[int, int]:
@@ -53,7 +54,7 @@ def image_size(path: str | os.PathLike[str]) -> tuple[int, int]:
         with Image.open(file) as image:
             return image.size
     except (OSError, SyntaxError, ValueError, EOFError, Image.DecompressionBombError) as error:
-        raise FormatError(f"{file}: not a picture ({error})") from error
+        raise FormatError(f"{file}: {_fault(file, error)}") from error
 
 
 def write_image(image: Float32[Array, "h w 3"], path: str | os.PathLike[str], *, force: bool = False) -> None:
@@ -122,6 +123,12 @@ def _signed(**entries: str) -> "PngImagePlugin.PngInfo":
     for name, text in {"Software": SOFTWARE, **entries}.items():
         info.add_text(name, text)
     return info
+
+
+def _fault(file: Path, error: Exception) -> str:
+    with file.open("rb") as opened:
+        content = not_content(opened.read(4096))
+    return content or f"not a whole picture ({error})"
 
 
 def _existing(path: str | os.PathLike[str]) -> Path:

@@ -6,7 +6,7 @@ A chunk is appended as it arrives and then given back, so the peak is the joined
 
 import json
 from collections.abc import Iterable, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from itertools import chain
 
 import numpy as np
@@ -14,6 +14,7 @@ import numpy as np
 from splatree.errors import InputError
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.levels import UNKNOWN_LEVELS, LevelRecord, common_record
+from splatree.scene.origin import Origin
 from splatree.scene.scene import Scene, Source
 from splatree.scene.tree import GaussianTree
 from splatree.shapes import Array
@@ -37,6 +38,7 @@ def joined(scenes: Iterable[Scene]) -> Scene:
     gaussians = _empty(Gaussians.empty(first.gaussians.sh_degree))
     tree = _empty(GaussianTree(np.zeros(0, np.int32), np.zeros(0, np.uint8), np.zeros(0, np.float32)))
     drawn = {name: getattr(first, name) for name in ("mode", "threshold", "tile_rule")}
+    origin = first.source.origin
     has_ids, sources, records, start = False, list[Source](), list[LevelRecord](), 0
     for scene in chain((first, second), remaining):
         first = second = None  # type: ignore[assignment]  # let go of what is appended
@@ -46,7 +48,7 @@ def joined(scenes: Iterable[Scene]) -> Scene:
                     f"inputs differ in their {name}: {' '.join(scene.source.paths)} has {found}, those before it {wanted}; "
                     "wanted scenes of one training, read them one by one"
                 )
-        part, end = scene.gaussians, start + len(scene)
+        part, end = relative_to(scene.gaussians, scene.source.origin, origin), start + len(scene)
         if end >= 2**31:
             raise InputError(f"inputs hold more than {end} Gaussians together, wanted less than 2^31 in one scene")
         degree = max(part.sh_degree, int(np.sqrt(gaussians["sh"].shape[1])) - 1)
@@ -68,6 +70,14 @@ def joined(scenes: Iterable[Scene]) -> Scene:
     )
 
 
+def relative_to(gaussians: Gaussians, old: Origin, new: Origin) -> Gaussians:
+    """Gaussians whose means are relative to one origin, relative to another: moved in float64."""
+    if old == new:
+        return gaussians
+    means = gaussians.means.astype(np.float64) + (np.asarray(old) - np.asarray(new))
+    return replace(gaussians, means=means.astype(np.float32))
+
+
 def _empty(struct: Gaussians | GaussianTree) -> dict[str, Array]:
     columns = {f.name: getattr(struct, f.name) for f in fields(struct)}
     return {name: column.copy() for name, column in columns.items() if isinstance(column, np.ndarray)}
@@ -81,8 +91,8 @@ def _append(columns: dict[str, Array], parts: dict[str, Array]) -> None:
 
 
 def joined_source(sources: Sequence[Source]) -> Source:
-    """Paths of all; metadata that all agree on as it is, counts of repairs added up, losses named once, the rest as a list
-    in JSON."""
+    """Paths of all; metadata that all agree on as it is, counts of repairs added up, losses and notes named once, the rest as a
+    list in JSON; a note of how many there are."""
     metadata: dict[str, str] = {}
     for key in dict.fromkeys(key for source in sources for key in source.metadata):
         values = [source.metadata[key] for source in sources if key in source.metadata]
@@ -92,12 +102,16 @@ def joined_source(sources: Sequence[Source]) -> Source:
                 for rule, count in json.loads(value).items():
                     counts[rule] = counts.get(rule, 0) + count
             metadata[key] = json.dumps(counts)
-        elif key == "lost":
+        elif key in ("lost", "notes"):
             metadata[key] = json.dumps(
                 list(dict.fromkeys(sentence for value in values for sentence in json.loads(value)))
             )
         else:
             same = len(set(values)) == 1 and len(values) == len(sources)
             metadata[key] = values[0] if same else json.dumps(values)
+    metadata["notes"] = json.dumps(
+        [*json.loads(metadata.get("notes", "[]")), f"{len(sources)} inputs were joined as one scene"]
+    )
     formats = dict.fromkeys(source.format for source in sources)
-    return Source(tuple(path for source in sources for path in source.paths), " + ".join(formats), metadata)
+    paths = tuple(path for source in sources for path in source.paths)
+    return Source(paths, " + ".join(formats), metadata, sources[0].origin)

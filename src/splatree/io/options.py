@@ -26,6 +26,9 @@ class ReadOptions:
     axes: AxesName | None = None
     """Where x, y and z point in a file whose format leaves that open and that does not name it itself (left or right, up or down,
     front or back); None: RDF, as in a .ply."""
+    ignore_properties: bool = False
+    """Read a file whose other properties would change the picture (motion, other kernels), and say what is lost, instead of
+    raising."""
 
     def __post_init__(self) -> None:
         check_literals(self)

@@ -7,7 +7,7 @@ same file. What a format cannot hold follows from its `Holds`; a writer returns 
 
 import json
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib import import_module
@@ -16,9 +16,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from splatree.errors import InputError, OutputError, SplatreeError
+from splatree.errors import FormatError, InputError, OutputError, SplatreeError
 from splatree.io.chunks import Chunks, chunks_of
-from splatree.io.holds import Holds, losses
+from splatree.io.foreign import not_content
+from splatree.io.holds import Holds, losses, origin_lost
 from splatree.io.inputs import find_inputs
 from splatree.io.joined import joined
 from splatree.io.options import ReadOptions, Repair, WriteOptions
@@ -102,6 +103,8 @@ class Format:
     """Open a file to be read in chunks, with the values that ``read`` gives; it returns None for a file that cannot be."""
     files: Callable[[Path], list[Path]] | None = None
     """The files that a path stands for, where they may be several; None: the file itself."""
+    may_be_empty: bool = False
+    """Whether a file of no bytes is a scene without Gaussians."""
     options: tuple[str, ...] = ()
     """Fields of `WriteOptions` that the writer takes."""
 
@@ -117,7 +120,7 @@ FORMATS: tuple[Format, ...] = (
         description="native, with levels",
         suffixes=(".splatree",),
         versions="1",
-        holds=Holds(lossless=True, levels="tree", threshold=True, record=True, clusters=True),
+        holds=Holds(origin=True, lossless=True, levels="tree", threshold=True, record=True, clusters=True),
         sniff=store.sniff,
         read=store.read,
         write=store.write,
@@ -138,7 +141,7 @@ FORMATS: tuple[Format, ...] = (
         description="3DGS training output",
         suffixes=(".ply",),
         versions="text, binary",
-        holds=Holds(lossless=True),
+        holds=Holds(lossless=True, origin=True),
         sniff=ply.sniff,
         read=ply.read,
         write_chunks=ply.write_chunks,
@@ -146,6 +149,7 @@ FORMATS: tuple[Format, ...] = (
     ),
     Format(
         name="splat",
+        may_be_empty=True,
         description="antimatter15, 32 bytes",
         suffixes=(".splat",),
         versions="-",
@@ -172,7 +176,7 @@ FORMATS: tuple[Format, ...] = (
         description="KHR_gaussian_splatting, plain or SPZ",
         suffixes=(".glb",),
         versions="2.0; SPZ 1-4 (written: 2-4)",
-        holds=Holds(axes="LUF"),
+        holds=Holds(origin=True, axes="LUF"),
         sniff=gltf.sniff,
         read=gltf.read,
         write_chunks=glb_writer.write_chunks,
@@ -252,6 +256,7 @@ def read(
     level: int | None = None,
     repair: Repair = False,
     axes: AxesName | None = None,
+    ignore_properties: bool = False,
 ) -> Scene:
     """Read one scene from a file, a folder, or several of them.
 
@@ -265,12 +270,14 @@ def read(
         repair: fix or drop values that cannot be used, and count them in ``source.metadata["repairs"]``, instead of raising;
             "drop" drops all rows that have any.
         axes: where x, y, z point in an .spz that does not say it; None: RDF, as in a .ply.
+        ignore_properties: read a .ply whose other properties would change the picture (motion, other kernels) as it stands; what
+            is lost stands in ``source.metadata["lost"]``.
 
     Raises:
         FormatError: a file does not hold what it promises; the message says where and what to do.
         InputError: nothing is there, or it is of no known format, or the inputs cannot be joined.
     """
-    options = ReadOptions(level, repair, axes)
+    options = ReadOptions(level, repair, axes, ignore_properties)
     paths = [path] if isinstance(path, str | os.PathLike) else list(path)
     inputs = find_inputs([Path(p) for p in paths], lambda p: detect(p) is not None)
     return joined(read_one(p, options) for p in inputs)
@@ -327,7 +334,7 @@ def write(
         num_merged = len(scene) - scene.tree.num_leaves if depth is None else 0
         scene = _cut(scene, depth)
     keeps_clusters = chosen.holds.clusters and scene.clusters is clusters
-    lost = losses(
+    lost: Iterable[str] = losses(
         chosen.holds,
         chosen.name,
         sh_degree=scene.gaussians.sh_degree,
@@ -337,6 +344,7 @@ def write(
         num_clusters=0 if clusters is None or keeps_clusters else len(clusters),
         record=scene.tree.record if scene.tree.depth.any() else None,
     )
+    lost = (*lost, *origin_lost(chosen.holds, chosen.name, scene.source.origin))
     if chosen.write is None:
         return (*lost, *_written(chosen, chunks_of(scene), target, force, options))
     with replacing(target, force=force) as temporary:
@@ -368,7 +376,8 @@ def write_chunks(
     target, options = Path(path), options or WriteOptions()
     chosen = format_to_write(target)
     options.check_taken(chosen.options, f"{target} ({chosen.name})")
-    lost = losses(chosen.holds, chosen.name, sh_degree=chunks.sh_degree, mode=chunks.mode)
+    lost: Iterable[str] = losses(chosen.holds, chosen.name, sh_degree=chunks.sh_degree, mode=chunks.mode)
+    lost = (*lost, *origin_lost(chosen.holds, chosen.name, chunks.origin))
     return (*lost, *_written(chosen, chunks, target, force, options))
 
 
@@ -417,8 +426,13 @@ def detect(path: Path) -> Format | None:
             if f.sniff(path, head):
                 return f
         if path.is_file():
-            return next((f for f in FORMATS if f.suffixes and path.name.lower().endswith(f.suffixes)), None)
+            named = next((f for f in FORMATS if f.suffixes and path.name.lower().endswith(f.suffixes)), None)
+            if named is not None and (content := not_content(head)) and not (named.may_be_empty and not head):
+                raise FormatError(f"{path}: {content}")
+            return named
     except OSError as error:
+        if isinstance(error, SplatreeError):
+            raise
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
     return None
 

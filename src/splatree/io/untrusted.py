@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from splatree.errors import FormatError
+from splatree.io.foreign import not_content
 from splatree.shapes import Array
 
 MAX_JSON_BYTES = 1 << 28
@@ -27,6 +28,8 @@ def parse_json(data: bytes, where: str) -> Any:
     try:
         return json.loads(data)
     except (ValueError, RecursionError) as error:
+        if content := not_content(data[:4096]):
+            raise FormatError(f"{where}: {content}") from error
         raise FormatError(f"{where}: not valid JSON ({error}); the file is damaged or of another kind") from error
 
 

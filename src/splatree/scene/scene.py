@@ -12,6 +12,7 @@ from splatree.scene.clusters import ClusterIndex
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.literals import check_literals
 from splatree.scene.names import Mode as Mode
+from splatree.scene.origin import NO_ORIGIN, Origin
 from splatree.scene.tree import BlockIndex, GaussianTree
 from splatree.shapes import Array, UInt32, check_fields
 
@@ -32,7 +33,10 @@ class Source:
     """Name of the format in the registry; empty if made in memory."""
     metadata: Mapping[str, str] = field(default_factory=dict)
     """Rules and provenance: what made the levels, credits, the writer's name; JSON strings where structured. ``repairs`` counts
-    what was fixed or dropped while reading, ``lost`` lists in sentences what of the file the scene does not hold."""
+    what was fixed or dropped while reading; ``lost`` lists in sentences what of the file the scene does not hold, ``notes`` what
+    the reader did."""
+    origin: Origin = NO_ORIGIN
+    """Where the zero of the scene lies in the world: world units to be added to the means (scene/origin.py)."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,13 +17,14 @@ from splatree.io import untrusted
 from splatree.io.cameras import colmap, nerfstudio
 from splatree.io.replacing import replacing
 from splatree.scene.cameras import Camera, Cameras
+from splatree.scene.origin import NO_ORIGIN, Origin
 
 _COLMAP_FOLDERS = ("sparse", "colmap/sparse", "")
 """Where a model or several numbered ones lie in a folder of pictures, in the order in which they are tried."""
 
 
-def read_cameras(path: str | os.PathLike[str]) -> Cameras:
-    """Read the views of a file or folder.
+def read_cameras(path: str | os.PathLike[str], *, origin: Origin = NO_ORIGIN) -> Cameras:
+    """Read the views of a file or folder, in the coordinates of a scene whose ``source.origin`` is ``origin``.
 
     - ``cameras.json`` of a 3DGS training: rotation is camera-to-world, position its centre; in the order of the file;
     - a COLMAP sparse model, binary or text, or a folder with one in ``sparse/0``; in the order of the pictures' names,
@@ -39,7 +40,9 @@ def read_cameras(path: str | os.PathLike[str]) -> Cameras:
     cameras = _read(Path(path))
     if not len(cameras):
         raise FormatError(f"{path}: found no camera in it, wanted at least one")
-    return cameras
+    if origin == NO_ORIGIN:
+        return cameras
+    return replace(cameras, views=tuple(camera.moved(np.asarray(origin)) for camera in cameras))
 
 
 def _read(root: Path) -> Cameras:

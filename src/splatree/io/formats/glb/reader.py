@@ -18,7 +18,7 @@ file's scene show are one scene; a node may move, turn and scale them. `glb/writ
 import json
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from io import BytesIO
 from pathlib import Path
 from typing import Any, Final
@@ -38,11 +38,14 @@ from splatree.io.options import ReadOptions
 from splatree.maths.axes import signs_between
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
+from splatree.scene.origin import NO_ORIGIN, Origin, origin_of
 from splatree.scene.scene import Mode, Scene, Source
 from splatree.shapes import Array, Float64
 
 EXTENSION: Final = "KHR_gaussian_splatting"
 SPZ_EXTENSION: Final = "KHR_gaussian_splatting_compression_spz_2"
+
+RTC_EXTENSION: Final = "CESIUM_RTC"
 
 GLTF_AXES: Final = "LUF"
 """Axes of glTF: x left, y up, z front."""
@@ -61,12 +64,12 @@ def sniff(path: Path, head: bytes) -> bool:
 
 @np.errstate(all="ignore")  # whatever comes of absurd values is found by the check of values
 def read(path: Path, options: ReadOptions) -> Scene:
-    """Read all Gaussians that the file's scene shows."""
+    """Read all Gaussians that the file's scene shows, moved by its nodes in float64; far from zero relative to an origin."""
     with path.open("rb") as file:
         gltf = GltfFile(path, file)
         try:
             parts, lost = _parts(gltf)
-            gaussians, modes = [], set()
+            gaussians, modes, places = [], set(), list[Float64[Array, "n 3"] | None]()
             repairs: dict[str, int] = {}
             for part in parts:
                 if part.color_space != "srgb_rec709_display":
@@ -77,7 +80,9 @@ def read(path: Path, options: ReadOptions) -> Scene:
                         )
                     repairs["other_color_space"] = repairs.get("other_color_space", 0) + 1
                 g, mode = part.decode(path)
-                gaussians.append(part.placed(g))
+                placed, means = part.placed(g)
+                gaussians.append(placed)
+                places.append(means)
                 modes.add(mode)
         finally:
             gltf.close()
@@ -89,8 +94,9 @@ def read(path: Path, options: ReadOptions) -> Scene:
     generator = gltf.json["asset"].get("generator")
     if isinstance(generator, str):
         metadata["generator"] = generator
+    origin = _settle(gaussians, places)
     whole = gaussians[0] if len(gaussians) == 1 else Gaussians.concatenate(gaussians)
-    scene = Scene.flat(whole, mode=modes.pop(), source=Source(metadata=metadata))
+    scene = Scene.flat(whole, mode=modes.pop(), source=Source(metadata=metadata, origin=origin))
     return checked(scene, str(path), repair=options.repair)
 
 
@@ -127,8 +133,8 @@ class _Part:
         is_mip = isinstance(extras, dict) and extras.get("SplatRenderMode") == "mip"
         return gaussians, "antialiased" if is_mip else "classic"
 
-    def placed(self, gaussians: Gaussians) -> Gaussians:
-        """The Gaussians where the node shows them."""
+    def placed(self, gaussians: Gaussians) -> tuple[Gaussians, Float64[Array, "n 3"] | None]:
+        """The Gaussians turned and scaled as the node shows them, and their means; None: as they are."""
         linear = self.matrix[:3, :3]
         scale = float(np.cbrt(np.linalg.det(linear)))
         rotation = linear / scale if scale > 0 else linear
@@ -140,9 +146,25 @@ class _Part:
             )
         signs = signs_between(GLTF_AXES, spz.SCENE_AXES).astype(np.float64)
         if np.array_equal(self.matrix, np.eye(4)):
-            return gaussians
-        similarity = Similarity(scale, rotation * signs[:, None] * signs, self.matrix[:3, 3] * signs)
-        return similarity.gaussians(gaussians)
+            return gaussians, None
+        turned = rotation * signs[:, None] * signs
+        means = scale * gaussians.means.astype(np.float64) @ turned.T + self.matrix[:3, 3] * signs
+        return Similarity(scale, turned).gaussians(gaussians), means
+
+
+def _settle(gaussians: list[Gaussians], places: list[Float64[Array, "n 3"] | None]) -> Origin:
+    """Put the Gaussians to their places, relative to an origin if these lie far off; return it."""
+    origin = NO_ORIGIN
+    if any(place is not None for place in places):
+        rows = 1 << 16
+        every = max(1, sum(map(len, gaussians)) // rows)
+        means = [g.means.astype(np.float64) if p is None else p for g, p in zip(gaussians, places, strict=True)]
+        sample = np.concatenate([m[::every] for m in means])
+        origin = origin_of(sample, np.concatenate([g.log_scales[::every] for g in gaussians]))
+        for i, (g, m) in enumerate(zip(gaussians, means, strict=True)):
+            if places[i] is not None or origin != NO_ORIGIN:
+                gaussians[i] = replace(g, means=(m - np.asarray(origin)).astype(np.float32))
+    return origin
 
 
 def _parts(gltf: GltfFile) -> tuple[list[_Part], list[str]]:
@@ -169,12 +191,13 @@ def _parts(gltf: GltfFile) -> tuple[list[_Part], list[str]]:
 
 def _shown_meshes(gltf: GltfFile) -> Iterator[tuple[str, dict[str, Any], Float64[Array, "4 4"]]]:
     """Name, mesh and matrix of each node of the scene that has a mesh; without scenes, of each mesh."""
+    outermost = _center(gltf)
     if not gltf.json.get("scenes"):
         for i in range(len(untrusted.as_list(gltf.json.get("meshes", []), f"{gltf.where}: meshes"))):
-            yield f"{gltf.where}: meshes[{i}]", gltf.item("meshes", i, gltf.where), np.eye(4)
+            yield f"{gltf.where}: meshes[{i}]", gltf.item("meshes", i, gltf.where), outermost
         return
     scene = gltf.item("scenes", gltf.json.get("scene", 0), f"{gltf.where}: scene")
-    waiting = [(node, np.eye(4)) for node in untrusted.as_list(scene.get("nodes", []), f"{gltf.where}: scene.nodes")]
+    waiting = [(node, outermost) for node in untrusted.as_list(scene.get("nodes", []), f"{gltf.where}: scene.nodes")]
     num_nodes = 0
     while waiting:
         index, above = waiting.pop()
@@ -190,6 +213,16 @@ def _shown_meshes(gltf: GltfFile) -> Iterator[tuple[str, dict[str, Any], Float64
         waiting += [(child, matrix) for child in reversed(children)]
         if "mesh" in node:
             yield name, gltf.item("meshes", node["mesh"], f"{name}.mesh"), matrix
+
+
+def _center(gltf: GltfFile) -> Float64[Array, "4 4"]:
+    """What moves the whole file: the centre of CESIUM_RTC, in the axes of glTF."""
+    matrix = np.eye(4)
+    extensions = untrusted.as_object(gltf.json.get("extensions", {}), f"{gltf.where}: extensions")
+    if RTC_EXTENSION in extensions:
+        where = f"{gltf.where}: {RTC_EXTENSION}"
+        matrix[:3, 3] = untrusted.numbers(untrusted.as_object(extensions[RTC_EXTENSION], where), "center", where, (3,))
+    return matrix
 
 
 def _matrix(node: dict[str, Any], where: str) -> Float64[Array, "4 4"]:

@@ -25,6 +25,7 @@ from splatree.kernels.cpu.runtime.files import write_at
 from splatree.maths.axes import harmonic_signs, quat_signs, signs_between
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
+from splatree.scene.origin import NO_ORIGIN
 from splatree.shapes import Array
 
 _SPZ_VERSION = 2
@@ -170,6 +171,9 @@ def _json(
     }
     if chunks.mode == "antialiased":
         primitive["extras"] = {"SplatRenderMode": "mip"}
+    node: dict[str, Any] = {"mesh": 0}
+    if chunks.origin != NO_ORIGIN:
+        node["translation"] = (np.asarray(chunks.origin) * _SIGNS).tolist()
     used = [EXTENSION, SPZ_EXTENSION] if packed else [EXTENSION]
     content = {
         "asset": {"version": "2.0", "generator": "splatree"},
@@ -177,7 +181,7 @@ def _json(
         **({"extensionsRequired": used} if packed else {}),  # the attributes alone would be zeros
         "scene": 0,
         "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0}],
+        "nodes": [node],
         "meshes": [{"primitives": [primitive]}],
         "accessors": accessors,
         "bufferViews": views,

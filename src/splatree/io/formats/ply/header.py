@@ -1,7 +1,7 @@
 """The text at the head of a .ply: how its vertices are encoded, what they hold, and what other tools noted in comments."""
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -30,32 +30,6 @@ _TYPES = {
 }
 
 
-@dataclass(frozen=True)
-class Header:
-    """What the header says of the vertices."""
-
-    encoding: Encoding
-    """How values are written."""
-    start: int
-    """Byte of the first vertex; in a text file, of the first element."""
-    lines_before: int
-    """Lines of a text file between there and the first vertex: the elements before it."""
-    count: int
-    """Vertices announced."""
-    dtype: np.dtype[np.void]
-    """A vertex."""
-    names: dict[str, str]
-    """Property by its bare name: CloudCompare writes scalar_opacity for opacity."""
-    bytes_after: int | None
-    """Bytes of the elements behind the vertices; None if they hold lists."""
-    mode: Mode
-    """As noted in a comment, else classic."""
-    are_surfels: bool
-    """Whether a comment says that these are surfels (2DGS)."""
-    comments: list[str]
-    """The other comments."""
-
-
 @dataclass
 class Element:
     """A table of the file."""
@@ -65,14 +39,52 @@ class Element:
     count: int
     """Rows announced."""
     properties: list[tuple[str, str]]
-    """Name and NumPy type of each value of a row."""
-    has_lists: bool = False
-    """Whether some values are lists, which `properties` leaves out."""
+    """Name and NumPy type of each value of a row that is no list."""
+    lists: dict[int, tuple[str, str]] = field(default_factory=dict)
+    """NumPy types of the count and of the items of each list, by its place among all properties."""
+
+    @property
+    def has_lists(self) -> bool:
+        """Whether some values are lists, which `properties` leaves out."""
+        return bool(self.lists)
 
     @property
     def num_bytes(self) -> int:
         """Bytes of all rows, without lists."""
         return self.count * np.dtype(self.properties).itemsize
+
+
+_PREFIXES = re.compile(r"^(scal(ar)?_)+")
+
+
+@dataclass(frozen=True)
+class Header:
+    """What the header says of the vertices."""
+
+    encoding: Encoding
+    """How values are written."""
+    start: int
+    """Byte of the first element."""
+    lines_before: int
+    """Lines of a text file between there and the first vertex: the elements before it."""
+    count: int
+    """Vertices announced."""
+    dtype: np.dtype[np.void]
+    """A vertex."""
+    names: dict[str, str]
+    """Property by its bare name: CloudCompare writes scalar_opacity or scal_opacity for opacity."""
+    before: list[Element]
+    """Elements before the vertices."""
+    others: list[str]
+    """The elements that are not vertices and have rows, in words."""
+    bytes_after: int | None
+    """Bytes of the elements behind the vertices; None if they hold lists."""
+    mode: Mode
+    """As noted in a comment, else classic."""
+    are_surfels: bool
+    """Whether a comment says that these are surfels (2DGS)."""
+    comments: list[str]
+    """The other comments."""
 
 
 @dataclass(frozen=True)
@@ -103,9 +115,10 @@ def parse_text(path: Path, head: bytes) -> Text:
     if not match:
         raise FormatError(f"{path}: found no end_header in its first {len(head)} bytes; the file is damaged or cut off")
     try:
-        lines = [line.strip() for line in head[: match.start()].decode("utf-8").splitlines()]
-    except UnicodeDecodeError as error:
-        raise FormatError(f"{path}: the header is not text ({error}); the file is damaged") from error
+        text = head[: match.start()].decode("utf-8")
+    except UnicodeDecodeError:  # comments of older tools are in Latin-1
+        text = head[: match.start()].decode("latin-1")
+    lines = [line.strip() for line in re.split(r"\r?\n|\r", text)]
 
     encoding = next((line.split()[1] for line in lines if re.match(r"format\s+\S", line)), "missing")
     if encoding not in get_args(Encoding):
@@ -121,8 +134,9 @@ def parse_text(path: Path, head: bytes) -> Text:
                 comments.append(line.partition(" ")[2])
             case ["element", name, digits] if digits.isascii() and digits.isdigit() and len(digits) < 16:
                 elements.append(Element(name, int(digits), []))
-            case ["property", "list", _, _, _] if elements:
-                elements[-1].has_lists = True
+            case ["property", "list", number, kind, _] if elements and number in _TYPES and kind in _TYPES:
+                place = len(elements[-1].properties) + len(elements[-1].lists)
+                elements[-1].lists[place] = order + _TYPES[number], order + _TYPES[kind]
             case ["property", kind, name] if elements and kind in _TYPES:
                 elements[-1].properties.append((name, order + _TYPES[kind]))
             case _:
@@ -151,12 +165,14 @@ def parse_header(path: Path, head: bytes) -> Header:
     names = [name for name, _ in vertices.properties]
     return Header(
         encoding=text.encoding,
-        start=text.num_bytes + (0 if text.encoding == "ascii" else sum(element.num_bytes for element in before)),
+        start=text.num_bytes,
         lines_before=sum(element.count for element in before),
         count=vertices.count,
         dtype=np.dtype(vertices.properties),
-        names={name.removeprefix("scalar_"): name for name in names} | {name: name for name in names},
-        bytes_after=None if any(e.has_lists for e in after) else sum(element.num_bytes for element in after),
+        names={_PREFIXES.sub("", name): name for name in names} | {name: name for name in names},
+        before=before,
+        others=[f"{e.name} ({e.count:,} row{'s' * (e.count != 1)})" for e in (*before, *after) if e.count],
+        bytes_after=None if any(e.has_lists and e.count for e in after) else sum(e.num_bytes for e in after),
         mode=text.mode,
         are_surfels=text.are_surfels,
         comments=text.comments,
@@ -176,9 +192,6 @@ def _vertices(path: Path, elements: list[Element]) -> int:
     index = names.index("vertex")
     if elements[index].has_lists:
         raise FormatError(f"{path}: the vertices hold lists, wanted scalars: this is no 3DGS file")
-    for element in elements[:index]:
-        if element.has_lists:
-            raise FormatError(f"{path}: element {element.name!r} before the vertices holds lists: this is no 3DGS file")
     return index
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from splatree.errors import FormatError
 from splatree.io import untrusted
 from splatree.scene.levels import LevelRecord
+from splatree.scene.origin import NO_ORIGIN
 from splatree.scene.scene import Source
 from splatree.shapes import Array
 
@@ -32,6 +33,9 @@ __all__ = [
 
 NOT_STORED = ("blocks", "device")
 """Fields of a scene that are of this run: an index that is made anew, and where it is drawn."""
+
+_WORLD_ORIGIN = "world_origin"
+"""Key of `Source.origin` among the provenance; left out where it is zero."""
 
 STORED_AS = {"tile_rule": "extent"}
 """Fields whose name in the file is an older one, which stays so that files of every version are read by every version."""
@@ -82,6 +86,8 @@ def source_text(source: Source) -> str:
     metadata = dict(source.metadata)
     if source.format and source.format != "splatree":
         metadata["origin"] = json.dumps({"format": source.format, "names": [Path(p).name for p in source.paths]})
+    if source.origin != NO_ORIGIN:
+        metadata[_WORLD_ORIGIN] = json.dumps(source.origin)
     return json.dumps(metadata)
 
 
@@ -120,7 +126,13 @@ def struct_from(kind: type, prefix: str, columns: dict[str, Array], values: Mapp
 def source_from(values: Mapping[str, Any], key: str, where: str) -> Source:
     """The provenance that `source_text` wrote."""
     metadata = untrusted.as_object(value_of(values, key, where), f"{where}: {key}")
-    return Source(metadata={k: untrusted.as_text(v, f"{where}: {key}.{k}") for k, v in metadata.items()})
+    texts = {k: untrusted.as_text(v, f"{where}: {key}.{k}") for k, v in metadata.items()}
+    origin = NO_ORIGIN
+    if _WORLD_ORIGIN in texts:
+        parsed = {_WORLD_ORIGIN: untrusted.parse_json(texts.pop(_WORLD_ORIGIN).encode(), f"{where}: {key}")}
+        x, y, z = untrusted.numbers(parsed, _WORLD_ORIGIN, f"{where}: {key}", (3,)).tolist()
+        origin = x, y, z
+    return Source(metadata=texts, origin=origin)
 
 
 def _unwrap(hint: Any) -> tuple[Any, bool]:

@@ -1,0 +1,32 @@
+"""What a reader did that the user should know: sentences in ``Source.metadata["notes"]``, a list in JSON."""
+
+import json
+from collections.abc import Mapping
+
+from splatree.scene.origin import NO_ORIGIN, Origin
+
+__all__ = ["notes_in", "origin_in_words", "origin_note", "sentences_in"]
+
+
+def origin_note(origin: Origin) -> str:
+    """That coordinates are relative to an origin."""
+    return (
+        f"coordinates lie so far from zero that float32 would round them coarsely: they are kept relative to the origin "
+        f"{origin_in_words(origin)}, which formats that can hold one give back"
+    )
+
+
+def origin_in_words(origin: Origin) -> str:
+    """Its three numbers with all digits that they need."""
+    return "(" + ", ".join(f"{x:.15g}" for x in origin) + ")"
+
+
+def notes_in(metadata: Mapping[str, str], origin: Origin) -> tuple[str, ...]:
+    """What the reader of a scene noted, and its origin."""
+    notes = sentences_in(metadata, "notes")
+    return (*notes, origin_note(origin)) if origin != NO_ORIGIN else notes
+
+
+def sentences_in(metadata: Mapping[str, str], key: str) -> tuple[str, ...]:
+    """A list of sentences in JSON; none if there is none."""
+    return tuple(json.loads(metadata.get(key, "[]")))
