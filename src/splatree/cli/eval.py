@@ -150,8 +150,9 @@ def run(command: Command) -> Evaluated:
     if command.training and command.data is None:
         raise UsageError("training: found no --data, wanted photographs; without them no view is held out")
     source = command.cameras or command.data
+    named = None if source is None else read_cameras(source)  # missing ones are told before any work
     scene = with_blocks(read_scene(command.paths, command.reading)).to(command.device)
-    cameras = flyout(scene, command.made) if source is None else read_cameras(source, origin=scene.source.origin)
+    cameras = flyout(scene, command.made) if named is None else named.relative_to(scene.source.origin)
     photos = None if command.data is None else Photos(command.data, cameras.views)
     held_out, training, compared_with = _views(cameras.views if photos is None else photos.views, command)
     if photos is not None:

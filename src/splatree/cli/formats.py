@@ -48,6 +48,8 @@ class FormatLine:
     """Whether the file says how its levels were made and are to be drawn."""
     clusters: bool
     """Whether clusters are kept."""
+    origin: bool
+    """Whether coordinates far from zero keep their digits."""
     axes: str
     """Axes that the format prescribes."""
 

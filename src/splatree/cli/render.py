@@ -8,7 +8,7 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from splatree.cli.console import Console, UsageError, table
-from splatree.cli.files import Reading, check_inputs, read_scene
+from splatree.cli.files import Reading, check_inputs, lost_and_noted, read_scene
 from splatree.cli.pictures import (
     PlaneSuffix,
     Targets,
@@ -19,7 +19,7 @@ from splatree.cli.pictures import (
     remove_stale,
     targets_of,
 )
-from splatree.cli.viewpoint import Viewpoint, Views, named_views, views_of
+from splatree.cli.viewpoint import Viewpoint, Views, named_views, relative_to, views_of
 from splatree.errors import InputError
 from splatree.io.registry import detect, level_of
 from splatree.render.batch import trace_batch
@@ -108,7 +108,7 @@ class Rendered:
     num_removed: int = 0
     """Pictures of an earlier run that were removed from the folder."""
     notes: tuple[str, ...] = ()
-    """What the reader of the cameras chose or left out."""
+    """What the readers of the scene and of the cameras did that the user should know, a sentence each."""
 
 
 def run(command: Command) -> Rendered:
@@ -123,7 +123,7 @@ def run(command: Command) -> Rendered:
     made = command.made
     if command.turntable is not None and made.views == PathOptions().views:
         made = replace(made, views=TURNTABLE_VIEWS)
-    views = named or views_of(scene, command.viewpoint, made)
+    views = relative_to(named, scene) if named else views_of(scene, command.viewpoint, made)
     if output is not None and is_picture(output) and video is None:
         views = replace(views, cameras=views.cameras[:1])
     targets = targets_of(file_names(views.cameras), output, command.counters, depth=command.depth, alpha=command.alpha)
@@ -135,7 +135,9 @@ def run(command: Command) -> Rendered:
     removed = 0
     if command.force and output is not None and not is_picture(output):
         removed = remove_stale(output, [path for target in targets for path in target.paths])
-    return Rendered(output, video, command.counters, drawn, views.reasons, removed, views.notes)
+    return Rendered(
+        output, video, command.counters, drawn, views.reasons, removed, (*lost_and_noted(scene)[1], *views.notes)
+    )
 
 
 def _video(command: Command) -> Path | None:

@@ -5,6 +5,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+
 from splatree.cli.console import UsageError
 from splatree.errors import InputError
 from splatree.io.cameras.files import read_cameras
@@ -13,7 +15,7 @@ from splatree.render.paths import PathOptions, flyout, orbit, turn
 from splatree.scene.cameras import Camera
 from splatree.scene.scene import Scene
 
-__all__ = ["Viewpoint", "Views", "named_views", "views_of"]
+__all__ = ["Viewpoint", "Views", "named_views", "relative_to", "views_of"]
 
 Point = tuple[float, float, float]
 
@@ -64,6 +66,12 @@ class Views:
     """What the reader of the cameras chose or left out."""
 
 
+def relative_to(views: Views, scene: Scene) -> Views:
+    """Views of files in the coordinates of a scene with an origin."""
+    origin = np.asarray(scene.source.origin)
+    return replace(views, cameras=tuple(camera.moved(origin) for camera in views.cameras)) if origin.any() else views
+
+
 def named_views(viewpoint: Viewpoint) -> Views | None:
     """The views of --cameras, read before the scene is; None without."""
     if viewpoint.cameras is None:
@@ -79,13 +87,22 @@ def views_of(scene: Scene, viewpoint: Viewpoint, made: PathOptions) -> Views:
     if viewpoint.path == "turn":
         inside = None if viewpoint.look == "auto" else viewpoint.look == "inside"
         framing = frame_scene(scene, up=made.up, inside=inside, aspect=made.width / made.height)
-        framing = framing.moved(eye=viewpoint.eye, target=viewpoint.target, distance=viewpoint.distance)
+        eye, target = (_relative(point, scene) for point in (viewpoint.eye, viewpoint.target))
+        framing = framing.moved(eye=eye, target=target, distance=viewpoint.distance)
         if viewpoint.eye is not None:  # then the point given stays what it is
             made = replace(made, elevation_deg=None)
         cameras, reasons = turn(framing, made), framing.reasons
     else:
         cameras = (orbit if viewpoint.path == "orbit" else flyout)(scene, made)
     return Views(_chosen([camera.scaled(viewpoint.scale) for camera in cameras], viewpoint.view), reasons)
+
+
+def _relative(point: Point | None, scene: Scene) -> Point | None:
+    """A point of the world in the coordinates of a scene."""
+    if point is None:
+        return None
+    x, y, z = (a - b for a, b in zip(point, scene.source.origin, strict=True))
+    return x, y, z
 
 
 def _chosen(cameras: Sequence[Camera], view: str | None) -> tuple[Camera, ...]:

@@ -19,7 +19,7 @@ from splatree.errors import InputError
 from splatree.io.chunks import Chunks
 from splatree.io.inputs import find_inputs
 from splatree.io.joined import joined, joined_source, relative_to
-from splatree.io.notes import notes_in, sentences_in
+from splatree.io.notes import notes_in, sentences_in, with_note
 from splatree.io.options import ReadOptions, WriteOptions
 from splatree.io.registry import detect, format_to_write, read_one, write, write_chunks
 from splatree.progress import track
@@ -155,7 +155,8 @@ def _joined_chunks(parts: Sequence[Chunks], paths: Sequence[Path]) -> Chunks:
             for chunk in part:
                 yield relative_to(chunk.with_sh_degree(degree), part.origin, first.origin)
 
-    metadata = joined_source([Source(metadata=part.metadata) for part in parts]).metadata
+    source = joined_source([Source(metadata=part.metadata) for part in parts])
+    metadata = with_note(source, f"{len(parts)} inputs were joined as one scene").metadata
     return Chunks(sum(map(len, parts)), degree, first.mode, make, metadata, origin=first.origin)
 
 

@@ -12,6 +12,7 @@ from itertools import chain
 import numpy as np
 
 from splatree.errors import InputError
+from splatree.io.notes import with_note
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.levels import UNKNOWN_LEVELS, LevelRecord, common_record
 from splatree.scene.origin import Origin
@@ -66,7 +67,7 @@ def joined(scenes: Iterable[Scene]) -> Scene:
         GaussianTree(tree["subtree_end"], tree["depth"], tree["extents"], common_record(records)),
         ids=np.arange(start, dtype=np.uint32) if has_ids else None,
         **drawn,
-        source=joined_source(sources),
+        source=with_note(joined_source(sources), f"{len(sources)} inputs were joined as one scene"),
     )
 
 
@@ -92,7 +93,7 @@ def _append(columns: dict[str, Array], parts: dict[str, Array]) -> None:
 
 def joined_source(sources: Sequence[Source]) -> Source:
     """Paths of all; metadata that all agree on as it is, counts of repairs added up, losses and notes named once, the rest as a
-    list in JSON; a note of how many there are."""
+    list in JSON."""
     metadata: dict[str, str] = {}
     for key in dict.fromkeys(key for source in sources for key in source.metadata):
         values = [source.metadata[key] for source in sources if key in source.metadata]
@@ -109,9 +110,6 @@ def joined_source(sources: Sequence[Source]) -> Source:
         else:
             same = len(set(values)) == 1 and len(values) == len(sources)
             metadata[key] = values[0] if same else json.dumps(values)
-    metadata["notes"] = json.dumps(
-        [*json.loads(metadata.get("notes", "[]")), f"{len(sources)} inputs were joined as one scene"]
-    )
     formats = dict.fromkeys(source.format for source in sources)
     paths = tuple(path for source in sources for path in source.paths)
     return Source(paths, " + ".join(formats), metadata, sources[0].origin)

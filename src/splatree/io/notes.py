@@ -2,10 +2,12 @@
 
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 
 from splatree.scene.origin import NO_ORIGIN, Origin
+from splatree.scene.scene import Source
 
-__all__ = ["notes_in", "origin_in_words", "origin_note", "sentences_in"]
+__all__ = ["notes_in", "origin_in_words", "origin_note", "sentences_in", "with_note"]
 
 
 def origin_note(origin: Origin) -> str:
@@ -25,6 +27,12 @@ def notes_in(metadata: Mapping[str, str], origin: Origin) -> tuple[str, ...]:
     """What the reader of a scene noted, and its origin."""
     notes = sentences_in(metadata, "notes")
     return (*notes, origin_note(origin)) if origin != NO_ORIGIN else notes
+
+
+def with_note(source: Source, note: str) -> Source:
+    """The source with one more note."""
+    notes = json.dumps([*sentences_in(source.metadata, "notes"), note])
+    return replace(source, metadata={**source.metadata, "notes": notes})
 
 
 def sentences_in(metadata: Mapping[str, str], key: str) -> tuple[str, ...]:

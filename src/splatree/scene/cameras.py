@@ -108,6 +108,12 @@ class Cameras:
     notes: tuple[str, ...] = ()
     """What the reader of their file chose or left out, a sentence each."""
 
+    def relative_to(self, origin: tuple[float, float, float]) -> "Cameras":
+        """The same views in the coordinates of a scene whose ``source.origin`` is ``origin``."""
+        if not any(origin):
+            return self
+        return replace(self, views=tuple(camera.moved(np.asarray(origin)) for camera in self.views))
+
     def __len__(self) -> int:
         return len(self.views)
 

@@ -40,9 +40,7 @@ def read_cameras(path: str | os.PathLike[str], *, origin: Origin = NO_ORIGIN) ->
     cameras = _read(Path(path))
     if not len(cameras):
         raise FormatError(f"{path}: found no camera in it, wanted at least one")
-    if origin == NO_ORIGIN:
-        return cameras
-    return replace(cameras, views=tuple(camera.moved(np.asarray(origin)) for camera in cameras))
+    return cameras.relative_to(origin)
 
 
 def _read(root: Path) -> Cameras:
