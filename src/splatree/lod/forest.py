@@ -145,6 +145,9 @@ def forest_of_leaves(
         inputs: row of each Gaussian in the whole scene; None: the scene is whole.
         visibilities: how much of each Gaussian is seen in the whole scene; None: measured in this scene, if the rule asks.
         threads: threads to use; 0: all.
+
+    Returns:
+        A forest without families, in the order of rank.
     """
     leaves = scene.gaussians
     codes = morton_codes(leaves.means, resolved.frame)

@@ -42,14 +42,32 @@ _ROUNDS = 32
 
 
 def link_levels(levels: Sequence[Scene], *, threads: int = 0) -> Scene:
-    """One scene with the tree over ``levels``, the finest first: its leaves are the Gaussians of the first, bit for bit.
+    """Make one tree of levels that another tool made: each Gaussian hangs below its nearest one of the next coarser level.
 
-    Select with the profile `sphere`: the extents are made so that the nodes of a level then change together.
-    Counts, and how many nodes had to take another's child or were left out, are written to ``source.metadata["levels"]``.
+    Args:
+        levels: flat scenes, the finest first, each with at most as many Gaussians as the one before (`read_levels`).
+        threads: threads to use; 0: all.
+
+    Returns:
+        One scene. Its leaves are the Gaussians of the finest level, bit for bit. ``tree.record`` says that the levels are linked:
+        they are drawn by the profile `sphere`, since extents are made so that the nodes of a level change together.
+        ``source.metadata["levels"]`` counts the nodes that had to take another node's child, and those that were left out.
 
     Raises:
         InputError: there are no levels, one has levels of its own, one is larger than the finer one before it, or they are drawn
             in different modes.
+
+    Example:
+        >>> import numpy as np
+        >>> import splatree as st
+        >>> n = np.arange(8, dtype=np.float32)
+        >>> fine = st.Gaussians(
+        ...     np.column_stack([n, 0 * n, 0 * n]), np.tile(np.float32([1, 0, 0, 0]), (8, 1)),
+        ...     np.full((8, 3), -1, np.float32), np.zeros(8, np.float32), np.zeros((8, 1, 3), np.float32),
+        ... )
+        >>> tree = st.link_levels([st.Scene.flat(fine), st.Scene.flat(fine.take(np.array([1, 5])))])
+        >>> tree.tree.num_leaves, len(tree), tree.tree.record.rule
+        (8, 10, 'linked')
     """
     _check(levels)
     finest = levels[0]

@@ -159,6 +159,9 @@ def resolve(options: BuildOptions, measures: Measures, mode: Mode) -> ResolvedBu
         options: how levels are to grow.
         measures: those of the whole scene.
         mode: how the scene is drawn.
+
+    Returns:
+        The decisions; give the same ones to every part of the scene.
     """
     sides = [high - low for low, high in zip(measures.low, measures.high, strict=True)]
     last_size = float(np.linalg.norm(sides))
