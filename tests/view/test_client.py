@@ -8,22 +8,25 @@ import time
 import numpy as np
 import pytest
 
+from splatree.clusters.build import build_clusters
 from splatree.errors import InputError
 from splatree.lod.select import count_nested, select
 from splatree.render.pipeline import render
 from splatree.scene.cameras import Camera
 from splatree.scene.options import SelectOptions
+from splatree.scene.scene import Scene
 from splatree.view import client as module
 from splatree.view.client import Client, with_guard
+from splatree.view.exhibit import exhibit
 
-from .scenes import on_show
+from .scenes import gaussians, on_show, scene
 
 
 class FakePage:
     """Keeps what is sent, and acknowledges it unless it has stopped reading."""
 
-    def __init__(self, capacity=1 << 16, reads=True):
-        self.exhibit = on_show()
+    def __init__(self, shown=None, capacity=1 << 16, reads=True):
+        self.exhibit = shown or on_show()
         self.messages, self.reads, self.taken = [], reads, 0
         self.arrived = threading.Condition()
         self.client = Client(self.exhibit, self.send, capacity)
@@ -181,16 +184,34 @@ def test_the_point_behind_a_pixel_is_on_its_ray(page):
     assert 3 < z < 9
 
 
-def test_boxes_hold_the_nodes_of_the_cut(page):
+@pytest.mark.parametrize("kind", ["blocks", "chunks", "clusters"])
+def test_boxes_hold_the_nodes_of_the_cut(kind):
+    made = build_clusters(scene(), 30)
+    page = FakePage(exhibit(made, framing=on_show().framing))
     page.ask(tau=0.0, budget=50_000)
     page.wait_for("cut", 1)
-    page.ask(want="boxes", seq=2)
+    page.ask(want="boxes", boxes=kind, seq=2)
     header, payload = page.wait_for("boxes", 2)
     boxes = np.frombuffer(payload, "<f4").reshape(-1, 2, 3) + page.exhibit.centre
     assert header["count"] == len(boxes) > 0
     means = page.exhibit.scene.gaussians.means[page.client._slots.rows]
     held = ((means[:, None] >= boxes[:, 0] - 1e-4) & (means[:, None] <= boxes[:, 1] + 1e-4)).all(-1).any(-1)
     assert held.all()
+    page.close()
+
+
+def test_a_scene_without_clusters_has_no_boxes_of_them(page):
+    page.ask(want="boxes", boxes="clusters", seq=2)
+    assert page.wait_for("boxes", 2)[0]["count"] == 0
+
+
+def test_a_step_that_the_roots_do_not_fit_is_left_out(monkeypatch):
+    monkeypatch.setattr(module, "LADDER", (1000, 1500))
+    page = FakePage(exhibit(Scene.flat(gaussians(2000)), framing=on_show().framing))
+    page.ask(tau=0.0, budget=3000)
+    assert page.wait_for("cut", 1)[0]["rows"] > 1500
+    page.close()
+    assert sum(header["kind"] == "cut" for header, _ in page.messages) == 1
 
 
 def test_another_scene_begins_anew(page):

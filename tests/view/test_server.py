@@ -178,7 +178,7 @@ def test_other_hosts_need_the_token():
 
 
 def test_by_default_only_this_machine_can_connect(viewer):
-    assert viewer._server._socket.getsockname()[0] == "127.0.0.1"
+    assert viewer._server._http._socket.getsockname()[0] == "127.0.0.1"
     assert "token" not in viewer.url
 
 

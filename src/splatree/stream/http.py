@@ -21,8 +21,10 @@ LOOPBACK: Final = ("127.0.0.1", "localhost", "::1")
 class HttpServer:
     """An application that answers at one address, in a thread of its own."""
 
-    def __init__(self, app: ASGIApp, host: str, port: int) -> None:
+    def __init__(self, app: ASGIApp, host: str, port: int, *, message_bytes: int = 0) -> None:
         """Take the port, 0 for any that is free.
+
+        ``message_bytes`` is the longest message that a WebSocket may bring; 0: there are no WebSockets.
 
         Raises:
             OutputError: it cannot be listened on.
@@ -38,7 +40,14 @@ class HttpServer:
         """Port that it listens on."""
         logging.getLogger("uvicorn.error").setLevel(logging.ERROR)
         config = uvicorn.Config(
-            app, log_config=None, access_log=False, server_header=False, ws="none", timeout_graceful_shutdown=2
+            app,
+            log_config=None,
+            access_log=False,
+            server_header=False,
+            ws="websockets-sansio" if message_bytes else "none",
+            ws_max_size=message_bytes,
+            ws_per_message_deflate=False,  # nodes and pictures do not get smaller
+            timeout_graceful_shutdown=2,
         )
         self._uvicorn = uvicorn.Server(config)
         self._thread = threading.Thread(

@@ -13,10 +13,10 @@ from typing import Final
 
 import numpy as np
 
-from splatree.errors import SplatreeError
+from splatree.errors import InputError, SplatreeError
 from splatree.scene.cameras import Camera
 from splatree.scene.frame import Selection
-from splatree.shapes import Array
+from splatree.view.boxes import boxes_of
 from splatree.view.exhibit import Exhibit
 from splatree.view.messages import Ack, Request, Want, pack_message, parse
 from splatree.view.pictures import encode, layer_of
@@ -36,8 +36,8 @@ UNDER_WAY: Final = 2
 PATIENCE_S: Final = 30.0
 """Time after which a page that takes nothing in is given up."""
 
-BOXES_MAX: Final = 4_000
-"""Boxes sent at most: 96 kB."""
+BOXES_MAX: Final = 2_000
+"""Boxes sent at most: 48 kB; more would hide the picture."""
 
 POINT_PX: Final = 9
 """Side of the picture that is drawn to find the point behind a pixel."""
@@ -147,7 +147,13 @@ class Client:
             budget = LADDER[self._rung]
         camera, eye = with_guard(request.camera, request.guard), request.camera.position
         start = time.process_time()
-        chosen = self._exhibit.cut(camera, replace(request.select, budget=budget), self._last)
+        try:
+            chosen = self._exhibit.cut(camera, replace(request.select, budget=budget), self._last)
+        except InputError:
+            if not is_step:
+                raise
+            self._rung += 1  # the scene has more roots in view than this step has nodes
+            return self._cut(request)
         selected = time.process_time()
         change = self._slots.move(chosen.rows, eye)
         packed = time.process_time()
@@ -217,7 +223,7 @@ class Client:
         self._send(pack_message({"kind": "point", "seq": request.seq, "point": point}))
 
     def _boxes(self, request: Request) -> None:
-        boxes = boxes_of(self._exhibit, request.boxes, self._slots.rows)
+        boxes = boxes_of(self._exhibit.scene, request.boxes, self._slots.rows, BOXES_MAX)
         boxes = (boxes - self._exhibit.centre).astype("<f4")
         header = {"kind": "boxes", "seq": request.seq, "of": request.boxes, "count": len(boxes)}
         self._send(pack_message(header, boxes.tobytes()))
@@ -246,21 +252,6 @@ def with_guard(camera: Camera, guard: float) -> Camera:
     K[0, 2] += x
     K[1, 2] += y
     return replace(camera, K=K, width=camera.width + 2 * x, height=camera.height + 2 * y)
-
-
-def boxes_of(exhibit: Exhibit, kind: str, rows: Array) -> Array:
-    """Boxes "b 2 3" of the blocks or clusters that hold some of the rows; evenly chosen where there are too many."""
-    scene = exhibit.scene
-    if kind == "clusters" and scene.clusters is not None:
-        found = np.unique(np.searchsorted(scene.clusters.start, rows, side="right") - 1)
-        low, high = scene.clusters.box_low, scene.clusters.box_high
-    elif kind == "blocks" and scene.blocks is not None:
-        found = np.unique(rows // scene.blocks.rows_per_block)
-        low, high = scene.blocks.lower, scene.blocks.upper
-    else:
-        return np.zeros((0, 2, 3))
-    found = found[:: max(1, -(-len(found) // BOXES_MAX))]
-    return np.stack([low[found], high[found]], axis=1).astype(np.float64)
 
 
 def finite(value: float) -> float | None:

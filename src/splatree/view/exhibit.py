@@ -24,7 +24,7 @@ from splatree.shapes import Array, Float64
 
 __all__ = ["Exhibit", "exhibit", "with_levels"]
 
-FLAT_MAX = 50_000
+FLAT_MAX = 10_000
 """Scenes of more Gaussians get levels before they are shown: fewer fit into any budget as they are."""
 
 

@@ -13,7 +13,8 @@ from starlette.datastructures import Headers
 from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from splatree.view.options import LOOPBACK, ViewOptions
+from splatree.stream.http import LOOPBACK, host_name
+from splatree.view.options import ViewOptions
 
 __all__ = ["Guard"]
 
@@ -37,7 +38,7 @@ class Guard:
     def _refusal(self, scope: Scope) -> str | None:
         headers = Headers(scope=scope)
         host = headers.get("host", "")
-        if self._options.is_local and _name_of(host) not in LOOPBACK:
+        if self._options.is_local and host_name(host) not in LOOPBACK:
             return f"found Host {host[:80]!r}, wanted a name of this machine, such as localhost"
         origin = headers.get("origin")
         if origin is not None and origin not in self._options.allow_origin and not _is_same(origin, host):
@@ -47,14 +48,6 @@ class Guard:
             if not hmac.compare_digest(given.encode(), self._token.encode()):
                 return "found no token or a wrong one, wanted the address that splatree view printed"
         return None
-
-
-def _name_of(host: str) -> str:
-    """The name in ``name:port``, without the brackets of IPv6."""
-    try:
-        return urlsplit(f"//{host}").hostname or ""
-    except ValueError:
-        return ""
 
 
 def _is_same(origin: str, host: str) -> bool:

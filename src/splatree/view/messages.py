@@ -25,6 +25,7 @@ from splatree.errors import InputError
 from splatree.scene.cameras import Camera
 from splatree.scene.options import SelectOptions
 from splatree.shapes import Array, Float64
+from splatree.view.boxes import BoxKind
 from splatree.view.options import CAPACITY
 from splatree.view.pictures import Layer, Packing
 
@@ -74,7 +75,7 @@ class Request:
     """Corners of a box in world coordinates, outside of which nothing is drawn."""
     at: tuple[float, float] = (0.0, 0.0)
     """Pixel whose point is wanted."""
-    boxes: Literal["blocks", "clusters"] = "blocks"
+    boxes: BoxKind = "blocks"
     """Which boxes are wanted."""
 
 
@@ -114,7 +115,7 @@ def parse(text: str, centre: Float64[Array, "3"]) -> Request | Ack:
         background=(max(red, 0.0), max(green, 0.0), max(blue, 0.0)),
         box=box,
         at=(x, y),
-        boxes=_name(record, "boxes", Literal["blocks", "clusters"], "blocks"),
+        boxes=_name(record, "boxes", BoxKind, "blocks"),
     )
 
 

@@ -4,12 +4,10 @@ from dataclasses import dataclass
 
 from splatree.constants import PIXEL_ERROR
 from splatree.errors import InputError
+from splatree.stream.http import LOOPBACK
 
 CAPACITY = 1 << 21
 """Nodes that a page holds at most: 64 MiB of graphics memory at 32 bytes a node."""
-
-LOOPBACK = ("127.0.0.1", "localhost", "::1")
-"""Names of this machine that no other machine can reach."""
 
 
 @dataclass(frozen=True)

@@ -9,25 +9,22 @@ import concurrent.futures
 import contextlib
 import io
 import json
-import logging
-import socket
 import threading
-import time
 from collections.abc import AsyncIterator, Mapping
 from importlib.resources import files
 from typing import Any, Final
 
 import numpy as np
-import uvicorn
 from starlette.applications import Starlette
 from starlette.requests import Request as HttpRequest
 from starlette.responses import JSONResponse, PlainTextResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from splatree.errors import InputError, OutputError
+from splatree.errors import InputError
 from splatree.scene.cameras import Camera, Cameras
 from splatree.shapes import Array
+from splatree.stream.http import HttpServer
 from splatree.view.client import PATIENCE_S, Client
 from splatree.view.exhibit import Exhibit
 from splatree.view.guard import Guard
@@ -67,10 +64,6 @@ class Server:
         self._lock = threading.Lock()
         self._clients: list[tuple[int, Client]] = []
         self._loop: asyncio.AbstractEventLoop | None = None
-        self._thread: threading.Thread | None = None
-        self._socket = _listen(options)
-        self.port: int = self._socket.getsockname()[1]
-        """Port that it listens on."""
         routes = [
             Route("/", self._index),
             Route("/page/{name}", self._file),
@@ -79,27 +72,13 @@ class Server:
             WebSocketRoute("/ws", self._connect),
         ]
         app = Guard(Starlette(routes=routes, lifespan=self._lifespan), options, token)
-        config = uvicorn.Config(
-            app,
-            log_config=None,
-            access_log=False,
-            server_header=False,
-            ws="websockets-sansio",
-            ws_max_size=TEXT_BYTES,
-            ws_per_message_deflate=False,
-            timeout_graceful_shutdown=2,
-        )
-        logging.getLogger("uvicorn.error").setLevel(logging.ERROR)
-        self._uvicorn = uvicorn.Server(config)
+        self._http = HttpServer(app, options.host, options.port, message_bytes=TEXT_BYTES)
+        self.port: int = self._http.port
+        """Port that it listens on."""
 
     def start(self) -> None:
         """Begin to answer."""
-        self._thread = threading.Thread(
-            target=self._uvicorn.run, args=([self._socket],), daemon=True, name="splatree view"
-        )
-        self._thread.start()
-        while not self._uvicorn.started and self._thread.is_alive():
-            time.sleep(0.01)
+        self._http.start()
 
     def stop(self) -> None:
         """Let all pages go and stop."""
@@ -107,11 +86,8 @@ class Server:
             clients = list(self._clients)
         for _, client in clients:
             client.close()
-        self._uvicorn.should_exit = True
-        if self._thread is not None:
-            self._thread.join(10)
+        self._http.stop()
         self._workers.shutdown(wait=False)
-        self._socket.close()
 
     def show(self, which: int, exhibit: Exhibit) -> None:
         """Show another scene in the place ``which``."""
@@ -253,16 +229,6 @@ def _send_from_thread(loop: asyncio.AbstractEventLoop, socket: WebSocket, data: 
         TimeoutError: it does not within half a minute.
     """
     asyncio.run_coroutine_threadsafe(socket.send_bytes(data), loop).result(PATIENCE_S)
-
-
-def _listen(options: ViewOptions) -> socket.socket:
-    family = socket.AF_INET6 if ":" in options.host else socket.AF_INET
-    try:
-        return socket.create_server((options.host, options.port), family=family)
-    except OSError as error:
-        raise OutputError(
-            f"{options.host}:{options.port}: cannot be listened on ({error.strerror}); choose another --port or --host"
-        ) from error
 
 
 def _page_files() -> dict[str, tuple[bytes, str]]:

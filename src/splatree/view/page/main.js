@@ -111,10 +111,18 @@ class App {
       threshold: 1 / 255,
       antialiased: this.facts.mode === 'antialiased',
       layer: this.state.layer,
-      depth: Math.max(...this.layers.map((layer) => (layer.facts?.levels ?? 1) - 1)),
+      depths: this.depthRange(),
       box: this.state.box,
       background: this.page.background(),
     };
+  }
+
+  /** Depths in the tree between which nearly all nodes of the cut lie, for the colours of levels. */
+  depthRange() {
+    const levels = this.layers[0].header?.levels ?? [1], total = levels.reduce((a, b) => a + b, 0);
+    let below = 0;
+    const low = levels.findIndex((count) => (below += count) > 0.02 * total);
+    return [Math.max(0, low), Math.max(1, levels.length - 1)];
   }
 
   request(layer) {

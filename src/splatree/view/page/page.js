@@ -1,7 +1,8 @@
 // What surrounds the picture: title, status, tools, settings, help.
 import { address } from './address.js';
 import { boxLines, frusta } from './lines.js';
-import { bytes, button, choice, count, make, section, share, slider, tick } from './panel.js';
+import { bytes, button, choice, count, make, named, section, share, slider, tick } from './panel.js';
+import { levelColor } from './palette.js';
 import { psnr } from './psnr.js';
 import { Views } from './views.js';
 
@@ -9,9 +10,11 @@ const at = (id) => document.getElementById(id);
 const UPS = { '−y': [0, -1, 0], '+y': [0, 1, 0], '+z': [0, 0, 1], '−z': [0, 0, -1], '+x': [1, 0, 0], '−x': [-1, 0, 0] };
 const BACKGROUNDS = { dark: [0.043, 0.051, 0.063], light: [0.957, 0.961, 0.949], black: [0, 0, 0], white: [1, 1, 1] };
 const ICONS = {
-  orbit: 'M12 4a8 8 0 1 0 8 8M12 8a4 4 0 1 0 4 4M20 4v5h-5', fly: 'M3 12 21 4l-6 17-3-7z', home: 'M4 11 12 4l8 7v9h-5v-6H9v6H4z',
-  shot: 'M4 8h4l2-3h4l2 3h4v12H4zM12 10a4 4 0 1 0 .01 0', share: 'M9 12 15 8M9 12l6 4M6 12h.01M18 7h.01M18 17h.01',
-  record: 'M12 6a6 6 0 1 0 .01 0', theme: 'M12 4a8 8 0 1 0 8 9A6 6 0 0 1 12 4', help: 'M9 9a3 3 0 1 1 4 3c-1 .6-1 1-1 2M12 18h.01', panel: 'M4 7h16M4 12h16M4 17h10',
+  orbit: 'M20 12a8 8 0 1 1-2.6-5.9M20 3.5v4h-4M12 10.5a1.5 1.5 0 1 0 .01 0', fly: 'M3.5 11.5 20.5 4l-6 16.5-3-6.5zM11.5 14l4-4.5',
+  home: 'M4 11.5 12 4l8 7.5M6 10v9.5h4.5V14h3v5.5H18V10', shot: 'M4 8h4l1.8-2.5h4.4L16 8h4v11H4zM12 10a3.3 3.3 0 1 0 .01 0',
+  share: 'M12 15V4M8 7.5 12 4l4 3.5M6 11H5v8.5h14V11h-1', record: 'M12 4a8 8 0 1 0 .01 0M12 9a3 3 0 1 0 .01 0',
+  theme: 'M13 4a8 8 0 1 0 7 9.5A6.2 6.2 0 0 1 13 4', help: 'M12 3.8a8.2 8.2 0 1 0 .01 0M9.6 9.5a2.5 2.5 0 1 1 3.5 2.4c-.8.4-1.1.9-1.1 1.8M12 16.6h.01',
+  panel: 'M4 8h8M17 8h3M4 16h3M12 16h8M14.5 5.5v5M9.5 13.5v5',
 };
 
 export class Page {
@@ -88,13 +91,13 @@ export class Page {
       this.app.changed();
     });
     const background = choice('Background', [['theme', 'Theme'], ['black', 'Black'], ['white', 'White']], 'theme', set('background'));
-    const boxes = choice('Boxes', [['none', 'None'], ['blocks', 'Blocks', 'Runs of 256 rows: what the selection looks at'], ['clusters', 'Clusters']], 'none', (kind) => this.showBoxes(kind));
+    const boxes = choice('Boxes', [['none', 'None'], ['blocks', 'Blocks', 'Runs of 256 rows: what the selection looks at'], ['chunks', 'Chunks', 'What a stream of this scene is cut into'], ['clusters', 'Clusters', 'What culling leaves out whole']], 'none', (kind) => this.showBoxes(kind));
     this.clip = tick('Clipping box', false, (isOn) => this.setClip(isOn));
     this.clipRows = make('div', { class: 'clip', hidden: true });
     at('panel').append(
       section('Detail', true, this.budget, this.tau, this.exact, this.leaves, this.histogram),
-      section('Show', true, this.layers, ...(this.app.frames ? [] : [boxes]), background),
-      section('Scene', false, make('span', { class: 'name' }, 'Up'), up, fov, this.clip, this.clipRows, this.facts),
+      section('Show', true, named('Layer', this.layers), ...(this.app.frames ? [] : [named('Boxes', boxes)]), named('Background', background)),
+      section('Scene', false, named('Up', up), fov, this.clip, this.clipRows, this.facts),
       section('Cameras', false, ...this.views.rows()),
     );
   }
@@ -133,6 +136,7 @@ export class Page {
     const most = Math.max(...levels, 1), depth = Math.max(levels.length, this.app.facts.levels);
     this.histogram.replaceChildren(...Array.from({ length: depth }, (_, i) => {
       const bar = make('b', { title: `depth ${i}: ${(levels[i] ?? 0).toLocaleString()} nodes` });
+      if (this.app.state.layer === 'levels') bar.style.background = levelColor(i, this.app.depthRange());
       bar.style.height = `${Math.max(levels[i] ? 4 : 0, (100 * (levels[i] ?? 0)) / most)}%`;
       return bar;
     }));
@@ -170,7 +174,7 @@ export class Page {
   boxesCame(header, boxes) {
     if (header.of !== this.boxes) return;
     if (!header.count) this.notice(`This scene has no ${this.boxes}.`, 3000);
-    this.app.lines.boxes = { points: boxLines(boxes), color: [0.55, 0.85, 0.62, 0.45] };
+    this.app.lines.boxes = { points: boxLines(boxes), color: [0.55, 0.9, 0.65, header.count > 300 ? 0.16 : 0.5] };
     this.app.isDirty = true;
   }
 

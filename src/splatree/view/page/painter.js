@@ -59,7 +59,7 @@ export class Painter {
 
   /**
    * Draw rooms side by side: `parts` is [{room, from, to, fade, range}] with from and to as shares of the width.
-   * view: {eye, axes, focal, near, width, height, dilation, antialiased, layer, depth, box, background, threshold}
+   * view: {eye, axes, focal, near, width, height, dilation, antialiased, layer, depths, box, background, threshold}
    */
   draw(view, parts, lines = []) {
     const gl = this.gl;
@@ -101,7 +101,7 @@ export class Painter {
     gl.uniform1f(at('threshold'), view.threshold);
     gl.uniform1i(at('antialiased'), Number(view.antialiased));
     gl.uniform1i(at('layer'), LAYERS.indexOf(view.layer));
-    gl.uniform1f(at('unitDepth'), Math.max(1, view.depth));
+    gl.uniform2fv(at('depths'), view.depths);
     gl.uniform3fv(at('boxLow'), view.box ? view.box.slice(0, 3) : [-1e30, -1e30, -1e30]);
     gl.uniform3fv(at('boxHigh'), view.box ? view.box.slice(3) : [1e30, 1e30, 1e30]);
     gl.bindVertexArray(room.array);

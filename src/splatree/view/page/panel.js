@@ -16,6 +16,11 @@ export function section(title, isOpen, ...children) {
   return make('details', { open: isOpen }, make('summary', {}, title), make('div', { class: 'rows' }, ...children));
 }
 
+/** A control with its name above it. */
+export function named(name, control) {
+  return make('div', { class: 'named' }, make('span', { class: 'name' }, name), control);
+}
+
 /** A slider over a logarithmic range: the value is shown beside its name. */
 export function slider(name, { low, high, value, show, hint, digits = 2 }, onChange) {
   const output = make('output', {}, show(value));

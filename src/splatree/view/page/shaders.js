@@ -1,4 +1,6 @@
 // What the graphics processor runs. Nodes are projected as in splatree's own renderer (kernels/reference/project.py).
+import { STOPS } from './palette.js';
+
 export const NODE_VERTEX = `#version 300 es
 precision highp float; precision highp int; precision highp usampler2D;
 uniform usampler2D nodes;
@@ -8,14 +10,17 @@ uniform vec2 size;                   // of the picture, px
 uniform float focal, near, dilation, threshold;
 uniform bool antialiased;
 uniform int layer;                   // 0 colours, 1 levels, 2 cut, 3 depth
-uniform float unitDepth;
+uniform vec2 depths;                 // of the first and of the last colour of levels
 uniform vec3 boxLow, boxHigh;
 layout(location = 0) in uint slot;
 out vec2 sigmas; out vec4 color;
 const float HALF_ROOT = 0.70710678;
 
-vec3 levelColor(float t) {           // from violet over green to yellow
-  return clamp(vec3(0.28, 0.02, 0.33) + t * (vec3(0.06, 1.38, 1.32) + t * (vec3(-1.8, 0.2, -2.9) + t * vec3(2.4, -0.7, 1.4))), 0., 1.);
+const vec3 STOPS[${STOPS.length}] = vec3[](${STOPS.map((stop) => `vec3(${stop.join(', ')})`).join(', ')});
+vec3 levelColor(float t) {
+  float place = clamp(t, 0., 1.) * float(${STOPS.length - 1});
+  int i = min(int(place), ${STOPS.length - 2});
+  return mix(STOPS[i], STOPS[i + 1], place - float(i));
 }
 
 void main() {
@@ -68,7 +73,7 @@ void main() {
   bool leaf = ((a.w >> 15) & 1u) == 1u;
   vec3 shown = vec3(uvec3(b.x & 2047u, (b.x >> 11) & 2047u, b.x >> 22)) * vec3(2. / 2047., 2. / 2047., 2. / 1023.);
   float grey = dot(shown, vec3(0.3, 0.6, 0.1));
-  if (layer == 1) shown = levelColor(clamp(float(level) / unitDepth, 0., 1.)) * (0.35 + 0.65 * grey);
+  if (layer == 1) shown = levelColor((float(level) - depths.x) / max(depths.y - depths.x, 1.)) * (0.4 + 0.75 * grey);
   if (layer == 2) shown = (leaf ? vec3(0.42, 0.86, 0.55) : vec3(1.0, 0.62, 0.22)) * (0.3 + 0.7 * grey);
   if (layer == 3) shown = vec3(log(t.z));
   color = vec4(shown, opacity);
