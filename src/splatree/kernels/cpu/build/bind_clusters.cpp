@@ -1,9 +1,9 @@
 // Glue of the clusters: K-means and spheres. Sizes are checked by the callers in kernels/cpu/build/*.py.
 #include "cpu/build/clusters.h"
 #include "cpu/build/kmeans.h"
-#include "cpu/runtime/arrays.h"
 #include "cpu/runtime/isa.h"
 #include "cpu/runtime/pool.h"
+#include "cpu/runtime/structs.h"
 
 namespace splatree {
 namespace {
@@ -23,13 +23,21 @@ void kmeans(In<float> points, In<float> centers, Out<int32_t> labels, Out<float>
   kmeans_step(job);
 }
 
-void bound_clusters(In<float> means, In<float> quats, In<float> log_scales, In<float> logit_opacities, In<int32_t> start,
-                    In<float> centers, Out<float> radii, Out<float> mean_radii, Out<float> footprint_radii, Out<float> box_low,
-                    Out<float> box_high, int threads) {
-  const SpheresJob job{means.data(),           quats.data(),   log_scales.data(), logit_opacities.data(),
-                       start.data(),           centers.data(), radii.data(),      mean_radii.data(),
-                       footprint_radii.data(), box_low.data(), box_high.data()};
-  const int64_t num_clusters = int64_t(centers.shape(0));
+// The structs are Gaussians and ClusterIndex of Python; the kernel fills the radii and boxes of the latter.
+void bound_clusters(nb::handle gaussians, nb::handle clusters, int threads) {
+  SpheresJob job{};
+  job.means = column<float>(gaussians, "means");
+  job.quats = column<float>(gaussians, "quats");
+  job.log_scales = column<float>(gaussians, "log_scales");
+  job.logit_opacities = column<float>(gaussians, "logit_opacities");
+  job.start = column<int32_t>(clusters, "start");
+  job.centers = column<float>(clusters, "centers");
+  job.radii = out_column<float>(clusters, "radii");
+  job.mean_radii = out_column<float>(clusters, "mean_radii");
+  job.footprint_radii = out_column<float>(clusters, "footprint_radii");
+  job.box_low = out_column<float>(clusters, "box_low");
+  job.box_high = out_column<float>(clusters, "box_high");
+  const int64_t num_clusters = int64_t(nb::len(clusters));
   nb::gil_scoped_release release;
   parallel_ranges(num_clusters, 64, threads, [&](int64_t begin, int64_t end) { kernels().bound_spheres(job, begin, end); });
 }
@@ -38,7 +46,8 @@ void bound_clusters(In<float> means, In<float> quats, In<float> log_scales, In<f
 
 void bind_clusters(nb::module_& m) {
   m.def("kmeans", &kmeans, "Fill the nearest centre of each point, and the sum and number of each centre's points.");
-  m.def("bound_spheres", &bound_clusters, "Fill the radii of clusters around their centres, and their boxes.");
+  m.def("bound_spheres", &bound_clusters, nb::arg("gaussians"), nb::arg("clusters"), nb::arg("threads"),
+        "Fill the radii of clusters around their centres, and their boxes.");
 }
 
 }  // namespace splatree

@@ -49,6 +49,8 @@ GaussianColumns columns_of(nb::handle gaussians) {
           column<float>(gaussians, "logit_opacities"), column<float>(gaussians, "sh")};
 }
 
+int64_t num_coefficients(nb::handle gaussians) { return int64_t(nb::cast<In<float>>(gaussians.attr("sh")).shape(1)); }
+
 // The structs are those of Python: Gaussians, Groups, MergeOptions (resolved), and the Gaussians to fill.
 void merge_groups(nb::handle gaussians, nb::handle groups, In<float> weights, nb::handle options, double added,
                   std::optional<In<float>> opacities, nb::handle out, int threads) {
@@ -56,7 +58,7 @@ void merge_groups(nb::handle gaussians, nb::handle groups, In<float> weights, nb
   const auto number = [&](const char* field) { return nb::cast<double>(options.attr(field)); };
   MergeJob job{};
   job.num_groups = int64_t(nb::len(groups));
-  job.k = int64_t(nb::cast<In<float>>(gaussians.attr("sh")).shape(1));
+  job.k = num_coefficients(gaussians);
   job.in = columns_of(gaussians);
   job.weights = weights.data();
   job.start = column<int64_t>(groups, "start");
@@ -71,11 +73,11 @@ void merge_groups(nb::handle gaussians, nb::handle groups, In<float> weights, nb
   job.dilation = options.attr("dilation").is_none() ? 0.0 : number("dilation");
   job.added = added;
   job.opacities = opacities ? opacities->data() : nullptr;
-  job.means = nb::cast<Out<float>>(out.attr("means")).data();
-  job.quats = nb::cast<Out<float>>(out.attr("quats")).data();
-  job.log_scales = nb::cast<Out<float>>(out.attr("log_scales")).data();
-  job.logit_opacities = nb::cast<Out<float>>(out.attr("logit_opacities")).data();
-  job.sh = nb::cast<Out<float>>(out.attr("sh")).data();
+  job.means = out_column<float>(out, "means");
+  job.quats = out_column<float>(out, "quats");
+  job.log_scales = out_column<float>(out, "log_scales");
+  job.logit_opacities = out_column<float>(out, "logit_opacities");
+  job.sh = out_column<float>(out, "sh");
   job.threads = threads;
   nb::gil_scoped_release release;
   merge(job);
@@ -85,49 +87,46 @@ void merge_groups(nb::handle gaussians, nb::handle groups, In<float> weights, nb
 
 void bind_thin(nb::module_& m) {
   m.def("thin", &thin_rows);
-  m.def("merge", &merge_groups);
+  m.def("merge", &merge_groups, nb::arg("gaussians"), nb::arg("groups"), nb::arg("weights"), nb::arg("options"), nb::arg("added"),
+        nb::arg("opacities").none(), nb::arg("out"), nb::arg("threads"), "Fill `out` with one Gaussian for each group.");
   m.def("nearest_distances", [](In<float> means, In<int32_t> queries, double edge, Out<double> distances, int threads) {
     nb::gil_scoped_release release;
     nearest_distances(static_cast<int64_t>(means.shape(0)), means.data(), static_cast<int64_t>(queries.shape(0)), queries.data(),
                       edge, distances.data(), threads);
   });
-  m.def("best_partners", [](In<float> means, In<float> quats, In<float> log_scales, In<float> logit_opacities, In<float> sh,
-                            In<float> weights, std::optional<In<float>> visibilities, double dilation,
+  m.def("best_partners", [](nb::handle gaussians, In<float> weights, std::optional<In<float>> visibilities, double dilation,
                             Out<int32_t> partner_from_row, Out<float> costs, Out<float> opacities, int threads) {
-    PairJob job{static_cast<int64_t>(means.shape(0)),
-                means.data(),
-                quats.data(),
-                log_scales.data(),
-                logit_opacities.data(),
-                sh.data(),
-                weights.data(),
-                visibilities ? visibilities->data() : nullptr,
-                static_cast<int64_t>(sh.shape(1)),
-                dilation,
-                partner_from_row.data(),
-                costs.data(),
-                opacities.data(),
-                threads};
+    const GaussianColumns in = columns_of(gaussians);
+    PairJob job{};
+    job.n = int64_t(nb::len(gaussians));
+    job.means = in.means, job.quats = in.quats, job.log_scales = in.log_scales;
+    job.logit_opacities = in.logit_opacities, job.sh = in.sh;
+    job.weights = weights.data();
+    job.visibilities = visibilities ? visibilities->data() : nullptr;
+    job.k = num_coefficients(gaussians);
+    job.dilation = dilation;
+    job.partner_from_row = partner_from_row.data();
+    job.costs = costs.data();
+    job.opacities = opacities.data();
+    job.threads = threads;
     nb::gil_scoped_release release;
     best_partners(job);
   });
-  m.def("measure_visibilities",
-        [](In<float> means, In<float> quats, In<float> log_scales, In<float> logit_opacities, In<double> middle, double cell,
-           double reach, int64_t width, Out<float> visibilities, int threads) {
-          const VisibilityJob job{static_cast<int64_t>(means.shape(0)),
-                                  means.data(),
-                                  quats.data(),
-                                  log_scales.data(),
-                                  logit_opacities.data(),
-                                  middle.data(),
-                                  cell,
-                                  reach,
-                                  width,
-                                  visibilities.data(),
-                                  threads};
-          nb::gil_scoped_release release;
-          measure_visibilities(job);
-        });
+  m.def("measure_visibilities", [](nb::handle gaussians, In<double> middle, double cell, double reach, int64_t width,
+                                   Out<float> visibilities, int threads) {
+    const GaussianColumns in = columns_of(gaussians);
+    VisibilityJob job{};
+    job.n = int64_t(nb::len(gaussians));
+    job.means = in.means, job.quats = in.quats, job.log_scales = in.log_scales, job.logit_opacities = in.logit_opacities;
+    job.middle = middle.data();
+    job.cell = cell;
+    job.reach = reach;
+    job.width = width;
+    job.visibilities = visibilities.data();
+    job.threads = threads;
+    nb::gil_scoped_release release;
+    measure_visibilities(job);
+  });
   m.def("match_pairs",
         [](In<int32_t> partner_from_row, In<float> costs, int64_t max_pairs, Out<int32_t> representative_from_row, int threads) {
           nb::gil_scoped_release release;

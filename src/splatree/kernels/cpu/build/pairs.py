@@ -24,8 +24,7 @@ def best_partners(
     n = len(gaussians)
     partner, costs, opacities = np.empty(n, np.int32), np.empty(n, np.float32), np.empty(n, np.float32)
     _core.best_partners(
-        *(gaussians.means, gaussians.quats, gaussians.log_scales, gaussians.logit_opacities, gaussians.sh),
-        *(weights, visibilities, dilation, partner, costs, opacities, threads),
+        gaussians, weights, visibilities, dilation, partner, costs, opacities, threads
     )
     return partner, costs, opacities
 

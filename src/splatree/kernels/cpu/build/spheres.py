@@ -14,8 +14,9 @@ def bound_clusters(
     gaussians: Gaussians, start: Int32[Array, "c+1"], centers: Float32[Array, "c 3"], *, threads: int = 0
 ) -> ClusterIndex:
     """Spheres and boxes around the rows of each cluster; ``start`` ends with the number of rows."""
+    # The kernel fills the arrays of the struct, before anyone else has it.
     radii = [np.empty(len(centers), np.float32) for _ in range(3)]
     boxes = [np.empty((len(centers), 3), np.float32) for _ in range(2)]
-    columns = gaussians.means, gaussians.quats, gaussians.log_scales, gaussians.logit_opacities
-    _core.bound_spheres(*columns, start, centers, *radii, *boxes, threads)
-    return ClusterIndex(start, centers, *radii, *boxes)
+    clusters = ClusterIndex(start, centers, *radii, *boxes)
+    _core.bound_spheres(gaussians, clusters, threads)
+    return clusters

@@ -15,8 +15,5 @@ def measure_visibilities(
     """What others leave to be seen of each Gaussian, 0 to 1; ``width`` of the plane, a power of two of at least 64 cells."""
     assert width >= 64 and width & (width - 1) == 0
     visibilities = np.empty(len(gaussians), np.float32)
-    _core.measure_visibilities(
-        *(gaussians.means, gaussians.quats, gaussians.log_scales, gaussians.logit_opacities),
-        *(middle, cell, reach, width, visibilities, threads),
-    )
+    _core.measure_visibilities(gaussians, middle, cell, reach, width, visibilities, threads)
     return visibilities

@@ -11,31 +11,36 @@ namespace {
 
 NodeColumns columns_of(nb::handle gaussians) {
   const size_t k = nb::cast<In<float>>(gaussians.attr("sh")).shape(1);
-  return {column<float>(gaussians, "means"), column<float>(gaussians, "quats"), column<float>(gaussians, "log_scales"),
-          column<float>(gaussians, "logit_opacities"), column<float>(gaussians, "sh"), static_cast<int>(std::lround(std::sqrt(k))) - 1};
+  return {column<float>(gaussians, "means"),      column<float>(gaussians, "quats"),
+          column<float>(gaussians, "log_scales"), column<float>(gaussians, "logit_opacities"),
+          column<float>(gaussians, "sh"),         static_cast<int>(std::lround(std::sqrt(k))) - 1};
 }
 
-void bind_pack_nodes(nb::handle gaussians, nb::handle tree, const In<int32_t>& rows, const In<double>& eye, const In<double>& centre,
-                     const Out<uint32_t>& out, int threads) {
+void bind_pack_nodes(nb::handle gaussians, nb::handle tree, const In<int32_t>& rows, const In<double>& eye,
+                     const In<double>& centre, const Out<uint32_t>& out, int threads) {
   const NodeColumns columns = columns_of(gaussians);
   const int32_t* subtree_end = column<int32_t>(tree, "subtree_end");
   const uint8_t* depth = column<uint8_t>(tree, "depth");
   nb::gil_scoped_release released;
-  pack_nodes(columns, subtree_end, depth, rows.data(), static_cast<int64_t>(rows.size()), eye.data(), centre.data(), out.data(), threads);
+  pack_nodes(columns, subtree_end, depth, rows.data(), static_cast<int64_t>(rows.size()), eye.data(), centre.data(), out.data(),
+             threads);
 }
 
-void bind_pack_colors(nb::handle gaussians, const In<int32_t>& rows, const In<double>& eye, const Out<uint32_t>& out, int threads) {
+void bind_pack_colors(nb::handle gaussians, const In<int32_t>& rows, const In<double>& eye, const Out<uint32_t>& out,
+                      int threads) {
   const NodeColumns columns = columns_of(gaussians);
   nb::gil_scoped_release released;
   pack_colors(columns, rows.data(), static_cast<int64_t>(rows.size()), eye.data(), out.data(), threads);
 }
 
-int64_t bind_keep(const In<int32_t>& rows, const In<int32_t>& slot_after, const Out<int32_t>& stamps, int32_t step, const Out<int32_t>& out) {
+int64_t bind_keep(const In<int32_t>& rows, const In<int32_t>& slot_after, const Out<int32_t>& stamps, int32_t step,
+                  const Out<int32_t>& out) {
   nb::gil_scoped_release released;
   return keep_slots(rows.data(), static_cast<int64_t>(rows.size()), slot_after.data(), stamps.data(), step, out.data());
 }
 
-int64_t bind_release(const In<int32_t>& held, const Out<int32_t>& slot_after, const In<int32_t>& stamps, int32_t step, const Out<int32_t>& out) {
+int64_t bind_release(const In<int32_t>& held, const Out<int32_t>& slot_after, const In<int32_t>& stamps, int32_t step,
+                     const Out<int32_t>& out) {
   nb::gil_scoped_release released;
   return release_slots(held.data(), static_cast<int64_t>(held.size()), slot_after.data(), stamps.data(), step, out.data());
 }
@@ -54,7 +59,8 @@ void bind_nodes(nb::module_& m) {
   m.def("pack_colors", &bind_pack_colors, "gaussians"_a, "rows"_a, "eye"_a, "out"_a, "threads"_a = 0);
   m.def("keep_slots", &bind_keep, "rows"_a, "slot_after"_a, "stamps"_a, "step"_a, "out"_a);
   m.def("release_slots", &bind_release, "held"_a, "slot_after"_a, "stamps"_a, "step"_a, "out"_a);
-  m.def("stale_slots", &bind_stale, "rows"_a, "slot_after"_a, "means"_a, "eyes"_a, "eye"_a, "centre"_a, "share"_a, "limit"_a, "out"_a);
+  m.def("stale_slots", &bind_stale, "rows"_a, "slot_after"_a, "means"_a, "eyes"_a, "eye"_a, "centre"_a, "share"_a, "limit"_a,
+        "out"_a);
 }
 
 }  // namespace splatree

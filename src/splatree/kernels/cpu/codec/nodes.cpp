@@ -58,8 +58,8 @@ int smallest_three(const float* quat, uint32_t (&small)[3]) {
 
 }  // namespace
 
-void pack_nodes(const NodeColumns& columns, const int32_t* subtree_end, const uint8_t* depth, const int32_t* rows, int64_t num_rows,
-                const double* eye, const double* centre, uint32_t* out, int threads) {
+void pack_nodes(const NodeColumns& columns, const int32_t* subtree_end, const uint8_t* depth, const int32_t* rows,
+                int64_t num_rows, const double* eye, const double* centre, uint32_t* out, int threads) {
   parallel_ranges(num_rows, ROWS_PER_CHUNK, threads, [&](int64_t begin, int64_t end) {
     for (int64_t i = begin; i < end; ++i) {
       const int64_t row = rows[i];
@@ -82,13 +82,15 @@ void pack_nodes(const NodeColumns& columns, const int32_t* subtree_end, const ui
   });
 }
 
-void pack_colors(const NodeColumns& columns, const int32_t* rows, int64_t num_rows, const double* eye, uint32_t* out, int threads) {
+void pack_colors(const NodeColumns& columns, const int32_t* rows, int64_t num_rows, const double* eye, uint32_t* out,
+                 int threads) {
   parallel_ranges(num_rows, ROWS_PER_CHUNK, threads, [&](int64_t begin, int64_t end) {
     for (int64_t i = begin; i < end; ++i) out[i] = color_of(columns, rows[i], eye);
   });
 }
 
-int64_t keep_slots(const int32_t* rows, int64_t num_rows, const int32_t* slot_after, int32_t* stamps, int32_t step, int32_t* out) {
+int64_t keep_slots(const int32_t* rows, int64_t num_rows, const int32_t* slot_after, int32_t* stamps, int32_t step,
+                   int32_t* out) {
   int64_t count = 0;
   for (int64_t i = 0; i < num_rows; ++i) {
     const int32_t after = slot_after[rows[i]];
@@ -100,7 +102,8 @@ int64_t keep_slots(const int32_t* rows, int64_t num_rows, const int32_t* slot_af
   return count;
 }
 
-int64_t release_slots(const int32_t* held, int64_t num_held, int32_t* slot_after, const int32_t* stamps, int32_t step, int32_t* out) {
+int64_t release_slots(const int32_t* held, int64_t num_held, int32_t* slot_after, const int32_t* stamps, int32_t step,
+                      int32_t* out) {
   int64_t count = 0;
   for (int64_t i = 0; i < num_held; ++i) {
     const int32_t slot = slot_after[held[i]] - 1;

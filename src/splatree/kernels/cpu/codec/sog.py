@@ -21,15 +21,7 @@ def encode(
     threads: int = 0,
 ) -> None:
     """Set the pixel ``places`` of each row in each picture; a code counts the ``bounds``, of log-scales and of DC, below."""
-    g = gaussians
-    no_labels, no_pixels = np.empty(0, np.int32), np.empty((0, 3), np.uint8)
-    _core.encode_sog(
-        *(g.means, g.quats, g.log_scales, g.logit_opacities, g.sh, places, no_labels if labels is None else labels),
-        *(mean_ranges, *bounds),
-        *(pixels[name] for name in ("means_l", "means_u", "quats", "scales", "sh0")),
-        pixels.get("labels", no_pixels),
-        threads,
-    )
+    _core.encode_sog(gaussians, places, labels, mean_ranges, *bounds, pixels, threads)
 
 
 def find_codes(values: Float32[Array, "..."], bounds: Float32[Array, "255"], *, threads: int = 0) -> Array:
@@ -41,14 +33,4 @@ def find_codes(values: Float32[Array, "..."], bounds: Float32[Array, "255"], *, 
 
 def decode(pixels: dict[str, UInt8[Array, "n c"]], tables: SogTables, out: Gaussians, *, threads: int = 0) -> SogDamage:
     """Fill the columns of ``out`` from as many pixels of each picture (those of `encode`, and labels if there are any)."""
-    none = np.empty((0, 1), np.uint8)
-    palette = none if tables.palette is None else tables.palette
-    rest = np.empty(256, np.float32) if tables.rest is None else tables.rest
-    return SogDamage(
-        *_core.decode_sog(
-            *(pixels.get(name, none) for name in ("means_l", "means_u", "quats", "scales", "sh0", "labels")),
-            *(tables.means, tables.log_scales, tables.dc, tables.logits, rest, palette),
-            *(out.means, out.quats, out.log_scales, out.logit_opacities, out.sh),
-            threads,
-        )
-    )
+    return SogDamage(*_core.decode_sog(pixels, tables, out, threads))

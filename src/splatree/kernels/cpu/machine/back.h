@@ -89,9 +89,12 @@ class Back {
       waits |= r.tile >= 0;
     }
     moved_ |= works;
-    if (works) ++time.busy;
-    else if (waits || done_ < tiles_.count) ++time.stalled_on_input;
-    else ++time.idle;
+    if (works)
+      ++time.busy;
+    else if (waits || done_ < tiles_.count)
+      ++time.stalled_on_input;
+    else
+      ++time.idle;
   }
 
   void finish(Renderer& r, int64_t now, UnitTime& time) {

@@ -80,15 +80,16 @@ nb::dict simulate_frame(nb::dict settings, nb::dict clusters, nb::dict tiles) {
   const auto projected_lines = column(tiles, "projected_lines"), blend_cycles = column(tiles, "blend_cycles");
   const auto frame_lines = column(tiles, "frame_lines");
   const Clusters c{visits.data(), int64_t(visits.shape(0)), first_row.data(), rows.data(), survivors.data(), pairs.data()};
-  const Tiles t{list_lines.data(), sort_cycles.data(), projected_lines.data(), blend_cycles.data(), frame_lines.data(),
-                int64_t(list_lines.shape(0))};
+  const Tiles t{list_lines.data(),   sort_cycles.data(), projected_lines.data(),
+                blend_cycles.data(), frame_lines.data(), int64_t(list_lines.shape(0))};
   Result r;
   {
     nb::gil_scoped_release release;
     r = simulate(s, c, t);
   }
   static const char* const units[NUM_UNITS] = {"identification", "step1", "step2", "distribution", "sort", "blend"};
-  static const char* const streams[NUM_STREAMS] = {"records", "geometry", "color", "lists", "splats", "projected", "pairs", "frame"};
+  static const char* const streams[NUM_STREAMS] = {"records", "geometry",  "color", "lists",
+                                                   "splats",  "projected", "pairs", "frame"};
   nb::dict found, of_units, of_streams;
   for (int i = 0; i < NUM_UNITS; ++i) of_units[units[i]] = dict_of(r.units[i]);
   for (int i = 0; i < NUM_STREAMS; ++i) of_streams[streams[i]] = r.lines[i];

@@ -10,7 +10,8 @@ constexpr int HORIZON = 1 << 14;  // cycles that an arrival may lie ahead
 
 }  // namespace
 
-Dram::Dram(const DramSettings& settings) : s_(settings), due_(size_t(HORIZON) * NUM_STREAMS), next_refresh_(settings.refresh_interval) {
+Dram::Dram(const DramSettings& settings)
+    : s_(settings), due_(size_t(HORIZON) * NUM_STREAMS), next_refresh_(settings.refresh_interval) {
   std::fill(std::begin(last_line_), std::end(last_line_), int64_t(-2));
   if (s_.fidelity == 2) {
     channels_.resize(s_.channels);

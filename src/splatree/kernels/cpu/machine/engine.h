@@ -95,8 +95,10 @@ class Engine {
       if (time_.first_start < 0) time_.first_start = now;
     }
     if (!computes_) {
-      if (closed_ && queue_.empty() && all_empty()) ++time_.idle;
-      else ++time_.stalled_on_input;
+      if (closed_ && queue_.empty() && all_empty())
+        ++time_.idle;
+      else
+        ++time_.stalled_on_input;
       return;
     }
     if (blocked || outputs_.size() >= QUEUE) {

@@ -9,7 +9,10 @@ namespace splatree::machine {
 class Front {
  public:
   Front(const Settings& s, const Clusters& clusters, Dram& dram, Result& result)
-      : s_(s), clusters_(clusters), dram_(dram), result_(result),
+      : s_(s),
+        clusters_(clusters),
+        dram_(dram),
+        result_(result),
         step1_(s.geometry, dram, GEOMETRY, result.units[STEP1], result.spans, STEP1),
         step2_(s.color, dram, COLOR, result.units[STEP2], result.spans, STEP2),
         record_lines_((clusters.num_visits * s.record_bytes + s.dram.line_bytes - 1) / s.dram.line_bytes) {}
@@ -21,8 +24,9 @@ class Front {
     moved_ = false;
     identify(now);
     feed_step1(now);
-    step1_.step(now, [&](const Piece& p) { ask_rows(GEOMETRY, s_.geometry, p.first_row, p.rows); },
-                [&](const Piece& p) { return pass_on(p); });
+    step1_.step(
+        now, [&](const Piece& p) { ask_rows(GEOMETRY, s_.geometry, p.first_row, p.rows); },
+        [&](const Piece& p) { return pass_on(p); });
     if (!closed2_ && step1_.is_done()) closed2_ = true, step2_.close();
     step2_.step(now, [&](const Piece& p) { ask_colors(p); }, [&](const Piece& p) { return write(p); });
     distribute(now);
@@ -38,8 +42,8 @@ class Front {
     int64_t cluster, since;
   };
 
-  // Records come line by line into the FIFO; one enters the pipeline each `interval` cycles. If a selected cluster finds no room at
-  // the end of the pipeline, all of the pipeline stands still.
+  // Records come line by line into the FIFO; one enters the pipeline each `interval` cycles. If a selected cluster finds no room
+  // at the end of the pipeline, all of the pipeline stands still.
   void identify(int64_t now) {
     if (!s_.identifies) return;
     UnitTime& time = result_.units[CIE];
@@ -138,8 +142,7 @@ class Front {
   void ask_colors(const Piece& piece) {
     if (double(piece.rows) >= s_.streamed_share * double(piece.span_rows))
       return ask_rows(COLOR, s_.color, piece.first_row, piece.span_rows);
-    for (int64_t i = 0; i < piece.rows; ++i)
-      ask_rows(COLOR, s_.color, piece.first_row + i * piece.span_rows / piece.rows, 1);
+    for (int64_t i = 0; i < piece.rows; ++i) ask_rows(COLOR, s_.color, piece.first_row + i * piece.span_rows / piece.rows, 1);
   }
 
   bool write(const Piece& piece) {

@@ -11,9 +11,9 @@
 namespace splatree::machine {
 
 struct EngineSettings {
-  double lanes;  // rows a cycle
-  int latency, capacity;  // rows of one half of the buffer
-  int halves;             // 2: ping-pong, 1: one buffer
+  double lanes;             // rows a cycle
+  int latency, capacity;    // rows of one half of the buffer
+  int halves;               // 2: ping-pong, 1: one buffer
   int64_t row_bytes, base;  // of a row in DRAM; where the column begins
 };
 

@@ -21,6 +21,23 @@ const T* optional_column(nb::handle owner, const char* name) {
   return field.is_none() ? nullptr : nb::cast<In<T>>(field).data();
 }
 
+// A column to fill.
+template <class T>
+T* out_column(nb::handle owner, const char* name) {
+  return nb::cast<Out<T>>(owner.attr(name)).data();
+}
+
+// The entry `name` of a dictionary of arrays; null if there is none.
+template <class T>
+const T* entry(const nb::dict& arrays, const char* name) {
+  return arrays.contains(name) ? nb::cast<In<T>>(arrays[name]).data() : nullptr;
+}
+
+template <class T>
+T* out_entry(const nb::dict& arrays, const char* name) {
+  return arrays.contains(name) ? nb::cast<Out<T>>(arrays[name]).data() : nullptr;
+}
+
 template <class Enum>
 struct Choice {
   const char* name;
