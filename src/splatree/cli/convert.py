@@ -13,6 +13,7 @@ from splatree.errors import InputError
 from splatree.io.convert import ConvertOptions, convert
 from splatree.io.options import ReadOptions, Repair, WriteOptions
 from splatree.io.registry import stored_bytes
+from splatree.scene.names import Mode
 
 
 @dataclass(frozen=True)
@@ -28,6 +29,8 @@ class Command:
     """Level of detail to read from a format that has several; 0 is the finest."""
     depth: int | None = None
     """Write one cut of the tree to a format without levels: the nodes at this depth, 0 the roots; None: the leaves."""
+    mode: Mode | None = None
+    """How the scene was trained and is drawn, where the file does not say it. None: as the file says, else `classic`."""
     drop_invalid: bool = False
     """Drop Gaussians with values that cannot be used, and count them, instead of stopping; --repair mends what it can."""
     edit: Annotated[EditOptions, arg(name="", help="")] = EditOptions()
@@ -64,7 +67,7 @@ def run(command: Command) -> Result:
     repair: Repair = "drop" if command.drop_invalid else reading.repair
     read = ReadOptions(command.level, repair, reading.input_axes, reading.ignore_properties)
     try:
-        options = ConvertOptions(read, command.edit, command.options, command.depth)
+        options = ConvertOptions(read, command.edit, command.options, command.depth, command.mode)
     except InputError as error:
         raise UsageError(str(error)) from error
     done = convert(inputs, output, options, force=command.files.force)

@@ -1,6 +1,6 @@
 """``splatree thin``: fewer Gaussians that look alike, merged rather than dropped."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -9,6 +9,7 @@ from tyro.conf import arg
 from splatree.cli.console import Console, size
 from splatree.cli.files import Files, inputs_and_output, lost_and_noted, read_scene, repairs_of, told
 from splatree.io.registry import stored_bytes, write
+from splatree.scene.names import Mode
 from splatree.scene.thinning import ThinOptions
 from splatree.simplify.thin import thin
 
@@ -18,6 +19,8 @@ class Command:
     """Merge Gaussians that are close or alike: to a share, a count or a radius; to the radius `auto` if none is given."""
 
     files: Annotated[Files, arg(name="", help="")]
+    mode: Mode | None = None
+    """How the scene was trained and is drawn: merging follows it. None: as the file says, else `classic`."""
     options: Annotated[ThinOptions, arg(name="", help="")] = ThinOptions()
     console: Annotated[Console, arg(name="", help="")] = Console()
 
@@ -52,6 +55,8 @@ def run(command: Command) -> Result:
     """Read the leaves, thin them, write."""
     inputs, output = inputs_and_output(command.files)
     scene = read_scene(inputs, command.files.reading)
+    if command.mode is not None:
+        scene = replace(scene, mode=command.mode)
     thinned = thin(scene, command.options)
     lost = write(thinned.scene, output, force=command.files.force)
     lost, notes = lost_and_noted(scene, lost)

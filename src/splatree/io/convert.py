@@ -19,11 +19,14 @@ from splatree.errors import InputError
 from splatree.io.chunks import Chunks
 from splatree.io.inputs import find_inputs
 from splatree.io.joined import joined, joined_source, relative_to
-from splatree.io.notes import notes_in, sentences_in, with_note
+from splatree.io.local import local_inputs
+from splatree.io.notes import notes_in, sentences_in, with_notes
 from splatree.io.options import ReadOptions, WriteOptions
 from splatree.io.registry import detect, format_to_write, read_one, write, write_chunks
 from splatree.progress import track
 from splatree.scene.gaussians import Gaussians
+from splatree.scene.literals import check_literals
+from splatree.scene.names import Mode
 from splatree.scene.origin import Origin
 from splatree.scene.scene import Source
 
@@ -43,7 +46,11 @@ class ConvertOptions:
     depth: int | None = None
     """Write one cut of the tree to a format without levels: the nodes at this depth, 0 the roots; None: the leaves."""
 
+    mode: Mode | None = None
+    """How the scene was trained and is drawn, where the file does not say it; None: as the file says, else `classic`."""
+
     def __post_init__(self) -> None:
+        check_literals(self)
         if self.depth is not None and self.depth < 0:
             raise InputError(f"depth: found {self.depth}, wanted 0 (the roots) or more")
 
@@ -86,14 +93,22 @@ def convert(
         OutputError: the output exists, or could not be written; an old file is then whole.
     """
     options, target = options or ConvertOptions(), Path(output)
-    chosen = format_to_write(target)
     paths = [inputs] if isinstance(inputs, str | os.PathLike) else list(inputs)
-    found = find_inputs([Path(p) for p in paths], lambda p: detect(p) is not None)
+    with local_inputs([Path(p) for p in paths]) as local:
+        found = find_inputs(local.paths, lambda p: detect(p) is not None)
+        done = _converted_from(found.paths, target, options, force)
+    return replace(done, notes=(*found.notes, *done.notes))
+
+
+def _converted_from(found: Sequence[Path], target: Path, options: ConvertOptions, force: bool) -> Converted:
+    chosen = format_to_write(target)
     by_rows = options.read.level is None and options.depth is None and options.edit.order == "kept"
     if chosen.write_chunks is not None and by_rows and (parts := _opened(found, options.read)) is not None:
         return _in_chunks(found, parts, target, options, force)
 
     scene = joined(read_one(path, options.read) for path in found)
+    if options.mode is not None:
+        scene = replace(scene, mode=options.mode)
     num_read = scene.tree.num_leaves
     scene = edit(scene, options.edit)
     lost = write(scene, target, depth=options.depth, force=force, options=options.write)
@@ -116,6 +131,8 @@ def _in_chunks(
     paths: Sequence[Path], parts: Sequence[Chunks], target: Path, options: ConvertOptions, force: bool
 ) -> Converted:
     chunks = _joined_chunks(parts, paths)
+    if options.mode is not None:
+        chunks = replace(chunks, mode=options.mode)
     edited = _edited_chunks(chunks, options.edit)
     lost = write_chunks(edited, target, force=force, options=options.write)
     return _converted(len(chunks), len(edited), chunks.metadata, lost, edited.origin, parts)
@@ -156,7 +173,7 @@ def _joined_chunks(parts: Sequence[Chunks], paths: Sequence[Path]) -> Chunks:
                 yield relative_to(chunk.with_sh_degree(degree), part.origin, first.origin)
 
     source = joined_source([Source(metadata=part.metadata) for part in parts])
-    metadata = with_note(source, f"{len(parts)} inputs were joined as one scene").metadata
+    metadata = with_notes(source, [f"{len(parts)} inputs were joined as one scene"]).metadata
     return Chunks(sum(map(len, parts)), degree, first.mode, make, metadata, origin=first.origin)
 
 

@@ -1,7 +1,8 @@
 """From what a user names to the files of a scene: folders of chunks, training outputs, patterns."""
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from splatree.errors import InputError
@@ -9,15 +10,46 @@ from splatree.io.foreign import advice
 
 _HEAD_BYTES = 1024
 
+_STATES = (
+    "splat",
+    "splats",
+    "iteration",
+    "iter",
+    "step",
+    "point_cloud",
+    "export",
+    "checkpoint",
+    "ckpt",
+    "epoch",
+    "model",
+    "it",
+)
+"""Ends of names before the number of steps, as LichtFeld, OpenSplat, Brush, gsplat and others write them."""
 
-def find_inputs(paths: Sequence[Path], is_scene: Callable[[Path], bool]) -> list[Path]:
-    """The files and folders to read, in order; ``is_scene`` says whether a path is of a known format."""
+
+@dataclass(frozen=True)
+class Inputs:
+    """What to read."""
+
+    paths: list[Path]
+    """Files and folders, each a scene or a part of one, in order."""
+    notes: tuple[str, ...]
+    """Which of several were taken, a sentence each."""
+
+
+def find_inputs(paths: Sequence[Path], is_scene: Callable[[Path], bool]) -> Inputs:
+    """The files and folders to read; ``is_scene`` says whether a path is of a known format.
+
+    Raises:
+        InputError: there is nothing to read, or it is not clear which of several files is meant.
+    """
     if not paths:
         raise InputError("read: found no paths, wanted at least one")
-    return [found for path in paths for found in _find(path, is_scene)]
+    notes: list[str] = []
+    return Inputs([found for path in paths for found in _find(path, is_scene, notes)], tuple(notes))
 
 
-def _find(path: Path, is_scene: Callable[[Path], bool]) -> list[Path]:
+def _find(path: Path, is_scene: Callable[[Path], bool], notes: list[str]) -> list[Path]:
     try:
         is_there = path.exists()
     except OSError as error:
@@ -35,7 +67,12 @@ def _find(path: Path, is_scene: Callable[[Path], bool]) -> list[Path]:
         raise InputError(
             f"{path}: of no known format, by content or by suffix; `splatree formats` lists those that are read"
         )
-    if newest := newest_iteration(path):
+    if iterations := _iterations(path):
+        newest = iterations[max(iterations)]
+        if len(iterations) > 1:
+            notes.append(
+                f"{path} holds {len(iterations)} states of one training; the newest, {newest.parent.name}, is taken"
+            )
         return [newest]
     found = [child for child in sorted(path.iterdir(), key=_natural) if is_scene(child)]
     if not found:
@@ -43,18 +80,63 @@ def _find(path: Path, is_scene: Callable[[Path], bool]) -> list[Path]:
             f"{path}: found no scene in this folder; wanted scene files, folders with meta.json or lod-meta.json, "
             "or point_cloud/iteration_*/point_cloud.ply"
         )
+    return _without_older_states(path, found, notes)
+
+
+def _without_older_states(folder: Path, found: list[Path], notes: list[str]) -> list[Path]:
+    """The files less those that are earlier states of the training which another is the last state of."""
+    if len(found) < 2:
+        return found
+    series: dict[str, dict[int, list[Path]]] = {}
+    for path in found:
+        if match := re.fullmatch(r"(.*?)(\d+)", _stem(path)):
+            series.setdefault(match[1].lower(), {}).setdefault(int(match[2]), []).append(path)
+    for prefix, states in series.items():
+        if len(states) < 2 or not _are_iterations(states):
+            continue
+        name = f"{prefix}{max(states)}"
+        others = [path for path in found if all(path not in of for of in states.values())]
+        final = [path for path in others if _stem(path).lower() == prefix.rstrip("_- ")]
+        taken = final or states[max(states)]
+        others = [path for path in others if path not in final]
+        if others or len(taken) > 1 or not prefix.strip("_- ").endswith(_STATES):
+            listed = ", ".join(path.name for path in found[:5]) + (", ..." if len(found) > 5 else "")
+            raise InputError(
+                f"{folder}: found {listed}, which look like states of one training beside each other, or like pieces of a scene; "
+                f"name the files to read: the last state is {taken[0].name}"
+            )
+        notes.append(
+            f"{folder} holds {len(found)} states of one training; the {'final' if final else 'newest'}, "
+            f"{taken[0].name if final else name}, is taken; name another file to take that"
+        )
+        return taken
+    names: dict[str, Path] = {}
+    for path in found:
+        if (other := names.setdefault(_stem(path).lower(), path)) != path:
+            raise InputError(
+                f"{folder}: found {other.name} and {path.name}, one scene in two formats by their names; name the file to read"
+            )
     return found
 
 
-def newest_iteration(folder: Path) -> Path | None:
-    """The latest point_cloud.ply of a training output or of its point_cloud folder; None if the folder is something else."""
-    files = {
+def _stem(path: Path) -> str:
+    return re.sub(r"(\.compressed)?\.[A-Za-z]+$", "", path.name)
+
+
+def _are_iterations(numbers: Iterable[int]) -> bool:
+    """Whether numbers are counts of steps, such as 7000 and 30000, or 6999 and 29999, and not of pieces."""
+    listed = list(numbers)
+    return max(listed) >= 500 and all(n % 100 == 0 or (n + 1) % 100 == 0 for n in listed)
+
+
+def _iterations(folder: Path) -> dict[int, Path]:
+    """The point_cloud.ply of each state of a training output or of its point_cloud folder; none if it is something else."""
+    return {
         int(match[1]): file
         for pattern in ("point_cloud/iteration_*/point_cloud.ply", "iteration_*/point_cloud.ply")
         for file in folder.glob(pattern)
         if (match := re.fullmatch(r"iteration_(\d+)", file.parent.name))
     }
-    return files[max(files)] if files else None
 
 
 def _match(path: Path) -> list[Path]:

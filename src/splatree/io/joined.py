@@ -12,7 +12,7 @@ from itertools import chain
 import numpy as np
 
 from splatree.errors import InputError
-from splatree.io.notes import with_note
+from splatree.io.notes import with_notes
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.levels import UNKNOWN_LEVELS, LevelRecord, common_record
 from splatree.scene.origin import Origin
@@ -67,7 +67,7 @@ def joined(scenes: Iterable[Scene]) -> Scene:
         GaussianTree(tree["subtree_end"], tree["depth"], tree["extents"], common_record(records)),
         ids=np.arange(start, dtype=np.uint32) if has_ids else None,
         **drawn,
-        source=with_note(joined_source(sources), f"{len(sources)} inputs were joined as one scene"),
+        source=with_notes(joined_source(sources), [f"{len(sources)} inputs were joined as one scene"]),
     )
 
 

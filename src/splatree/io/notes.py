@@ -1,13 +1,13 @@
 """What a reader did that the user should know: sentences in ``Source.metadata["notes"]``, a list in JSON."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from splatree.scene.origin import NO_ORIGIN, Origin
 from splatree.scene.scene import Source
 
-__all__ = ["notes_in", "origin_in_words", "origin_note", "sentences_in", "with_note"]
+__all__ = ["notes_in", "origin_in_words", "origin_note", "sentences_in", "with_notes"]
 
 
 def origin_note(origin: Origin) -> str:
@@ -29,10 +29,12 @@ def notes_in(metadata: Mapping[str, str], origin: Origin) -> tuple[str, ...]:
     return (*notes, origin_note(origin)) if origin != NO_ORIGIN else notes
 
 
-def with_note(source: Source, note: str) -> Source:
-    """The source with one more note."""
-    notes = json.dumps([*sentences_in(source.metadata, "notes"), note])
-    return replace(source, metadata={**source.metadata, "notes": notes})
+def with_notes(source: Source, notes: Sequence[str]) -> Source:
+    """The source with more notes."""
+    if not notes:
+        return source
+    text = json.dumps([*sentences_in(source.metadata, "notes"), *notes])
+    return replace(source, metadata={**source.metadata, "notes": text})
 
 
 def sentences_in(metadata: Mapping[str, str], key: str) -> tuple[str, ...]:

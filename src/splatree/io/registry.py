@@ -22,6 +22,8 @@ from splatree.io.foreign import not_content
 from splatree.io.holds import Holds, losses, origin_lost
 from splatree.io.inputs import find_inputs
 from splatree.io.joined import joined
+from splatree.io.local import local_inputs
+from splatree.io.notes import with_notes
 from splatree.io.options import ReadOptions, Repair, WriteOptions
 from splatree.io.replacing import replacing
 from splatree.maths.axes import AxesName
@@ -262,7 +264,8 @@ def read(
 
     A folder may be a format of its own (SOG, streamed SOG), a training output (its newest ``point_cloud/iteration_*`` is
     taken) or hold chunks of one scene: every scene file and folder in it is read. Several inputs are joined in their order.
-    A single input that matches no file but holds ``* ? [`` is expanded as a pattern.
+    A single input that matches no file but holds ``* ? [`` is expanded as a pattern. Addresses (``https://…``), standard input
+    (``-``), ``.gz`` and ``.zip`` of one file are read too (io/local.py).
 
     Args:
         path: one path or several.
@@ -279,8 +282,11 @@ def read(
     """
     options = ReadOptions(level, repair, axes, ignore_properties)
     paths = [path] if isinstance(path, str | os.PathLike) else list(path)
-    inputs = find_inputs([Path(p) for p in paths], lambda p: detect(p) is not None)
-    return joined(read_one(p, options) for p in inputs)
+    with local_inputs([Path(p) for p in paths]) as local:
+        inputs = find_inputs(local.paths, lambda p: detect(p) is not None)
+        scene = joined(read_one(p, options) for p in inputs.paths)
+    source = replace(scene.source, paths=tuple(map(local.named, scene.source.paths)))
+    return replace(scene, source=with_notes(source, inputs.notes))
 
 
 def read_levels(path: str | os.PathLike[str], *, repair: bool = False) -> tuple[Scene, ...]:
@@ -439,6 +445,8 @@ def detect(path: Path) -> Format | None:
 
 def stored_bytes(path: Path) -> int:
     """Bytes of the files that a path of a known format stands for: of a folder or its meta.json, all that it names."""
+    if not path.exists():  # it was fetched from elsewhere
+        return 0
     found = detect(path)
     files = [path] if found is None or found.files is None else found.files(path)
     return sum(file.stat().st_size for file in files)

@@ -1,0 +1,230 @@
+"""Inputs that are not files of their own: addresses, standard input, and compressed files of one scene.
+
+They are brought into a temporary folder under their own names, and that is read like any other file:
+
+- ``https://…`` and ``http://…``, by the standard library;
+- ``-``, standard input, which has to be a .ply or an .spz;
+- ``a.ply.gz``, and a ``.zip`` that holds one scene file (a .sog is a ZIP of its own and stays as it is).
+
+Each has a limit: what a server sends, and what a few compressed bytes may become.
+"""
+
+import gzip
+import re
+import shutil
+import sys
+import tempfile
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+from urllib.parse import unquote, urlsplit
+
+from splatree.errors import FormatError, InputError
+from splatree.progress import task
+
+__all__ = ["LocalInputs", "local_inputs"]
+
+DOWNLOAD_MAX = 64 << 30
+"""Bytes that are taken from a server at most: a billion Gaussians without harmonics."""
+
+INFLATION_MAX = 100
+"""How many times its size a compressed file may become; scenes become 1.2 to 5 times it."""
+
+INFLATED_ALWAYS = 64 << 20
+"""… unless it becomes no more than so many bytes."""
+
+TIMEOUT_S = 30.0
+"""A server that sends nothing for so long is given up."""
+
+_PIECE = 1 << 20
+_STANDARD_INPUT = "-"
+
+
+@dataclass(frozen=True)
+class LocalInputs:
+    """Inputs as files of this machine."""
+
+    paths: list[Path]
+    """What to read, in order."""
+    names: dict[str, str]
+    """What the user named, by the path of what was brought here for it."""
+
+    def named(self, path: str) -> str:
+        """The name under which the user knows a path."""
+        return self.names.get(path, path)
+
+
+@contextmanager
+def local_inputs(paths: Sequence[Path]) -> Iterator[LocalInputs]:
+    """The inputs as files, for as long as the context lasts.
+
+    Raises:
+        InputError: a server does not give a file, or standard input is no .ply or .spz.
+        FormatError: a compressed file is damaged, holds several files, or becomes too large.
+    """
+    folder: Path | None = None
+    found, names = list[Path](), dict[str, str]()
+    try:
+        for number, path in enumerate(paths):
+            bring = _how_to_bring(path)
+            if bring is None:
+                found.append(path)
+                continue
+            folder = folder or Path(tempfile.mkdtemp(prefix="splatree-"))
+            place = folder / str(number)
+            place.mkdir()
+            local = bring(place)
+            while (inflate := _how_to_inflate(local)) is not None:
+                local = inflate(place)
+            found.append(local)
+            names[str(local)] = _address(path) or str(path)
+        yield LocalInputs(found, names)
+    finally:
+        if folder is not None:
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+def _how_to_bring(path: Path) -> Callable[[Path], Path] | None:
+    """What brings an input into a folder; None if it is a file already."""
+    if str(path) == _STANDARD_INPUT and not path.exists():
+        return _from_standard_input
+    if address := _address(path):
+        return lambda folder: _download(address, folder)
+    return _how_to_inflate(path)
+
+
+def _how_to_inflate(path: Path) -> Callable[[Path], Path] | None:
+    suffix = path.suffix.lower()
+    if suffix == ".gz" and path.is_file():
+        return lambda folder: _gunzip(path, folder)
+    if suffix == ".zip" and path.is_file():
+        return _zip_of_one(path)
+    return None
+
+
+def _address(path: Path) -> str | None:
+    """The address that a path stands for; a path has lost one of its slashes."""
+    match = re.match(r"(https?):/+(.+)", str(path), re.IGNORECASE | re.DOTALL)
+    if match:
+        return f"{match[1].lower()}://{match[2]}"
+    if other := re.match(r"([a-z][a-z0-9+.-]{1,10}):/", str(path), re.IGNORECASE):
+        raise InputError(f"{path}: found an address of {other[1]}, wanted https or http, or a file")
+    return None
+
+
+def _download(address: str, folder: Path) -> Path:
+    from urllib.error import URLError
+    from urllib.request import Request, urlopen
+
+    name = Path(unquote(urlsplit(address).path)).name or "scene"
+    target = folder / re.sub(r"[^\w.-]", "_", name)
+    try:
+        with urlopen(Request(address, headers={"User-Agent": "splatree"}), timeout=TIMEOUT_S) as answer:
+            if urlsplit(answer.url).scheme not in ("http", "https"):
+                raise InputError(f"{address}: leads to {answer.url}, wanted https or http")
+            announced = int(answer.headers.get("Content-Length") or 0)
+            if announced > DOWNLOAD_MAX:
+                raise InputError(
+                    f"{address}: found {announced:,} bytes, wanted at most {DOWNLOAD_MAX:,}; fetch it yourself"
+                )
+            with target.open("wb") as file, task(f"fetch {name}", announced or None) as advance:
+                size = _copy(answer, file, DOWNLOAD_MAX, address, advance)
+            if announced and size != announced:
+                raise InputError(
+                    f"{address}: found {size:,} of {announced:,} bytes; the connection broke off, try again"
+                )
+    except (URLError, OSError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{address}: cannot be fetched ({getattr(error, 'reason', None) or error})") from error
+    return target
+
+
+def _from_standard_input(folder: Path) -> Path:
+    source: BinaryIO = sys.stdin.buffer
+    head = source.read(4)
+    suffix = "ply" if head[:3] == b"ply" else "spz" if head[:2] == b"\x1f\x8b" or head == b"NGSP" else None
+    if suffix is None:
+        raise InputError(
+            f"-: found {head!r} at the beginning of standard input, wanted a .ply or an .spz; name a file instead"
+        )
+    target = folder / f"standard_input.{suffix}"
+    with target.open("wb") as file:
+        file.write(head)
+        _copy(source, file, DOWNLOAD_MAX, "-", lambda _: None)
+    return target
+
+
+def _gunzip(path: Path, folder: Path) -> Path:
+    target = folder / path.name[: -len(".gz")]
+    limit = max(INFLATED_ALWAYS, INFLATION_MAX * path.stat().st_size)
+    try:
+        with gzip.open(path, "rb") as packed, target.open("wb") as file, task(f"unpack {path.name}", None) as advance:
+            _copy(packed, file, limit, str(path), advance)  # type: ignore[arg-type]  # a GzipFile reads like any file
+    except (OSError, EOFError, zlib.error) as error:
+        if isinstance(error, FormatError):
+            raise
+        raise FormatError(f"{path}: not a whole .gz ({error}); fetch it again") from error
+    return target
+
+
+def _zip_of_one(path: Path) -> Callable[[Path], Path] | None:
+    """What unpacks a ZIP with one file; None for a bundle that is a scene of its own, or a checkpoint."""
+    try:
+        with zipfile.ZipFile(path) as bundle:
+            entries = [e for e in bundle.infolist() if not e.is_dir() and not _is_litter(e.filename)]
+    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as error:
+        raise FormatError(f"{path}: not a whole ZIP ({error}); fetch it again") from error
+    names = [entry.filename for entry in entries]
+    if any(name == "meta.json" or name.endswith("/data.pkl") for name in names):
+        return None
+    if len(entries) != 1:
+        raise FormatError(
+            f"{path}: found {len(names)} files in it ({', '.join(names[:5])}{', ...' if len(names) > 5 else ''}), wanted one "
+            "scene file; unpack it and name what to read"
+        )
+    (entry,) = entries
+
+    def unpack(folder: Path) -> Path:
+        target = folder / Path(entry.filename.replace("\\", "/")).name
+        limit = max(INFLATED_ALWAYS, INFLATION_MAX * path.stat().st_size)
+        try:
+            with (
+                zipfile.ZipFile(path) as bundle,
+                bundle.open(entry) as packed,
+                target.open("wb") as file,
+                task(f"unpack {path.name}", entry.file_size) as advance,
+            ):
+                _copy(packed, file, limit, str(path), advance)  # type: ignore[arg-type]  # reads like any file
+        except (zipfile.BadZipFile, OSError, EOFError, RuntimeError, NotImplementedError, zlib.error) as error:
+            if isinstance(error, FormatError):
+                raise
+            raise FormatError(f"{path}: {entry.filename} cannot be unpacked ({error})") from error
+        return target
+
+    return unpack
+
+
+def _is_litter(name: str) -> bool:
+    """Whether an entry is what file managers add: folders of macOS, hidden files."""
+    parts = name.replace("\\", "/").split("/")
+    return "__MACOSX" in parts or parts[-1].startswith(".") or parts[-1].lower() in ("thumbs.db", "desktop.ini")
+
+
+def _copy(source: BinaryIO, target: BinaryIO, limit: int, where: str, advance: Callable[[float], None]) -> int:
+    """Copy all bytes, at most ``limit`` of them; return how many."""
+    size = 0
+    while piece := source.read(_PIECE):
+        size += len(piece)
+        if size > limit:
+            raise FormatError(
+                f"{where}: becomes more than {limit:,} bytes, which no scene of this size does: a decompression bomb, or a file "
+                "that never ends"
+            )
+        target.write(piece)
+        advance(len(piece))
+    return size

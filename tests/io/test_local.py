@@ -1,0 +1,183 @@
+"""Inputs from elsewhere: addresses, standard input, compressed files; and their limits."""
+
+import gzip
+import io
+import json
+import sys
+import threading
+import zipfile
+from functools import partial
+from http.server import BaseHTTPRequestHandler, HTTPServer, SimpleHTTPRequestHandler
+from pathlib import Path
+
+import pytest
+
+import splatree as st
+from splatree import FormatError, InputError, Scene
+from splatree.io import local
+
+from .conftest import random_gaussians, same_bits
+
+GAUSSIANS = random_gaussians(20, degree=0)
+
+
+@pytest.fixture
+def ply(tmp_path):
+    st.write(Scene.flat(GAUSSIANS), tmp_path / "a.ply")
+    return tmp_path / "a.ply"
+
+
+class _Quiet(SimpleHTTPRequestHandler):
+    def log_message(self, *_):
+        pass
+
+
+class _Odd(BaseHTTPRequestHandler):
+    def do_GET(self):
+        self.send_response(302)
+        self.send_header("Location", "ftp://127.0.0.1/a.ply")
+        self.end_headers()
+
+    def log_message(self, *_):
+        pass
+
+
+@pytest.fixture
+def serve():
+    servers = []
+
+    def start(handler):
+        server = HTTPServer(("127.0.0.1", 0), handler)
+        threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True).start()
+        servers.append(server)
+        return f"http://127.0.0.1:{server.server_port}"
+
+    yield start
+    for server in servers:
+        server.shutdown()
+        server.server_close()
+
+
+def test_an_address_is_read_and_named(serve, ply, tmp_path):
+    address = serve(partial(_Quiet, directory=str(tmp_path))) + "/a.ply"
+    for named in (address, Path(address)):  # a path loses a slash
+        scene = st.read(named)
+        assert same_bits(scene.gaussians.means, GAUSSIANS.means) and scene.source.paths == (address,)
+    assert st.convert(address, tmp_path / "b.ply").num_read == 20
+    (tmp_path / "c.ply.gz").write_bytes(gzip.compress(ply.read_bytes()))
+    assert len(st.read(address.replace("a.ply", "c.ply.gz"))) == 20
+    with pytest.raises(InputError, match=r"gone.ply: cannot be fetched \(.*[Nn]ot [Ff]ound"):
+        st.read(address.replace("a.ply", "gone.ply"))
+
+
+def test_addresses_of_other_kinds_are_refused_by_name(serve, tmp_path):
+    with pytest.raises(InputError, match="found an address of ftp, wanted https or http"):
+        st.read("ftp://example.org/a.ply")
+    with pytest.raises(InputError, match="found an address of s3"):
+        st.read("s3://bucket/a.ply")
+    with pytest.raises(InputError, match=r"cannot be fetched|leads to"):
+        st.read(serve(_Odd) + "/a.ply")
+
+
+def test_a_server_cannot_send_without_end(serve, ply, tmp_path, monkeypatch):
+    monkeypatch.setattr(local, "DOWNLOAD_MAX", 1000)
+    with pytest.raises(InputError, match=r"found 1,\d\d\d bytes, wanted at most 1,000"):
+        st.read(serve(partial(_Quiet, directory=str(tmp_path))) + "/a.ply")
+
+
+@pytest.mark.parametrize("suffix", ["ply", "spz"])
+def test_standard_input_is_read(ply, tmp_path, monkeypatch, suffix):
+    st.convert(ply, tmp_path / f"b.{suffix}")
+    data = (tmp_path / f"b.{suffix}").read_bytes()
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(data)))
+    scene = st.read("-")
+    assert len(scene) == 20 and scene.source.paths == ("-",)
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(b"hello")))
+    with pytest.raises(InputError, match=r"wanted a \.ply or an \.spz"):
+        st.read("-")
+
+
+def test_gz_and_a_zip_of_one_file_are_read(ply, tmp_path):
+    (tmp_path / "b.ply.gz").write_bytes(gzip.compress(ply.read_bytes()))
+    with zipfile.ZipFile(tmp_path / "c.zip", "w", zipfile.ZIP_DEFLATED) as bundle:
+        bundle.writestr("__MACOSX/._a.ply", b"litter")
+        bundle.writestr("folder/a.ply", ply.read_bytes())
+        bundle.writestr("folder/.DS_Store", b"litter")
+    for name in ("b.ply.gz", "c.zip"):
+        scene = st.read(tmp_path / name)
+        assert same_bits(scene.gaussians.means, GAUSSIANS.means) and scene.source.paths == (str(tmp_path / name),)
+        assert st.convert(tmp_path / name, tmp_path / f"{name}.spz").num_written == 20
+    st.write(Scene.flat(GAUSSIANS), tmp_path / "d.sog")
+    (tmp_path / "d.sog").rename(tmp_path / "d.zip")  # a bundle of its own
+    assert len(st.read(tmp_path / "d.zip")) == 20
+
+
+def test_other_archives_are_refused(ply, tmp_path):
+    with zipfile.ZipFile(tmp_path / "two.zip", "w") as bundle:
+        for name in ("a.ply", "b.ply"):
+            bundle.writestr(name, ply.read_bytes())
+    with pytest.raises(FormatError, match=r"found 2 files in it \(a.ply, b.ply\), wanted one"):
+        st.read(tmp_path / "two.zip")
+    (tmp_path / "cut.ply.gz").write_bytes(gzip.compress(ply.read_bytes())[:-20])
+    with pytest.raises(FormatError, match=r"cut.ply.gz: not a whole \.gz"):
+        st.read(tmp_path / "cut.ply.gz")
+    (tmp_path / "no.zip").write_bytes(b"PK no zip")
+    with pytest.raises(FormatError, match="not a whole ZIP"):
+        st.read(tmp_path / "no.zip")
+
+
+def test_a_few_bytes_cannot_become_many(tmp_path, monkeypatch):
+    monkeypatch.setattr(local, "INFLATED_ALWAYS", 1 << 16)
+    (tmp_path / "bomb.ply.gz").write_bytes(gzip.compress(bytes(1 << 22)))
+    with zipfile.ZipFile(tmp_path / "bomb.zip", "w", zipfile.ZIP_DEFLATED) as bundle:
+        bundle.writestr("a.ply", bytes(1 << 22))
+    for name in ("bomb.ply.gz", "bomb.zip"):
+        with pytest.raises(FormatError, match="decompression bomb"):
+            st.read(tmp_path / name)
+
+
+def write_states(folder, *names):
+    folder.mkdir(exist_ok=True)
+    for i, name in enumerate(names):
+        st.write(Scene.flat(GAUSSIANS.take(slice(0, i + 1))), folder / name)
+
+
+@pytest.mark.parametrize(
+    ("names", "taken"),
+    [
+        (("splat_30000.ply", "splat_7000.ply"), 0),
+        (("splat_7000.ply", "splat_30000.ply", "splat_15000.ply"), 1),
+        (("point_cloud_29999.ply", "point_cloud_6999.ply"), 0),
+        (("export_5000.ply", "export_30000.ply"), 1),
+        (("splat_2000.ply", "splat.ply", "splat_4000.ply"), 1),
+    ],
+)
+def test_of_states_of_a_training_the_newest_is_taken_and_said(tmp_path, names, taken):
+    write_states(tmp_path / "out", *names)
+    scene = st.read(tmp_path / "out")
+    assert len(scene) == taken + 1
+    assert f"holds {len(names)} states of one training" in json.loads(scene.source.metadata["notes"])[0]
+    done = st.convert(tmp_path / "out", tmp_path / "b.ply")
+    assert done.num_read == taken + 1 and "states of one training" in done.notes[0]
+
+
+def test_pieces_are_joined_and_counted(tmp_path):
+    write_states(tmp_path / "out", "chunk_9.ply", "chunk_10.ply", "chunk_11.ply")
+    scene = st.read(tmp_path / "out")
+    assert len(scene) == 6 and json.loads(scene.source.metadata["notes"]) == ["3 inputs were joined as one scene"]
+    assert st.convert(tmp_path / "out", tmp_path / "b.ply").notes == ("3 inputs were joined as one scene",)
+
+
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [
+        (("tile_a_1000.ply", "tile_a_2000.ply"), "like states of one training.*or like pieces"),
+        (("splat_7000.ply", "splat_30000.ply", "other.ply"), "name the files to read"),
+        (("city.ply", "city.spz"), "one scene in two formats"),
+    ],
+)
+def test_what_may_be_states_or_pieces_is_asked_for(tmp_path, names, message):
+    write_states(tmp_path / "out", *names)
+    with pytest.raises(InputError, match=message):
+        st.read(tmp_path / "out")
+    assert len(st.read([tmp_path / "out" / name for name in names])) > len(names)  # named, so meant
