@@ -44,6 +44,7 @@ from splatree.kernels.cuda.renderer import Renderer
 from splatree.lod.blocks import with_blocks
 from splatree.maths.morton import morton_codes
 from splatree.scene.tree import GaussianTree
+from splatree.scene.view import view_of
 
 DEMO = ROOT / "src" / "splatree" / "data" / "semarang_5_9.sog"
 FAN_OUT = 4
@@ -154,7 +155,7 @@ def selection_row(
     bytes_per_second: float,
 ) -> dict[str, Any]:
     """One tree and view."""
-    view = (camera, st.RenderOptions().resolved(scene), st.SelectOptions())
+    view = (view_of(scene, camera), st.SelectOptions())
     rows, visited = renderer.select(*view)
     for find in (others.serial, others.paper):
         if not np.array_equal(np.sort(find(*view)), rows):
@@ -214,19 +215,19 @@ def frame_row(
 ) -> dict[str, Any]:
     """One scene and view."""
     assert scene.blocks is not None
-    options = st.RenderOptions().resolved(scene)
+    view = view_of(scene, camera)
     renderer = Renderer(
         device, scene.gaussians, scene.tree, scene.blocks, scene.ids, rows=plan.rows, pairs=4 * plan.rows
     )
-    picture = renderer.draw(camera, options, select)
+    picture = renderer.draw(view, select)
     wanted = st.render(scene, camera, select=select).image
-    traces = [renderer.trace(camera, options, select) for _ in range(plan.repeat)]
+    traces = [renderer.trace(view, select) for _ in range(plan.repeat)]
     stages = {f"{s} ms": statistics.median(t.milliseconds[s] for t in traces) for s in traces[0].milliseconds}
-    renderer.draw(camera, options, select)  # recorded now, if it was not
+    renderer.draw(view, select)  # recorded now, if it was not
 
     def frames() -> None:
         for _ in range(plan.frames):
-            renderer.enqueue(camera, options, select)
+            renderer.enqueue(view, select)
 
     frame = median_ms(device, plan, frames) / plan.frames
     return {

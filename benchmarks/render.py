@@ -44,7 +44,7 @@ def project_rows(scalar: ctypes.CDLL) -> list[dict[str, Any]]:
     g = cloud(2_000_000, reach=1.4, scale=0.02, seed=0)
     camera = st.Camera.look_at((0, 0, 0), (0, 0, 1), width=WIDTH, height=HEIGHT)
     rows = np.arange(len(g), dtype=np.int32)
-    view, threshold = pack_view(camera, 0.3), 1 / 255
+    view, threshold = pack_view(st.View(camera)), 1 / 255
     out_rows, depths = np.zeros(len(g), np.int32), np.zeros(len(g), np.float32)
     records = aligned_zeros(len(g))
     columns = (g.means, g.quats, g.log_scales, g.logit_opacities, g.sh)
@@ -73,16 +73,16 @@ def frame_rows(scalar: ctypes.CDLL) -> list[dict[str, Any]]:
     """Lists and blending of 200 k Gaussians that fill the picture."""
     scene = st.Scene.flat(cloud(200_000, reach=1.0, scale=0.046, seed=1))
     camera = st.Camera.look_at((0, 0, 0), (0, 0, 1), width=WIDTH, height=HEIGHT)
-    options = st.RenderOptions().resolved(scene)
-    splats = st.trace(scene, camera, select=LEAVES).splats
-    bins = cpu.bin.bin(splats, camera, options)
-    picture = cpu.blend.blend(splats, bins, camera, options)
-    binned = cheapest_ms(lambda: cpu.bin.bin(splats, camera, options, threads=1))
-    blended = cheapest_ms(lambda: cpu.blend.blend(splats, bins, camera, options, threads=1))
+    frame = st.trace(scene, camera, select=LEAVES)
+    splats, view = frame.splats, frame.view
+    bins = cpu.bin.bin(splats, view)
+    picture = cpu.blend.blend(splats, bins, view)
+    binned = cheapest_ms(lambda: cpu.bin.bin(splats, view, threads=1))
+    blended = cheapest_ms(lambda: cpu.blend.blend(splats, bins, view, threads=1))
     image = np.zeros((HEIGHT, WIDTH, 3), np.float32)
     lists = (pointer(splats.records), pointer(bins.tile_start), pointer(bins.splat_from_pair))
     size = (bins.num_tiles_x, bins.num_tiles_y, WIDTH, HEIGHT)
-    plain = cheapest_ms(lambda: scalar.blend(*lists, *size, options.threshold, pointer(image)), repeat=3)
+    plain = cheapest_ms(lambda: scalar.blend(*lists, *size, view.threshold, pointer(image)), repeat=3)
     assert st.psnr(image, picture.image) > 80, "the scalar loop draws another picture"
     return [
         row("bin 200 k splats", bins.num_pairs, binned),
@@ -103,14 +103,13 @@ def city_rows() -> list[dict[str, Any]]:
     pose[:3, 3] = -pose[:3, :3] @ np.array(first["position"])
     K = np.array([[first["fx"], 0, first["width"] / 2], [0, first["fy"], first["height"] / 2], [0, 0, 1]])
     camera = st.Camera(pose, K, first["width"], first["height"]).scaled(WIDTH / first["width"])
-    options = st.RenderOptions().resolved(scene)
     frame = st.trace(scene, camera, select=LEAVES)
-    splats, bins = frame.splats, frame.bins
+    splats, bins, view = frame.splats, frame.bins, frame.view
     project = cpu.project.project
     stages = {
-        "project and order": lambda: project(scene.gaussians, None, frame.selection.rows, camera, options, threads=1),
-        "bin": lambda: cpu.bin.bin(splats, camera, options, threads=1),
-        "blend": lambda: cpu.blend.blend(splats, bins, camera, options, threads=1),
+        "project and order": lambda: project(scene.gaussians, None, frame.selection.rows, view, threads=1),
+        "bin": lambda: cpu.bin.bin(splats, view, threads=1),
+        "blend": lambda: cpu.blend.blend(splats, bins, view, threads=1),
     }
     items = {"project and order": len(splats), "bin": bins.num_pairs, "blend": bins.num_pairs}
     return [row(f"city: {name}", items[name], cheapest_ms(work)) for name, work in stages.items()]

@@ -17,6 +17,7 @@ from splatree import PathOptions, Scene, SelectOptions, build_lod, flyout, orbit
 from splatree.kernels.cpu.frame import select as cpu
 from splatree.lod.serial import levels_of, select_serial
 from splatree.scene.cameras import Camera
+from splatree.scene.view import view_of
 
 PIXEL_ERRORS = (2.0, 3.0, 12.0)
 PROFILES = ("exact", "3dgs", "ref", "sphere")
@@ -47,15 +48,15 @@ def scenes() -> Iterator[tuple[str, Scene, list[Camera]]]:
 
 def row(name: str, scene: Scene, views: list[Camera]) -> dict[str, object]:
     levels, ancestors = levels_of(scene.tree), cpu.ancestor_table(scene.tree)
-    keywords = {"dilation_px2": 0.3, "threshold": scene.threshold}
     drawn = compared = 0
     for camera, pixel_error, profile in product(views, PIXEL_ERRORS, PROFILES):
         if len(scene) > 1_000_000 and (profile, pixel_error) not in (("exact", 3.0), ("sphere", 12.0)):
             continue
         options = replace(SelectOptions(), pixel_error=pixel_error, profile=profile)
-        blocks = select(scene, camera, options).rows
-        serial, _ = select_serial(scene.gaussians, scene.tree, None, camera, options, levels=levels, **keywords)
-        table, _ = cpu.select_by_ancestors(scene.gaussians, scene.tree, ancestors, camera, options, **keywords)
+        view = view_of(scene, camera)
+        blocks = select(scene, view, options).rows
+        serial, _ = select_serial(scene.gaussians, scene.tree, None, view, options, levels=levels)
+        table, _ = cpu.select_by_ancestors(scene.gaussians, scene.tree, ancestors, view, options)
         for other, scheme in ((serial, "level by level"), (table, "table of ancestors")):
             if not np.array_equal(blocks, other):
                 sys.exit(f"same_cut: {name}, {camera.name}, {options}: blocks and {scheme} differ")

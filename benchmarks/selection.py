@@ -23,6 +23,7 @@ from splatree.kernels.cpu.frame import select as cpu
 from splatree.lod.baselines import Baseline, BaselineOptions, baseline
 from splatree.lod.blocks import with_blocks
 from splatree.lod.serial import levels_of, select_serial
+from splatree.scene.view import View, view_of
 
 CITY = DATA / "trained" / "semarang_city"
 VIEWS = DATA / "cameras" / "semarang_city_made_views.json"
@@ -86,13 +87,13 @@ def row(scene: Scene, levels: object, filtergs: Baseline, camera: Camera) -> dic
     """Costs of the three for one view."""
     options = SelectOptions()
     blocks = measure(lambda: select(scene, camera, options, threads=1), repeat=REPEAT)
-    keywords = {"dilation_px2": 0.3, "threshold": scene.threshold, "threads": 1}
+    view = view_of(scene, camera)
     serial = measure(
-        lambda: select_serial(scene.gaussians, scene.tree, None, camera, options, levels=levels, **keywords),
+        lambda: select_serial(scene.gaussians, scene.tree, None, view, options, levels=levels, threads=1),
         repeat=REPEAT,
     )
-    flat = measure(lambda: select_flat(scene, camera, options), repeat=REPEAT)
-    theirs = measure(lambda: filtergs(camera, threads=1), repeat=REPEAT)
+    flat = measure(lambda: select_flat(scene, view, options), repeat=REPEAT)
+    theirs = measure(lambda: filtergs(view, threads=1), repeat=REPEAT)
     rows, visited = serial.value
     assert np.array_equal(rows, theirs.value.rows)
     assert np.array_equal(rows, blocks.value.rows)
@@ -114,18 +115,17 @@ def row(scene: Scene, levels: object, filtergs: Baseline, camera: Camera) -> dic
     }
 
 
-def select_flat(scene: Scene, camera: Camera, options: SelectOptions) -> np.ndarray:
+def select_flat(scene: Scene, view: View, options: SelectOptions) -> np.ndarray:
     """The visible cut with all rows at once."""
     gaussians, tree = scene.gaussians, scene.tree
     leaf = tree.is_leaf
     inner = np.flatnonzero(~leaf).astype(np.int32)
-    small = inner[cpu.small(gaussians, tree, inner, camera, options, dilation_px2=0.3, threads=1)]
+    small = inner[cpu.small(gaussians, tree, inner, view, options, threads=1)]
     reach = np.zeros(len(tree) + 1, np.int32)
     reach[small + 1] = tree.subtree_end[small]  # of the rows before each row
     leaf[small] = True
     cut = np.flatnonzero(leaf & (np.maximum.accumulate(reach)[:-1] <= np.arange(len(tree)))).astype(np.int32)
-    keywords = {"dilation_px2": 0.3, "threshold": scene.threshold, "threads": 1}
-    return cut[cpu.visible(gaussians, tree, cut, camera, options, **keywords)]
+    return cut[cpu.visible(gaussians, tree, cut, view, options, threads=1)]
 
 
 if __name__ == "__main__":

@@ -188,12 +188,10 @@ def contribution_costs(subject: Subject) -> tuple[float, float, float]:
     view, select = subject.views[0], subject.select
     options = RenderOptions(threshold=1 / 255)
     frame = st.trace(subject.scene, view, options, select, threads=1)
-    resolved = options.resolved(subject.scene)
 
     def blend(contributions: bool) -> float:
-        return cheapest_ms(
-            lambda: cpu.blend.blend(frame.splats, frame.bins, view, resolved, threads=1, contributions=contributions)
-        )
+        wanted = replace(frame.view, wanted=st.Wanted(contributions=contributions))
+        return cheapest_ms(lambda: cpu.blend.blend(frame.splats, frame.bins, wanted, threads=1))
 
     whole = cheapest_ms(lambda: st.trace(subject.scene, view, options, select, threads=1))
     plain, asked = blend(False), blend(True)
@@ -228,13 +226,13 @@ def stage_rows(subject: Subject) -> list[dict[str, Any]]:
 
 def stages_of(subject: Subject, view: st.Camera, options: RenderOptions) -> dict[str, float]:
     """CPU-milliseconds of the stages of a frame."""
-    scene, resolved = subject.scene, options.resolved(subject.scene)
+    scene = subject.scene
     frame = st.trace(scene, view, options, subject.select)
     rows = frame.selection.rows
     stages: dict[str, Callable[[], Any]] = {
-        "project and order": lambda: cpu.project.project(scene.gaussians, scene.ids, rows, view, resolved, threads=1),
-        "bin": lambda: cpu.bin.bin(frame.splats, view, resolved, threads=1),
-        "blend": lambda: cpu.blend.blend(frame.splats, frame.bins, view, resolved, threads=1),
+        "project and order": lambda: cpu.project.project(scene.gaussians, scene.ids, rows, frame.view, threads=1),
+        "bin": lambda: cpu.bin.bin(frame.splats, frame.view, threads=1),
+        "blend": lambda: cpu.blend.blend(frame.splats, frame.bins, frame.view, threads=1),
     }
     return {stage: cheapest_ms(work, repeat=3) for stage, work in stages.items()}
 

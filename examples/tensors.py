@@ -29,7 +29,8 @@ if on_gpu:
 scene = st.scene_from_tensors(**tensors)
 camera = st.Camera.look_at((0, 0, -4), (0, 0, 0), width=320, height=180)
 if on_gpu:
-    image = torch.from_dlpack(st.draw(scene, camera).image)  # stays on the GPU
+    with st.open_session(scene) as session:
+        image = torch.from_dlpack(session.draw_on_device(camera).image)  # stays on the GPU
     print(f"drawn on {image.device}: {tuple(image.shape)}, mean {image.mean().item():.3f}")
 else:
     image = st.render(scene, camera).image

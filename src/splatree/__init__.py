@@ -52,7 +52,8 @@ if TYPE_CHECKING:
     from splatree.render.framing.frame import Framing, frame_scene
     from splatree.render.paths import PathOptions, flyout, orbit, through, turn
     from splatree.render.pipeline import render, trace
-    from splatree.render.tensors import draw, scene_from_tensors
+    from splatree.render.session import Pending, Session, open_session
+    from splatree.render.tensors import TensorScene, scene_from_tensors
     from splatree.render.timing import Timing, time_frames
     from splatree.render.video import open_video
     from splatree.scene.cameras import Camera, Cameras
@@ -64,6 +65,7 @@ if TYPE_CHECKING:
     from splatree.scene.scene import Scene
     from splatree.scene.thinning import Groups, MergeOptions, ThinOptions
     from splatree.scene.tree import GaussianTree
+    from splatree.scene.view import View, Wanted
     from splatree.simplify.merge import merge
     from splatree.simplify.thin import Thinned, thin
     from splatree.stream.options import StreamOptions
@@ -104,6 +106,7 @@ __all__ = [
     "MissingExtraError",
     "OutputError",
     "PathOptions",
+    "Pending",
     "ReadOptions",
     "RenderOptions",
     "RenderResult",
@@ -114,6 +117,7 @@ __all__ = [
     "SelectOptions",
     "Selection",
     "ServeOptions",
+    "Session",
     "ShapeError",
     "Simulation",
     "SplatreeError",
@@ -121,12 +125,15 @@ __all__ = [
     "StreamOptions",
     "StreamServer",
     "Streamed",
+    "TensorScene",
     "ThinOptions",
     "Thinned",
     "TileContributions",
     "Timing",
+    "View",
     "ViewOptions",
     "Viewer",
+    "Wanted",
     "WriteOptions",
     "baseline",
     "build_clusters",
@@ -138,7 +145,6 @@ __all__ = [
     "convert",
     "create_scene",
     "cull",
-    "draw",
     "edit",
     "evaluate",
     "flyout",
@@ -147,6 +153,7 @@ __all__ = [
     "link_levels",
     "merge",
     "open_scene",
+    "open_session",
     "open_video",
     "orbit",
     "psnr",
@@ -207,6 +214,7 @@ _HOME = {
     "MissingExtraError": "splatree.errors",
     "OutputError": "splatree.errors",
     "PathOptions": "splatree.render.paths",
+    "Pending": "splatree.render.session",
     "ReadOptions": "splatree.io.options",
     "RenderOptions": "splatree.scene.options",
     "RenderResult": "splatree.scene.frame",
@@ -216,20 +224,24 @@ _HOME = {
     "SceneWriter": "splatree.io.formats.splatree.writer",
     "SelectOptions": "splatree.scene.options",
     "Selection": "splatree.scene.frame",
+    "ServeOptions": "splatree.stream.serve",
+    "Session": "splatree.render.session",
     "ShapeError": "splatree.errors",
     "Simulation": "splatree.hardware.study",
     "SplatreeError": "splatree.errors",
     "StoredScene": "splatree.io.formats.splatree.rows",
-    "ServeOptions": "splatree.stream.serve",
     "StreamOptions": "splatree.stream.options",
     "StreamServer": "splatree.stream.serve",
     "Streamed": "splatree.stream.result",
+    "TensorScene": "splatree.render.tensors",
     "ThinOptions": "splatree.scene.thinning",
     "Thinned": "splatree.simplify.thin",
     "TileContributions": "splatree.render.contribution",
     "Timing": "splatree.render.timing",
+    "View": "splatree.scene.view",
     "ViewOptions": "splatree.view.options",
     "Viewer": "splatree.view.viewer",
+    "Wanted": "splatree.scene.view",
     "WriteOptions": "splatree.io.options",
     "baseline": "splatree.lod.baselines",
     "build_clusters": "splatree.clusters.build",
@@ -241,7 +253,6 @@ _HOME = {
     "convert": "splatree.io.convert",
     "create_scene": "splatree.io.formats.splatree.writer",
     "cull": "splatree.clusters.cull",
-    "draw": "splatree.render.tensors",
     "edit": "splatree.edit.edit",
     "evaluate": "splatree.render.evaluate",
     "flyout": "splatree.render.paths",
@@ -250,6 +261,7 @@ _HOME = {
     "link_levels": "splatree.lod.link",
     "merge": "splatree.simplify.merge",
     "open_scene": "splatree.io.formats.splatree.rows",
+    "open_session": "splatree.render.session",
     "open_video": "splatree.render.video",
     "orbit": "splatree.render.paths",
     "psnr": "splatree.metrics.psnr",

@@ -9,8 +9,9 @@ import pytest
 import splatree as st
 from splatree.clusters.cull import cull, runs_of
 from splatree.clusters.survivors import survivors
-from splatree.lod.select import in_runs
+from splatree.kernels.reference.select import in_runs
 from splatree.scene.options import Cull
+from splatree.scene.view import view_of
 
 from ..kernels.conftest import SCENES, gaussians
 from .conftest import balls
@@ -140,7 +141,7 @@ def lost_by(rule: Cull, rasteriser: Cull, seeds: range) -> tuple[int, int, int]:
     lost = excluded = unseen = 0
     for seed, camera in zip(seeds, itertools.cycle(views(20, 7))):  # views come again and again
         scene = st.build_clusters(st.Scene.flat(around(camera, 400, seed)), (400, 60, 8)[seed % 3])
-        seen = survivors(scene.gaussians, camera, rasteriser, st.RenderOptions().resolved(scene))
+        seen = survivors(scene.gaussians, view_of(scene, camera), rasteriser)
         kept = np.zeros(len(scene), bool)
         kept[cull(scene.clusters, camera, rule).rows] = True  # type: ignore[arg-type]
         lost += int((seen & ~kept).sum())
@@ -178,7 +179,7 @@ def test_survivors_of_the_published_rasterisers_are_those_of_our_squares_and_hol
             select = st.SelectOptions(view_test="none", pixel_error=0)
             drawn[name][st.trace(scene, camera, options, select).splats.rows] = True
         inria, gsplat = (
-            survivors(scene.gaussians, camera, rule, ellipses.resolved(scene))
+            survivors(scene.gaussians, view_of(scene, camera, ellipses), rule)
             for rule in ("exact-inria", "exact-gsplat")
         )
         counts["squares"] += int(drawn["squares"].sum())
@@ -196,13 +197,12 @@ def test_survivors_of_every_rasteriser_hold_what_is_plainly_in_view() -> None:
     pixels = points[:, :2] / points[:, 2:] * camera.K[0, 0] + camera.K[:2, 2]
     inside = ((pixels > 1) & (pixels < (63, 47))).all(axis=1)
     opaque = scene.gaussians.logit_opacities > -5
-    options = st.RenderOptions().resolved(scene)
     for rule in RULES:
-        seen = survivors(scene.gaussians, camera, rule, options)
+        seen = survivors(scene.gaussians, view_of(scene, camera), rule)
         assert seen[inside & opaque].all()
         assert not seen.all()
     behind = st.Camera.look_at((0, 0, -20), (0, 0, -40), width=64, height=48)
-    assert not any(survivors(scene.gaussians, behind, rule, options).any() for rule in RULES)
+    assert not any(survivors(scene.gaussians, view_of(scene, behind), rule).any() for rule in RULES)
 
 
 @pytest.mark.parametrize("axis", [0, 1])
@@ -236,7 +236,7 @@ def test_margins_of_a_rasteriser_are_as_wide_as_they_must_be(
             g.means[:] = (0, 0, 5)
             g.means[:, axis] = (border + steps - centre) / focal * 5
             one_each = st.build_clusters(scene, len(steps))
-            seen = survivors(one_each.gaussians, camera, rule, st.RenderOptions().resolved(one_each))
+            seen = survivors(one_each.gaussians, view_of(one_each, camera), rule)
             kept = cull(one_each.clusters, camera, rule).kept  # type: ignore[arg-type]
             at = one_each.gaussians.means[:, axis] * focal / 5 + centre - border
             if border == 0:
@@ -277,7 +277,7 @@ def test_beams_along_a_border_are_kept_where_they_are_drawn_and_left_out_where_a
     for seed, camera in enumerate(views(20, 30)):
         scene = st.build_clusters(st.Scene.flat(beams(500, seed, camera)), 500)
         assert scene.clusters is not None
-        seen = survivors(scene.gaussians, camera, "exact", st.RenderOptions().resolved(scene))
+        seen = survivors(scene.gaussians, view_of(scene, camera), "exact")
         kept = np.zeros(len(scene), bool)
         kept[cull(scene.clusters, camera).rows] = True
         assert not (seen & ~kept).any()

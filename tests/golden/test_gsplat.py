@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import splatree as st
-from splatree.kernels import backend_for
+from splatree.kernels.devices import stages_of
 
 ARRAYS = Path(__file__).with_name("gsplat.npz")
 MODES = ("classic", "antialiased")
@@ -29,8 +29,9 @@ def scene_of(arrays: dict[str, np.ndarray], mode: str) -> tuple[st.Scene, st.Cam
 @pytest.mark.parametrize("backend", ["cpu", "reference"])
 def test_splats_agree(arrays: dict[str, np.ndarray], mode: str, backend: str) -> None:
     scene, camera = scene_of(arrays, mode)
-    options = st.RenderOptions().resolved(scene)
-    splats = backend_for(backend).project(scene.gaussians, None, np.arange(len(scene), dtype=np.int32), camera, options)
+    splats = stages_of(backend).project(
+        scene.gaussians, None, np.arange(len(scene), dtype=np.int32), st.View(camera, mode=scene.mode)
+    )
     assert len(splats) > 150
     wanted = {
         name: arrays[f"{mode}_{name}"][splats.rows] for name in ("means_px", "conics", "depths", "opacities", "colors")
@@ -48,7 +49,7 @@ def test_splats_agree(arrays: dict[str, np.ndarray], mode: str, backend: str) ->
 @pytest.mark.parametrize("backend", ["cpu", "reference"])
 def test_pictures_agree(arrays: dict[str, np.ndarray], mode: str, backend: str) -> None:
     scene, camera = scene_of(arrays, mode)
-    result = st.render(scene, camera, select=st.SelectOptions(pixel_error=0), backend=backend)
+    result = st.render(scene, camera, select=st.SelectOptions(pixel_error=0), device=backend)
     assert arrays[f"{mode}_alpha"].mean() > 0.3  # a picture, not an empty one
     # Both leave out α < 1/255 and stop before T < 1e-4; a pair at these steps may fall either way, and changes a pixel by at
     # most 1/255 of the brightest colour. Everywhere else only float32 rounding remains.

@@ -8,11 +8,11 @@ from splatree.kernels.reference.bin import smallest_distances
 from splatree.scene.frame import Splats, TileBins
 
 from .conftest import camera, gaussians
-from .test_project import all_rows, options
+from .test_project import all_rows, seen
 
 
 def splats_of(scene: st.Scene, seen_by: st.Camera) -> Splats:
-    return cpu.project.project(scene.gaussians, None, all_rows(scene), seen_by, options())
+    return cpu.project.project(scene.gaussians, None, all_rows(scene), seen(seen_by))
 
 
 def pairs_of(bins: TileBins) -> set[tuple[int, int]]:
@@ -23,7 +23,7 @@ def pairs_of(bins: TileBins) -> set[tuple[int, int]]:
 def test_pairs_are_those_of_the_reference(view: tuple[st.Scene, st.Camera]) -> None:
     scene, seen_by = view
     splats = splats_of(scene, seen_by)
-    fast, slow = (stage.bin.bin(splats, seen_by, options()) for stage in (cpu, reference))
+    fast, slow = (stage.bin.bin(splats, seen(seen_by)) for stage in (cpu, reference))
     found, wanted = pairs_of(fast), pairs_of(slow)
     assert wanted <= found
     # More only where the ellipse misses the tile by less than the margin for rounding: 2e-3 px and 2e-6 of the box. In
@@ -39,7 +39,7 @@ def test_pairs_are_those_of_the_reference(view: tuple[st.Scene, st.Camera]) -> N
 def test_lists_are_in_depth_order_without_duplicates(view: tuple[st.Scene, st.Camera]) -> None:
     scene, seen_by = view
     splats = splats_of(scene, seen_by)
-    bins = cpu.bin.bin(splats, seen_by, options())
+    bins = cpu.bin.bin(splats, seen(seen_by))
     place = np.empty(len(splats), np.int64)
     place[splats.order] = np.arange(len(splats))
     for start, end in zip(bins.tile_start[:-1], bins.tile_start[1:], strict=True):
@@ -49,8 +49,8 @@ def test_lists_are_in_depth_order_without_duplicates(view: tuple[st.Scene, st.Ca
 def test_ellipse_lists_fewer_pairs_than_the_box(view: tuple[st.Scene, st.Camera]) -> None:
     scene, seen_by = view
     splats = splats_of(scene, seen_by)
-    ellipse = cpu.bin.bin(splats, seen_by, options())
-    box = cpu.bin.bin(splats, seen_by, options(), whole_box=True)
+    ellipse = cpu.bin.bin(splats, seen(seen_by))
+    box = cpu.bin.bin(splats, seen(seen_by), whole_box=True)
     assert pairs_of(ellipse) <= pairs_of(box)
 
 
@@ -59,7 +59,7 @@ def test_threads_do_not_change_the_lists() -> None:
     seen_by = camera(120, 90)
     splats = splats_of(scene, seen_by)
     assert len(splats) > 16384
-    one, two, three = (cpu.bin.bin(splats, seen_by, options(), threads=n) for n in (1, 2, 3))
+    one, two, three = (cpu.bin.bin(splats, seen(seen_by), threads=n) for n in (1, 2, 3))
     for other in (two, three):
         np.testing.assert_array_equal(one.tile_start, other.tile_start)
         np.testing.assert_array_equal(one.splat_from_pair, other.splat_from_pair)
@@ -75,13 +75,13 @@ def test_a_diagonal_needle_skips_the_corners_of_its_box() -> None:
     )
     seen_by = st.Camera.look_at((0, 0, 0), (0, 0, 1), width=160, height=160)
     splats = splats_of(st.Scene.flat(g), seen_by)
-    bins = cpu.bin.bin(splats, seen_by, options())
+    bins = cpu.bin.bin(splats, seen(seen_by))
     # Through the middle of 10 × 10 tiles the diagonal meets 10 tiles and, being about 4 px thick, their neighbours' corners.
     assert bins.num_pairs <= 28
-    assert cpu.bin.bin(splats, seen_by, options(), whole_box=True).num_pairs == 100
+    assert cpu.bin.bin(splats, seen(seen_by), whole_box=True).num_pairs == 100
 
 
 def test_pictures_with_too_many_tiles_are_refused() -> None:
     wide = camera(16 * 2**16, 1)
     with pytest.raises(st.InputError, match="wanted at most 1048560 px a side"):
-        cpu.bin.bin(splats_of(st.Scene.flat(st.Gaussians.empty()), wide), wide, options())
+        cpu.bin.bin(splats_of(st.Scene.flat(st.Gaussians.empty()), wide), seen(wide))

@@ -18,9 +18,8 @@ from splatree.kernels.cuda import compile as cuda_compile
 from splatree.kernels.cuda.compile import Compiler, load_compiler
 from splatree.kernels.cuda.job import fields_of, pack_numbers
 from splatree.kernels.cuda.sources import STAGES, kernels_of
-from splatree.scene.gaussians import Gaussians
-from splatree.scene.options import RenderOptions, SelectOptions
-from splatree.scene.scene import Scene
+from splatree.scene.options import SelectOptions
+from splatree.scene.view import View
 
 from .conftest import camera
 
@@ -76,8 +75,7 @@ def test_kernels_keep_their_budgets_on_every_architecture(compiler: Compiler) ->
 
 
 def test_structs_are_laid_out_as_the_runtime_packs_them(compiler: Compiler, monkeypatch: pytest.MonkeyPatch) -> None:
-    options = RenderOptions().resolved(Scene.flat(Gaussians.empty()))
-    numbers = pack_numbers(camera(), options, SelectOptions(), degree=0)
+    numbers = pack_numbers(View(camera()), SelectOptions(), degree=0)
     jobs = {("cuda/job.h", "FrameJob"): len(numbers), ("cuda/kmeans.h", "KmeansJob"): 0}
     lines = [
         '#include "cuda/kmeans.h"',

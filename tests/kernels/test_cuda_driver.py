@@ -24,6 +24,7 @@ from splatree.kernels.cuda.compile import load_compiler
 from splatree.kernels.cuda.driver import Device
 from splatree.kernels.cuda.library import NUMBERS, Driver, Handle, load_driver, prototypes
 from splatree.kernels.cuda.sources import ROOT
+from splatree.scene.view import view_of
 
 from .conftest import camera
 from .simt_device import Emulator
@@ -133,7 +134,7 @@ def test_streams_that_take_turns_wait_for_each_other(emulator: Emulator, monkeyp
     torch = FakeTorch(emulator)
     monkeypatch.setitem(sys.modules, "torch", torch)
     for torch.current in (0, 1, 1, 0, 1):  # also a recorded frame changes its stream
-        picture = renderer.draw(seen_by, DRAWING.resolved(scene), st.SelectOptions())
+        picture = renderer.draw(view_of(scene, seen_by, DRAWING), st.SelectOptions())
         assert st.psnr(picture.image.numpy(), wanted.image) > 90
 
 
@@ -141,7 +142,7 @@ def test_views_under_way_at_once_are_each_drawn_with_their_own_camera(emulator: 
     scene = tree_scene()
     renderer = renderer_of(scene, emulator)
     cameras = [replace(camera(), K=camera().K + np.diag([i, i, 0.0])) for i in range(4)]
-    pending = [renderer.enqueue(c, DRAWING.resolved(scene), st.SelectOptions()) for c in cameras]
+    pending = [renderer.enqueue(view_of(scene, c, DRAWING), st.SelectOptions()) for c in cameras]
     for seen_by, drawn in zip(cameras, reversed([p.finish() for p in reversed(pending)]), strict=True):
         assert st.psnr(drawn.image.numpy(), st.render(scene, seen_by, DRAWING).image) > 90
 
@@ -151,7 +152,7 @@ def test_frames_ask_for_no_memory_even_if_nobody_looks_at_them(emulator: Emulato
     renderer = renderer_of(scene, emulator)
 
     def enqueue() -> None:
-        renderer.enqueue(camera(), DRAWING.resolved(scene), st.SelectOptions())
+        renderer.enqueue(view_of(scene, camera(), DRAWING), st.SelectOptions())
 
     for _ in range(3):  # measured, enqueued, recorded
         enqueue()
@@ -170,13 +171,13 @@ def test_everything_is_given_back(emulator: Emulator) -> None:
     before = emulator.held
     renderer = renderer_of(scene, emulator, pairs=7)  # grows on the way
     for view in (camera(), camera(), camera(), camera(20, 20)):
-        picture = renderer.draw(view, DRAWING.resolved(scene), st.SelectOptions())
+        picture = renderer.draw(view_of(scene, view, DRAWING), st.SelectOptions())
     image = picture.image
     assert emulator.held["graphs"] == 1
     del renderer, picture
     gc.collect()
     held = {name: emulator.held[name] - before[name] for name in before}
-    assert held == {"arrays": 3, "pinned": 1, "events": 1, "graphs": 0}  # what belongs to the image that is kept
+    assert held == {"arrays": 3, "pinned": 2, "events": 1, "graphs": 0}  # what belongs to the image that is kept
     assert np.isfinite(image.numpy()).all()
     del image
     gc.collect()
@@ -186,9 +187,9 @@ def test_everything_is_given_back(emulator: Emulator) -> None:
 def test_an_image_that_is_kept_without_its_picture_is_not_drawn_over(emulator: Emulator) -> None:
     scene = tree_scene()
     renderer = renderer_of(scene, emulator)
-    image = renderer.draw(camera(), DRAWING.resolved(scene), st.SelectOptions()).image
+    image = renderer.draw(view_of(scene, camera(), DRAWING), st.SelectOptions()).image
     before = image.numpy()
-    renderer.draw(camera(shift_x=9.0), DRAWING.resolved(scene), st.SelectOptions())
+    renderer.draw(view_of(scene, camera(shift_x=9.0), DRAWING), st.SelectOptions())
     np.testing.assert_array_equal(image.numpy(), before)
 
 
@@ -224,7 +225,7 @@ def test_users_meet_the_driver_from_end_to_end(
     assert found["cuda"], found
     assert len(list((tmp_path / ".cache" / "splatree" / "cuda").iterdir())) == 5  # all that a frame needs
     scene = tree_scene(60)
-    picture = st.render(scene.to("cuda"), camera(), DRAWING)
+    picture = st.render(scene, camera(), DRAWING, device="cuda")
     assert st.psnr(picture.image, st.render(scene, camera(), DRAWING).image) > 90
     cuda_device.open_device.cache_clear()
 

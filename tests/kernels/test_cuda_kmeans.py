@@ -94,5 +94,5 @@ def test_a_scene_is_clustered_on_the_device(device: Device, monkeypatch: pytest.
 
 
 def test_a_device_that_is_not_known_is_refused() -> None:
-    with pytest.raises(InputError, match="kmeans: found device 'gpu', wanted 'cpu' or 'cuda'"):
+    with pytest.raises(InputError, match="device: found 'gpu', wanted one of cpu, cuda, reference"):
         kmeans(cloud(10, 1), 2, device="gpu")  # type: ignore[arg-type]

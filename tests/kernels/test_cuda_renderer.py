@@ -10,6 +10,7 @@ from splatree.errors import DeviceError
 from splatree.kernels.cuda.driver import Device
 from splatree.kernels.cuda.renderer import Renderer
 from splatree.lod.blocks import with_blocks
+from splatree.scene.view import view_of
 
 from .conftest import SCENES, camera, gaussians
 from .simt_device import Emulator
@@ -33,7 +34,7 @@ DRAWING = st.RenderOptions(background=(0.2, 0.5, 0.9))
 @pytest.mark.parametrize("pixel_error", [0.0, 3.0, 12.0])
 def test_picture_is_that_of_the_processor(mode: str, pixel_error: float, device: Device) -> None:
     scene, seen_by, chosen = tree_scene(mode=mode), camera(), st.SelectOptions(pixel_error=pixel_error)
-    picture = renderer_of(scene, device).draw(seen_by, DRAWING.resolved(scene), chosen)
+    picture = renderer_of(scene, device).draw(view_of(scene, seen_by, DRAWING), chosen)
     frame = st.trace(scene, seen_by, DRAWING, chosen)
     # Another order of operations rounds otherwise: 1e-7 a product, hundreds of them; 60 dB are 1e-3.
     assert st.psnr(picture.image.numpy(), frame.result.image) > 90
@@ -46,7 +47,7 @@ def test_picture_is_that_of_the_processor(mode: str, pixel_error: float, device:
 def test_hard_scenes_are_drawn(name: str, device: Device) -> None:
     g, seen_by = SCENES[name]()
     scene = with_blocks(st.Scene.flat(g))
-    picture = renderer_of(scene, device).draw(seen_by, DRAWING.resolved(scene), st.SelectOptions())
+    picture = renderer_of(scene, device).draw(view_of(scene, seen_by, DRAWING), st.SelectOptions())
     wanted = st.render(scene, seen_by, DRAWING)
     # A splat at τ or a pixel at its last splat may fall either way, as between processor and reference: 1.5/255 at most, few.
     difference = np.abs(picture.image.numpy() - wanted.image).max(axis=-1)
@@ -57,10 +58,10 @@ def test_hard_scenes_are_drawn(name: str, device: Device) -> None:
 def test_a_frame_waits_for_nothing(emulator: Emulator) -> None:
     scene, seen_by = tree_scene(), camera()
     renderer = renderer_of(scene, emulator)
-    renderer.draw(seen_by, DRAWING.resolved(scene), st.SelectOptions())  # measures the blend kernels, which waits
+    renderer.draw(view_of(scene, seen_by, DRAWING), st.SelectOptions())  # measures the blend kernels, which waits
     for _ in range(3):  # enqueued, recorded, replayed
         waits, launches = emulator.num_waits, emulator.num_launches
-        pending = renderer.enqueue(seen_by, DRAWING.resolved(scene), st.SelectOptions())
+        pending = renderer.enqueue(view_of(scene, seen_by, DRAWING), st.SelectOptions())
         assert emulator.num_waits == waits
         assert emulator.num_launches == launches  # nor did the device start: nothing of it can have been asked for
         pending.finish()
@@ -72,7 +73,7 @@ def test_recorded_frames_follow_the_camera(device: Device) -> None:
     renderer = renderer_of(scene, device)
     for i in range(5):
         seen_by = replace(camera(), K=camera().K + np.array([[i, 0, i], [0, i, 0], [0, 0, 0.0]]))
-        picture = renderer.draw(seen_by, DRAWING.resolved(scene), st.SelectOptions(pixel_error=float(i)))
+        picture = renderer.draw(view_of(scene, seen_by, DRAWING), st.SelectOptions(pixel_error=float(i)))
         wanted = st.render(scene, seen_by, DRAWING, st.SelectOptions(pixel_error=float(i)))
         assert st.psnr(picture.image.numpy(), wanted.image) > 90
 
@@ -80,9 +81,9 @@ def test_recorded_frames_follow_the_camera(device: Device) -> None:
 def test_pictures_that_are_kept_are_not_drawn_over(device: Device) -> None:
     scene = tree_scene()
     renderer = renderer_of(scene, device)
-    first = renderer.draw(camera(), DRAWING.resolved(scene), st.SelectOptions())
+    first = renderer.draw(view_of(scene, camera(), DRAWING), st.SelectOptions())
     before = first.image.numpy()
-    renderer.draw(camera(shift_x=9.0), DRAWING.resolved(scene), st.SelectOptions())
+    renderer.draw(view_of(scene, camera(shift_x=9.0), DRAWING), st.SelectOptions())
     np.testing.assert_array_equal(first.image.numpy(), before)
 
 
@@ -90,7 +91,7 @@ def test_pictures_that_are_kept_are_not_drawn_over(device: Device) -> None:
 def test_arrays_that_are_too_small_grow_and_the_view_is_drawn_again(room: dict[str, int], device: Device) -> None:
     scene, seen_by = tree_scene(), camera()
     small, large = renderer_of(scene, device, **room), renderer_of(scene, device)
-    pictures = [r.draw(seen_by, DRAWING.resolved(scene), st.SelectOptions()) for r in (small, large)]
+    pictures = [r.draw(view_of(scene, seen_by, DRAWING), st.SelectOptions()) for r in (small, large)]
     np.testing.assert_array_equal(*(p.image.numpy() for p in pictures))
     assert pictures[0].counters == pictures[1].counters
 
@@ -103,14 +104,14 @@ def test_schedule_and_kernel_change_no_bit(ids: bool, emulator: Emulator) -> Non
     found = []
     for seed, blend in ((1, "blend_16"), (2, "blend_16"), (3, "blend_8")):
         emulator.seed(seed)
-        picture = renderer_of(scene, emulator, blend=blend).draw(seen_by, DRAWING.resolved(scene), st.SelectOptions())
+        picture = renderer_of(scene, emulator, blend=blend).draw(view_of(scene, seen_by, DRAWING), st.SelectOptions())
         found.append((picture.image.numpy().tobytes(), picture.depth.numpy().tobytes()))
     assert found[0] == found[1] == found[2]
 
 
 def test_trace_has_what_each_stage_left(device: Device) -> None:
     scene, seen_by = tree_scene(), camera()
-    traced = renderer_of(scene, device).trace(seen_by, DRAWING.resolved(scene), st.SelectOptions())
+    traced = renderer_of(scene, device).trace(view_of(scene, seen_by, DRAWING), st.SelectOptions())
     frame = st.trace(scene, seen_by, DRAWING)
     np.testing.assert_array_equal(traced.rows, frame.selection.rows)
     np.testing.assert_array_equal(traced.splats.rows, frame.splats.rows)
@@ -130,7 +131,7 @@ def test_memory_that_is_not_there_is_an_error_that_says_so(emulator: Emulator) -
 
 def test_a_picture_is_shared_without_a_copy(device: Device) -> None:
     scene = tree_scene(60)
-    image = renderer_of(scene, device).draw(camera(), DRAWING.resolved(scene), st.SelectOptions()).image
+    image = renderer_of(scene, device).draw(view_of(scene, camera(), DRAWING), st.SelectOptions()).image
     shared = image.__cuda_array_interface__
     assert shared["shape"] == (37, 52, 3)
     assert shared["typestr"] == "<f4"

@@ -1,5 +1,7 @@
 """Each stage of the device against the same references, scenes and bands as the stage of the processor."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -11,11 +13,12 @@ from splatree.kernels.cuda.plan import Blend
 from splatree.kernels.cuda.stages import Stages
 from splatree.kernels.reference.bin import smallest_distances
 from splatree.scene.frame import Splats
+from splatree.scene.view import Wanted
 
 from .conftest import SCENES, absurd, camera, gaussians
 from .test_bin import pairs_of, splats_of
-from .test_blend import BACKGROUND, same_bits
-from .test_project import MODES, all_rows, aspect, assert_at_a_step, options
+from .test_blend import BACKGROUND, EVERYTHING, assert_outputs_are_those_of_the_reference, same_bits
+from .test_project import MODES, all_rows, aspect, assert_at_a_step, seen
 
 KERNELS: tuple[Blend, ...] = ("blend_16", "blend_8")
 
@@ -49,8 +52,7 @@ def test_splats_are_those_of_the_reference(view: tuple[st.Scene, st.Camera], dev
     scene, seen_by = view
     rows = all_rows(scene)
     found, wanted = (
-        stage.project(scene.gaussians, None, rows, seen_by, options(mode))
-        for stage in (Stages(device), reference.project)
+        stage.project(scene.gaussians, None, rows, seen(seen_by, mode)) for stage in (Stages(device), reference.project)
     )
     assert_same_splats(found, wanted, seen_by)
 
@@ -59,7 +61,7 @@ def test_rows_that_a_reader_would_refuse_spoil_no_others(device: Device) -> None
     scene, seen_by = st.Scene.flat(absurd()), camera()
     rows = all_rows(scene)[11:]
     found, alone = (
-        Stages(device).project(scene.gaussians, None, chosen, seen_by, options()) for chosen in (all_rows(scene), rows)
+        Stages(device).project(scene.gaussians, None, chosen, seen(seen_by)) for chosen in (all_rows(scene), rows)
     )
     kept = np.isin(found.rows, rows)
     np.testing.assert_array_equal(found.records[kept], alone.records)
@@ -72,7 +74,7 @@ def test_order_is_by_depth_and_then_by_id(device: Device) -> None:
     ids = np.random.default_rng(0).permutation(200).astype(np.uint32) + 1000
     seen_by = st.Camera.look_at((0, 0, -6), (0, 0, 0), width=40, height=30)
     for given in (ids, None):
-        splats = Stages(device).project(g, given, np.arange(200, dtype=np.int32), seen_by, options())
+        splats = Stages(device).project(g, given, np.arange(200, dtype=np.int32), seen(seen_by))
         assert len(np.unique(splats.depths)) < len(splats) / 4
         tie = splats.rows if given is None else given[splats.rows]
         np.testing.assert_array_equal(splats.order, np.lexsort((tie, splats.depths)))
@@ -82,7 +84,7 @@ def test_order_of_more_than_a_tile_of_the_sort(device: Device) -> None:
     g = gaussians(9000, 3)
     g.log_scales[:] = -1
     g.means[4000:] = g.means[:5000]  # ties across tiles
-    splats = Stages(device).project(g, None, np.arange(9000, dtype=np.int32), camera(), options())
+    splats = Stages(device).project(g, None, np.arange(9000, dtype=np.int32), seen(camera()))
     assert len(splats) > 8192
     np.testing.assert_array_equal(splats.order, np.lexsort((splats.rows, splats.depths)))
 
@@ -90,8 +92,8 @@ def test_order_of_more_than_a_tile_of_the_sort(device: Device) -> None:
 def test_pairs_are_those_of_the_reference(view: tuple[st.Scene, st.Camera], device: Device) -> None:
     scene, seen_by = view
     splats = splats_of(scene, seen_by)
-    bins = Stages(device).bin(splats, seen_by, options())
-    found, wanted = pairs_of(bins), pairs_of(reference.bin.bin(splats, seen_by, options()))
+    bins = Stages(device).bin(splats, seen(seen_by))
+    found, wanted = pairs_of(bins), pairs_of(reference.bin.bin(splats, seen(seen_by)))
     assert wanted <= found
     # The margin of tests/kernels/test_bin.py.
     distances = smallest_distances(splats, seen_by)
@@ -109,7 +111,7 @@ def test_splats_over_many_tiles_are_listed_in_depth_order(device: Device) -> Non
     # 300 × 200 px are 19 × 13 tiles: splats that a warp lists together, and more tiles than a digit of the sort holds.
     scene, seen_by = st.Scene.flat(gaussians(60, 3, log_scales=(-2, 1))), camera(300, 300)
     splats = splats_of(scene, seen_by)
-    wanted, bins = cpu.bin.bin(splats, seen_by, options()), Stages(device).bin(splats, seen_by, options())
+    wanted, bins = cpu.bin.bin(splats, seen(seen_by)), Stages(device).bin(splats, seen(seen_by))
     assert len(bins.tile_start) > 256
     assert pairs_of(bins) == pairs_of(wanted)
     np.testing.assert_array_equal(bins.splat_from_pair, wanted.splat_from_pair)
@@ -121,9 +123,9 @@ def test_picture_of_the_same_lists_is_that_of_the_reference(
 ) -> None:
     scene, seen_by = view
     splats = splats_of(scene, seen_by)
-    bins = cpu.bin.bin(splats, seen_by, options())
-    fast = Stages(device).blend(splats, bins, seen_by, options(**BACKGROUND), kernel=kernel)
-    slow = reference.blend.blend(splats, bins, seen_by, options(**BACKGROUND))
+    bins = cpu.bin.bin(splats, seen(seen_by))
+    fast = Stages(device).blend(splats, bins, seen(seen_by, **BACKGROUND), kernel=kernel)
+    slow = reference.blend.blend(splats, bins, seen(seen_by, **BACKGROUND))
     # The bands of tests/kernels/test_blend.py.
     brightest = max(1.0, float(splats.colors.max(initial=0)))
     difference = np.abs(fast.image - slow.image).max(axis=-1)
@@ -141,12 +143,12 @@ def test_squares_are_listed_as_on_the_processor(
     view: tuple[st.Scene, st.Camera], device: Device, tile_rule: str
 ) -> None:
     scene, seen_by = view
-    chosen = options(tile_rule=tile_rule, threshold=0.05)  # type: ignore[arg-type]
-    splats = cpu.project.project(scene.gaussians, None, all_rows(scene), seen_by, chosen)
-    found = Stages(device).project(scene.gaussians, None, all_rows(scene), seen_by, chosen)
+    chosen = seen(seen_by, tile_rule=tile_rule, threshold=0.05)  # type: ignore[arg-type]
+    splats = cpu.project.project(scene.gaussians, None, all_rows(scene), chosen)
+    found = Stages(device).project(scene.gaussians, None, all_rows(scene), chosen)
     # A side is rounded up to a whole pixel: a rounding error moves one in some thousand to the next.
     assert len(np.setxor1d(found.rows, splats.rows)) <= 1
-    bins, wanted = (stage.bin(splats, seen_by, chosen) for stage in (Stages(device), cpu.bin))
+    bins, wanted = (stage.bin(splats, chosen) for stage in (Stages(device), cpu.bin))
     moved = {splat for _, splat in pairs_of(bins) ^ pairs_of(wanted)}
     assert len(moved) <= 1e-3 * len(splats) + 1
 
@@ -156,15 +158,15 @@ def test_splats_are_tapered_as_by_the_reference(
     view: tuple[st.Scene, st.Camera], device: Device, kernel: Blend
 ) -> None:
     scene, seen_by = view
-    chosen = options(pixels="taper", threshold=0.05, **BACKGROUND)  # type: ignore[arg-type]
-    splats = cpu.project.project(scene.gaussians, None, all_rows(scene), seen_by, chosen)
-    wanted, bins = cpu.bin.bin(splats, seen_by, chosen), Stages(device).bin(splats, seen_by, chosen)
+    chosen = seen(seen_by, pixels="taper", threshold=0.05, **BACKGROUND)  # type: ignore[arg-type]
+    splats = cpu.project.project(scene.gaussians, None, all_rows(scene), chosen)
+    wanted, bins = cpu.bin.bin(splats, chosen), Stages(device).bin(splats, chosen)
     assert wanted.floors is not None
     assert bins.floors is not None
     # |L d|² of a needle's nearest point loses digits as in the lists; the opacity follows it by e^(-½ that).
     np.testing.assert_allclose(bins.floors, wanted.floors, rtol=2e-3)
-    fast = Stages(device).blend(splats, wanted, seen_by, chosen, kernel=kernel)
-    slow = reference.blend.blend(splats, wanted, seen_by, chosen)
+    fast = Stages(device).blend(splats, wanted, chosen, kernel=kernel)
+    slow = reference.blend.blend(splats, wanted, chosen)
     brightest = max(1.0, float(splats.colors.max(initial=0)))
     difference = np.abs(fast.image - slow.image).max(axis=-1)
     # As without a taper, times its slope of 2.
@@ -178,12 +180,11 @@ def test_contributions_are_those_of_the_processor(
     view: tuple[st.Scene, st.Camera], device: Device, pixels: str
 ) -> None:
     scene, seen_by = view
-    chosen = options(pixels=pixels, threshold=0.02)  # type: ignore[arg-type]
-    splats = cpu.project.project(scene.gaussians, None, all_rows(scene), seen_by, chosen)
-    bins = cpu.bin.bin(splats, seen_by, chosen)
-    found, wanted = (
-        stage.blend(splats, bins, seen_by, chosen, contributions=True) for stage in (Stages(device), cpu.blend)
-    )
+    chosen = seen(seen_by, pixels=pixels, threshold=0.02)  # type: ignore[arg-type]
+    splats = cpu.project.project(scene.gaussians, None, all_rows(scene), chosen)
+    bins = cpu.bin.bin(splats, chosen)
+    asked = replace(chosen, wanted=Wanted(contributions=True))
+    found, wanted = (stage.blend(splats, bins, asked) for stage in (Stages(device), cpu.blend))
     assert found.contributions is not None
     assert wanted.contributions is not None
     # 256 pixels of up to 1; a pixel at τ may fall either way in either.
@@ -191,19 +192,37 @@ def test_contributions_are_those_of_the_processor(
     assert (~close).sum() <= 0.01 * len(close) + 1
     # FilterGS: what the pairs of the picture contribute is what its pixels stop.
     np.testing.assert_allclose(found.contributions.sum(), found.alpha.sum(dtype=np.float64), rtol=1e-4, atol=1e-4)
-    plain = Stages(device).blend(splats, bins, seen_by, chosen)
+    plain = Stages(device).blend(splats, bins, chosen)
     np.testing.assert_array_equal(plain.image, found.image)
+
+
+@pytest.mark.parametrize("pixels", ["hard", "taper"])
+def test_outputs_beside_the_picture_are_those_of_the_processor(
+    view: tuple[st.Scene, st.Camera], device: Device, pixels: str
+) -> None:
+    scene, seen_by = view
+    chosen = seen(seen_by, pixels=pixels, threshold=0.02, wanted=EVERYTHING)
+    splats = cpu.project.project(scene.gaussians, None, all_rows(scene), chosen)
+    bins = cpu.bin.bin(splats, chosen)
+    found = Stages(device).blend(splats, bins, chosen)
+    assert_outputs_are_those_of_the_reference(found, cpu.blend.blend(splats, bins, chosen))
+    plain = Stages(device).blend(splats, bins, replace(chosen, wanted=Wanted()))
+    np.testing.assert_array_equal(plain.image, found.image)
+    alone = Stages(device).blend(splats, bins, replace(chosen, wanted=Wanted(last_pair=True)))
+    np.testing.assert_array_equal(alone.last_pair, found.last_pair)
+    np.testing.assert_array_equal(alone.tiles.evaluated, found.tiles.evaluated)
+    assert (alone.median_depth, alone.contributions) == (None, None)
 
 
 def test_both_blend_kernels_draw_the_same_bits_in_any_order(emulator: Device) -> None:
     scene, seen_by = st.Scene.flat(gaussians(300, 1, degree=3)), camera()
     splats = splats_of(scene, seen_by)
-    bins = cpu.bin.bin(splats, seen_by, options())
-    first = Stages(emulator).blend(splats, bins, seen_by, options(**BACKGROUND))
+    bins = cpu.bin.bin(splats, seen(seen_by))
+    first = Stages(emulator).blend(splats, bins, seen(seen_by, **BACKGROUND))
     for seed in (2, 3):
         emulator.seed(seed)  # type: ignore[attr-defined]
         for kernel in KERNELS:
-            assert same_bits(first, Stages(emulator).blend(splats, bins, seen_by, options(**BACKGROUND), kernel=kernel))
+            assert same_bits(first, Stages(emulator).blend(splats, bins, seen(seen_by, **BACKGROUND), kernel=kernel))
 
 
 def test_what_lies_behind_a_wall_is_not_read(device: Device) -> None:
@@ -212,13 +231,13 @@ def test_what_lies_behind_a_wall_is_not_read(device: Device) -> None:
     g.means[:40, 2] = -2  # 40 opaque sheets before the cloud
     scene, seen_by = st.Scene.flat(g), camera()
     splats = splats_of(scene, seen_by)
-    bins = cpu.bin.bin(splats, seen_by, options())
+    bins = cpu.bin.bin(splats, seen(seen_by))
     for kernel in KERNELS:
-        work = Stages(device).blend(splats, bins, seen_by, options(), kernel=kernel).tiles
+        work = Stages(device).blend(splats, bins, seen(seen_by), kernel=kernel).tiles
         assert work.consumed.sum() < 0.6 * bins.num_pairs
         assert np.all(work.consumed <= np.diff(bins.tile_start))
 
 
 def test_rows_that_are_not_there_are_refused(device: Device) -> None:
     with pytest.raises(st.InputError, match="rows: found -1 to 3, wanted 0 to 39"):
-        Stages(device).project(gaussians(40, 1), None, np.array([-1, 3], np.int32), camera(), options())
+        Stages(device).project(gaussians(40, 1), None, np.array([-1, 3], np.int32), seen(camera()))

@@ -7,6 +7,7 @@ from splatree.kernels import reference
 from splatree.kernels.cpu import frame as cpu
 from splatree.kernels.cpu.build import spheres
 from splatree.scene.options import Cull
+from splatree.scene.view import View
 
 from .conftest import absurd, camera, gaussians
 
@@ -92,7 +93,7 @@ def test_culling_agrees_with_the_reference(isa: str, rule: Cull) -> None:
     rng = np.random.default_rng(4)
     centers = (rng.normal(size=(1000, 3)) * 10.0 ** rng.uniform(-1, 3, (1000, 1))).astype(np.float32)
     radii, near_radii = (10.0 ** rng.uniform(-3, 2, (2, 1000))).astype(np.float32)
-    sides = sides_of(camera(shift_x=30.0), rule, dilation_px2=0.3, threshold=1 / 255)
+    sides = sides_of(View(camera(shift_x=30.0)), rule)
     slow = reference.cull.cull(centers, radii, near_radii, sides)
     # Both compute in float64: only a tie could fall either way.
     for threads in (1, 2):
@@ -106,7 +107,7 @@ def test_culling_by_boxes_agrees_with_the_reference(isa: str) -> None:
     centers = (rng.normal(size=(1000, 3)) * 10.0 ** rng.uniform(-1, 3, (1000, 1))).astype(np.float32)
     half = (10.0 ** rng.uniform(-3, 2, (1000, 3))).astype(np.float32)
     half[::100] = np.inf
-    sides = sides_of(camera(shift_x=30.0), "exact", dilation_px2=0.3, threshold=1 / 255)
+    sides = sides_of(View(camera(shift_x=30.0)), "exact")
     slow = reference.cull.cull_boxes(centers - half, centers + half, sides)
     # Both compute in float64: only a tie could fall either way.
     for threads in (1, 2):
@@ -120,7 +121,7 @@ def test_more_clusters_than_a_thread_takes_at_once() -> None:
     rng = np.random.default_rng(5)
     centers = rng.normal(size=(40_000, 3)).astype(np.float32) * 10
     radii = np.full(40_000, 0.5, np.float32)
-    sides = sides_of(camera(), "exact", dilation_px2=0.3, threshold=1 / 255)
+    sides = sides_of(View(camera()), "exact")
     one = cpu.cull.cull(centers, radii, radii, sides, threads=1)
     np.testing.assert_array_equal(one, cpu.cull.cull(centers, radii, radii, sides, threads=3))
     np.testing.assert_array_equal(one, reference.cull.cull(centers, radii, radii, sides))

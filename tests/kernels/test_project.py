@@ -7,16 +7,16 @@ from splatree.kernels import reference
 from splatree.kernels.cpu import _core
 from splatree.kernels.cpu import frame as cpu
 from splatree.scene.frame import Splats
-from splatree.scene.options import ResolvedOptions
+from splatree.scene.view import View
 
 from .conftest import absurd, camera, gaussians
 
 MODES = ("classic", "antialiased")
 
 
-def options(mode: str = "classic", **changes: float) -> ResolvedOptions:
-    fields = {"background": (0.0, 0.0, 0.0), "dilation_px2": 0.3, "threshold": 1 / 255, "sh_degree": 3}
-    return ResolvedOptions(**{**fields, "mode": mode, **changes})  # type: ignore[arg-type]
+def seen(seen_by: st.Camera, mode: str = "classic", **changes: object) -> View:
+    """The view of a camera with the usual options, or others."""
+    return View(seen_by, mode=mode, **changes)  # type: ignore[arg-type]
 
 
 def all_rows(scene: st.Scene) -> np.ndarray:
@@ -45,8 +45,8 @@ def assert_at_a_step(splats: Splats, rows: np.ndarray, view: st.Camera, threshol
 @pytest.mark.parametrize("mode", MODES)
 def test_splats_are_those_of_the_reference(view: tuple[st.Scene, st.Camera], isa: str, mode: str) -> None:
     scene, seen_by = view
-    fast = cpu.project.project(scene.gaussians, None, all_rows(scene), seen_by, options(mode))
-    slow = reference.project.project(scene.gaussians, None, all_rows(scene), seen_by, options(mode))
+    fast = cpu.project.project(scene.gaussians, None, all_rows(scene), seen(seen_by, mode))
+    slow = reference.project.project(scene.gaussians, None, all_rows(scene), seen(seen_by, mode))
     assert_at_a_step(fast, np.setdiff1d(fast.rows, slow.rows), seen_by, 1 / 255)
     assert_at_a_step(slow, np.setdiff1d(slow.rows, fast.rows), seen_by, 1 / 255)
 
@@ -74,7 +74,7 @@ def test_order_is_by_depth_and_then_by_id(isa: str) -> None:
     g.log_scales[:] = -1
     ids = np.random.default_rng(0).permutation(200).astype(np.uint32)
     seen_by = st.Camera.look_at((0, 0, -6), (0, 0, 0), width=40, height=30)
-    splats = cpu.project.project(g, ids, np.arange(200, dtype=np.int32), seen_by, options())
+    splats = cpu.project.project(g, ids, np.arange(200, dtype=np.int32), seen(seen_by))
     assert len(np.unique(splats.depths)) < len(splats) / 4
     wanted = np.lexsort((ids[splats.rows], splats.depths))
     np.testing.assert_array_equal(splats.order, wanted)
@@ -105,9 +105,9 @@ def test_harmonics_of_each_degree(degree: int, isa: str) -> None:
     g = gaussians(100, 4, degree=3)
     rows = np.arange(100, dtype=np.int32)
     given = g.with_sh_degree(degree)
-    fast = cpu.project.project(given, None, rows, camera(), options())
-    slow = reference.project.project(given, None, rows, camera(), options())
-    cut = cpu.project.project(g, None, rows, camera(), options(sh_degree=degree))
+    fast = cpu.project.project(given, None, rows, seen(camera()))
+    slow = reference.project.project(given, None, rows, seen(camera()))
+    cut = cpu.project.project(g, None, rows, seen(camera(), sh_degree=degree))
     np.testing.assert_allclose(fast.colors, slow.colors, atol=4e-6)
     np.testing.assert_array_equal(fast.colors, cut.colors)
 
@@ -123,7 +123,7 @@ def test_a_gaussian_on_the_axis_in_closed_form(isa: str) -> None:
     )
     seen_by = st.Camera.look_at((0, 0, 0), (0, 0, 1), width=64, height=48)
     for mode in MODES:
-        splats = cpu.project.project(g, None, np.zeros(1, np.int32), seen_by, options(mode))
+        splats = cpu.project.project(g, None, np.zeros(1, np.int32), seen(seen_by, mode))
         variance = (seen_by.K[0, 0] * sigma / depth) ** 2
         opacity = 0.5 if mode == "classic" else 0.5 * variance / (variance + 0.3)
         half_size = np.sqrt(2 * np.log(255 * opacity) * (variance + 0.3))
@@ -139,24 +139,24 @@ def test_a_gaussian_on_the_axis_in_closed_form(isa: str) -> None:
 def test_absurd_rows_are_dropped_or_drawn_and_spoil_no_other(isa: str) -> None:
     g = absurd()
     rows = np.arange(len(g), dtype=np.int32)
-    splats = cpu.project.project(g, None, rows, camera(), options())
+    splats = cpu.project.project(g, None, rows, seen(camera()))
     assert not np.isin([0, 1, 8, 9, 10], splats.rows).any()  # not finite, without opacity, at the eye, far away
     drawn = np.array([2, 4, 5, 6], np.int32)  # scales of e^80, quaternions of length 0, 1e30, 1e-30
-    wanted = reference.project.project(g, None, drawn, camera(), options()).rows
+    wanted = reference.project.project(g, None, drawn, seen(camera())).rows
     assert len(wanted) >= 3
     np.testing.assert_array_equal(np.intersect1d(drawn, splats.rows), wanted)
     assert np.isfinite(splats.records).all()
     good = np.delete(rows, np.arange(11))
-    alone = cpu.project.project(g, None, good, camera(), options())
+    alone = cpu.project.project(g, None, good, seen(camera()))
     np.testing.assert_array_equal(splats.records[splats.rows > 10], alone.records)
 
 
 def test_a_subset_of_rows_gives_its_records_bit_for_bit(isa: str) -> None:
     g = gaussians(3000, 5)  # more than one chunk
     rows = np.arange(3000, dtype=np.int32)
-    everything = cpu.project.project(g, None, rows, camera(), options())
+    everything = cpu.project.project(g, None, rows, seen(camera()))
     for chosen in (rows[::3], rows[1:-1], rows[-5:]):
-        part = cpu.project.project(g, None, chosen, camera(), options())
+        part = cpu.project.project(g, None, chosen, seen(camera()))
         both = np.isin(everything.rows, chosen)
         np.testing.assert_array_equal(part.rows, everything.rows[both])
         np.testing.assert_array_equal(part.records.view(np.uint32), everything.records[both].view(np.uint32))
@@ -177,8 +177,8 @@ def test_the_first_look_drops_nothing_that_is_in_view(fov_y_deg: float, isa: str
         K = straight.K.copy()
         K[:2, 2] += off_centre
         seen_by = st.Camera(straight.camera_from_world, K, straight.width, straight.height)
-        fast = cpu.project.project(g, None, all_rows(st.Scene.flat(g)), seen_by, options())
-        slow = reference.project.project(g, None, all_rows(st.Scene.flat(g)), seen_by, options())
+        fast = cpu.project.project(g, None, all_rows(st.Scene.flat(g)), seen(seen_by))
+        slow = reference.project.project(g, None, all_rows(st.Scene.flat(g)), seen(seen_by))
         assert 10 < len(slow) < n / 2
         assert_at_a_step(fast, np.setdiff1d(fast.rows, slow.rows), seen_by, 1 / 255)
         assert_at_a_step(slow, np.setdiff1d(slow.rows, fast.rows), seen_by, 1 / 255)
@@ -188,8 +188,8 @@ def test_very_many_rows_are_the_same_as_few() -> None:
     # From 2^19 rows on, records are written past the caches.
     g = gaussians(1000, 9, spread=3)
     rows = np.resize(np.arange(1000, dtype=np.int32), 2**19 + 100)
-    few = cpu.project.project(g, None, rows[:1000], camera(), options())
-    many = cpu.project.project(g, None, rows, camera(), options())
+    few = cpu.project.project(g, None, rows[:1000], seen(camera()))
+    many = cpu.project.project(g, None, rows, seen(camera()))
     assert 100 < len(few) < 900
     wanted = np.resize(few.rows, len(many))
     np.testing.assert_array_equal(many.rows, wanted)
@@ -202,7 +202,7 @@ def test_rows_outside_of_the_scene_are_refused() -> None:
     g = gaussians(5, 1)
     for row in (-1, 5):
         with pytest.raises(st.InputError, match="wanted 0 to 4"):
-            cpu.project.project(g, None, np.array([row], np.int32), camera(), options())
+            cpu.project.project(g, None, np.array([row], np.int32), seen(camera()))
 
 
 def test_determinant_of_a_needle_does_not_cancel(isa: str) -> None:
@@ -215,7 +215,7 @@ def test_determinant_of_a_needle_does_not_cancel(isa: str) -> None:
         np.zeros((1, 1, 3), np.float32),
     )
     seen_by = st.Camera.look_at((0, 0, 0), (0, 0, 1), width=640, height=480)
-    fast = cpu.project.project(g, None, np.zeros(1, np.int32), seen_by, options())
+    fast = cpu.project.project(g, None, np.zeros(1, np.int32), seen(seen_by))
     a, b, c = fast.factors[0].astype(np.float64)
     across = np.array([np.sqrt(0.5), -np.sqrt(0.5)])
     thickness = 1 / np.hypot(a * across[0] + b * across[1], c * across[1])

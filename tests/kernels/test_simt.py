@@ -6,6 +6,7 @@ import pytest
 from splatree.errors import DeviceError
 from splatree.kernels.cuda.driver import DeviceArray
 from splatree.kernels.cuda.job import pack_job
+from splatree.scene.view import View
 
 from .simt_device import Emulator
 
@@ -14,14 +15,11 @@ THREADS = 64
 
 def job_of(emulator: Emulator, arrays: dict[str, DeviceArray]) -> DeviceArray:
     from splatree.kernels.cuda.job import pack_numbers
-    from splatree.scene.gaussians import Gaussians
-    from splatree.scene.options import RenderOptions, SelectOptions
-    from splatree.scene.scene import Scene
+    from splatree.scene.options import SelectOptions
 
     from .conftest import camera
 
-    options = RenderOptions().resolved(Scene.flat(Gaussians.empty()))
-    numbers = pack_numbers(camera(), options, SelectOptions(), degree=0)
+    numbers = pack_numbers(View(camera()), SelectOptions(), degree=0)
     return emulator.upload(pack_job(numbers, {name: a.pointer for name, a in arrays.items()}, {"num_rows": THREADS}))
 
 

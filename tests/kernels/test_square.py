@@ -11,7 +11,7 @@ from splatree.scene.frame import Splats
 
 from .conftest import camera, gaussians
 from .test_bin import pairs_of
-from .test_project import all_rows, options
+from .test_project import all_rows, seen
 
 RULES = [("3sigma", 1 / 255), ("tau", 1 / 255), ("tau", 0.05), ("tau", 0.3)]
 
@@ -19,7 +19,7 @@ RULES = [("3sigma", 1 / 255), ("tau", 1 / 255), ("tau", 0.05), ("tau", 0.3)]
 def radii_of(splats: Splats, tile_rule: str, threshold: float) -> np.ndarray:
     a, b, c = splats.factors.astype(np.float64).T
     covariances = 1 / a**2 + (b / (a * c)) ** 2, -b / (a * c**2), 1 / c**2
-    rule = rule_of(options(tile_rule=tile_rule, threshold=threshold))
+    rule = rule_of(seen(camera(), tile_rule=tile_rule, threshold=threshold))
     return half_sides(*covariances, splats.opacities.astype(np.float64), rule)
 
 
@@ -28,9 +28,9 @@ def test_pairs_are_those_of_the_reference(
     view: tuple[st.Scene, st.Camera], isa: str, tile_rule: str, threshold: float
 ) -> None:
     scene, seen_by = view
-    named = options(tile_rule=tile_rule, threshold=threshold)
-    splats = cpu.project.project(scene.gaussians, None, all_rows(scene), seen_by, named)
-    fast, slow = (pairs_of(stage.bin.bin(splats, seen_by, named)) for stage in (cpu, reference))
+    named = seen(seen_by, tile_rule=tile_rule, threshold=threshold)
+    splats = cpu.project.project(scene.gaussians, None, all_rows(scene), named)
+    fast, slow = (pairs_of(stage.bin.bin(splats, named)) for stage in (cpu, reference))
     # A radius is rounded up to whole pixels, and the tiles down: where float32 ends on the other side of a step, a side moves by
     # one pixel, and the tiles with it where it was at their edge.
     assert len(fast ^ slow) <= 0.02 * len(slow) + 2
@@ -46,11 +46,11 @@ def test_pairs_are_those_of_the_reference(
 @pytest.mark.parametrize(("tile_rule", "threshold"), RULES)
 def test_splats_are_those_that_are_listed(view: tuple[st.Scene, st.Camera], tile_rule: str, threshold: float) -> None:
     scene, seen_by = view
-    named = options(tile_rule=tile_rule, threshold=threshold)
-    fast = cpu.project.project(scene.gaussians, None, all_rows(scene), seen_by, named)
-    slow = reference.project.project(scene.gaussians, None, all_rows(scene), seen_by, named)
+    named = seen(seen_by, tile_rule=tile_rule, threshold=threshold)
+    fast = cpu.project.project(scene.gaussians, None, all_rows(scene), named)
+    slow = reference.project.project(scene.gaussians, None, all_rows(scene), named)
     assert len(np.setxor1d(fast.rows, slow.rows)) <= 0.01 * len(slow) + 1  # at a step, as above
-    listed = np.unique(reference.bin.bin(slow, seen_by, named).splat_from_pair)
+    listed = np.unique(reference.bin.bin(slow, named).splat_from_pair)
     assert len(slow) - len(listed) <= 0.01 * len(slow) + 1  # the covariance from the float32 factor, at a step
 
 
@@ -71,13 +71,13 @@ def test_a_round_splat_in_closed_form() -> None:
     # τ = 0.3: √(2 ln(0.5 / 0.3)) √λ = 1.0108 · 4.0764 = 4.12, one more and rounded up 6. τ = 0.9: a tenth of 3 √λ, 1.22 + 1.
     wanted |= {("tau", 0.3): 6.0, ("tau", 0.9): 3.0}
     for (tile_rule, threshold), half_side in wanted.items():
-        named = options(tile_rule=tile_rule, threshold=threshold)
-        splats = cpu.project.project(g, None, rows, seen_by, named)
+        named = seen(seen_by, tile_rule=tile_rule, threshold=threshold)
+        splats = cpu.project.project(g, None, rows, named)
         assert radii_of(splats, tile_rule, threshold) == half_side
         # The centre is 31.5 in Kerbl's pixels; the square ends in tile ⌊(31.5 + r + 15) / 16⌋, which is not counted.
         first, end = int((31.5 - half_side) // 16), int((31.5 + half_side + 15) // 16)
         for stage in (cpu, reference):
-            assert stage.bin.bin(splats, seen_by, named).num_pairs == (end - first) ** 2
+            assert stage.bin.bin(splats, named).num_pairs == (end - first) ** 2
 
 
 def test_squares_list_splats_of_any_opacity_as_their_codes_do() -> None:
@@ -85,18 +85,18 @@ def test_squares_list_splats_of_any_opacity_as_their_codes_do() -> None:
     g.logit_opacities[:] = -20
     rows = np.arange(50, dtype=np.int32)
     for tile_rule in ("3sigma", "tau"):
-        named = options(tile_rule=tile_rule, threshold=0.1)
-        splats = cpu.project.project(g, None, rows, camera(), named)
+        named = seen(camera(), tile_rule=tile_rule, threshold=0.1)
+        splats = cpu.project.project(g, None, rows, named)
         assert len(splats) > 40
-        assert cpu.bin.bin(splats, camera(), named).num_pairs >= len(splats)
-    assert len(cpu.project.project(g, None, rows, camera(), options())) == 0
+        assert cpu.bin.bin(splats, named).num_pairs >= len(splats)
+    assert len(cpu.project.project(g, None, rows, seen(camera()))) == 0
 
 
 def test_threads_do_not_change_the_lists() -> None:
     scene = st.Scene.flat(gaussians(9000, 3))  # more than one chunk
     seen_by = camera(120, 90)
-    named = options(tile_rule="tau", threshold=0.05)
-    splats = cpu.project.project(scene.gaussians, None, all_rows(scene), seen_by, named)
-    one, three = (cpu.bin.bin(splats, seen_by, named, threads=n) for n in (1, 3))
+    named = seen(seen_by, tile_rule="tau", threshold=0.05)
+    splats = cpu.project.project(scene.gaussians, None, all_rows(scene), named)
+    one, three = (cpu.bin.bin(splats, named, threads=n) for n in (1, 3))
     np.testing.assert_array_equal(one.tile_start, three.tile_start)
     np.testing.assert_array_equal(one.splat_from_pair, three.splat_from_pair)

@@ -9,10 +9,11 @@ import splatree as st
 from splatree.kernels import reference
 from splatree.kernels.cpu import frame as cpu
 from splatree.scene.frame import Picture, Splats, TileBins
+from splatree.scene.view import Wanted
 
 from .conftest import camera, gaussians
 from .test_bin import pairs_of
-from .test_project import all_rows, options
+from .test_project import all_rows, seen
 
 TAU = 0.08
 
@@ -28,16 +29,16 @@ def everywhere(splats: Splats, bins: TileBins) -> TileBins:
 def drawn(
     scene: st.Scene, seen_by: st.Camera, pixels: str, threshold: float = TAU, tile_rule: str = "ellipse"
 ) -> tuple[Splats, TileBins, Picture]:
-    named = options(pixels=pixels, threshold=threshold, tile_rule=tile_rule)
-    splats = cpu.project.project(scene.gaussians, None, all_rows(scene), seen_by, named)
-    bins = cpu.bin.bin(splats, seen_by, named)
-    return splats, bins, cpu.blend.blend(splats, bins, seen_by, named)
+    named = seen(seen_by, pixels=pixels, threshold=threshold, tile_rule=tile_rule)
+    splats = cpu.project.project(scene.gaussians, None, all_rows(scene), named)
+    bins = cpu.bin.bin(splats, named)
+    return splats, bins, cpu.blend.blend(splats, bins, named)
 
 
 def test_floors_are_those_of_the_reference(view: tuple[st.Scene, st.Camera], isa: str) -> None:
     scene, seen_by = view
     splats, bins, _ = drawn(scene, seen_by, "taper")
-    slow = reference.bin.bin(splats, seen_by, options(pixels="taper", threshold=TAU))
+    slow = reference.bin.bin(splats, seen(seen_by, pixels="taper", threshold=TAU))
     assert bins.floors is not None and slow.floors is not None
     assert np.all((bins.floors >= np.float32(1 / 255) * (1 - 1e-6)) & (bins.floors <= TAU * (1 + 1e-6)))
     # Tiles beyond the picture's border count as lost here, so a floor may be higher; lower only by rounding of |L d|². A splat
@@ -54,7 +55,7 @@ def test_floors_are_those_of_the_reference(view: tuple[st.Scene, st.Camera], isa
 def test_floors_of_splats_inside_the_picture_are_exact() -> None:
     scene, seen_by = st.Scene.flat(gaussians(300, 1, log_scales=(-4, -2), spread=0.4)), camera(160, 120)
     splats, bins, _ = drawn(scene, seen_by, "taper")
-    slow = reference.bin.bin(splats, seen_by, options(pixels="taper", threshold=TAU))
+    slow = reference.bin.bin(splats, seen(seen_by, pixels="taper", threshold=TAU))
     assert bins.floors is not None and slow.floors is not None
     assert 0.2 < np.mean(bins.floors > 1.1 / 255) < 0.9  # both kinds are there
     np.testing.assert_allclose(bins.floors, slow.floors, rtol=1e-3)  # e^(-½ |L d|²) of |L d|² up to 11 in float32
@@ -65,9 +66,9 @@ def test_picture_of_the_same_lists_is_that_of_the_reference(
     view: tuple[st.Scene, st.Camera], isa: str, pixels: str
 ) -> None:
     scene, seen_by = view
-    named = options(pixels=pixels, threshold=TAU)
+    named = seen(seen_by, pixels=pixels, threshold=TAU)
     splats, bins, fast = drawn(scene, seen_by, pixels)
-    slow = reference.blend.blend(splats, bins, seen_by, named)
+    slow = reference.blend.blend(splats, bins, named)
     brightest = max(1.0, float(splats.colors.max(initial=0)))
     difference = np.abs(fast.image - slow.image).max(axis=-1)
     # As for whole splats, times the slope of the taper.
@@ -81,7 +82,7 @@ def test_tapered_picture_does_not_depend_on_the_tiles(view: tuple[st.Scene, st.C
     scene, seen_by = view
     splats, bins, picture = drawn(scene, seen_by, "taper", tile_rule=tile_rule)
     whole = cpu.blend.blend(
-        splats, everywhere(splats, bins), seen_by, options(pixels="taper", threshold=TAU), whole_tile=True
+        splats, everywhere(splats, bins), seen(seen_by, pixels="taper", threshold=TAU), whole_tile=True
     )
     # In a tile that a splat is not listed in, its opacity is at most its floor, where it is tapered to 1/255; few splats have
     # their largest opacity there in a pixel.
@@ -94,7 +95,7 @@ def test_hard_pixels_show_the_edges_of_lost_tiles() -> None:
     scene, seen_by = st.Scene.flat(gaussians(40, 3, log_scales=(-2, -1))), camera()
     splats, bins, picture = drawn(scene, seen_by, "hard")
     whole = cpu.blend.blend(
-        splats, everywhere(splats, bins), seen_by, options(pixels="hard", threshold=TAU), whole_tile=True
+        splats, everywhere(splats, bins), seen(seen_by, pixels="hard", threshold=TAU), whole_tile=True
     )
     assert np.abs(picture.image - whole.image).max() > 5 / 255
 
@@ -102,7 +103,7 @@ def test_hard_pixels_show_the_edges_of_lost_tiles() -> None:
 def test_shrinking_to_the_blend_threshold_changes_no_bit(view: tuple[st.Scene, st.Camera]) -> None:
     scene, seen_by = view
     splats, bins, lossless = drawn(scene, seen_by, "hard", threshold=1 / 255)
-    every = cpu.blend.blend(splats, everywhere(splats, bins), seen_by, options(), whole_tile=True)
+    every = cpu.blend.blend(splats, everywhere(splats, bins), seen(seen_by), whole_tile=True)
     tapered = drawn(scene, seen_by, "taper", threshold=1 / 255)[2]
     for other in (every, tapered):
         assert other.image.tobytes() == lossless.image.tobytes()
@@ -111,9 +112,9 @@ def test_shrinking_to_the_blend_threshold_changes_no_bit(view: tuple[st.Scene, s
 
 def test_balanced_pairs_are_those_of_the_reference(view: tuple[st.Scene, st.Camera], isa: str) -> None:
     scene, seen_by = view
-    named = options(tile_rule="balanced", threshold=0.2)
-    splats = cpu.project.project(scene.gaussians, None, all_rows(scene), seen_by, named)
-    fast, slow = (pairs_of(stage.bin.bin(splats, seen_by, named)) for stage in (cpu, reference))
+    named = seen(seen_by, tile_rule="balanced", threshold=0.2)
+    splats = cpu.project.project(scene.gaussians, None, all_rows(scene), named)
+    fast, slow = (pairs_of(stage.bin.bin(splats, named)) for stage in (cpu, reference))
     # One splat in a hundred may end within the margin for rounding of a tile, or have the opacity at which it ends.
     assert len(slow - fast) <= 0.002 * len(slow) and len(fast - slow) <= 0.01 * len(slow) + 1
 
@@ -131,9 +132,9 @@ def test_balanced_lets_large_splats_end_lower() -> None:
     )
     counts = {}
     for tile_rule, threshold in (("balanced", 0.08), ("ellipse", 0.08), ("ellipse", 0.0225), ("ellipse", 1 / 255)):
-        named = options(tile_rule=tile_rule, threshold=threshold)
-        splats = cpu.project.project(g, None, np.arange(3, dtype=np.int32), seen_by, named)
-        counts[tile_rule, threshold] = np.bincount(cpu.bin.bin(splats, seen_by, named).splat_from_pair, minlength=3)
+        named = seen(seen_by, tile_rule=tile_rule, threshold=threshold)
+        splats = cpu.project.project(g, None, np.arange(3, dtype=np.int32), named)
+        counts[tile_rule, threshold] = np.bincount(cpu.bin.bin(splats, named).splat_from_pair, minlength=3)
     small, medium, large = counts["balanced", 0.08]
     assert small == counts["ellipse", 0.08][0]
     assert medium == counts["ellipse", 0.0225][1]
@@ -142,9 +143,9 @@ def test_balanced_lets_large_splats_end_lower() -> None:
 
 def test_balanced_at_the_blend_threshold_is_the_ellipse(view: tuple[st.Scene, st.Camera]) -> None:
     scene, seen_by = view
-    splats = cpu.project.project(scene.gaussians, None, all_rows(scene), seen_by, options(tile_rule="balanced"))
+    splats = cpu.project.project(scene.gaussians, None, all_rows(scene), seen(seen_by, tile_rule="balanced"))
     balanced, ellipse = (
-        cpu.bin.bin(splats, seen_by, options(tile_rule=tile_rule)) for tile_rule in ("balanced", "ellipse")
+        cpu.bin.bin(splats, seen(seen_by, tile_rule=tile_rule)) for tile_rule in ("balanced", "ellipse")
     )
     assert balanced.splat_from_pair.tobytes() == ellipse.splat_from_pair.tobytes()
     assert balanced.tile_start.tobytes() == ellipse.tile_start.tobytes()
@@ -161,12 +162,12 @@ def test_a_larger_threshold_lists_fewer_tiles() -> None:
 
 def test_threads_change_no_bit() -> None:
     scene, seen_by = st.Scene.flat(gaussians(6000, 3)), camera(120, 90)
-    named = options(pixels="taper", threshold=TAU)
-    splats = cpu.project.project(scene.gaussians, None, all_rows(scene), seen_by, named)
+    named = seen(seen_by, pixels="taper", threshold=TAU, wanted=Wanted(contributions=True))
+    splats = cpu.project.project(scene.gaussians, None, all_rows(scene), named)
     pictures = []
     for threads in (1, 3):
-        bins = cpu.bin.bin(splats, seen_by, named, threads=threads)
-        picture = cpu.blend.blend(splats, bins, seen_by, named, threads=threads, contributions=True)
+        bins = cpu.bin.bin(splats, named, threads=threads)
+        picture = cpu.blend.blend(splats, bins, named, threads=threads)
         assert bins.floors is not None and picture.contributions is not None
         pictures.append(bins.floors.tobytes() + picture.image.tobytes() + picture.contributions.tobytes())
     assert pictures[0] == pictures[1]
@@ -175,5 +176,5 @@ def test_threads_change_no_bit() -> None:
 def test_taper_is_for_ellipses() -> None:
     with pytest.raises(st.InputError, match="found 'taper' with tile_rule 'tau'"):
         st.RenderOptions(pixels="taper", tile_rule="tau")
-    with pytest.raises(st.InputError, match="tile_rule: found 'box', wanted 'ellipse'"):
+    with pytest.raises(st.InputError, match=r"RenderOptions\.tile_rule: found 'box', wanted 'ellipse'"):
         st.RenderOptions(tile_rule="box")  # type: ignore[arg-type]

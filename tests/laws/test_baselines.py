@@ -12,8 +12,9 @@ from splatree.kernels.cpu.frame import baselines as cpu
 from splatree.kernels.cpu.frame import select as cpu_select
 from splatree.kernels.reference import baselines as reference
 from splatree.kernels.reference import select as reference_select
-from splatree.lod.baselines import BaselineOptions, Method, View, baseline, log_serial, violations
+from splatree.lod.baselines import BaselineOptions, Method, Request, baseline, log_serial, violations
 from splatree.lod.select import count_uncovered
+from splatree.scene.view import View, view_of
 
 CUTS = ("3dgs", "roots", "depth", "h3dgs", "serial", "octree", "flod", "filtergs")
 PER_NODE = ("octree-per-node", "flod-per-node", "lodge")
@@ -65,7 +66,7 @@ def test_the_three_schemes_find_the_same_rows_bit_for_bit(seed, tau):
     for method in ("serial", "filtergs"):
         made = baseline(method, scene, options=options)
         for threads in (1, 2):
-            rows = made(camera, dilation_px2=0.3, threads=threads).rows
+            rows = made(view_of(scene, camera), threads=threads).rows
             assert rows.tolist() == wanted.tolist()
 
 
@@ -164,9 +165,9 @@ def test_ancestor_table_decides_as_the_definition_of_each_rule(rule, seed, tau):
     splats = reference_select.project(scene.gaussians, camera)
     seen = [reference_select.centred(splats, camera, pad) for pad in (0.0999, 0.1001)]
     assume(not (near(radii, tau).any() or (seen[0] != seen[1]).any() or near(splats.depths, camera.near).any()))
-    keywords = {"dilation_px2": 0.3, "threshold": 1 / 255}
-    rows, visited = cpu_select.select_by_ancestors(scene.gaussians, scene.tree, table, camera, options, **keywords)
-    wanted, _ = reference_select.select(scene.gaussians, scene.tree, None, camera, options, **keywords)
+    view = View(camera)
+    rows, visited = cpu_select.select_by_ancestors(scene.gaussians, scene.tree, table, view, options)
+    wanted, _ = reference_select.select(scene.gaussians, scene.tree, None, view, options)
     assert rows.tolist() == wanted.tolist()
     assert visited == len(scene)
 
@@ -189,8 +190,8 @@ def test_what_lies_out_of_view_shadows_in_the_cut_and_not_in_the_papers_literal_
     scene = Scene(gaussians, GaussianTree(np.int32([2, 2]), np.uint8([0, 1]), np.float32([41, 1])))
     camera = Camera.look_at(np.array([0.0, 0, -50]), np.zeros(3), width=64, height=64, fov_y_deg=30)
     options = BaselineOptions(pixel_error=5.0)
-    assert len(baseline("filtergs", scene, options=options)(camera).rows) == 0
-    assert baseline("filtergs-strict", scene, options=options)(camera).rows.tolist() == [1]
+    assert len(baseline("filtergs", scene, options=options)(View(camera)).rows) == 0
+    assert baseline("filtergs-strict", scene, options=options)(View(camera)).rows.tolist() == [1]
 
 
 def test_lodge_draws_the_list_of_the_nearest_place():
@@ -210,8 +211,8 @@ def test_the_release_of_filtergs_drops_what_is_larger_than_700_px():
         pose = np.eye(4)
         pose[2, 3] = distance
         camera = Camera(pose, np.array([[100.0, 0, 50], [0, 100, 50], [0, 0, 1]]), 100, 100)
-        assert len(baseline("filtergs", scene)(camera).rows) == 1
-        assert len(baseline("filtergs-release", scene)(camera).rows) == drawn
+        assert len(baseline("filtergs", scene)(View(camera)).rows) == 1
+        assert len(baseline("filtergs-release", scene)(View(camera)).rows) == drawn
         assert len(baseline("filtergs-release", scene).cut(camera)) == 1  # of the whole scene, seen or not
 
 
@@ -228,8 +229,8 @@ def test_log_serial_loses_the_subtrees_of_roots_that_are_not_passed_on():
     scene, camera = forest(4), Camera.look_at(np.array([0.0, 0, -60]), np.zeros(3))
     roots = np.flatnonzero(scene.tree.depth == 0)
     select_all = SelectOptions(3.0, rule="log-serial", profile="ref")
-    rows, _ = log_serial(scene, select_all)(View(camera, "none", 0.3, 1 / 255, 0))
-    fewer, _ = log_serial(scene, select_all, roots[1:])(View(camera, "none", 0.3, 1 / 255, 0))
+    rows, _ = log_serial(scene, select_all)(Request(View(camera), "none", 0))
+    fewer, _ = log_serial(scene, select_all, roots[1:])(Request(View(camera), "none", 0))
     gone = (rows >= roots[0]) & (rows < scene.tree.subtree_end[roots[0]])
     assert fewer.tolist() == rows[~gone].tolist()
 

@@ -11,6 +11,7 @@ from splatree import Camera, Gaussians, GaussianTree, Scene, SelectOptions, sele
 from splatree.kernels.reference import select as reference
 from splatree.lod.select import count_nested
 from splatree.lod.serial import levels_of, select_serial
+from splatree.scene.view import view_of
 
 PROFILES = ("exact", "3dgs", "ref", "sphere")
 taus = st.sampled_from([0.25, 0.5, 1.0, 2.5, 3.0, 1e9, np.inf])
@@ -174,9 +175,7 @@ def test_sphere_is_monotone_so_that_the_parent_alone_decides(parents, camera, ta
 def test_level_by_level_traversal_finds_the_same_cut(parents, camera, profile, tau, seed):
     scene = scene_of(parents, seed)
     options = SelectOptions(pixel_error=tau, profile=profile)
-    rows, visited = select_serial(
-        scene.gaussians, scene.tree, None, camera, options, dilation_px2=0.3, threshold=scene.threshold
-    )
+    rows, visited = select_serial(scene.gaussians, scene.tree, None, view_of(scene, camera), options)
     assert rows.tolist() == select(scene, camera, options).rows.tolist()
     assert visited <= len(scene)
 

@@ -10,7 +10,7 @@ from splatree.kernels.cuda.baselines import Baselines
 from splatree.kernels.cuda.driver import Device
 from splatree.kernels.cuda.renderer import Renderer
 from splatree.lod.blocks import with_blocks
-from splatree.scene.options import RenderOptions
+from splatree.scene.view import view_of
 
 from .test_select_kernel import PROFILES, VIEW_TESTS, assert_is_the_cut, random_camera, random_scene, random_tau
 
@@ -32,7 +32,7 @@ def test_rows_are_the_cut_of_the_definition(seed: int, device: Device) -> None:
     for profile in PROFILES:
         view_test = VIEW_TESTS[(seed + len(profile)) % 3]
         options = SelectOptions(pixel_error=random_tau(seed), profile=profile, view_test=view_test)  # type: ignore[arg-type]
-        rows, num_visited = drawn.select(camera, RenderOptions().resolved(scene), options)
+        rows, num_visited = drawn.select(view_of(scene, camera), options)
         assert np.all(np.diff(rows) > 0)
         assert len(rows) <= num_visited or options.view_test == "none"
         assert_is_the_cut(rows, scene, camera, options, 0.3)
@@ -43,7 +43,7 @@ def test_device_and_processor_select_the_same_outside_the_band(seed: int, device
     scene, camera = with_blocks(random_scene(seed)), random_camera(seed)
     drawn = renderer_of(scene, device, rows=16)  # grows on the way
     options = SelectOptions(pixel_error=random_tau(seed))
-    found, _ = drawn.select(camera, RenderOptions().resolved(scene), options)
+    found, _ = drawn.select(view_of(scene, camera), options)
     wanted = select(scene, camera, options).rows
     # Rounding moves a node over τ_R or over the border of the image once in many thousand.
     assert len(np.setxor1d(found, wanted)) <= 2
@@ -52,12 +52,12 @@ def test_device_and_processor_select_the_same_outside_the_band(seed: int, device
 @pytest.mark.parametrize("seed", SEEDS)
 def test_baselines_find_the_same_rows(seed: int, device: Device) -> None:
     scene, camera = with_blocks(random_scene(seed)), random_camera(seed)
-    options, drawing = SelectOptions(pixel_error=random_tau(seed)), RenderOptions().resolved(scene)
+    options, view = SelectOptions(pixel_error=random_tau(seed)), view_of(scene, camera)
     drawn = renderer_of(scene, device)
-    wanted, _ = drawn.select(camera, drawing, options)
+    wanted, _ = drawn.select(view, options)
     others = Baselines(drawn.device, drawn.scene, scene.tree)
     for find in (others.serial, others.paper):
-        np.testing.assert_array_equal(np.sort(find(camera, drawing, options)), wanted)
+        np.testing.assert_array_equal(np.sort(find(view, options)), wanted)
 
 
 def test_schedule_does_not_change_the_rows(emulator: Device) -> None:
@@ -66,16 +66,16 @@ def test_schedule_does_not_change_the_rows(emulator: Device) -> None:
     found = []
     for seed in (1, 2, 3):
         emulator.seed(seed)  # type: ignore[attr-defined]
-        found.append(drawn.select(camera, RenderOptions().resolved(scene), SelectOptions())[0])
+        found.append(drawn.select(view_of(scene, camera), SelectOptions())[0])
     np.testing.assert_array_equal(found[0], found[1])
     np.testing.assert_array_equal(found[0], found[2])
 
 
 def test_other_rules_are_refused(device: Device) -> None:
     scene = with_blocks(random_scene(1))
-    drawn, drawing = renderer_of(scene, device), RenderOptions().resolved(scene)
+    drawn, view = renderer_of(scene, device), view_of(scene, random_camera(1))
     for options in (SelectOptions(rule="release"), SelectOptions(max_radius=700)):
         with pytest.raises(InputError, match="use device 'cpu' for others"):
-            drawn.select(random_camera(1), drawing, options)
+            drawn.select(view, options)
     with pytest.raises(InputError, match="found a budget"):
-        drawn.select(random_camera(1), drawing, replace(SelectOptions(), budget=10))
+        drawn.select(view, replace(SelectOptions(), budget=10))

@@ -14,6 +14,7 @@ from splatree.kernels.cpu.frame.project import project
 from splatree.kernels.reference import blocks as reference_blocks
 from splatree.kernels.reference import select as reference
 from splatree.lod.blocks import with_blocks
+from splatree.scene.view import view_of
 
 PROFILES = ("exact", "3dgs", "ref", "sphere")
 VIEW_TESTS = ("footprint", "centre", "none")
@@ -134,7 +135,7 @@ def test_kernel_finds_the_defined_cut(seed, profile, view_test, dilation):
     scene, camera = random_scene(seed), random_camera(seed)
     options = SelectOptions(pixel_error=random_tau(seed), profile=profile, view_test=view_test)
     scene = with_blocks(scene, rows_per_block=16)
-    rows = select(scene, camera, options, dilation_px2=dilation).rows
+    rows = select(scene, view_of(scene, camera, RenderOptions(dilation_px2=dilation)), options).rows
     assert_is_the_cut(rows, scene, camera, options, dilation)
 
 
@@ -194,13 +195,13 @@ def shuffled_preorder(tree: GaussianTree, rng: np.random.Generator) -> np.ndarra
 @given(seed=seeds, mode=st.sampled_from(["classic", "antialiased"]), threshold=st.sampled_from([1 / 255, 0.1, 0.9]))
 def test_no_row_is_dropped_that_is_listed_in_a_tile(seed, mode, threshold):
     scene, camera = replace(random_scene(seed), mode=mode, threshold=threshold), random_camera(seed)
-    resolved = RenderOptions().resolved(scene)
+    view = view_of(scene, camera)
     options = SelectOptions(pixel_error=random_tau(seed))
     scene = with_blocks(scene, rows_per_block=16)
     drawn = select(scene, camera, options).rows
     cut = select(scene, camera, replace(options, view_test="none")).rows
-    splats = project(scene.gaussians, None, cut, camera, resolved)
-    listed = splats.rows[np.unique(bin_splats(splats, camera, resolved).splat_from_pair)]
+    splats = project(scene.gaussians, None, cut, view)
+    listed = splats.rows[np.unique(bin_splats(splats, view).splat_from_pair)]
     assert np.isin(listed, drawn).all()
     assert np.isin(drawn, cut).all()
 

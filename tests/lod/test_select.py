@@ -8,6 +8,7 @@ from splatree.lod.select import smallest_radius
 from splatree.lod.serial import select_serial
 from splatree.render.pipeline import trace
 from splatree.scene.levels import LevelRecord
+from splatree.scene.view import View
 
 
 def quad_tree(levels: int) -> Scene:
@@ -48,7 +49,7 @@ def test_levels_get_coarser_with_distance():
     for level in range(5):
         camera = camera_at(camera_at(1.0).K[0, 0] * 0.5**level / 2.9)
         options = SelectOptions(pixel_error=3.0, view_test="none")
-        rows = select(scene, camera, options, dilation_px2=0.0).rows
+        rows = select(scene, View(camera, dilation_px2=0.0), options).rows
         assert set(scene.tree.depth[rows]) == {level}
         assert len(rows) == 4**level
 
@@ -65,8 +66,8 @@ def test_footprint_keeps_a_splat_whose_centre_is_out_of_the_image():
 
 def test_footprint_drops_what_is_too_faint_to_draw():
     scene = quad_tree(1)
-    assert len(select(scene, camera_at(2.0), threshold=0.97)) == 1  # its opacity is 0.982
-    assert len(select(scene, camera_at(2.0), threshold=0.99)) == 0
+    assert len(select(scene, View(camera_at(2.0), threshold=0.97))) == 1  # its opacity is 0.982
+    assert len(select(scene, View(camera_at(2.0), threshold=0.99))) == 0
 
 
 def test_budget_raises_the_pixel_error_until_the_visible_cut_fits():
@@ -126,10 +127,9 @@ def test_roots_that_were_found_hidden_lose_their_subtrees():
     depth, extents = np.tile(one.tree.depth, 2), np.tile(one.tree.extents, 2)
     gaussians = Gaussians.concatenate([one.gaussians, one.gaussians])
     options = SelectOptions(rule="log-serial", profile="ref", view_test="none")
-    keywords = {"dilation_px2": 0.3, "threshold": 1 / 255}
-    tree, camera = GaussianTree(ends, depth, extents), camera_at(2.0)
-    both, _ = select_serial(gaussians, tree, None, camera, options, **keywords)
-    second, visited = select_serial(gaussians, tree, None, camera, options, roots=np.array([n]), **keywords)
+    tree, view = GaussianTree(ends, depth, extents), View(camera_at(2.0))
+    both, _ = select_serial(gaussians, tree, None, view, options)
+    second, visited = select_serial(gaussians, tree, None, view, options, roots=np.array([n]))
     assert both.tolist() == [1, 2, 3, 4, 6, 7, 8, 9]
     assert second.tolist() == [6, 7, 8, 9]
     assert visited == 5

@@ -1,6 +1,5 @@
 """A GPU for what the library opens."""
 
-from collections.abc import Iterator
 from functools import partial
 
 import pytest
@@ -11,9 +10,8 @@ from splatree.kernels.cuda.renderer import Renderer
 
 
 @pytest.fixture
-def at_hand(device: Device, monkeypatch: pytest.MonkeyPatch) -> Iterator[Device]:
+def at_hand(device: Device, monkeypatch: pytest.MonkeyPatch) -> Device:
     """The device is every GPU that the library opens; with little room at first, as the emulator watches every word."""
     monkeypatch.setattr(cuda_device, "open_device", lambda ordinal: device)
     monkeypatch.setattr(cuda_device, "Renderer", partial(Renderer, rows=256, pairs=1024))
-    yield device
-    cuda_device._renderers.clear()
+    return device

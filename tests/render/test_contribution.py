@@ -7,12 +7,14 @@ from splatree.render.contribution import contribution_histogram, tile_contributi
 
 from .test_pipeline import ALL_LEAVES, CAMERA, cloud
 
+KPC = st.Wanted(contributions=True)
+
 
 def traced(backend: str = "cpu", **changes: object) -> st.Frame:
     """A cloud that leaves some tiles empty; contributions of each pair."""
     scene = st.Scene.flat(cloud(400, 1, degree=0))
     seen_by = st.Camera.look_at((0.3, -0.5, -9), (0, 0, 0), width=83, height=53)
-    return st.trace(scene, seen_by, st.RenderOptions(**changes), ALL_LEAVES, backend=backend, contributions=True)  # type: ignore[arg-type]
+    return st.trace(scene, seen_by, st.RenderOptions(**changes), ALL_LEAVES, device=backend, wanted=KPC)  # type: ignore[arg-type]
 
 
 RULES = [{}, {"threshold": 0.1}, {"threshold": 0.1, "pixels": "taper"}, {"tile_rule": "tau", "threshold": 0.05}]
@@ -33,15 +35,14 @@ def test_tiles_contribute_what_eq_5_says(changes: dict[str, object]) -> None:
 @pytest.mark.parametrize("changes", [*RULES, {"tile_rule": "3sigma"}])
 def test_pairs_contribute_what_eq_5_says(changes: dict[str, object]) -> None:
     frame = traced(**changes)
-    resolved = st.RenderOptions(**changes).resolved(st.Scene.flat(st.Gaussians.empty()))  # type: ignore[arg-type]
-    literal = blend(frame.splats, frame.bins, frame.camera, resolved, contributions=True)  # of the same lists
+    literal = blend(frame.splats, frame.bins, frame.view)  # of the same lists
     np.testing.assert_allclose(frame.contributions, literal.contributions, rtol=1e-4, atol=2 / 255)
     assert np.isclose(frame.contributions.sum(dtype=np.float64), frame.result.alpha.sum(dtype=np.float64), rtol=1e-5)
 
 
 def test_contributions_change_no_bit_of_the_picture() -> None:
     scene = st.Scene.flat(cloud(400, 1))
-    plain, asked = (st.trace(scene, CAMERA, contributions=asked) for asked in (False, True))
+    plain, asked = (st.trace(scene, CAMERA, wanted=wanted) for wanted in (st.Wanted(), KPC))
     assert plain.contributions is None
     assert plain.result.image.tobytes() == asked.result.image.tobytes()
     assert plain.result.counters == asked.result.counters
@@ -71,7 +72,7 @@ def test_empty_tiles_count_only_where_they_are_asked_for() -> None:
 
 
 def test_nothing_contributes_nothing() -> None:
-    frame = st.trace(st.Scene.flat(st.Gaussians.empty()), CAMERA, contributions=True)
+    frame = st.trace(st.Scene.flat(st.Gaussians.empty()), CAMERA, wanted=KPC)
     assert tile_contributions(frame).mean() == tile_contributions(frame).mean(tiles="non-empty") == 0
     histogram = contribution_histogram([frame.contributions])
     assert histogram.num_pairs == 0 and histogram.used_ratio == 0
@@ -89,7 +90,7 @@ def test_every_pair_is_in_the_histogram_once() -> None:
 
 
 def test_what_cannot_be_counted_is_refused() -> None:
-    with pytest.raises(st.InputError, match="contributions=True"):
+    with pytest.raises(st.InputError, match=r"Wanted\(contributions=True\)"):
         contribution_histogram([None])
     with pytest.raises(st.InputError, match="ascending"):
         contribution_histogram([], edges_px=(0, 1, 1))

@@ -1,5 +1,6 @@
 """Scenes that are moved to a GPU: what a user calls, on the emulator, and on the GPU if there is one."""
 
+import gc
 import json
 
 import numpy as np
@@ -9,13 +10,14 @@ import splatree as st
 from splatree.cli import doctor
 from splatree.cli.main import main
 from splatree.errors import DeviceError
-from splatree.kernels import backend_for
 from splatree.kernels.cuda import device as cuda_device
 from splatree.kernels.cuda import library as cuda_library
 from splatree.kernels.cuda.driver import Device
+from splatree.kernels.devices import DeviceName
 from splatree.lod.baselines import baseline
 
 from ..kernels.conftest import camera, gaussians
+from ..kernels.simt_device import Emulator
 
 
 @pytest.fixture
@@ -24,18 +26,20 @@ def scene() -> st.Scene:
 
 
 VIEWS = (camera(), camera(distance=12.0))
+DEVICES: tuple[DeviceName, ...] = ("cuda", "cpu")
+KPC = st.Wanted(contributions=True)
 
 
 def test_a_scene_is_drawn_where_it_is(scene: st.Scene, at_hand: Device) -> None:
     for view in VIEWS:
-        found, wanted = st.render(scene.to("cuda"), view), st.render(scene, view)
+        found, wanted = st.render(scene, view, device="cuda"), st.render(scene, view)
         assert st.psnr(found.image, wanted.image) > 90
         assert abs(found.counters.num_selected - wanted.counters.num_selected) <= 1
         assert abs(found.counters.num_blended - wanted.counters.num_blended) <= 1e-3 * wanted.counters.num_blended
 
 
 def test_a_trace_holds_what_the_processors_does(scene: st.Scene, at_hand: Device) -> None:
-    found, wanted = (st.trace(s, VIEWS[0], contributions=True) for s in (scene.to("cuda"), scene))
+    found, wanted = (st.trace(scene, VIEWS[0], wanted=KPC, device=d) for d in DEVICES)
     np.testing.assert_array_equal(found.selection.rows, wanted.selection.rows)
     np.testing.assert_array_equal(found.splats.rows, wanted.splats.rows)
     np.testing.assert_array_equal(found.bins.tile_start, wanted.bins.tile_start)
@@ -58,7 +62,7 @@ def test_a_trace_holds_what_the_processors_does(scene: st.Scene, at_hand: Device
     ids=str,
 )
 def test_all_options_of_the_selection_can_be_drawn(scene: st.Scene, at_hand: Device, select: st.SelectOptions) -> None:
-    found, wanted = (st.trace(s, VIEWS[0], select=select) for s in (scene.to("cuda"), scene))
+    found, wanted = (st.trace(scene, VIEWS[0], select=select, device=d) for d in DEVICES)
     np.testing.assert_array_equal(found.selection.rows, wanted.selection.rows)
     assert found.selection.pixel_error == wanted.selection.pixel_error
     assert found.selection.notes == wanted.selection.notes
@@ -77,34 +81,45 @@ def test_all_options_of_the_selection_can_be_drawn(scene: st.Scene, at_hand: Dev
     ids=str,
 )
 def test_all_options_of_the_drawing_are_followed(scene: st.Scene, at_hand: Device, drawing: st.RenderOptions) -> None:
-    found, wanted = (st.render(s, VIEWS[0], drawing) for s in (scene.to("cuda"), scene))
+    found, wanted = (st.render(scene, VIEWS[0], drawing, device=d) for d in DEVICES)
     assert st.psnr(found.image, wanted.image) > 80
 
 
-def test_stages_of_the_backend_are_found_by_name(at_hand: Device, monkeypatch: pytest.MonkeyPatch) -> None:
-    stages = backend_for("cuda")
-    assert all(callable(stage) for stage in stages)
-
-
 def test_views_are_evaluated_on_the_device(scene: st.Scene, at_hand: Device) -> None:
-    found, wanted = (list(st.evaluate(s, VIEWS)) for s in (scene.to("cuda"), scene))
+    found, wanted = (list(st.evaluate(scene, VIEWS, device=d)) for d in DEVICES)
     for on_device, on_processor in zip(found, wanted, strict=True):
         assert abs(on_device.cut_vs_leaves.psnr - on_processor.cut_vs_leaves.psnr) < 1e-2
 
 
-def test_the_columns_go_with_the_scene(scene: st.Scene, at_hand: Device) -> None:
-    moved = scene.to("cuda")
-    st.render(moved, VIEWS[0])
-    assert len(cuda_device._renderers) == 1
-    st.render(moved, VIEWS[1])
-    assert len(cuda_device._renderers) == 1
-    del moved
-    assert len(cuda_device._renderers) == 0
+@pytest.fixture
+def held(emulator: Emulator, monkeypatch: pytest.MonkeyPatch) -> Emulator:
+    """The emulator alone, which tells what is held, as the GPU that the library opens."""
+    monkeypatch.setattr(cuda_device, "open_device", lambda ordinal: emulator)
+    return emulator
+
+
+def test_another_threshold_of_a_scene_is_drawn_from_the_same_columns(scene: st.Scene, held: Emulator) -> None:
+    with st.open_session(scene, device="cuda") as session:
+        first = session.draw(VIEWS[0])
+        before = held.num_allocations
+        other = session.draw(VIEWS[0], options=st.RenderOptions(threshold=0.1))
+        assert held.num_allocations == before
+    assert other.counters.num_pairs < first.counters.num_pairs
+
+
+def test_the_columns_go_with_the_session(scene: st.Scene, held: Emulator) -> None:
+    before = held.held["arrays"]
+    with st.open_session(scene, device="cuda") as session:
+        session.draw(VIEWS[0])
+        assert held.held["arrays"] > before
+    del session
+    gc.collect()
+    assert held.held["arrays"] == before
 
 
 def test_a_device_that_is_not_known_is_refused(scene: st.Scene) -> None:
-    with pytest.raises(st.InputError, match=r"Scene\.device: found 'gpu', wanted 'cpu' or 'cuda'"):
-        scene.to("gpu")  # type: ignore[arg-type]
+    with pytest.raises(st.InputError, match="device: found 'gpu', wanted one of cpu, cuda, reference"):
+        st.render(scene, VIEWS[0], device="gpu")  # type: ignore[arg-type]
 
 
 def test_without_a_driver_the_error_says_what_to_do(scene: st.Scene, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -113,7 +128,7 @@ def test_without_a_driver_the_error_says_what_to_do(scene: st.Scene, monkeypatch
     with pytest.raises(
         DeviceError, match=r"no GPU driver: libno_such_driver\.so was not found; install the NVIDIA driver"
     ):
-        st.render(scene.to("cuda"), VIEWS[0])
+        st.render(scene, VIEWS[0], device="cuda")
 
 
 def test_doctor_says_what_is_missing(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
@@ -141,5 +156,5 @@ def test_render_takes_a_device(scene: st.Scene, at_hand: Device, tmp_path, capsy
 
 def test_baselines_are_drawn_on_the_device(scene: st.Scene, at_hand: Device) -> None:
     chosen = baseline("octree", scene, VIEWS)
-    found, wanted = (st.render(s, VIEWS[0], select=chosen) for s in (scene.to("cuda"), scene))
+    found, wanted = (st.render(scene, VIEWS[0], select=chosen, device=d) for d in DEVICES)
     assert st.psnr(found.image, wanted.image) > 90

@@ -37,7 +37,7 @@ def test_picture_is_that_of_the_reference(mode: str) -> None:
     scene = st.Scene.flat(cloud(600, 1))
     options = replace(OPTIONS, mode=mode)
     fast = st.render(scene, CAMERA, options)
-    slow = st.render(scene, CAMERA, options, backend="reference")
+    slow = st.render(scene, CAMERA, options, device="reference")
     # Float32 rounding alone is about 130 dB; a pair at τ or a pixel at its last splat may fall either way.
     assert st.psnr(fast.image, slow.image) > 90
     assert fast.counters.num_visible == slow.counters.num_visible
@@ -129,7 +129,7 @@ def test_a_frame_has_the_stage_cull_where_clusters_are_left_out() -> None:
 def test_times_of_stages_are_milliseconds(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = count()
     monkeypatch.setattr(
-        import_module("splatree.render.pipeline"),
+        import_module("splatree.render.stages"),
         "time",
         SimpleNamespace(perf_counter=lambda: 0.5 * next(clock), process_time=lambda: 0.25 * next(clock)),
     )
@@ -149,7 +149,7 @@ def test_mode_and_threshold_are_those_of_the_scene_unless_given() -> None:
 
 def test_unknown_backend_is_refused() -> None:
     with pytest.raises(st.InputError, match="found 'metal', wanted one of"):
-        st.render(st.Scene.flat(cloud(1, 0)), CAMERA, backend="metal")  # type: ignore[arg-type]
+        st.render(st.Scene.flat(cloud(1, 0)), CAMERA, device="metal")  # type: ignore[arg-type]
 
 
 def test_empty_scene_is_background() -> None:

@@ -10,7 +10,6 @@ import pytest
 
 import splatree as st
 from splatree.kernels.cpu import _core
-from splatree.kernels.cuda import device as cuda_device
 from splatree.kernels.cuda.driver import DeviceArray
 
 from ..kernels.conftest import camera, gaussians
@@ -41,10 +40,11 @@ def columns(at_hand: Emulator) -> dict[str, DeviceArray]:
 @pytest.mark.parametrize("wrap", [lambda array: array, ByInterface], ids=["dlpack", "interface"])
 def test_kernels_read_the_tensors_where_they_lie(wrap: Any, columns: dict[str, DeviceArray], at_hand: Emulator) -> None:
     scene = st.scene_from_tensors(**{name: wrap(column) for name, column in columns.items()})
-    found = st.draw(scene, camera())
     wanted = st.render(st.Scene.flat(gaussians(200, 1, degree=2)), camera())
+    with st.open_session(scene) as session:
+        found = session.draw_on_device(camera())
+        held = session._held.scene.arrays
     assert st.psnr(found.image.numpy(), wanted.image) > 90
-    held = cuda_device.renderer_of(scene).scene.arrays
     assert {name: held[name].pointer for name in NAMES} == {name: columns[name].pointer for name in NAMES}
 
 
@@ -53,27 +53,28 @@ def test_tensors_are_kept_while_the_scene_is(columns: dict[str, DeviceArray], at
     scene = st.scene_from_tensors(**columns)
     columns.clear()
     gc.collect()
-    st.draw(scene, camera())
-    del scene
+    with st.open_session(scene) as session:
+        session.draw(camera())
+    del scene, session
     gc.collect()
     assert at_hand.held["arrays"] == before - len(NAMES)
 
 
 def test_a_picture_is_shared_and_stays_while_it_is_used(columns: dict[str, DeviceArray], at_hand: Emulator) -> None:
-    scene = st.scene_from_tensors(**columns)
-    image = st.draw(scene, camera()).image
+    session = st.open_session(st.scene_from_tensors(**columns))
+    image = session.draw_on_device(camera()).image
     assert image.__dlpack_device__() == (2, 0)
     pointer, shape, contiguous, dtype, ordinal, keeper = _core.import_tensor(image.__dlpack__(stream=-1))
     assert (pointer, shape, contiguous, dtype, ordinal) == (image.pointer, [37, 52, 3], True, "float32", 0)
     before = image.numpy()
     del image
     gc.collect()
-    other = st.draw(scene, camera(shift_x=9.0)).image
+    other = session.draw_on_device(camera(shift_x=9.0)).image
     assert other.pointer != pointer  # the capsule keeps the first one
     del keeper
     gc.collect()
-    assert st.draw(scene, camera()).image.pointer == pointer
-    np.testing.assert_array_equal(st.draw(scene, camera()).image.numpy(), before)
+    assert session.draw_on_device(camera()).image.pointer == pointer
+    np.testing.assert_array_equal(session.draw_on_device(camera()).image.numpy(), before)
 
 
 def test_consumers_on_another_stream_wait_for_the_picture(columns: dict[str, DeviceArray], at_hand: Emulator) -> None:
@@ -151,16 +152,36 @@ def test_what_kernels_cannot_read_is_an_error_that_says_what_to_do(fault: str, c
         st.scene_from_tensors(**columns | {"sh": change(columns["sh"])})
 
 
-def test_a_scene_on_the_processor_is_not_drawn_to_the_gpu() -> None:
-    with pytest.raises(st.InputError, match=r"draw: found a scene on the processor, wanted .*scene\.to\('cuda'\)"):
-        st.draw(st.Scene.flat(gaussians(3, 1)), camera())
+def test_a_device_without_memory_of_its_own_keeps_no_picture() -> None:
+    with (
+        st.open_session(st.Scene.flat(gaussians(3, 1))) as session,
+        pytest.raises(st.InputError, match="draw_on_device: device 'cpu' has no memory of its own; use draw"),
+    ):
+        session.draw_on_device(camera())
+
+
+def test_a_picture_that_is_chosen_in_several_steps_does_not_stay_on_the_device(
+    columns: dict[str, DeviceArray], at_hand: Emulator
+) -> None:
+    with st.open_session(st.scene_from_tensors(**columns)) as session:
+        assert 100 < len(session.select(camera(), select=st.SelectOptions(budget=500))) < 200
+        with pytest.raises(st.InputError, match="draw_on_device: found a budget"):
+            session.draw_on_device(camera(), select=st.SelectOptions(budget=500))
+
+
+def test_tensors_on_a_device_are_not_drawn_on_another(columns: dict[str, DeviceArray], at_hand: Emulator) -> None:
+    scene = st.scene_from_tensors(**columns)
+    with pytest.raises(st.InputError, match="found tensors on device 'cuda', wanted them on 'cpu'"):
+        st.open_session(scene, device="cpu")
+    assert st.render(scene.scene, camera()).image.shape == (37, 52, 3)  # the copy on the host
 
 
 def test_tensors_on_the_processor_are_shared_too() -> None:
     g = gaussians(50, 1)
     scene = st.scene_from_tensors(**{name: getattr(g, name) for name in NAMES}, mode="antialiased")
-    assert (scene.device, scene.mode) == ("cpu", "antialiased")
-    assert np.shares_memory(scene.gaussians.sh, g.sh)
+    assert (scene.device, scene.scene.mode) == ("cpu", "antialiased")
+    assert np.shares_memory(scene.scene.gaussians.sh, g.sh)
+    np.testing.assert_array_equal(st.render(scene, camera()).image, st.render(scene.scene, camera()).image)
 
 
 def test_torch_gives_and_takes_tensors(
@@ -170,11 +191,11 @@ def test_torch_gives_and_takes_tensors(
     g = gaussians(50, 1)
     tensors = {name: torch.from_numpy(getattr(g, name)) for name in NAMES}
     scene = st.scene_from_tensors(**tensors)
-    assert np.shares_memory(scene.gaussians.means, g.means)
+    assert np.shares_memory(scene.scene.gaussians.means, g.means)
     with pytest.raises(st.InputError, match=r"means: the tensor does not give its memory away: .*; use \.detach"):
         st.scene_from_tensors(**tensors | {"means": tensors["means"].clone().requires_grad_()})
     # The emulator's memory is the processor's: as such torch reads it here, in place.
-    image = st.draw(st.scene_from_tensors(**columns), camera()).image
+    image = st.open_session(st.scene_from_tensors(**columns)).draw_on_device(camera()).image
     monkeypatch.setattr(DeviceArray, "__dlpack_device__", lambda array: (1, 0))
     monkeypatch.setattr(DeviceArray, "__dlpack__", partial_without_stream(DeviceArray.__dlpack__))
     taken = torch.from_dlpack(image)

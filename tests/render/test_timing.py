@@ -1,10 +1,10 @@
 from dataclasses import replace
-from importlib import import_module
 
 import numpy as np
 import pytest
 
 from splatree import InputError, PathOptions, SelectOptions, orbit, trace
+from splatree.render.session import Session
 from splatree.render.timing import time_frames
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Scene
@@ -41,7 +41,7 @@ def test_a_selector_takes_the_place_of_options(scene):
     camera = orbit(scene, PathOptions(views=1, width=48, height=32))[0]
     seen = trace(scene, camera).selection
 
-    def first_ten(camera, *, dilation_px2, threshold, threads=0):
+    def first_ten(view, *, threads=0):
         return type(seen)(seen.rows[:10], "first ten", "none", 0.0)
 
     assert trace(scene, camera, select=first_ten).result.counters.num_selected == 10
@@ -51,11 +51,12 @@ def test_culling_is_part_of_the_selection(scene, monkeypatch):
     camera = orbit(scene, PathOptions(views=1, width=48, height=32))[0]
     took = {"cull": 4.0, "select": 1.0, "project": 2.0, "bin": 3.0, "blend": 5.0}
 
-    def traced(*words, **named):
-        frame = trace(*words, **named)
-        return replace(frame, result=replace(frame.result, milliseconds=took, cpu_milliseconds=took))
+    drawn = Session.draw
 
-    monkeypatch.setattr(import_module("splatree.render.timing"), "trace", traced)
+    def timed(*words, **named):
+        return replace(drawn(*words, **named), milliseconds=took, cpu_milliseconds=took)
+
+    monkeypatch.setattr(Session, "draw", timed)
     timing = time_frames(scene, [camera], views=1, warm_up=0)
     assert timing.filter_ms == timing.ms["select"] == 5
     assert timing.frame_cpu_ms == sum(took.values())

@@ -3,7 +3,9 @@ import pytest
 
 from splatree import InputError, RenderOptions, Scene, SelectOptions
 from splatree.constants import ALPHA_THRESHOLD
+from splatree.scene.cameras import Camera
 from splatree.scene.gaussians import Gaussians
+from splatree.scene.view import view_of
 
 NAN, INF = float("nan"), float("inf")
 
@@ -73,13 +75,16 @@ def scene(**fields):
     return Scene(**{**vars(flat), **fields})
 
 
+CAMERA = Camera.look_at(np.array([0.0, 0, -4]), np.zeros(3))
+
+
 def test_what_options_leave_open_is_as_the_scene_says():
-    own = RenderOptions().resolved(scene(threshold=0.1, tile_rule="balanced"))
+    own = view_of(scene(threshold=0.1, tile_rule="balanced"), CAMERA)
     assert (own.mode, own.threshold, own.tile_rule, own.sh_degree) == ("antialiased", 0.1, "balanced", 1)
     given = RenderOptions(mode="classic", threshold=0.2, tile_rule="tau", sh_degree=0)
-    given = given.resolved(scene(threshold=0.1, tile_rule="balanced"))
+    given = view_of(scene(threshold=0.1, tile_rule="balanced"), CAMERA, given)
     assert (given.mode, given.threshold, given.tile_rule, given.sh_degree) == ("classic", 0.2, "tau", 0)
-    assert RenderOptions().resolved(scene()).tile_rule == "ellipse"
+    assert view_of(scene(), CAMERA).tile_rule == "ellipse"
 
 
 @pytest.mark.parametrize(
@@ -93,7 +98,7 @@ def test_what_options_leave_open_is_as_the_scene_says():
     ],
 )
 def test_what_follows_from_the_tile_rule(tile_rule, threshold, least_threshold, least_opacity, area_power):
-    resolved = RenderOptions(tile_rule=tile_rule, threshold=threshold).resolved(scene())
+    resolved = view_of(scene(), CAMERA, RenderOptions(tile_rule=tile_rule, threshold=threshold))
     assert resolved.least_threshold == least_threshold
     assert resolved.least_opacity == least_opacity
     assert resolved.area_power == area_power
@@ -102,7 +107,7 @@ def test_what_follows_from_the_tile_rule(tile_rule, threshold, least_threshold, 
 
 def test_pixels_are_drawn_down_to_the_lossless_threshold_and_tapered_only_above_it():
     for threshold, pixel_threshold, tapers in ((0.1, ALPHA_THRESHOLD, True), (0.001, 0.001, False)):
-        resolved = RenderOptions(threshold=threshold, pixels="taper").resolved(scene())
+        resolved = view_of(scene(), CAMERA, RenderOptions(threshold=threshold, pixels="taper"))
         assert (resolved.pixel_threshold, resolved.tapers) == (pixel_threshold, tapers)
-    assert not RenderOptions(threshold=0.1).resolved(scene()).tapers
-    assert not RenderOptions(threshold=ALPHA_THRESHOLD, pixels="taper").resolved(scene()).tapers
+    assert not view_of(scene(), CAMERA, RenderOptions(threshold=0.1)).tapers
+    assert not view_of(scene(), CAMERA, RenderOptions(threshold=ALPHA_THRESHOLD, pixels="taper")).tapers

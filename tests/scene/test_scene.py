@@ -18,7 +18,6 @@ from ..kernels.conftest import gaussians
         ("threshold", 0.0, "Scene.threshold: found 0.0"),
         ("threshold", 1.0, "Scene.threshold: found 1.0"),
         ("threshold", float("nan"), "Scene.threshold: found nan"),
-        ("device", "metal", "Scene.device: found 'metal', wanted 'cpu'"),
     ],
 )
 def test_what_no_scene_can_be_is_refused(field, value, message):

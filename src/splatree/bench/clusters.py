@@ -26,10 +26,11 @@ from splatree.lod.build import build_lod
 from splatree.lod.select import cull_scene, select
 from splatree.progress import track
 from splatree.render.evaluate import score
-from splatree.render.pipeline import render, trace
+from splatree.render.session import open_session
 from splatree.scene.cameras import Camera
 from splatree.scene.options import Cull, RenderOptions, SelectOptions
 from splatree.scene.scene import Scene
+from splatree.scene.view import view_of
 from splatree.shapes import Array
 
 __all__ = ["Options", "run"]
@@ -127,12 +128,12 @@ class _View:
     """Pictures of one view: without culling, and with each rule that is drawn."""
 
     def __init__(self, scene: Scene, camera: Camera, subject: Subject) -> None:
-        self.scene, self.camera = scene, camera
-        whole = trace(scene, camera, select=_all_rows("none"))
+        self.scene, self.camera, self.session = scene, camera, open_session(scene)
+        whole = self.session.trace(camera, select=_all_rows("none"))
         self.whole, self.cpu_ms = whole.result.image, whole.result.cpu_milliseconds
         self.survives = np.zeros(len(scene), bool)
         self.survives[whole.splats.rows] = True
-        self.images = {rule: render(scene, camera, select=_all_rows(rule)).image for rule in DRAWN}
+        self.images = {rule: self.session.draw(camera, select=_all_rows(rule)).image for rule in DRAWN}
         photos = subject.photos
         self.reference = photos[camera.name] if photos and camera.name in photos else self.whole
 
@@ -140,7 +141,7 @@ class _View:
         """Rows that a rule leaves out."""
         assert self.scene.clusters is not None
         kept = np.zeros(len(self.scene), bool)
-        kept[cull(self.scene.clusters, self.camera, rule).rows] = True
+        kept[cull(self.scene.clusters, view_of(self.scene, self.camera), rule).rows] = True
         return ~kept
 
 
@@ -211,7 +212,7 @@ EXCLUDED = "excluded %"
 
 def _traced(select: SelectOptions, options: RenderOptions | None = None) -> Callable[[_View], dict[str, float]]:
     def frame(view: _View) -> dict[str, float]:
-        drawn = trace(view.scene, view.camera, options, select)
+        drawn = view.session.trace(view.camera, options=options, select=select)
         ms = drawn.result.cpu_milliseconds
         return {
             EXCLUDED: 100 * (1 - len(drawn.selection.rows) / len(view.scene)),
@@ -229,13 +230,14 @@ SQUARES = RenderOptions(tile_rule="3sigma")
 def _packed(view: _View) -> dict[str, float]:
     """Step 0, a copy of all kept rows, and the frame of these."""
     start = time.process_time()
-    culling = cull_scene(view.scene, view.camera, _all_rows("exact"))
+    seen = view_of(view.scene, view.camera)
+    culling = cull_scene(view.scene, seen, _all_rows("exact"))
     culled = time.process_time()
     assert culling is not None
     packed = view.scene.gaussians.take(culling.rows)
     ids = None if view.scene.ids is None else view.scene.ids[culling.rows]
     copied = time.process_time()
-    project(packed, ids, np.arange(len(packed), dtype=np.int32), view.camera, RenderOptions().resolved(view.scene))
+    project(packed, ids, np.arange(len(packed), dtype=np.int32), seen)
     projected = time.process_time()
     rest = view.cpu_ms
     return {
@@ -264,7 +266,9 @@ BREAKDOWNS: dict[str, Callable[[_View], dict[str, float]]] = {
 def _overhead_row(scene: Scene, views: list[_View], built_cpu_s: float) -> Row:
     assert scene.clusters is not None
     number, n = len(scene.clusters), len(scene)
-    spent = np.mean([_cheapest(partial(cull_scene, scene, view.camera, _all_rows("exact"))) for view in views])
+    spent = np.mean(
+        [_cheapest(partial(cull_scene, scene, view_of(scene, view.camera), _all_rows("exact"))) for view in views]
+    )
     step_1 = float(np.mean([view.cpu_ms["project"] for view in views]))
     return {
         "K": number,
@@ -302,7 +306,7 @@ def _levels_table(subject: Subject, numbers: list[int]) -> Table:
             alone, both = (
                 _cheapest(partial(select, scene, camera, SelectOptions(cull=rule))) for rule in ("none", "exact")
             )
-            culling = cull_scene(scene, camera, SelectOptions(cull="exact"))
+            culling = cull_scene(scene, view_of(scene, camera), SelectOptions(cull="exact"))
             assert culling is not None
             rows.append(
                 {

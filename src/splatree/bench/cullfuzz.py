@@ -19,8 +19,9 @@ from splatree.errors import InputError
 from splatree.progress import track
 from splatree.scene.cameras import Camera
 from splatree.scene.gaussians import Gaussians
-from splatree.scene.options import Cull, RenderOptions
+from splatree.scene.options import Cull
 from splatree.scene.scene import Scene
+from splatree.scene.view import view_of
 
 __all__ = ["Options", "run"]
 
@@ -63,11 +64,11 @@ def run(options: Options) -> Report:
         scene = Scene.flat(random_gaussians(rng, camera, size))
         number = max(1, size // ROWS_PER_CLUSTER[i % len(ROWS_PER_CLUSTER)])
         scene = build_clusters(scene, number, ClusterOptions(iterations=1))
-        resolved = RenderOptions().resolved(scene)
-        seen = {by: survivors(scene.gaussians, camera, by, resolved) for by in set(JUDGED_BY.values())}
+        view = view_of(scene, camera)
+        seen = {by: survivors(scene.gaussians, view, by) for by in set(JUDGED_BY.values())}
         for rule, by in JUDGED_BY.items():
             assert scene.clusters is not None
-            culling = cull(scene.clusters, camera, rule)
+            culling = cull(scene.clusters, view, rule)
             left_out = np.ones(size, bool)
             left_out[culling.rows] = False
             counts[rule] += (seen[by].sum(), left_out.sum(), (seen[by] & left_out).sum())

@@ -13,14 +13,13 @@ from tyro.conf import arg
 
 from splatree.bench import paper
 from splatree.bench.experiment import Curve, Plot, Report, Row, Table
-from splatree.bench.measure import Judge, number, shrinking_row
+from splatree.bench.measure import CONTRIBUTIONS, Judge, number, shrinking_row
 from splatree.bench.shrinking import ABOUT_LOSS, EXACT, THREE_SIGMA, Way, calibrated_options
 from splatree.bench.subject import Subject, SubjectOptions, subject_of
 from splatree.errors import InputError
 from splatree.progress import track
 from splatree.render.calibrate import Policy
 from splatree.render.contribution import ContributionHistogram, contribution_histogram
-from splatree.render.pipeline import trace
 from splatree.render.timing import check_frames
 from splatree.scene.options import RenderOptions, SelectOptions
 
@@ -102,8 +101,7 @@ def _counted(subject: Subject, select: SelectOptions) -> Sequence[Way]:
 
 
 def _histogram(judge: Judge, select: SelectOptions, options: RenderOptions) -> ContributionHistogram:
-    scene, choose = judge.subject.scene, judge.selector(select)
-    frames = (trace(scene, camera, options, choose, contributions=True) for camera in judge.subject.cameras)
+    frames = (judge.trace(camera, select, options, CONTRIBUTIONS) for camera in judge.subject.cameras)
     return contribution_histogram(frame.contributions for frame in frames)
 
 

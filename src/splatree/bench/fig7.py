@@ -12,13 +12,12 @@ from tyro.conf import arg
 from splatree.bench import paper
 from splatree.bench.crops import busiest, calmest
 from splatree.bench.experiment import Grid, Panel, Report, Row, Table
-from splatree.bench.measure import Judge, number, shrinking_row
+from splatree.bench.measure import CONTRIBUTIONS, Judge, number, shrinking_row
 from splatree.bench.shrinking import EXACT, SQUARE, THREE_SIGMA
 from splatree.bench.subject import SubjectOptions, subject_of
 from splatree.errors import InputError
 from splatree.progress import track
 from splatree.render.contribution import contribution_histogram
-from splatree.render.pipeline import trace
 from splatree.render.timing import check_frames
 from splatree.scene.options import RenderOptions, SelectOptions
 from splatree.shapes import Array
@@ -88,8 +87,7 @@ def _measured(
     judge: Judge, unshrunk: Judge, select: SelectOptions, drawn: RenderOptions, options: Options
 ) -> tuple[Row, Array]:
     """Numbers over all views, and the picture of the one that is shown."""
-    choose = judge.selector(select)
-    frames = [trace(judge.subject.scene, c, drawn, choose, contributions=True) for c in judge.subject.cameras]
+    frames = [judge.trace(camera, select, drawn, CONTRIBUTIONS) for camera in judge.subject.cameras]
     histogram = contribution_histogram(frame.contributions for frame in frames)
     row = shrinking_row(judge, unshrunk, select, drawn, options.frames)
     return row | {"N_low": round(histogram.num_redundant / len(frames))}, frames[options.view].result.image

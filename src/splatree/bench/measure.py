@@ -13,15 +13,19 @@ from splatree.lod.select import Selector
 from splatree.lod.select import select as select_rows
 from splatree.progress import track
 from splatree.render.evaluate import score
-from splatree.render.pipeline import render, trace
+from splatree.render.session import NOTHING, Session, open_session
 from splatree.render.timing import Timing, time_frames
+from splatree.scene.cameras import Camera
+from splatree.scene.frame import Frame
 from splatree.scene.options import RenderOptions, SelectOptions
+from splatree.scene.view import Wanted
 from splatree.shapes import Array
 
-__all__ = ["ALL_LEAVES", "Judge", "Quality", "number", "shrinking_row"]
+__all__ = ["ALL_LEAVES", "CONTRIBUTIONS", "Judge", "Quality", "number", "shrinking_row"]
 
 ALL_LEAVES = SelectOptions(pixel_error=0.0)
 LOSSLESS = RenderOptions(threshold=ALPHA_THRESHOLD)
+CONTRIBUTIONS = Wanted(contributions=True)
 WARM_UP = 20
 """Frames drawn before those that are timed: caches, clocks and threads are then as they stay."""
 PSNR_MAX = 100.0
@@ -56,6 +60,11 @@ class Judge:
     """Nodes of the picture to compare with, which is drawn without loss, where there are no photographs."""
 
     @cached_property
+    def session(self) -> Session:
+        """What draws the subject."""
+        return open_session(self.subject.scene)
+
+    @cached_property
     def references(self) -> Mapping[str, Array]:
         """The picture that each view is compared with, by the camera's name."""
         subject = self.subject
@@ -64,7 +73,9 @@ class Judge:
                 camera.name: subject.photos[camera.name] for camera in subject.cameras if camera.name in subject.photos
             }
         views = track(list(subject.cameras), "draw references")
-        return {camera.name: render(subject.scene, camera, LOSSLESS, self.selection).image for camera in views}
+        return {
+            camera.name: self.session.draw(camera, options=LOSSLESS, select=self.selection).image for camera in views
+        }
 
     def of_shrinking(self, selection: SelectOptions) -> "Judge":
         """One that compares with the lossless picture of the same nodes, so that only what shrinking loses is counted."""
@@ -74,13 +85,23 @@ class Judge:
         """Options as a selector, so that what is out of view is dropped whatever the tile rule."""
         return partial(select_rows, self.subject.scene, options=select) if isinstance(select, SelectOptions) else select
 
+    def trace(
+        self,
+        camera: Camera,
+        select: SelectOptions | Selector,
+        options: RenderOptions | None = None,
+        wanted: Wanted = NOTHING,
+    ) -> Frame:
+        """Draw a view with what each stage computed."""
+        return self.session.trace(camera, wanted, options=options, select=self.selector(select))
+
     def quality(self, select: SelectOptions | Selector, options: RenderOptions | None = None) -> Quality:
         """Draw each view that has a reference, and compare."""
         rows = []
         for camera in self.subject.cameras:
             if camera.name not in self.references:
                 continue
-            result = trace(self.subject.scene, camera, options, self.selector(select)).result
+            result = self.trace(camera, select, options).result
             found = score(result.image, self.references[camera.name], self.lpips)
             numbers = (min(found.psnr, PSNR_MAX), found.ssim, found.lpips or 0.0)
             rows.append((*numbers, result.counters.num_selected, result.counters.num_pairs))

@@ -13,8 +13,8 @@ from splatree.bench.experiment import Report, Table
 from splatree.bench.measure import Judge
 from splatree.bench.shrinking import ABOUT_LOSS
 from splatree.bench.subject import subject_of
-from splatree.constants import ALPHA_THRESHOLD, DILATION_PX2
 from splatree.progress import track
+from splatree.scene.view import View
 
 __all__ = ["Options", "run"]
 
@@ -32,9 +32,7 @@ def run(options: Options) -> Report:
     chosen = shrinkings(subject, options)
     for name, select in track(list(filters(subject, options)), "filters"):
         choose = judge.selector(select)
-        selected = [
-            choose(camera, dilation_px2=DILATION_PX2, threshold=ALPHA_THRESHOLD).rows for camera in subject.cameras
-        ]
+        selected = [choose(View(camera)).rows for camera in subject.cameras]
         first = first or selected
         same = sum(np.array_equal(a, b) for a, b in zip(first, selected, strict=True))
         for way in chosen:

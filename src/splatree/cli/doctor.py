@@ -142,7 +142,7 @@ def _self_test() -> Finding:
         Camera.look_at(np.array([0, 0, -4.0]), np.zeros(3), width=64, height=48),
     )
     try:
-        agreement = psnr(render(scene.to("cuda"), camera).image, render(scene, camera).image)
+        agreement = psnr(render(scene, camera, device="cuda").image, render(scene, camera).image)
     except DeviceError as error:
         return Finding("self-test", "", str(error))
     if agreement < LEAST_DB:

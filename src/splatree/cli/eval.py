@@ -15,6 +15,7 @@ from splatree.errors import InputError
 from splatree.io.cameras.files import read_cameras
 from splatree.io.cameras.split import split_views
 from splatree.io.photos import Photos, PhotosUsed, photographed
+from splatree.kernels.devices import DeviceName
 from splatree.lod.baselines import Baseline, BaselineOptions, Method, baseline
 from splatree.lod.blocks import with_blocks
 from splatree.metrics.lpips import Lpips, Net
@@ -24,7 +25,7 @@ from splatree.render.paths import PathOptions, flyout
 from splatree.render.timing import STAGES, Timing, peak_bytes, time_frames
 from splatree.scene.cameras import Camera
 from splatree.scene.options import RenderOptions, SelectOptions
-from splatree.scene.scene import DeviceName, Scene
+from splatree.scene.scene import Scene
 
 
 @dataclass(frozen=True)
@@ -151,7 +152,7 @@ def run(command: Command) -> Evaluated:
         raise UsageError("training: found no --data, wanted photographs; without them no view is held out")
     source = command.cameras or command.data
     named = None if source is None else read_cameras(source)  # missing ones are told before any work
-    scene = with_blocks(read_scene(command.paths, command.reading)).to(command.device)
+    scene = with_blocks(read_scene(command.paths, command.reading))
     cameras = flyout(scene, command.made) if named is None else named.relative_to(scene.source.origin)
     photos = None if command.data is None else Photos(command.data, cameras.views)
     held_out, training, compared_with = _views(cameras.views if photos is None else photos.views, command)
@@ -168,9 +169,11 @@ def run(command: Command) -> Evaluated:
         select = baseline(command.method, scene, training or held_out, parameters)
     network = Lpips(command.lpips, trunk=command.lpips_trunk, heads=command.lpips_heads) if command.lpips else None
     drawn = [*held_out, *training] if command.training else held_out
-    compared = evaluate(scene, drawn, command.options, select, photos=photos, lpips=network)
+    compared = evaluate(scene, drawn, command.options, select, photos=photos, lpips=network, device=command.device)
     views = tuple(replace(view_of(evaluation), held_out=i < len(held_out)) for i, evaluation in enumerate(compared))
-    timing = time_frames(scene, held_out, command.options, select, views=command.frames) if command.frames else None
+    timing = None
+    if command.frames:
+        timing = time_frames(scene, held_out, command.options, select, views=command.frames, device=command.device)
     tree = scene.tree
     return Evaluated(
         num_gaussians=tree.num_leaves,

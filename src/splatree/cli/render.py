@@ -22,13 +22,15 @@ from splatree.cli.pictures import (
 from splatree.cli.viewpoint import Viewpoint, Views, named_views, relative_to, views_of
 from splatree.errors import InputError
 from splatree.io.registry import detect, level_of
+from splatree.kernels.devices import DeviceName
 from splatree.render.batch import trace_batch
 from splatree.render.counters import frame_counters, write_counters
 from splatree.render.paths import PathOptions
 from splatree.render.video import check_video, open_video
 from splatree.scene.frame import Frame
 from splatree.scene.options import RenderOptions, SelectOptions
-from splatree.scene.scene import DeviceName, Scene
+from splatree.scene.scene import Scene
+from splatree.scene.view import Wanted
 
 TURNTABLE_VIEWS = 120
 """Views of --turntable if --views does not say: four seconds at 30 a second."""
@@ -183,10 +185,10 @@ def _scene(command: Command) -> Scene:
     """The scene, or one level of it."""
     level = command.level
     if level is None:
-        return read_scene(command.paths, command.reading).to(command.device)
+        return read_scene(command.paths, command.reading)
     if len(command.paths) == 1 and (found := detect(command.paths[0])) is not None and found.holds.levels == "one of":
-        return read_scene(command.paths, command.reading, level=level).to(command.device)
-    return level_of(read_scene(command.paths, command.reading), level).to(command.device)
+        return read_scene(command.paths, command.reading, level=level)
+    return level_of(read_scene(command.paths, command.reading), level)
 
 
 def _drawn(
@@ -195,9 +197,11 @@ def _drawn(
     drawn = []
     with ExitStack() as stack:
         add = stack.enter_context(open_video(video, fps=command.fps, force=command.force)) if video else None
-        for target, frame in zip(
-            targets, trace_batch(scene, views.cameras, command.options, command.select), strict=True
-        ):
+        wanted = Wanted(last_pair=command.counters is not None)
+        frames = trace_batch(
+            scene, views.cameras, command.options, command.select, wanted=wanted, device=command.device
+        )
+        for target, frame in zip(targets, frames, strict=True):
             target.write(frame.result, force=command.force)
             if target.counters is not None:
                 write_counters(frame_counters(scene, frame), target.counters, force=command.force)

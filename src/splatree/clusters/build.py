@@ -22,10 +22,11 @@ from splatree.clusters.kmeans import kmeans
 from splatree.errors import InputError
 from splatree.kernels.cpu.build.spheres import bound_clusters
 from splatree.kernels.cpu.frame.blocks import index_blocks
+from splatree.kernels.devices import DeviceName
 from splatree.maths.morton import morton_codes
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.literals import check_literals
-from splatree.scene.scene import DeviceName, Scene
+from splatree.scene.scene import Scene
 from splatree.scene.tree import GaussianTree
 from splatree.shapes import Array, Int32
 

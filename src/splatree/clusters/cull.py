@@ -30,7 +30,6 @@ import numpy as np
 from splatree.constants import (
     ALPHA_THRESHOLD,
     DILATION_MIN_PX2,
-    DILATION_PX2,
     EIGENVALUE_FLOOR_PX4,
     FRUSTUM_CLAMP,
     SHRINK_PAD_PX,
@@ -42,7 +41,7 @@ from splatree.kernels.cpu.frame import cull as kernel
 from splatree.scene.cameras import Camera
 from splatree.scene.clusters import ClusterIndex, Culling, Sides
 from splatree.scene.options import Cull
-from splatree.scene.scene import TileRule
+from splatree.scene.view import View, as_view
 from splatree.shapes import Array, Float32, Float64, Int32
 
 __all__ = ["cull", "sides_of"]
@@ -78,26 +77,33 @@ class Margins(NamedTuple):
     """f g: px that a unit of radius at unit depth covers at most, with the slopes that the Jacobian can have."""
 
 
-def cull(
-    clusters: ClusterIndex,
-    camera: Camera,
-    rule: Cull = "exact",
-    *,
-    dilation_px2: float = DILATION_PX2,
-    threshold: float = ALPHA_THRESHOLD,
-    tile_rule: TileRule = "ellipse",
-    threads: int = 0,
-) -> Culling:
+def cull(clusters: ClusterIndex, view: Camera | View, rule: Cull = "exact", *, threads: int = 0) -> Culling:
     """Decide which clusters may be seen.
 
-    ``dilation_px2`` is what the drawing adds to each splat's variance, ``threshold`` the opacity τ at which a splat ends, and
-    ``tile_rule`` how its tiles are listed: `exact` holds for each of them.
+    Args:
+        clusters: spheres and boxes around runs of rows.
+        view: a camera, for the usual options of drawing; or a view, for whose dilation, τ and tile rule `exact` holds.
+        rule: the rule; the head of this module defines each.
+        threads: 0 means all there are.
+
+    Returns:
+        The clusters that may be seen and the runs of their rows.
+
+    Raises:
+        InputError: there is no rule of that name.
+
+    Source: Jo 2024, §3, Eq. 2 and 3 for the rules that begin with `paper`; docs/algorithms/clusters.md proves `exact`.
+
+    Example::
+
+        rows = st.cull(scene.clusters, camera).rows
     """
+    view = as_view(view)
     if rule == "none":
         kept = np.ones(len(clusters), bool)
     else:
-        sides = sides_of(camera, rule, dilation_px2=dilation_px2, threshold=threshold, tile_rule=tile_rule)
-        radii, near_radii = _radii(clusters, rule, threshold, tile_rule)
+        sides = sides_of(view, rule)
+        radii, near_radii = _radii(clusters, view, rule)
         kept = kernel.cull(clusters.centers, radii, near_radii, sides, threads=threads)
         if sides.box_reaches is not None:
             kept &= kernel.cull_boxes(clusters.box_low, clusters.box_high, sides, threads=threads)
@@ -111,10 +117,9 @@ def runs_of(start: Int32[Array, "c+1"], kept: Array) -> Int32[Array, "r 2"]:
     return start[np.flatnonzero(padded[1:] != padded[:-1])].reshape(-1, 2)
 
 
-def sides_of(
-    camera: Camera, rule: Cull, *, dilation_px2: float, threshold: float, tile_rule: TileRule = "ellipse"
-) -> Sides:
+def sides_of(view: View, rule: Cull) -> Sides:
     """The planes of a rule."""
+    camera, dilation_px2, threshold = view.camera, view.dilation_px2, view.threshold
     (fx, _, cx), (_, fy, cy), _ = camera.K.tolist()
     axes = ((fx, cx, camera.width), (fy, cy, camera.height))
     if rule in ("paper", "paper-guard", "paper-distance"):
@@ -122,7 +127,7 @@ def sides_of(
     if rule == "planes":
         return _sides(camera, axes, [Margins(0, size, 0, 0) for _, _, size in axes])
     k = _reach_of_opaque(min(threshold, ALPHA_THRESHOLD))
-    if rule == "exact" and tile_rule in ("tau", "3sigma"):
+    if rule == "exact" and view.is_square:
         margins = [_margins_of_square(axes, size, dilation_px2, SHRINK_PAD_PX) for _, _, size in axes]
     elif rule == "exact":
         margins = [_margins_of_box(*axis, k, dilation_px2) for axis in axes]
@@ -133,25 +138,23 @@ def sides_of(
     else:
         raise InputError(f"cull: found rule {rule!r}, wanted one of {', '.join(get_args(Cull))}")
     if rule == "exact":
-        has_boxes = tile_rule in ("ellipse", "balanced") and threshold >= ALPHA_THRESHOLD
+        has_boxes = not view.is_square and threshold >= ALPHA_THRESHOLD
         return _sides(camera, axes, margins, scale=RADIUS_SCALE, slack=POSITION_SLACK, has_boxes=has_boxes)
     # These transform by R x + t in float32, so they lose digits of x and of t, not of their difference as ours does.
     lost = 2 * POSITION_SLACK * float(np.abs(camera.position).sum())
     return _sides(camera, axes, margins, scale=RADIUS_SCALE, slack=POSITION_SLACK, margin=lost)
 
 
-def _radii(
-    clusters: ClusterIndex, rule: Cull, threshold: float, tile_rule: TileRule
-) -> tuple[Float32[Array, "c"], Float32[Array, "c"]]:
+def _radii(clusters: ClusterIndex, view: View, rule: Cull) -> tuple[Float32[Array, "c"], Float32[Array, "c"]]:
     """Radii for the four borders, and for the near plane, which drops Gaussians by their centres."""
     if rule == "paper-distance":
         return clusters.mean_radii, clusters.mean_radii
-    if not (rule == "exact-gsplat" or (rule == "exact" and tile_rule in ("ellipse", "balanced"))):
+    if not (rule == "exact-gsplat" or (rule == "exact" and not view.is_square)):
         return clusters.radii, clusters.mean_radii
-    if threshold >= ALPHA_THRESHOLD:
+    if view.threshold >= ALPHA_THRESHOLD:
         return clusters.footprint_radii, clusters.mean_radii
     # d + k σ ≤ (k / 3) (d + 3 σ) where k ≥ 3: the radii of Eq. 2 bound the footprints of a smaller τ, too.
-    return clusters.radii * np.float32(_reach_of_opaque(threshold) / SIGMAS), clusters.mean_radii
+    return clusters.radii * np.float32(_reach_of_opaque(view.threshold) / SIGMAS), clusters.mean_radii
 
 
 def _margins_of_box(focal: float, centre: float, size: int, k: float, dilation_px2: float) -> Margins:

@@ -11,15 +11,13 @@ together (`maths.morton`): the kernel then finds the few candidates of 64 points
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import Protocol
 
 import numpy as np
 
 from splatree.errors import InputError
-from splatree.kernels.cpu.build.kmeans import assign
+from splatree.kernels.devices import DeviceName, feature_of
 from splatree.progress import task
-from splatree.scene.scene import DeviceName
 from splatree.shapes import Array, Float32, Float64, Int32, Int64, check_fields
 
 __all__ = ["KMeans", "kmeans"]
@@ -109,14 +107,11 @@ class Step(Protocol):
 
 def _steps(device: DeviceName, points: Float32[Array, "n 3"], threads: int) -> Callable[[Array], Step]:
     """What assigns the points to centres."""
-    if device == "cpu":
-        return partial(assign, points, threads=threads)
-    if device != "cuda":
-        raise InputError(f"kmeans: found device {device!r}, wanted 'cpu' or 'cuda'")
-    from splatree.kernels.cuda.device import open_device
-    from splatree.kernels.cuda.kmeans import DevicePoints
-
-    return DevicePoints(open_device(0), points).assign
+    steps = feature_of(device, "kmeans_steps")
+    if steps is None:
+        raise InputError(f"kmeans: found device {device!r}, which has no steps of K-means; wanted another device")
+    found: Callable[[Array], Step] = steps(points, threads=threads)
+    return found
 
 
 def _means(points: Array, found: Step) -> Float32[Array, "c 3"]:

@@ -19,7 +19,8 @@ from splatree.kernels.cpu.frame.project import project
 from splatree.maths.rotations import matrices_from_quats
 from splatree.scene.cameras import Camera
 from splatree.scene.gaussians import Gaussians
-from splatree.scene.options import Cull, ResolvedOptions
+from splatree.scene.options import Cull
+from splatree.scene.view import View
 from splatree.shapes import Array, Bool
 
 __all__ = ["survivors"]
@@ -28,11 +29,12 @@ GSPLAT_REACH_MAX = 3.33
 """Standard deviations that a box of gsplat has at most."""
 
 
-def survivors(gaussians: Gaussians, camera: Camera, rule: Cull, options: ResolvedOptions) -> Bool[Array, "n"]:
-    """Whether each row touches the image, by the rasteriser that the rule speaks of; ``options`` are those of ours."""
+def survivors(gaussians: Gaussians, view: View, rule: Cull) -> Bool[Array, "n"]:
+    """Whether each row touches the image, by the rasteriser that the rule speaks of."""
+    camera = view.camera
     if rule == "exact":
         found = np.zeros(len(gaussians), bool)
-        found[project(gaussians, None, np.arange(len(gaussians), dtype=np.int32), camera, options).rows] = True
+        found[project(gaussians, None, np.arange(len(gaussians), dtype=np.int32), view).rows] = True
         return found
     if rule not in ("exact-inria", "exact-gsplat"):
         raise InputError(f"survivors: found {rule!r}, wanted exact, exact-inria or exact-gsplat")

@@ -13,10 +13,11 @@ from splatree.hardware.presets import preset
 from splatree.hardware.simulate import FrameTime, simulate_frame
 from splatree.hardware.trace import FrameTrace, trace_frame
 from splatree.progress import track
-from splatree.render.pipeline import trace
+from splatree.render.session import open_session
 from splatree.scene.cameras import Camera
 from splatree.scene.options import SelectOptions
 from splatree.scene.scene import Scene
+from splatree.scene.view import Wanted
 
 __all__ = ["Simulation", "ablation", "draw_traces", "on_machine", "simulate"]
 
@@ -97,7 +98,9 @@ def draw_traces(
     views = list(cameras)
     if not views:
         raise InputError("simulate: found no cameras, wanted at least one")
-    return tuple(trace_frame(scene, trace(scene, view, select=chosen)) for view in track(views, "draw frames"))
+    wanted = Wanted(last_pair=True)  # so that entries are counted up to the one that finishes each pixel
+    with open_session(scene, select=chosen) as session:
+        return tuple(trace_frame(scene, session.trace(view, wanted)) for view in track(views, "draw frames"))
 
 
 def on_machine(machine: Machine, traces: Sequence[FrameTrace]) -> Simulation:

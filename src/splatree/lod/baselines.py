@@ -32,7 +32,6 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from splatree.constants import DILATION_PX2
 from splatree.errors import InputError
 from splatree.kernels.cpu.frame import baselines as cpu
 from splatree.kernels.cpu.frame import select as cpu_select
@@ -44,6 +43,7 @@ from splatree.scene.literals import check_literals
 from splatree.scene.options import SelectOptions, ViewTest
 from splatree.scene.scene import Scene
 from splatree.scene.tree import GaussianTree
+from splatree.scene.view import View, as_view
 from splatree.shapes import Array, Bool, Int32, UInt8
 
 __all__ = ["Baseline", "BaselineOptions", "Method", "Violations", "baseline", "violations"]
@@ -73,22 +73,23 @@ SAMPLE = 100_000
 
 
 @dataclass(frozen=True)
-class View:
+class Request:
     """A view as a rule is asked about it."""
 
-    camera: Camera
-    """From where."""
+    view: View
+    """Camera and options."""
     view_test: ViewTest
     """What is dropped as out of view."""
-    dilation_px2: float
-    """Added to each splat's variance."""
-    threshold: float
-    """τ at which a splat ends."""
     threads: int
     """0: all there are."""
 
+    @property
+    def camera(self) -> Camera:
+        """From where."""
+        return self.view.camera
 
-Choose = Callable[[View], tuple[Array, int]]
+
+Choose = Callable[[Request], tuple[Array, int]]
 """Rows drawn, ascending, and how many were looked at."""
 
 
@@ -138,17 +139,14 @@ class Baseline:
     def __post_init__(self) -> None:
         check_literals(self)
 
-    def __call__(
-        self, camera: Camera, *, dilation_px2: float = DILATION_PX2, threshold: float | None = None, threads: int = 0
-    ) -> Selection:
+    def __call__(self, view: View, *, threads: int = 0) -> Selection:
         """Choose the rows to draw."""
-        threshold = self.scene.threshold if threshold is None else threshold
-        rows, visited = self.choose(View(camera, self.view_test, dilation_px2, threshold, threads))
+        rows, visited = self.choose(Request(view, self.view_test, threads))
         return Selection(rows, self.method, "exact", self.pixel_error, visited)
 
-    def cut(self, camera: Camera, *, dilation_px2: float = DILATION_PX2) -> Int32[Array, "v"]:
+    def cut(self, view: Camera | View) -> Int32[Array, "v"]:
         """The rows that stand for the whole scene, seen or not."""
-        return self.choose(View(camera, "none", dilation_px2, self.scene.threshold, 0))[0]
+        return self.choose(Request(as_view(view), "none", 0))[0]
 
 
 @dataclass(frozen=True)
@@ -192,7 +190,7 @@ def baseline(
     if method in ("3dgs", "roots", "depth"):
         depth = {"3dgs": tree.num_levels, "roots": 0, "depth": options.depth}[method]
         listed = _at_depth(tree, depth)
-        return made(_culled(scene, lambda view: (listed, 0)), listed.nbytes, "none")
+        return made(_culled(scene, lambda asked: (listed, 0)), listed.nbytes, "none")
     if method == "h3dgs":
         rows, num_bytes = _h3dgs(scene, tau)
         return made(_culled(scene, rows), num_bytes, pixel_error=tau)
@@ -213,18 +211,16 @@ def log_serial(scene: Scene, select: SelectOptions, roots: Array | None = None) 
     """The traversal level by level; ``roots`` are those not hidden by others, None: all."""
     levels = levels_of(scene.tree)
 
-    def choose(view: View) -> tuple[Array, int]:
+    def choose(asked: Request) -> tuple[Array, int]:
         return select_serial(
             scene.gaussians,
             scene.tree,
             None,
-            view.camera,
-            replace(select, view_test=view.view_test),
-            dilation_px2=view.dilation_px2,
-            threshold=view.threshold,
+            asked.view,
+            replace(select, view_test=asked.view_test),
             levels=levels,
             roots=roots,
-            threads=view.threads,
+            threads=asked.threads,
         )
 
     return choose
@@ -233,20 +229,12 @@ def log_serial(scene: Scene, select: SelectOptions, roots: Array | None = None) 
 def _culled(scene: Scene, rows_of: Choose) -> Choose:
     """A rule that does not look at the view, followed by the view test."""
 
-    def choose(view: View) -> tuple[Array, int]:
-        rows, visited = rows_of(view)
-        if view.view_test == "none":
+    def choose(asked: Request) -> tuple[Array, int]:
+        rows, visited = rows_of(asked)
+        if asked.view_test == "none":
             return rows, visited
-        seen = cpu_select.visible(
-            scene.gaussians,
-            scene.tree,
-            rows,
-            view.camera,
-            SelectOptions(view_test=view.view_test),
-            dilation_px2=view.dilation_px2,
-            threshold=view.threshold,
-            threads=view.threads,
-        )
+        options = SelectOptions(view_test=asked.view_test)
+        seen = cpu_select.visible(scene.gaussians, scene.tree, rows, asked.view, options, threads=asked.threads)
         return rows[seen], visited
 
     return choose
@@ -260,10 +248,10 @@ def _h3dgs(scene: Scene, pixel_error: float) -> tuple[Choose, int]:
     """Boxes are nested, so the size never grows towards the leaves: its test of the parent picks the first small one."""
     lower, upper = cpu.nested_boxes(scene.gaussians, scene.tree)
 
-    def rows_of(view: View) -> tuple[Array, int]:
+    def rows_of(asked: Request) -> tuple[Array, int]:
         # 2 (τ + ½) tan(fov_x / 2) / (W / 2), as its script for rendering has it.
-        limit = 2 * (pixel_error + 0.5) / view.camera.K[0, 0]
-        small = cpu.small_boxes(lower, upper, view.camera.position, limit, threads=view.threads)
+        limit = 2 * (pixel_error + 0.5) / asked.camera.K[0, 0]
+        small = cpu.small_boxes(lower, upper, asked.camera.position, limit, threads=asked.threads)
         return cpu.first_stops(scene.tree, small, 1), len(scene)
 
     return rows_of, lower.nbytes + upper.nbytes
@@ -277,30 +265,14 @@ def _filtergs(scene: Scene, method: Method, pixel_error: float) -> tuple[Choose,
         "filtergs-release": SelectOptions(pixel_error, rule="release", profile="ref"),
     }[method]
 
-    def choose(view: View) -> tuple[Array, int]:
-        options = replace(select, view_test=view.view_test)
+    def choose(asked: Request) -> tuple[Array, int]:
+        options = replace(select, view_test=asked.view_test)
         rows, visited = cpu_select.select_by_ancestors(
-            scene.gaussians,
-            scene.tree,
-            table,
-            view.camera,
-            options,
-            dilation_px2=view.dilation_px2,
-            threshold=view.threshold,
-            threads=view.threads,
+            scene.gaussians, scene.tree, table, asked.view, options, threads=asked.threads
         )
-        if method == "filtergs-release" and view.view_test != "none":
-            rows = rows[
-                cpu_select.small(
-                    scene.gaussians,
-                    scene.tree,
-                    rows,
-                    view.camera,
-                    replace(options, pixel_error=RELEASE_LARGEST_PX),
-                    dilation_px2=view.dilation_px2,
-                    threads=view.threads,
-                )
-            ]
+        if method == "filtergs-release" and asked.view_test != "none":
+            largest = replace(options, pixel_error=RELEASE_LARGEST_PX)
+            rows = rows[cpu_select.small(scene.gaussians, scene.tree, rows, asked.view, largest, threads=asked.threads)]
         return rows, visited
 
     return choose, table.nbytes
@@ -330,8 +302,8 @@ class _Bands:
 
 
 def _by_depth(scene: Scene, bands: _Bands, *, alone: bool) -> Choose:
-    def rows_of(view: View) -> tuple[Array, int]:
-        flags = bands.flags(scene, view.camera, view.camera.position, view.threads)
+    def rows_of(asked: Request) -> tuple[Array, int]:
+        flags = bands.flags(scene, asked.camera, asked.camera.position, asked.threads)
         if alone:
             return np.flatnonzero(_drawn_alone(scene.tree, flags)).astype(np.int32), len(scene)
         return cpu.first_stops(scene.tree, flags, 1), len(scene)
@@ -380,8 +352,8 @@ def _lodge(scene: Scene, cameras: Sequence[Camera], options: BaselineOptions) ->
         for place in places
     ]
 
-    def rows_of(view: View) -> tuple[Array, int]:
-        return listed[int(np.argmin(np.linalg.norm(places - view.camera.position, axis=1)))], 0
+    def rows_of(asked: Request) -> tuple[Array, int]:
+        return listed[int(np.argmin(np.linalg.norm(places - asked.camera.position, axis=1)))], 0
 
     return rows_of, sum(rows.nbytes for rows in listed)
 

@@ -11,7 +11,6 @@ A budget is met by raising τ_R (lod/budget.py).
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -19,6 +18,7 @@ import numpy as np
 from splatree.clusters.cull import cull
 from splatree.constants import DILATION_PX2, EIGENVALUE_FLOOR_PX4, SIGMAS
 from splatree.errors import InputError
+from splatree.kernels.contract import FrameStages
 from splatree.kernels.cpu.frame import select as cpu
 from splatree.kernels.cpu.frame.blocks import index_blocks
 from splatree.kernels.reference import select as reference
@@ -28,10 +28,11 @@ from splatree.scene.cameras import Camera
 from splatree.scene.clusters import Culling
 from splatree.scene.frame import Selection
 from splatree.scene.names import Profile
-from splatree.scene.options import Cull, RenderOptions, ResolvedOptions, SelectOptions
-from splatree.scene.scene import Scene, TileRule
+from splatree.scene.options import Cull, SelectOptions
+from splatree.scene.scene import Scene
 from splatree.scene.tree import GaussianTree
-from splatree.shapes import Array, Bool, Int32
+from splatree.scene.view import View, view_of
+from splatree.shapes import Array
 
 __all__ = [
     "Selector",
@@ -40,7 +41,6 @@ __all__ = [
     "cull_rule",
     "cull_scene",
     "for_levels",
-    "in_runs",
     "notes_on",
     "select",
     "smallest_radius",
@@ -50,86 +50,79 @@ __all__ = [
 class Selector(Protocol):
     """Anything that chooses the rows of a view of one scene, in the place of `select`: see lod/baselines.py."""
 
-    def __call__(self, camera: Camera, *, dilation_px2: float, threshold: float, threads: int = 0) -> Selection:
+    def __call__(self, view: View, *, threads: int = 0) -> Selection:
         """Choose the rows to draw."""
         ...
 
 
 def select(
     scene: Scene,
-    camera: Camera,
+    view: Camera | View,
     options: SelectOptions | None = None,
     *,
-    dilation_px2: float = DILATION_PX2,
-    threshold: float | None = None,
     culling: Culling | None = None,
     last: float | None = None,
+    stages: FrameStages | None = None,
     threads: int = 0,
 ) -> Selection:
-    """Choose the rows to draw.
+    """Choose the rows of a scene to draw in a view.
 
-    ``dilation_px2`` is what the drawing adds to each splat's variance; ``threshold`` the opacity τ at which a splat ends (None:
-    the scene's), below which the view test `footprint` drops it. ``culling`` is what `cull_scene` found for the same
-    camera and options; None: it is found here. ``last`` is the τ_R, px, of the view before, for the budget of a camera that
-    moves: the search begins there and is content with 90 % of the budget (lod/budget.py). None: a view alone.
+    Args:
+        scene: what is chosen from; without ``blocks`` its index is made at each call (`lod.blocks.with_blocks` keeps it).
+        view: a camera, for drawing with the options that the scene itself has; or a view, whose dilation and τ the view test
+            `footprint` takes into account.
+        options: which nodes are drawn; None: those of `SelectOptions`.
+        culling: what `cull_scene` found for the same view and options; None: it is found here.
+        last: τ_R, px, of the view before, for the budget of a camera that moves: the search begins there and is content with
+            90 % of the budget (lod/budget.py); None: a view alone.
+        stages: the back end that selects by the rule `cut`; None: the processor.
+        threads: 0 means all there are.
+
+    Returns:
+        The rows, ascending, with the τ_R that chose them.
 
     Raises:
         InputError: a budget that not even the roots in view meet; or a rule of culling for a scene without clusters.
+
+    Source: FilterGS (Wang 2026), §3.2, for the cut without a traversal.
+
+    Example::
+
+        rows = st.select(scene, camera, st.SelectOptions(budget=200_000)).rows
     """
+    if isinstance(view, Camera):
+        view = view_of(scene, view)
     options = for_levels(options or SelectOptions(), scene)
     if culling is None:
-        culling = cull_scene(scene, camera, options, dilation_px2=dilation_px2, threshold=threshold, threads=threads)
+        culling = cull_scene(scene, view, options, threads=threads)
     runs = None if culling is None or culling.kept.all() else culling.runs
-    threshold = RenderOptions().resolved(scene).least_threshold if threshold is None else threshold
-    on_device = scene.device == "cuda" and options.rule == "cut"
     blocks = scene.blocks
-    if blocks is None and options.rule == "cut" and not on_device:
-        blocks = index_blocks(scene.gaussians, scene.tree, threads=threads)
-
     choose: Callable[..., tuple[Array, int]] = reference.select
     if options.rule == "cut":
-        choose = partial(cpu.select, runs=runs)
+        choose = cpu.select if stages is None else stages.select
+        if stages is None and blocks is None:
+            blocks = index_blocks(scene.gaussians, scene.tree, threads=threads)
     elif options.rule == "log-serial":
         choose = select_serial
 
     def rows_at(pixel_error: float) -> tuple[Array, int]:
         at = replace(options, pixel_error=pixel_error)
-        if on_device:
-            rows, visited = _select_on_device(scene, camera, at, dilation_px2, threshold)
-        else:
-            rows, visited = choose(
-                scene.gaussians,
-                scene.tree,
-                blocks,
-                camera,
-                at,
-                dilation_px2=dilation_px2,
-                threshold=threshold,
-                threads=threads,
-            )
-        if runs is not None and (on_device or options.rule != "cut"):
-            rows = rows[in_runs(rows, runs)]
+        rows, visited = choose(scene.gaussians, scene.tree, blocks, view, at, runs=runs, threads=threads)
         if at.max_radius is not None:
             largest = replace(at, pixel_error=at.max_radius)
-            small = cpu.small(
-                scene.gaussians, scene.tree, rows, camera, largest, dilation_px2=dilation_px2, threads=threads
-            )
-            rows = rows[small]
+            rows = rows[cpu.small(scene.gaussians, scene.tree, rows, view, largest, threads=threads)]
         return rows, visited
 
-    finest, smallest = options.pixel_error, smallest_radius(options.radius, dilation_px2)
+    finest, smallest = options.pixel_error, smallest_radius(options.radius, view.dilation_px2)
     if options.budget is not None and last is not None:
-        rows, visited, pixel_error = meet_budget_from(rows_at, options.budget, (finest, smallest), last, camera)
+        rows, visited, pixel_error = meet_budget_from(rows_at, options.budget, (finest, smallest), last, view.camera)
     else:
         rows, visited = rows_at(finest)
         pixel_error = finest
         if options.budget is not None and len(rows) > options.budget:
             coarser = max(finest, smallest)
-            rows, visited, pixel_error = meet_budget(rows_at, options.budget, coarser, len(rows), camera)
-    notes = notes_on(pixel_error, options.radius, dilation_px2)
-    record = scene.tree.record
-    if options.radius != "sphere" and pixel_error > 0 and record is not None and record.rule == "linked":
-        notes += ("the levels of this scene are linked, not merged: profile 'sphere' changes them region by region",)
+            rows, visited, pixel_error = meet_budget(rows_at, options.budget, coarser, len(rows), view.camera)
+    notes = notes_on(scene, options, pixel_error, view)
     return Selection(rows, options.rule, options.radius, pixel_error, visited, notes)
 
 
@@ -141,15 +134,19 @@ def for_levels(options: SelectOptions, scene: Scene) -> SelectOptions:
     return replace(options, profile="exact" if record is None else record.profile)
 
 
-def notes_on(pixel_error: float, profile: Profile, dilation_px2: float) -> tuple[str, ...]:
-    """What the caller should know of a selection."""
-    smallest = smallest_radius(profile, dilation_px2)
-    if not 0 < pixel_error < smallest:
-        return ()
-    return (
-        f"pixel_error {pixel_error:g} px is below {smallest:.3g} px, the smallest radius that profile {profile!r} gives: "
-        f"all leaves are drawn",
-    )
+def notes_on(scene: Scene, options: SelectOptions, pixel_error: float, view: View) -> tuple[str, ...]:
+    """What the caller should know of a selection by a τ_R of ``pixel_error``, px."""
+    notes: tuple[str, ...] = ()
+    profile, record = options.radius, scene.tree.record
+    smallest = smallest_radius(profile, view.dilation_px2)
+    if 0 < pixel_error < smallest:
+        notes += (
+            f"pixel_error {pixel_error:g} px is below {smallest:.3g} px, the smallest radius that profile {profile!r} gives: "
+            f"all leaves are drawn",
+        )
+    if profile != "sphere" and pixel_error > 0 and record is not None and record.rule == "linked":
+        notes += ("the levels of this scene are linked, not merged: profile 'sphere' changes them region by region",)
+    return notes
 
 
 def cull_rule(scene: Scene, options: SelectOptions | None = None) -> Cull:
@@ -172,16 +169,7 @@ def cull_rule(scene: Scene, options: SelectOptions | None = None) -> Cull:
     return rule
 
 
-def cull_scene(
-    scene: Scene,
-    camera: Camera,
-    options: SelectOptions | None = None,
-    *,
-    dilation_px2: float = DILATION_PX2,
-    threshold: float | None = None,
-    tile_rule: TileRule = "ellipse",
-    threads: int = 0,
-) -> Culling | None:
+def cull_scene(scene: Scene, view: View, options: SelectOptions | None = None, *, threads: int = 0) -> Culling | None:
     """Decide which clusters of a scene are left out, by its `cull_rule`; None if that is `none`.
 
     Raises:
@@ -190,21 +178,7 @@ def cull_scene(
     rule = cull_rule(scene, options)
     if scene.clusters is None or rule == "none":
         return None
-    threshold = scene.threshold if threshold is None else threshold
-    return cull(
-        scene.clusters,
-        camera,
-        rule,
-        dilation_px2=dilation_px2,
-        threshold=threshold,
-        tile_rule=tile_rule,
-        threads=threads,
-    )
-
-
-def in_runs(rows: Int32[Array, "v"], runs: Int32[Array, "r 2"]) -> Bool[Array, "v"]:
-    """Whether each row is in one of the runs: an odd number of their bounds is at or before it."""
-    return np.asarray(np.searchsorted(runs.ravel(), rows, side="right") % 2 == 1)
+    return cull(scene.clusters, view, rule, threads=threads)
 
 
 def smallest_radius(profile: Profile, dilation_px2: float = DILATION_PX2) -> float:
@@ -229,12 +203,3 @@ def count_uncovered(tree: GaussianTree, rows: Array) -> int:
     change[rows] += 1
     np.subtract.at(change, tree.subtree_end[rows], 1)
     return int((tree.is_leaf & (np.cumsum(change[:-1]) == 0)).sum())
-
-
-def _select_on_device(
-    scene: Scene, camera: Camera, options: SelectOptions, dilation_px2: float, threshold: float
-) -> tuple[Array, int]:
-    from splatree.kernels.cuda.device import renderer_of
-
-    drawing = ResolvedOptions((0.0, 0.0, 0.0), scene.mode, dilation_px2, threshold, 0)
-    return renderer_of(scene).select(camera, drawing, replace(options, budget=None, max_radius=None))

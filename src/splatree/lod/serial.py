@@ -18,10 +18,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from splatree.kernels.cpu.frame import select as cpu
+from splatree.kernels.reference.select import in_runs
 from splatree.scene.cameras import Camera
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.options import SelectOptions
 from splatree.scene.tree import BlockIndex, GaussianTree
+from splatree.scene.view import View
 from splatree.shapes import Array, Bool, Int32
 
 __all__ = ["Levels", "levels_of", "select_serial"]
@@ -76,11 +78,10 @@ def select_serial(
     gaussians: Gaussians,
     tree: GaussianTree,
     blocks: BlockIndex | None,
-    camera: Camera,
+    view: View,
     options: SelectOptions,
     *,
-    dilation_px2: float,
-    threshold: float,
+    runs: Int32[Array, "r 2"] | None = None,
     levels: Levels | None = None,
     roots: Array | None = None,
     threads: int = 0,
@@ -94,7 +95,7 @@ def select_serial(
     as_log = options.rule == "log-serial"
     frontier = levels.rows[: levels.num_roots] if roots is None else np.asarray(roots, np.int32)
     if as_log:
-        frontier = frontier[_centred(gaussians, frontier, camera, ROOT_PAD)]
+        frontier = frontier[_centred(gaussians, frontier, view.camera, ROOT_PAD)]
         # Strict: R < τ_R is R ≤ the number before τ_R.
         below = float(np.nextafter(np.float32(options.pixel_error), np.float32(0)))
         options = replace(options, pixel_error=below)
@@ -102,17 +103,17 @@ def select_serial(
     visited = level = 0
     while len(frontier) and not (as_log and level > LAST_LEVEL):
         visited += len(frontier)
-        stays = cpu.small(gaussians, tree, frontier, camera, options, dilation_px2=dilation_px2, threads=threads)
+        stays = cpu.small(gaussians, tree, frontier, view, options, threads=threads)
         if as_log and level > 0:
-            stays |= ~_centred(gaussians, frontier, camera, NODE_PAD)
+            stays |= ~_centred(gaussians, frontier, view.camera, NODE_PAD)
         stays |= levels.num_children[frontier] == 0
         kept.append(frontier[stays])
         frontier = levels.children(frontier[~stays])
         level += 1
     rows = np.sort(np.concatenate(kept))
-    seen = cpu.visible(
-        gaussians, tree, rows, camera, options, dilation_px2=dilation_px2, threshold=threshold, threads=threads
-    )
+    if runs is not None:
+        rows = rows[in_runs(rows, runs)]
+    seen = cpu.visible(gaussians, tree, rows, view, options, threads=threads)
     return rows[seen], visited
 
 

@@ -32,11 +32,11 @@ import numpy as np
 
 from splatree.constants import ALPHA_THRESHOLD
 from splatree.errors import InputError
-from splatree.lod.blocks import with_blocks
+from splatree.kernels.devices import DeviceName
 from splatree.metrics.psnr import psnr
 from splatree.progress import task
 from splatree.render.contribution import Tiles, Unit, tile_contributions
-from splatree.render.pipeline import trace
+from splatree.render.session import Session, open_session
 from splatree.scene.cameras import Camera
 from splatree.scene.frame import Frame
 from splatree.scene.literals import check_literals
@@ -153,6 +153,7 @@ def calibrate(
     select: SelectOptions | None = None,
     *,
     photos: Mapping[str, Array] | None = None,
+    device: DeviceName | None = None,
     threads: int = 0,
 ) -> Calibration:
     """Choose τ from the views given, which should be those that the scene was trained on.
@@ -174,10 +175,11 @@ def calibrate(
         raise InputError(f"calibrate: found {found}, wanted at least one view to draw")
     chosen = np.unique(np.linspace(0, len(with_photo) - 1, min(options.max_views, len(with_photo))).round().astype(int))
     views = [with_photo[i] for i in chosen]
-    studio = _Studio(with_blocks(scene), views, options, render, select, photos, threads)
-    with task("calibrate", total=len(views) * (BISECTIONS + 2)) as studio.advance:
-        studio.draw_lossless()
-        best, trials = studio.choose()
+    with open_session(scene, device=device, select=select, threads=threads) as session:
+        studio = _Studio(session, views, options, render, photos or {})
+        with task("calibrate", total=len(views) * (BISECTIONS + 2)) as studio.advance:
+            studio.draw_lossless()
+            best, trials = studio.choose()
     return Calibration(
         policy=options.policy,
         threshold=best.threshold,
@@ -211,27 +213,24 @@ def calibrated(scene: Scene, calibration: Calibration, **provenance: str) -> Sce
 
 
 class _Studio:
-    """Draws the views at one τ after the other."""
+    """Draws the views at one τ after the other, in one session."""
 
     def __init__(
         self,
-        scene: Scene,
+        session: Session,
         views: Sequence[Camera],
         options: CalibrateOptions,
         render: RenderOptions,
-        select: SelectOptions,
-        photos: Mapping[str, Array] | None,
-        threads: int,
+        photos: Mapping[str, Array],
     ) -> None:
-        self.scene, self.views, self.options = scene, views, options
-        self.render, self.select, self.photos, self.threads = render, select, photos or {}, threads
+        self.session, self.views, self.options, self.render, self.photos = session, views, options, render, photos
         self.advance: Callable[[float], None] = lambda units: None
         self.num_pairs_lossless = 0
         self.contribution = 0.0
 
     def draw(self, view: Camera, render: RenderOptions) -> Frame:
         self.advance(1)
-        return trace(self.scene, view, render, self.select, threads=self.threads)
+        return self.session.trace(view, options=render)
 
     def draw_lossless(self) -> None:
         """Draw all views with the exact test at 1/255; keep their pictures, or else how far they are from the photographs."""
@@ -247,9 +246,7 @@ class _Studio:
             else:
                 self.pictures.append(_shown(frame))
             if self.options.lists != "ellipse":
-                frame = trace(
-                    self.scene, view, replace(lossless, tile_rule=self.options.lists), self.select, threads=self.threads
-                )
+                frame = self.session.trace(view, options=replace(lossless, tile_rule=self.options.lists))
             contributions.append(tile_contributions(frame).mean(tiles=self.options.tiles, unit=self.options.unit))
         self.contribution = float(np.mean(contributions))
 

@@ -14,7 +14,7 @@ costs one pass over the pixels, nothing a pair; K of each pair is an output of t
 
     frame = trace(scene, camera)
     tile_contributions(frame).mean()                             # Ḡ_v
-    frame = trace(scene, camera, contributions=True)
+    frame = trace(scene, camera, wanted=Wanted(contributions=True))
     contribution_histogram([frame.contributions])                # Fig. 6b
 
 G depends on how lists are made, because n counts the pairs that contribute nothing: name the tile rule beside it. Variants:
@@ -130,7 +130,7 @@ class ContributionHistogram:
 def contribution_histogram(
     contributions: Iterable[Float32[Array, "m"] | None], edges_px: Iterable[float] = EDGES_PX
 ) -> ContributionHistogram:
-    """Count the pairs of one or more frames, traced with ``contributions=True``, by what they contribute.
+    """Count the pairs of one or more frames, traced with ``Wanted(contributions=True)``, by what they contribute.
 
     Every pair counts, in ``num_used`` too, whatever its contribution.
     """
@@ -141,7 +141,9 @@ def contribution_histogram(
     num_pairs = num_used = num_redundant = 0
     for values in contributions:
         if values is None:
-            raise InputError("contributions: found None, wanted those of a frame; trace it with contributions=True")
+            raise InputError(
+                "contributions: found None, wanted those of a frame; trace it with Wanted(contributions=True)"
+            )
         counts += np.histogram(values, edges)[0]
         num_pairs += len(values)
         num_used += int(np.count_nonzero(values))

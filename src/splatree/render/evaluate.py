@@ -11,12 +11,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from splatree.constants import ALPHA_THRESHOLD
-from splatree.lod.blocks import with_blocks
+from splatree.kernels.devices import DeviceName
 from splatree.lod.select import Selector
 from splatree.metrics.psnr import psnr
 from splatree.metrics.ssim import WINDOW_PX, ssim
 from splatree.progress import track
-from splatree.render.pipeline import trace
+from splatree.render.session import open_session
 from splatree.scene.cameras import Camera
 from splatree.scene.frame import Frame
 from splatree.scene.options import RenderOptions, SelectOptions
@@ -62,26 +62,28 @@ def evaluate(
     *,
     photos: Mapping[str, Array] | None = None,
     lpips: Callable[[Array, Array], float] | None = None,
+    device: DeviceName | None = None,
 ) -> Iterator[Evaluation]:
     """Yield the comparison of each view.
 
     ``select`` may be a baseline (lod/baselines.py). ``photos`` are pictures, float32 (h w 3), by the camera's name. ``lpips`` is
-    a loaded `splatree.metrics.lpips.Lpips`.
+    a loaded `splatree.metrics.lpips.Lpips`. Both pictures of a view are drawn in one session on ``device``.
     """
-    scene = with_blocks(scene)
     lossless = replace(options or RenderOptions(), tile_rule="ellipse", pixels="hard", threshold=ALPHA_THRESHOLD)
-    for camera in track(list(cameras), "evaluate views"):
-        cut = trace(scene, camera, options, select)
-        leaves = trace(scene, camera, lossless, SelectOptions(pixel_error=0.0, cull="none"))
-        photo = (photos or {}).get(camera.name)
-        yield Evaluation(
-            camera,
-            cut,
-            leaves,
-            score(cut.result.image, leaves.result.image, lpips),
-            None if photo is None else score(cut.result.image, photo, lpips),
-            None if photo is None else score(leaves.result.image, photo, lpips),
-        )
+    all_leaves = SelectOptions(pixel_error=0.0, cull="none")
+    with open_session(scene, device=device, options=options, select=select) as session:
+        for camera in track(list(cameras), "evaluate views"):
+            cut = session.trace(camera)
+            leaves = session.trace(camera, options=lossless, select=all_leaves)
+            photo = (photos or {}).get(camera.name)
+            yield Evaluation(
+                camera,
+                cut,
+                leaves,
+                score(cut.result.image, leaves.result.image, lpips),
+                None if photo is None else score(cut.result.image, photo, lpips),
+                None if photo is None else score(leaves.result.image, photo, lpips),
+            )
 
 
 def score(image: Array, reference: Array, lpips: Callable[[Array, Array], float] | None = None) -> Score:

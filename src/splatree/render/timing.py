@@ -22,11 +22,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from splatree.errors import InputError
-from splatree.lod.blocks import with_blocks
+from splatree.kernels.devices import DeviceName
 from splatree.lod.select import Selector
 from splatree.progress import track
 from splatree.render.paths import through
-from splatree.render.pipeline import render, trace
+from splatree.render.session import open_session
 from splatree.scene.cameras import Camera
 from splatree.scene.options import RenderOptions, SelectOptions
 from splatree.scene.scene import Scene
@@ -105,30 +105,26 @@ def time_frames(
     *,
     views: int = MIN_VIEWS,
     warm_up: int = 20,
+    device: DeviceName | None = None,
     threads: int = 0,
 ) -> Timing:
     """Draw ``views`` frames and time them: the cameras themselves if there are as many, else a path through them."""
     if views < 1 or warm_up < 0:
         raise InputError(f"time_frames: found {views} views and {warm_up} to warm up, wanted at least 1 and 0")
-    scene = with_blocks(scene, threads=threads)
     path = list(cameras) if len(cameras) >= views else list(through(cameras, views))
-    for i in range(warm_up):
-        trace(scene, path[i % len(path)], options, select, threads=threads)
     seconds, counters, stages, cpu_stages = [], [], [], []
-    for camera in track(path, "time frames"):
-        start = time.perf_counter()
-        if (
-            scene.device == "cuda"
-        ):  # a trace copies everything to the host: it has the stages, but not the time of a frame
-            render(scene, camera, options, select)
+    with open_session(scene, device=device, options=options, select=select, threads=threads) as session:
+        for i in range(warm_up):
+            session.draw(path[i % len(path)])
+        for camera in track(path, "time frames"):
+            start = time.perf_counter()
+            result = session.draw(camera)
             seconds.append(time.perf_counter() - start)
-            result = trace(scene, camera, options, select).result
-        else:
-            result = trace(scene, camera, options, select, threads=threads).result
-            seconds.append(time.perf_counter() - start)
-        counters.append((result.counters.num_selected, result.counters.num_pairs))
-        stages.append(_by_stage(result.milliseconds))
-        cpu_stages.append(_by_stage(result.cpu_milliseconds))
+            if session.draws_whole_frames:  # a trace has the stages, but copies everything to the host
+                result = session.trace(camera).result
+            counters.append((result.counters.num_selected, result.counters.num_pairs))
+            stages.append(_by_stage(result.milliseconds))
+            cpu_stages.append(_by_stage(result.cpu_milliseconds))
     num_selected, num_pairs = np.mean(counters, axis=0)
     return Timing(
         num_frames=len(path),

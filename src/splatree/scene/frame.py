@@ -1,6 +1,9 @@
 """What each stage of a frame leaves behind: culling, selection, splats, tile bins, picture.
 
 `render` drops the intermediates, `trace` keeps them in a `Frame`; tests, overlays, evaluation and simulators read these.
+
+A picture can have more outputs than colour, alpha and depth. To add one: a field of `scene.view.Wanted` and one of `Picture`, its
+definition in kernels/reference/blend.py, its computation in kernels/cpu/frame/blend.{h,cpp} and kernels/cuda/blend.cu.
 """
 
 from dataclasses import dataclass
@@ -10,6 +13,7 @@ import numpy as np
 from splatree.constants import TILE_PX
 from splatree.scene.cameras import Camera
 from splatree.scene.clusters import Culling
+from splatree.scene.view import View
 from splatree.shapes import Array, Float32, Int32, Int64, check_fields
 
 
@@ -122,14 +126,23 @@ class TileBins:
 
 @dataclass(frozen=True, eq=False)
 class TileWork:
-    """What the blend did in each tile of 16 × 16 px, tiles row by row."""
+    """What the blend did in each tile of 16 × 16 px, tiles row by row.
+
+    A pixel reads the entries of its tile's list from the first to the one that finishes it, or to the end of the list; the entry
+    that finishes it, which would leave a transmittance below 1e-4, is read but not drawn. By this definition ``consumed`` and
+    ``evaluated`` follow from the lists alone. They are counted so if `Wanted.last_pair` is set, and then every back end has the
+    same numbers; otherwise they are what a back end really did to draw the picture, which depends on how it works: it may look
+    only now and then whether a tile is finished, and may skip pixels that a splat cannot touch.
+    """
 
     consumed: Int64[Array, "t"]
-    """Entries of the tile's list that were read before all its pixels were finished."""
+    """Entries that the pixels of the tile read: the largest number over its pixels."""
     evaluated: Int64[Array, "t"]
-    """Evaluations of a splat's opacity at a pixel."""
+    """Evaluations of a splat's opacity at a pixel: the sum of the entries that each pixel reads."""
     blended: Int64[Array, "t"]
-    """Evaluations that were added to a pixel."""
+    """Evaluations that were added to a pixel; the same in every back end, whatever is wanted."""
+    is_exact: bool = False
+    """Whether ``consumed`` and ``evaluated`` are counted by the definition above."""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -148,7 +161,13 @@ class Picture:
     tiles: TileWork
     """What each tile took."""
     contributions: Float32[Array, "m"] | None = None
-    """KPC: Σ α T over the pixels of each pair's tile, in px; None unless it was asked for."""
+    """KPC: Σ α T over the pixels of each pair's tile, in px; None unless it was wanted."""
+    last_pair: Int64[Array, "h w"] | None = None
+    """Index in `TileBins.splat_from_pair` of the last pair that each pixel blended, −1 if it blended none; None unless it was
+    wanted."""
+    median_depth: Float32[Array, "h w"] | None = None
+    """View depth of the splat at which the transmittance of each pixel falls below ½, world units; 0 where it never does; None
+    unless it was wanted."""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -205,22 +224,35 @@ class RenderResult:
 class Frame:
     """All that a frame computed."""
 
-    camera: Camera
-    """The view."""
+    view: View
+    """Camera and options, with nothing left open."""
     culling: Culling | None
-    """Clusters left out; None if none were asked."""
+    """Clusters left out; None if no cluster was tested."""
     selection: Selection
     """Rows chosen."""
     splats: Splats
     """Rows projected, in depth order."""
     bins: TileBins
     """Splats of each tile."""
-    tiles: TileWork
-    """What the blend did in each tile."""
+    picture: Picture
+    """All outputs of the blend, and what it did in each tile."""
     result: RenderResult
-    """The picture."""
-    contributions: Float32[Array, "m"] | None = None
-    """KPC of each pair: Σ α T over the pixels of its tile, px; None unless `trace` was asked for it."""
+    """The picture as `render` hands it out, with counters and times."""
+
+    @property
+    def camera(self) -> Camera:
+        """The camera of the view."""
+        return self.view.camera
+
+    @property
+    def tiles(self) -> TileWork:
+        """What the blend did in each tile."""
+        return self.picture.tiles
+
+    @property
+    def contributions(self) -> Float32[Array, "m"] | None:
+        """KPC of each pair; None unless it was wanted."""
+        return self.picture.contributions
 
 
 def tiles_of(camera: Camera) -> tuple[int, int]:

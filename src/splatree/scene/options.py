@@ -3,11 +3,11 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from splatree.constants import ALPHA_THRESHOLD, DILATION_MAX_PX2, DILATION_PX2, PIXEL_ERROR, SHRINK_AREA_POWER
+from splatree.constants import DILATION_MAX_PX2, DILATION_PX2, PIXEL_ERROR
 from splatree.errors import InputError
 from splatree.scene.literals import check_literals
 from splatree.scene.names import Mode, Profile
-from splatree.scene.scene import Scene, TileRule
+from splatree.scene.scene import TileRule
 
 Rule = Literal["cut", "paper-strict", "release", "log-serial"]
 """Named rule sets of the selection (FilterGS §3.2 and its code; docs/explanation/select.md)."""
@@ -93,68 +93,3 @@ class RenderOptions:
             )
         if self.sh_degree is not None and not 0 <= self.sh_degree <= 3:
             raise InputError(f"sh_degree: found {self.sh_degree}, wanted 0 to 3")
-
-    def resolved(self, scene: Scene) -> "ResolvedOptions":
-        """The options with everything that is left to the scene filled in."""
-        return ResolvedOptions(
-            background=self.background,
-            mode=self.mode if self.mode is not None else scene.mode,
-            dilation_px2=self.dilation_px2,
-            threshold=self.threshold if self.threshold is not None else scene.threshold,
-            sh_degree=self.sh_degree if self.sh_degree is not None else scene.gaussians.sh_degree,
-            tile_rule=self.tile_rule or scene.tile_rule or "ellipse",
-            pixels=self.pixels,
-        )
-
-
-@dataclass(frozen=True)
-class ResolvedOptions:
-    """`RenderOptions` for one scene, as the kernels take them: nothing left open."""
-
-    background: tuple[float, float, float]
-    """Colour behind everything, RGB 0 to 1."""
-    mode: Mode
-    """How dilation changes the opacity."""
-    dilation_px2: float
-    """Variance added to both axes of each splat, px²."""
-    threshold: float
-    """τ: opacity below which a splat ends."""
-    sh_degree: int
-    """Highest degree of harmonics evaluated."""
-    tile_rule: TileRule = "ellipse"
-    """Rule for the tiles of a splat."""
-    pixels: Pixels = "hard"
-    """What happens to the pixels of these tiles."""
-
-    def __post_init__(self) -> None:
-        check_literals(self)
-
-    @property
-    def is_square(self) -> bool:
-        """Whether the tile rule lists squares."""
-        return self.tile_rule in ("tau", "3sigma")
-
-    @property
-    def area_power(self) -> float:
-        """The power of its area with which a splat's τ falls."""
-        return SHRINK_AREA_POWER if self.tile_rule == "balanced" else 0.0
-
-    @property
-    def least_threshold(self) -> float:
-        """Smallest opacity at which any splat ends, for tests that do not know its area."""
-        return min(self.threshold, ALPHA_THRESHOLD) if self.area_power else self.threshold
-
-    @property
-    def least_opacity(self) -> float:
-        """Splats of a smaller opacity are not drawn at all; squares list splats of any opacity, as their codes do."""
-        return 0.0 if self.is_square else self.least_threshold
-
-    @property
-    def pixel_threshold(self) -> float:
-        """Smallest opacity that is drawn at a pixel."""
-        return min(self.threshold, ALPHA_THRESHOLD)
-
-    @property
-    def tapers(self) -> bool:
-        """Whether splats are tapered: where τ is 1/255 or less, there is nothing to taper."""
-        return self.pixels == "taper" and self.threshold > ALPHA_THRESHOLD

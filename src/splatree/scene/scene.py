@@ -1,7 +1,7 @@
 """A scene: what one file holds."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -18,9 +18,6 @@ from splatree.shapes import Array, UInt32, check_fields
 
 TileRule = Literal["ellipse", "balanced", "tau", "3sigma"]
 """Named rules for the tiles that a splat is listed in (docs/explanation/shrinking.md)."""
-
-DeviceName = Literal["cpu", "cuda"]
-"""Where a scene is selected and drawn: on the processor, or on an NVIDIA GPU."""
 
 
 @dataclass(frozen=True)
@@ -61,8 +58,6 @@ class Scene:
     """Rule for the tiles of a splat that τ was chosen for; None: `ellipse`."""
     source: Source = Source()
     """Where it came from."""
-    device: DeviceName = "cpu"
-    """Where it is selected and drawn; its columns are copied there when that is first asked for."""
 
     def __post_init__(self) -> None:
         if len(self.tree) != len(self.gaussians):
@@ -84,10 +79,6 @@ class Scene:
 
     def __len__(self) -> int:
         return len(self.gaussians)
-
-    def to(self, device: DeviceName) -> "Scene":
-        """The same scene, selected and drawn on another device; it stays there as long as the result is kept."""
-        return replace(self, device=device)
 
     @staticmethod
     def flat(gaussians: Gaussians, *, mode: Mode = "classic", source: Source | None = None) -> "Scene":

@@ -12,7 +12,7 @@ from typing import Any
 from splatree.errors import InputError
 from splatree.lod.blocks import with_blocks
 from splatree.lod.build import build_lod
-from splatree.lod.select import for_levels, select
+from splatree.lod.select import select
 from splatree.progress import task
 from splatree.render.framing.frame import Framing, frame_scene
 from splatree.render.pipeline import render
@@ -20,6 +20,7 @@ from splatree.scene.cameras import Camera
 from splatree.scene.frame import RenderResult, Selection
 from splatree.scene.options import RenderOptions, SelectOptions
 from splatree.scene.scene import Scene
+from splatree.scene.view import View
 from splatree.shapes import Array, Float64
 
 __all__ = ["Exhibit", "exhibit", "with_levels"]
@@ -48,16 +49,8 @@ class Exhibit:
 
     def cut(self, camera: Camera, options: SelectOptions, last: float | None) -> Selection:
         """The rows of a view; the search of a budget begins at ``last``."""
-        drawing = RenderOptions().resolved(self.scene)
         with self.lock:
-            return select(
-                self.scene,
-                camera,
-                for_levels(options, self.scene),
-                dilation_px2=drawing.dilation_px2,
-                threshold=drawing.least_threshold,
-                last=last,
-            )
+            return select(self.scene, camera, options, last=last)
 
     def draw(
         self, camera: Camera, options: SelectOptions, background: tuple[float, float, float], box: Array | None = None
@@ -65,15 +58,8 @@ class Exhibit:
         """The picture of a view and what it drew; of a ``box`` "2 3" only what has its centre inside, world units."""
         found: list[Selection] = []
 
-        def choose(camera: Camera, *, dilation_px2: float, threshold: float, threads: int = 0) -> Selection:
-            chosen = select(
-                self.scene,
-                camera,
-                for_levels(options, self.scene),
-                dilation_px2=dilation_px2,
-                threshold=threshold,
-                threads=threads,
-            )
+        def choose(view: View, *, threads: int = 0) -> Selection:
+            chosen = select(self.scene, view, options, threads=threads)
             if box is not None:
                 means = self.scene.gaussians.means[chosen.rows]
                 chosen = replace(chosen, rows=chosen.rows[((means >= box[0]) & (means <= box[1])).all(axis=1)])

@@ -5,3 +5,28 @@
 ``codec/``    what file formats need: columns, quantisation, palettes, rotation of harmonics
 ``runtime/``  what all of them stand on: threads, instruction sets, memory, files
 """
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from splatree.kernels.contract import FrameStages
+    from splatree.shapes import Array
+
+__all__ = ["frame_stages", "kmeans_steps"]
+
+
+def frame_stages() -> "FrameStages":
+    """The stages of a frame."""
+    from splatree.kernels.cpu.frame import stages
+
+    return stages
+
+
+def kmeans_steps(points: "Array", *, threads: int = 0) -> "Callable[[Array], Any]":
+    """A step of K-means: assigns the points to centres."""
+    from functools import partial
+
+    from splatree.kernels.cpu.build.kmeans import assign
+
+    return partial(assign, points, threads=threads)

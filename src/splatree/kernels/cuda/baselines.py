@@ -6,9 +6,9 @@ from splatree.kernels.cuda.driver import Device
 from splatree.kernels.cuda.job import pack_numbers
 from splatree.kernels.cuda.plan import Launch, Sizes
 from splatree.kernels.cuda.workspace import DeviceScene, Workspace
-from splatree.scene.cameras import Camera
-from splatree.scene.options import ResolvedOptions, SelectOptions
+from splatree.scene.options import SelectOptions
 from splatree.scene.tree import GaussianTree
+from splatree.scene.view import View
 from splatree.shapes import Array, Int32
 
 __all__ = ["Baselines", "ancestor_table", "child_table"]
@@ -42,21 +42,21 @@ class Baselines:
             "paper": arrays["ancestor_table"].nbytes + arrays["states"].nbytes,
         }
 
-    def serial(self, camera: Camera, options: ResolvedOptions, select: SelectOptions) -> Int32[Array, "v"]:
+    def serial(self, view: View, select: SelectOptions) -> Int32[Array, "v"]:
         """From the roots down, level by level; the host asks after each how many nodes the next has."""
-        self.start(camera, options, select)
+        self.start(view, select)
         self.run_serial()
         return self._rows()
 
-    def paper(self, camera: Camera, options: ResolvedOptions, select: SelectOptions) -> Int32[Array, "v"]:
+    def paper(self, view: View, select: SelectOptions) -> Int32[Array, "v"]:
         """All nodes at once, each with its row of the ancestor table."""
-        self.start(camera, options, select)
+        self.start(view, select)
         self.run_paper()
         return self._rows()
 
-    def start(self, camera: Camera, options: ResolvedOptions, select: SelectOptions) -> None:
+    def start(self, view: View, select: SelectOptions) -> None:
         """Bring a view to the device."""
-        numbers = pack_numbers(camera, options, select, degree=0)
+        numbers = pack_numbers(view, select, degree=0)
         self._work.write_job(numbers, num_levels=self._num_levels, num_roots=self._num_roots)
 
     def run_serial(self) -> None:

@@ -6,7 +6,8 @@
 // blend_8    64 threads a quarter of a tile, 8 × 8 px: more, smaller blocks that end sooner; a splat of the list that misses the
 //            quarter is left out while it is loaded.
 //
-// Each is there once more for splats that are tapered off, and blend_16 for the sums of what each pair contributes.
+// Each is there once more for splats that are tapered off, and blend_16 for what is wanted beside the picture: pixels_16 for
+// outputs of pixels, pairs_16 for those and the sums of what each pair contributes.
 //
 // The list is taken in batches: each thread loads a splat into shared memory. Then each warp tests 32 splats of the batch at
 // once, a splat a lane, against its own 8 × 4 px, and evaluates those that may touch them, nearest first. Bounds are widened by
@@ -14,6 +15,7 @@
 //
 // The transmittance of a finished pixel is kept with a minus sign, so one comparison tells that it takes no more light.
 #include "cuda/device.h"
+#include "shared/blend.h"
 #include "shared/constants.h"
 #include "shared/ellipse.h"
 
@@ -47,23 +49,40 @@ struct Pixel {
   float transmittance, red, green, blue, depth;
 };
 
+// What is kept of a pixel beside the picture; entries of the tile's list count from 1.
+struct Kept {
+  int last;      // last entry that was blended, 0 if none
+  int finisher;  // entry that finished the pixel, 0 if none did
+  float median;  // depth at which the transmittance fell below ½
+};
+
+SPLATREE_FN int sum_of_warp(int value) {
+  for (int step = WARP / 2; step; step /= 2) value += __shfl_xor_sync(ALL_LANES, value, step);
+  return value;
+}
+
 SPLATREE_FN float sum_of_warp(float value) {
   for (int step = WARP / 2; step; step /= 2) value += __shfl_xor_sync(ALL_LANES, value, step);
   return value;
 }
 
-// Draws a splat at a pixel; returns α T, 0 where it is not drawn.
-template <bool TAPER>
-SPLATREE_FN float draw(Pixel& pixel, float log2_alpha, float4 color, float log2_threshold, float floor) {
+// Draws a splat, an entry of the list, at a pixel; returns α T, 0 where it is not drawn.
+template <class Ends, class Keeps>
+SPLATREE_FN float draw(Pixel& pixel, Kept& kept, int entry, float log2_alpha, float4 color, float log2_threshold, float floor) {
   const float whole = exp2_of(log2_alpha);
-  const bool passes = TAPER ? whole >= floor : log2_alpha >= log2_threshold;
+  const bool passes = Ends::TAPERS ? whole >= floor : log2_alpha >= log2_threshold;
   if (!(passes && pixel.transmittance > 0.f)) return 0.f;
-  const float left = TAPER ? least(TAPER_SLOPE * (whole - floor) + ALPHA_THRESHOLD, whole) : whole;
+  const float left = Ends::TAPERS ? least(TAPER_SLOPE * (whole - floor) + ALPHA_THRESHOLD, whole) : whole;
   const float alpha = least(left, ALPHA_MAX);
   const float after = pixel.transmittance * (1.f - alpha);
   if (after < TRANSMITTANCE_MIN) {
     pixel.transmittance = -pixel.transmittance;
+    if (Keeps::OF_PIXELS) kept.finisher = entry;
     return 0.f;
+  }
+  if (Keeps::OF_PIXELS) {
+    kept.last = entry;
+    if (pixel.transmittance >= HALF_TRANSMITTANCE && after < HALF_TRANSMITTANCE) kept.median = color.w;
   }
   const float weight = pixel.transmittance * alpha;
   pixel.red += weight * color.x;
@@ -75,9 +94,11 @@ SPLATREE_FN float draw(Pixel& pixel, float log2_alpha, float4 color, float log2_
 }
 
 // SIDE px a block and side, which is the tile's or half of it.
-template <int SIDE, bool TAPER, bool CONTRIBUTIONS>
+template <int SIDE, class Ends, class Keeps>
 SPLATREE_FN void blend(const FrameJob* job, int from_b) {
   constexpr int THREADS = SIDE * SIDE, PARTS = int(TILE_PX) / SIDE;
+  constexpr bool TAPER = Ends::TAPERS, CONTRIBUTIONS = Keeps::OF_PAIRS;
+  static_assert(PARTS == 1 || !Keeps::OF_PIXELS, "entries are known where no splat is left out while it is loaded");
   SPLATREE_SHARED(float4, geometry, THREADS);    // x, y, a, b
   SPLATREE_SHARED(float4, appearance, THREADS);  // c, log2 opacity, half size x, half size y
   SPLATREE_SHARED(float4, color, THREADS);       // red, green, blue, depth
@@ -97,6 +118,7 @@ SPLATREE_FN void blend(const FrameJob* job, int from_b) {
   const float threshold = n.log2_pixel_threshold;
 
   Pixel pixel = {in_image ? 1.f : -1.f, 0, 0, 0, 0};
+  Kept kept = {0, 0, 0};
   const long long begin = job->tile_start[tile], end = job->tile_start[tile + 1];
   long long at = begin;
   unsigned num_evaluated = 0, num_blended = 0;
@@ -153,7 +175,9 @@ SPLATREE_FN void blend(const FrameJob* job, int from_b) {
         const float4 g = geometry[splat], a = appearance[splat];
         const float dx = x + 0.5f - g.x, dy = y + 0.5f - g.y;
         const float u = g.z * dx + g.w * dy, v = a.x * dy;
-        const float weight = draw<TAPER>(pixel, a.y - (u * u + v * v), color[splat], threshold, TAPER ? floors[splat] : 0.f);
+        const int entry = int(first_pair - begin) + splat + 1;
+        const float weight =
+            draw<Ends, Keeps>(pixel, kept, entry, a.y - (u * u + v * v), color[splat], threshold, TAPER ? floors[splat] : 0.f);
         num_evaluated += WARP;
         num_blended += weight > 0.f;
         if (CONTRIBUTIONS) {
@@ -173,8 +197,14 @@ SPLATREE_FN void blend(const FrameJob* job, int from_b) {
 
   unsigned blended_of_warp;
   sum_before(num_blended, blended_of_warp);
+  unsigned num_consumed = unsigned(at - begin);
+  if (Keeps::OF_PIXELS) {
+    // By the definition: a pixel reads the entries up to the one that finishes it.
+    const int read = !in_image ? 0 : kept.finisher ? kept.finisher : int(end - begin);
+    num_evaluated = sum_of_warp(read), num_consumed = largest_of_warp(read);
+  }
   if (lane_of() == 0) {
-    if (threadIdx.x == 0) atomicMax(&job->tile_work[3 * tile], (unsigned long long)(at - begin));
+    if (Keeps::OF_PIXELS || threadIdx.x == 0) atomicMax(&job->tile_work[3 * tile], (unsigned long long)num_consumed);
     if (num_evaluated) atomicAdd(&job->tile_work[3 * tile + 1], (unsigned long long)num_evaluated);
     if (blended_of_warp) atomicAdd(&job->tile_work[3 * tile + 2], (unsigned long long)blended_of_warp);
   }
@@ -186,6 +216,10 @@ SPLATREE_FN void blend(const FrameJob* job, int from_b) {
   job->image[3 * to + 2] = pixel.blue + left * n.background[2];
   job->alpha[to] = stopped;
   job->depth[to] = stopped > 0.f ? pixel.depth / stopped : 0.f;
+  if (Keeps::OF_PIXELS) {
+    job->last_pair[to] = kept.last ? int(begin) + kept.last - 1 : -1;
+    job->median_depth[to] = kept.median;
+  }
 }
 
 }  // namespace
@@ -193,9 +227,11 @@ SPLATREE_FN void blend(const FrameJob* job, int from_b) {
 
 using namespace splatree;
 
-SPLATREE_KERNEL(256) blend_16(const FrameJob* job, int from_b) { blend<16, false, false>(job, from_b); }
-SPLATREE_KERNEL(64) blend_8(const FrameJob* job, int from_b) { blend<8, false, false>(job, from_b); }
-SPLATREE_KERNEL(256) taper_16(const FrameJob* job, int from_b) { blend<16, true, false>(job, from_b); }
-SPLATREE_KERNEL(64) taper_8(const FrameJob* job, int from_b) { blend<8, true, false>(job, from_b); }
-SPLATREE_KERNEL(256) contribute_16(const FrameJob* job, int from_b) { blend<16, false, true>(job, from_b); }
-SPLATREE_KERNEL(256) contribute_taper_16(const FrameJob* job, int from_b) { blend<16, true, true>(job, from_b); }
+SPLATREE_KERNEL(256) blend_16(const FrameJob* job, int from_b) { blend<16, Hard, PictureAlone>(job, from_b); }
+SPLATREE_KERNEL(64) blend_8(const FrameJob* job, int from_b) { blend<8, Hard, PictureAlone>(job, from_b); }
+SPLATREE_KERNEL(256) taper_16(const FrameJob* job, int from_b) { blend<16, Taper, PictureAlone>(job, from_b); }
+SPLATREE_KERNEL(64) taper_8(const FrameJob* job, int from_b) { blend<8, Taper, PictureAlone>(job, from_b); }
+SPLATREE_KERNEL(256) pixels_16(const FrameJob* job, int from_b) { blend<16, Hard, AndPixels>(job, from_b); }
+SPLATREE_KERNEL(256) pixels_taper_16(const FrameJob* job, int from_b) { blend<16, Taper, AndPixels>(job, from_b); }
+SPLATREE_KERNEL(256) pairs_16(const FrameJob* job, int from_b) { blend<16, Hard, AndPairs>(job, from_b); }
+SPLATREE_KERNEL(256) pairs_taper_16(const FrameJob* job, int from_b) { blend<16, Taper, AndPairs>(job, from_b); }

@@ -1,19 +1,19 @@
-"""The GPU of this process, and the scenes that lie on it."""
+"""The GPU of this process, and scenes on it."""
 
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Mapping
 from functools import cache
-from weakref import WeakKeyDictionary
+from typing import Any
 
-from splatree.kernels.cpu.frame.blocks import index_blocks
 from splatree.kernels.cuda.compile import load_compiler
 from splatree.kernels.cuda.driver import Device, DeviceArray
 from splatree.kernels.cuda.library import load_driver
 from splatree.kernels.cuda.renderer import Renderer
+from splatree.kernels.cuda.tensors import borrowed, ordinal_of
 from splatree.scene.gaussians import Gaussians
-from splatree.scene.scene import Mode, Scene
+from splatree.scene.tree import BlockIndex, GaussianTree
+from splatree.shapes import Array, UInt32
 
-__all__ = ["keep_on_device", "open_device", "renderer_of"]
+__all__ = ["borrow", "hold", "open_device"]
 
 
 @cache
@@ -29,25 +29,27 @@ def open_device(ordinal: int) -> Device:
     return Device(driver, lambda stage, architecture: compiler.cubin_of(stage, architecture, version), ordinal=ordinal)
 
 
-def renderer_of(scene: Scene) -> Renderer:
-    """The renderer that holds a scene's columns on the device; made once, and gone with the scene."""
-    renderer = _renderers.get(scene)
-    if renderer is None:
-        blocks = scene.blocks or index_blocks(scene.gaussians, scene.tree)
-        renderer = Renderer(open_device(0), scene.gaussians, scene.tree, blocks, scene.ids)
-        _renderers[scene] = renderer
-    return renderer
+def hold(
+    gaussians: Gaussians,
+    ids: UInt32[Array, "n"] | None,
+    tree: GaussianTree,
+    blocks: BlockIndex,
+    columns: Mapping[str, DeviceArray],
+) -> Renderer:
+    """A scene in the memory of a GPU; ``columns`` are there already, all others are copied to the GPU that they are on."""
+    device = next((column.device for column in columns.values()), None) or open_device(0)
+    return Renderer(device, gaussians, tree, blocks, ids, columns=columns)
 
 
-def keep_on_device(ordinal: int, mode: Mode, columns_on: Callable[[Device], dict[str, DeviceArray]]) -> Scene:
-    """A flat scene of columns that lie on the GPU of that number, drawn from where they lie."""
+def borrow(tensors: Mapping[str, Any]) -> dict[str, DeviceArray]:
+    """Tensors on one GPU as arrays that keep them, without a copy.
+
+    Raises:
+        InputError: a tensor does not give its memory away, or lies elsewhere.
+        ShapeError: a tensor is not of float32, not contiguous or not aligned.
+    """
+    ordinals = {ordinal_of(name, tensor) for name, tensor in tensors.items()}
+    (ordinal,) = ordinals
+    assert ordinal is not None
     device = open_device(ordinal)
-    columns = columns_on(device)
-    scene = Scene.flat(Gaussians(**{name: column.numpy() for name, column in columns.items()}), mode=mode).to("cuda")
-    blocks = index_blocks(scene.gaussians, scene.tree)
-    scene = replace(scene, blocks=blocks)
-    _renderers[scene] = Renderer(device, scene.gaussians, scene.tree, blocks, columns=columns)
-    return scene
-
-
-_renderers: WeakKeyDictionary[Scene, Renderer] = WeakKeyDictionary()
+    return {name: borrowed(device, name, tensor) for name, tensor in tensors.items()}

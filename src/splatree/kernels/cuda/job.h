@@ -84,6 +84,8 @@ struct FrameJob {
   Global<float> image;                   // h w 3
   Global<float> alpha;                   // h w
   Global<float> depth;                   // h w
+  Global<int> last_pair;                 // h w, the last pair that was blended, -1 if none
+  Global<float> median_depth;            // h w, of the splat at which the transmittance falls below ½
   Global<unsigned long long> tile_work;  // t 3: consumed, evaluated, blended
   // Cleared before each frame.
   Global<unsigned long long> counters;  // NUM_COUNTERS

@@ -15,8 +15,8 @@ from splatree.kernels.cpu import _core
 from splatree.kernels.cpu.frame.select import VIEW_TESTS, is_culled, pack_rule, view_planes
 from splatree.kernels.cpu.frame.view import pack_square, pack_view
 from splatree.kernels.cuda.sources import headers
-from splatree.scene.cameras import Camera
-from splatree.scene.options import ResolvedOptions, SelectOptions
+from splatree.scene.options import SelectOptions
+from splatree.scene.view import View
 
 __all__ = ["COUNTERS", "array_dtypes", "fields_of", "pack_fields", "pack_job", "pack_numbers"]
 
@@ -72,35 +72,32 @@ def pack_fields(header: str, struct: str, pointers: Mapping[str, int], sizes: Ma
     return np.array(words, np.int64).view(np.uint8)
 
 
-def pack_numbers(
-    camera: Camera, options: ResolvedOptions, select: SelectOptions, *, degree: int, whole_box: bool = False
-) -> bytes:
+def pack_numbers(view: View, select: SelectOptions, *, degree: int, whole_box: bool = False) -> bytes:
     """The struct FrameNumbers of a view."""
     if select.rule != "cut" or select.max_radius is not None:
         found = f"rule {select.rule!r}" if select.rule != "cut" else f"max_radius {select.max_radius}"
         raise InputError(
             f"device 'cuda': found {found}, wanted rule 'cut' without max_radius; use device 'cpu' for others"
         )
-    dilation, threshold = options.dilation_px2, options.least_threshold
-    view = pack_view(camera, dilation)
+    camera, packed = view.camera, pack_view(view)
     return bytes(
         _core.frame_numbers(
-            view,
-            options.threshold,
-            options.area_power,
-            threshold,
-            options.least_opacity,
-            options.pixel_threshold,
-            options.mode == "antialiased",
-            pack_rule(camera, select, dilation, threshold),
+            packed,
+            view.threshold,
+            view.area_power,
+            view.least_threshold,
+            view.least_opacity,
+            view.pixel_threshold,
+            view.mode == "antialiased",
+            pack_rule(view, select),
             VIEW_TESTS.index(select.view_test),
             is_culled(select),
-            *view_planes(camera, select, dilation, threshold, view),
-            min(options.sh_degree, degree),
+            *view_planes(view, select, packed),
+            min(view.sh_degree, degree),
             camera.width,
             camera.height,
-            np.asarray(options.background, np.float64),
-            pack_square(options),
+            np.asarray(view.background, np.float64),
+            pack_square(view),
             whole_box,
         )
     )

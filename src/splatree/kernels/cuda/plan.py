@@ -7,6 +7,8 @@ the rest of their blocks end at once. So nothing has to be asked in between, and
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
+from splatree.scene.view import Wanted
+
 __all__ = ["SCAN_CHUNK", "SORT_TILE", "Blend", "Launch", "Sizes", "bin_pairs", "blend", "order", "project", "select"]
 
 Blend = Literal["blend_16", "blend_8"]
@@ -14,6 +16,8 @@ Blend = Literal["blend_16", "blend_8"]
 
 SORT_TILE = SCAN_CHUNK = 4096
 """Keys of a tile of the sort, values of a chunk of a scan (order.cu, scan.h)."""
+NOTHING = Wanted()
+"""No output beside colour, alpha and depth."""
 DIGITS, DIGIT_BITS = 256, 8
 MAX_PASSES = 4
 FIRST_SPLAT_SCAN, PAIR_SCAN = 1, 1 + 2 * MAX_PASSES
@@ -103,12 +107,13 @@ def bin_pairs(sizes: Sizes) -> list[Launch]:
     ]
 
 
-def blend(sizes: Sizes, kernel: Blend, *, contributions: bool = False) -> list[Launch]:
-    """The picture; on request with what each pair contributes, which one kernel alone sums."""
+def blend(sizes: Sizes, kernel: Blend, wanted: Wanted = NOTHING) -> list[Launch]:
+    """The picture; with what else is wanted by kernels of a block a tile."""
     blocks_per_tile = {"blend_16": 1, "blend_8": 4}[kernel]
     name = kernel.replace("blend", "taper") if sizes.tapers else kernel
-    if contributions:
-        blocks_per_tile, name = 1, "contribute_taper_16" if sizes.tapers else "contribute_16"
+    if wanted != NOTHING:
+        kept = "pairs" if wanted.contributions else "pixels"
+        blocks_per_tile, name = 1, f"{kept}_taper_16" if sizes.tapers else f"{kept}_16"
     return [Launch(name, sizes.num_tiles * blocks_per_tile, pair_side(sizes))]
 
 

@@ -19,18 +19,21 @@ from types import MappingProxyType
 
 import numpy as np
 
+from splatree.constants import TILE_PX
 from splatree.errors import InputError
 from splatree.kernels.cuda import plan
 from splatree.kernels.cuda.driver import Device, DeviceArray, Graph
 from splatree.kernels.cuda.job import COUNTERS, pack_numbers
 from splatree.kernels.cuda.plan import Blend, Launch, Sizes
+from splatree.kernels.cuda.results import prepare_outputs, read_bins, read_outputs, read_splats, tile_work_of
 from splatree.kernels.cuda.workspace import DeviceScene, Workspace
 from splatree.scene.cameras import Camera
-from splatree.scene.frame import Picture, Splats, TileBins, TileWork, tiles_of
+from splatree.scene.frame import Picture, Splats, TileBins, tiles_of
 from splatree.scene.gaussians import Gaussians
-from splatree.scene.options import ResolvedOptions, SelectOptions
+from splatree.scene.options import SelectOptions
 from splatree.scene.tree import BlockIndex, GaussianTree
-from splatree.shapes import Array, Bool, Float32, Int32, UInt32
+from splatree.scene.view import View
+from splatree.shapes import Array, Int32, UInt32
 
 __all__ = ["DevicePicture", "Pending", "Renderer", "Traced"]
 
@@ -49,6 +52,8 @@ class _Canvas:
             "depth": device.empty((height, width), np.float32, name="depth"),
         }
         self.counters = device.pinned((len(COUNTERS) + 2,), np.uint64)
+        num_tiles = -(-width // TILE_PX) * -(-height // TILE_PX)
+        self.tile_work = device.pinned((num_tiles, 3), np.uint64)
         self.done = device.event()
 
 
@@ -73,6 +78,8 @@ class DevicePicture:
         """Blended view depth over alpha, world units, float32 (h w)."""
         self.counters = counters
         """Rows selected and visited, splats visible, pairs."""
+        self.tile_work: Array = loan.canvas.tile_work.values.copy()
+        """What the blend did in each tile: entries consumed, evaluations, evaluations blended."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,6 +119,12 @@ class Pending:
                 return DevicePicture(pending._loan, counts)
             pending = pending._again()
 
+    def download(self) -> tuple[Picture, dict[str, int]]:
+        """Wait for the picture; it and the counters of its frame on the host."""
+        drawn = self.finish()
+        work = tile_work_of(drawn.tile_work)
+        return Picture(drawn.image.numpy(), drawn.alpha.numpy(), drawn.depth.numpy(), work), drawn.counters
+
 
 class Renderer:
     """Draws views of one scene; holds its columns and a frame's arrays in device memory."""
@@ -142,25 +155,26 @@ class Renderer:
         self._graphs: dict[tuple[Sizes, Blend], Graph | None] = {}
         self._free: dict[tuple[int, int], list[_Canvas]] = {}
 
-    def enqueue(self, camera: Camera, options: ResolvedOptions, select: SelectOptions) -> Pending:
+    def enqueue(self, view: View, select: SelectOptions) -> Pending:
         """Draw a view without waiting for it."""
-        sizes = self._fit(camera, options)
+        camera, sizes = view.camera, self._fit(view)
         loan = self._canvas(camera)
-        self._work.write_job(self._numbers(camera, options, select), loan.canvas.arrays)
+        self._work.write_job(self._numbers(view, select), loan.canvas.arrays)
         self._launch_frame(sizes, (camera.width, camera.height, sizes.tapers))
         loan.canvas.counters.fetch(self._work.arrays["counters"])
+        loan.canvas.tile_work.fetch(self._work.arrays["tile_work"])
         loan.canvas.done.record()
-        return Pending(self, loan, sizes, lambda: self.enqueue(camera, options, select))
+        return Pending(self, loan, sizes, lambda: self.enqueue(view, select))
 
-    def draw(self, camera: Camera, options: ResolvedOptions, select: SelectOptions) -> DevicePicture:
+    def draw(self, view: View, select: SelectOptions) -> DevicePicture:
         """Draw a view and wait for it."""
-        return self.enqueue(camera, options, select).finish()
+        return self.enqueue(view, select).finish()
 
-    def select(self, camera: Camera, options: ResolvedOptions, select: SelectOptions) -> tuple[Int32[Array, "v"], int]:
+    def select(self, view: View, select: SelectOptions) -> tuple[Int32[Array, "v"], int]:
         """Rows of the visible cut, ascending, and how many were looked at."""
         while True:
-            sizes = self._fit(camera, options)
-            self._work.write_job(self._numbers(camera, options, select))
+            sizes = self._fit(view)
+            self._work.write_job(self._numbers(view, select))
             self._work.clear()
             self._work.run(plan.select(sizes))
             counts = self._work.counts()
@@ -168,36 +182,34 @@ class Renderer:
                 rows = self._work.arrays["rows"].numpy(counts["num_selected"])[:, 0]
                 return np.ascontiguousarray(rows), counts["num_visited"]
 
-    def enqueue_selection(self, camera: Camera, options: ResolvedOptions, select: SelectOptions) -> None:
+    def enqueue_selection(self, view: View, select: SelectOptions) -> None:
         """Select the rows of a view without waiting for them, nor for whether there was room: to be measured."""
-        sizes = self._fit(camera, options)
-        self._work.write_job(self._numbers(camera, options, select))
+        sizes = self._fit(view)
+        self._work.write_job(self._numbers(view, select))
         self._work.clear()
         self._work.run(plan.select(sizes))
 
     def trace(
         self,
-        camera: Camera,
-        options: ResolvedOptions,
+        view: View,
         select: SelectOptions,
         *,
         rows: Int32[Array, "v"] | None = None,
-        contributions: bool = False,
     ) -> Traced:
-        """Draw a view stage by stage, with times, and copy everything to the host, on request with each pair's contribution.
+        """Draw a view stage by stage, with times, and copy everything to the host, with the outputs that the view wants.
 
         ``rows``, ascending, are drawn instead of selecting.
         """
+        camera = view.camera
         if rows is not None:
             self._rows = max(self._rows, len(rows))
         while True:
-            sizes = self._fit(camera, options)
+            sizes = self._fit(view)
             loan = self._canvas(camera)
-            if contributions:
-                self._work.ensure("contributions", sizes.pairs).clear()
-            self._work.write_job(self._numbers(camera, options, select), loan.canvas.arrays)
+            prepare_outputs(self._work, view, sizes.pairs)
+            self._work.write_job(self._numbers(view, select), loan.canvas.arrays)
             blend = self._blend.get((camera.width, camera.height, sizes.tapers), self._named_blend or "blend_16")
-            stages = _stages(sizes, blend) | {"blend": plan.blend(sizes, blend, contributions=contributions)}
+            stages = _stages(sizes, blend) | {"blend": plan.blend(sizes, blend, view.wanted)}
             if rows is not None:
                 del stages["select"]
             self.device.prepare([launch.kernel for stage in stages.values() for launch in stage])
@@ -205,36 +217,35 @@ class Renderer:
             counts = self._work.counts()
             if not self._grow(counts, sizes):
                 image, alpha, depth = (loan.canvas.arrays[name].numpy() for name in ("image", "alpha", "depth"))
-                of_pairs = read_contributions(self._work, counts["num_pairs"]) if contributions else None
-                picture = Picture(image, alpha, depth, read_tile_work(self._work), of_pairs)
+                picture = Picture(image, alpha, depth, **read_outputs(self._work, view, counts["num_pairs"]))
                 drawn = np.ascontiguousarray(self._work.arrays["rows"].numpy(counts["num_selected"])[:, 0])
                 splats, slots = read_splats(self._work, drawn)
                 bins = read_bins(self._work, camera, slots, len(drawn))
                 return Traced(drawn, counts["num_visited"], splats, bins, picture, *times)
 
-    def tile_work(self) -> TileWork:
-        """What the blend did in each tile of the view that was enqueued last; waits for it."""
-        return read_tile_work(self._work)
+    def update(self, gaussians: Gaussians, blocks: BlockIndex | None, names: tuple[str, ...]) -> None:
+        """Take over the named columns of the Gaussians, which are as many as before, and the index of their blocks, if any."""
+        self.scene.update(gaussians, blocks, names)
 
     @property
     def bytes_held(self) -> int:
         """Device memory of the scene and of a frame's arrays; pictures not counted."""
         return sum(array.nbytes for array in [*self.scene.arrays.values(), *self._work.arrays.values()])
 
-    def _numbers(self, camera: Camera, options: ResolvedOptions, select: SelectOptions) -> bytes:
+    def _numbers(self, view: View, select: SelectOptions) -> bytes:
         if select.budget is not None:
             raise InputError("Renderer: found a budget, wanted none: choose pixel_error with splatree.select first")
-        return pack_numbers(camera, options, select, degree=self.scene.sh_degree)
+        return pack_numbers(view, select, degree=self.scene.sh_degree)
 
-    def _fit(self, camera: Camera, options: ResolvedOptions) -> Sizes:
-        num_x, num_y = tiles_of(camera)
+    def _fit(self, view: View) -> Sizes:
+        num_x, num_y = tiles_of(view.camera)
         sizes = Sizes(
             num_blocks=self.scene.num_blocks,
             rows=self._rows,
             pairs=self._pairs,
             num_tiles=num_x * num_y,
             id_bits=self.scene.id_bits,
-            tapers=options.tapers,
+            tapers=view.tapers,
             num_multiprocessors=self.device.num_multiprocessors,
         )
         if sizes != self._work.sizes and self._work.fit(sizes):
@@ -326,39 +337,3 @@ def _stages(sizes: Sizes, blend: Blend) -> dict[str, list[Launch]]:
         "bin": plan.bin_pairs(sizes),
         "blend": plan.blend(sizes, blend),
     }
-
-
-def read_splats(work: Workspace, rows: Int32[Array, "v"]) -> tuple[Splats, Bool[Array, "v"]]:
-    """The visible splats of the rows, and which of the rows they come from."""
-    visible = work.arrays["depth_keys"].numpy(len(rows))[:, 0] != 0xFFFFFFFF
-    records = work.arrays["records"].numpy(4 * len(rows)).reshape(-1, 16)[visible]
-    order = work.arrays["order"].numpy(int(visible.sum()))[:, 0]
-    return Splats(rows[visible], records, _renumbered(visible)[order]), visible
-
-
-def read_bins(work: Workspace, camera: Camera, visible: Bool[Array, "v"], num_rows: int) -> TileBins:
-    """The lists of the tiles, of the visible rows."""
-    assert work.sizes is not None
-    num_x, num_y = tiles_of(camera)
-    start = work.arrays["tile_start"].numpy(num_x * num_y + 1)[:, 0].astype(np.int64)
-    side = "values_b" if plan.pair_side(work.sizes) else "values_a"
-    slots = work.arrays[side].numpy(int(start[-1]))[:, 0]
-    floors = work.arrays["floors"].numpy(num_rows)[visible, 0] if work.sizes.tapers else None
-    return TileBins(start, _renumbered(visible)[slots], num_x, num_y, floors)
-
-
-def read_contributions(work: Workspace, num_pairs: int) -> Float32[Array, "m"]:
-    """What each pair contributes."""
-    return np.ascontiguousarray(work.arrays["contributions"].numpy(num_pairs)[:, 0])
-
-
-def _renumbered(visible: Bool[Array, "v"]) -> Int32[Array, "v"]:
-    """The place of each row among those that are visible."""
-    return (np.cumsum(visible) - 1).astype(np.int32)
-
-
-def read_tile_work(work: Workspace) -> TileWork:
-    """What the blend did in each tile."""
-    assert work.sizes is not None
-    counts = work.arrays["tile_work"].numpy(3 * work.sizes.num_tiles).reshape(-1, 3).astype(np.int64)
-    return TileWork(*(np.ascontiguousarray(counts[:, i]) for i in range(3)))

@@ -52,6 +52,22 @@ class DeviceScene:
             self.sizes |= {"num_blocks": len(blocks), "rows_per_block": blocks.rows_per_block, "words_per_block": words}
         uploaded = {name: device.upload(host, name=name) for name, host in columns.items() if host is not None}
         self.arrays = {**on_device, **uploaded}
+        self._device, self._borrowed = device, set(on_device)
+
+    def update(self, gaussians: Gaussians, blocks: BlockIndex | None, names: Sequence[str]) -> None:
+        """Copy the named columns and the index of the blocks here; memory that belongs to others is left as it is."""
+        for name in names:
+            if name in self._borrowed:
+                self.arrays[name] = self._device.upload(getattr(gaussians, name), name=name)
+                self._borrowed.remove(name)
+            else:
+                self.arrays[name].fill(getattr(gaussians, name))
+        if blocks is None:
+            return
+        self.arrays["block_lower"].fill(blocks.lower)
+        self.arrays["block_upper"].fill(blocks.upper)
+        for name in BLOCK_COLUMNS:
+            self.arrays[name].fill(getattr(blocks, name))
 
 
 GAUSSIAN_COLUMNS = ("means", "quats", "log_scales", "logit_opacities", "sh")

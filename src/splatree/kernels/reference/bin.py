@@ -18,45 +18,46 @@ from splatree.constants import ALPHA_THRESHOLD, SHRINK_AREA_PX2, TILE_PX
 from splatree.kernels.reference.square import half_sides, rule_of, tile_range
 from splatree.scene.cameras import Camera
 from splatree.scene.frame import Splats, TileBins, tiles_of
-from splatree.scene.options import ResolvedOptions
+from splatree.scene.view import View
 from splatree.shapes import Array
 
 __all__ = ["bin", "smallest_distances"]
 
 
-def bin(splats: Splats, camera: Camera, options: ResolvedOptions, *, threads: int = 0) -> TileBins:
+def bin(splats: Splats, view: View, *, threads: int = 0) -> TileBins:
     """Pairs of splat and tile, tile by tile and nearest first; ``threads`` is not used."""
-    num_x, num_y = tiles_of(camera)
-    thresholds = _thresholds(splats, options)
+    num_x, num_y = tiles_of(view.camera)
+    thresholds = _thresholds(splats, view)
     k_squared = 2 * np.log(np.maximum(splats.opacities.astype(np.float64), 1e-37) / thresholds)
-    if not options.is_square:
-        distances = smallest_distances(splats, camera)  # [v t]
+    if not view.is_square:
+        distances = smallest_distances(splats, view.camera)  # [v t]
         touches = distances**2 <= k_squared[:, None]
     else:
-        touches = _squares_touch(splats, camera, options)
+        touches = _squares_touch(splats, view)
     lists = [splats.order[touches[splats.order, t]] for t in range(num_x * num_y)]
     tile_start = np.concatenate([[0], np.cumsum([len(tile) for tile in lists])]).astype(np.int64)
     floors = None
-    if options.tapers:
+    if view.tapers:
         nearest = np.where(touches, np.inf, distances).min(axis=1, initial=np.inf)
         largest = splats.opacities * np.exp(-0.5 * nearest**2)
         floors = np.clip(largest, ALPHA_THRESHOLD, thresholds).astype(np.float32)
     return TileBins(tile_start, np.concatenate(lists).astype(np.int32), num_x, num_y, floors)
 
 
-def _thresholds(splats: Splats, options: ResolvedOptions) -> Array:
+def _thresholds(splats: Splats, view: View) -> Array:
     """The opacity at which each splat ends."""
     a, _, c = splats.factors.astype(np.float64).T
-    weighed = options.threshold * (SHRINK_AREA_PX2 * a * c) ** options.area_power  # √det Σ' = 1 / (a c)
-    return np.asarray(np.clip(weighed, min(options.threshold, ALPHA_THRESHOLD), options.threshold))
+    weighed = view.threshold * (SHRINK_AREA_PX2 * a * c) ** view.area_power  # √det Σ' = 1 / (a c)
+    return np.asarray(np.clip(weighed, min(view.threshold, ALPHA_THRESHOLD), view.threshold))
 
 
-def _squares_touch(splats: Splats, camera: Camera, options: ResolvedOptions) -> Array:
+def _squares_touch(splats: Splats, view: View) -> Array:
     """Whether each splat is listed in each tile by the square around it, [v t]."""
+    camera = view.camera
     num_x, num_y = tiles_of(camera)
     a, b, c = splats.factors.astype(np.float64).T
     xx, xy, yy = 1 / a**2 + (b / (a * c)) ** 2, -b / (a * c**2), 1 / c**2  # Σ' from the factor of its inverse
-    sides = half_sides(xx, xy, yy, splats.opacities.astype(np.float64), rule_of(options))
+    sides = half_sides(xx, xy, yy, splats.opacities.astype(np.float64), rule_of(view))
     x, y = splats.means_px.astype(np.float64).T
     (left, right), (top, bottom) = tile_range(x, sides, camera.width), tile_range(y, sides, camera.height)
     tile_y, tile_x = (index.ravel() for index in np.indices((num_y, num_x)))

@@ -21,10 +21,9 @@ from splatree.constants import DILATION_MIN_PX2, FRUSTUM_CLAMP, SIGMA_MAX_PX
 from splatree.kernels.reference.square import half_sides, rule_of, tile_range
 from splatree.maths.harmonics import colors_from_harmonics
 from splatree.maths.rotations import matrices_from_quats
-from splatree.scene.cameras import Camera
 from splatree.scene.frame import Splats
 from splatree.scene.gaussians import Gaussians
-from splatree.scene.options import ResolvedOptions
+from splatree.scene.view import View
 from splatree.shapes import Array, Int32, UInt32
 
 __all__ = ["project"]
@@ -34,12 +33,12 @@ def project(
     gaussians: Gaussians,
     ids: UInt32[Array, "n"] | None,
     rows: Int32[Array, "v"],
-    camera: Camera,
-    options: ResolvedOptions,
+    view: View,
     *,
     threads: int = 0,
 ) -> Splats:
     """Splats of the rows that touch the image; ``threads`` is not used."""
+    camera = view.camera
     g = gaussians.take(rows)
     W, t = camera.camera_from_world[:3, :3], camera.camera_from_world[:3, 3]
     fx, fy, cx, cy = camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2]
@@ -61,33 +60,33 @@ def project(
     M = J @ W @ matrices_from_quats(g.quats) * scales[:, None, :]  # [v 2 3]
 
     # The determinant as a sum of positive terms: A C − B² would cancel for long thin splats.
-    dilation = max(options.dilation_px2, DILATION_MIN_PX2)
+    dilation = max(view.dilation_px2, DILATION_MIN_PX2)
     xx, yy, xy = (np.sum(M[:, i] * M[:, j], axis=1) for i, j in ((0, 0), (1, 1), (0, 1)))
     undilated_det = np.sum(np.cross(M[:, 0], M[:, 1]) ** 2, axis=1)
     det = undilated_det + dilation * (xx + yy) + dilation**2
     xx, yy = xx + dilation, yy + dilation
 
     opacities = g.opacities()
-    if options.mode == "antialiased":
+    if view.mode == "antialiased":
         opacities = opacities * np.sqrt(undilated_det / det)
-    threshold = options.pixel_threshold
+    threshold = view.pixel_threshold
     k_squared = 2 * np.log(np.maximum(opacities, threshold) / threshold)
     half_sizes_px = np.sqrt(k_squared[:, None] * np.stack([xx, yy], axis=1))
 
     a = np.sqrt(yy / det)
     factors = np.stack([a, -a * xy / yy, np.sqrt(1 / yy)], axis=1)
     size = np.array([camera.width, camera.height])
-    if not options.is_square:
+    if not view.is_square:
         touches = ((means_px + half_sizes_px >= 0.5) & (means_px - half_sizes_px <= size - 0.5)).all(axis=1)
     else:
-        sides = half_sides(xx, xy, yy, opacities, rule_of(options))
+        sides = half_sides(xx, xy, yy, opacities, rule_of(view))
         ranges = [tile_range(means_px[:, axis], sides, int(size[axis])) for axis in range(2)]
         touches = np.logical_and(*(first < end for first, end in ranges))
-    visible = touches & (opacities >= options.least_opacity)
+    visible = touches & (opacities >= view.least_opacity)
 
     directions = (points @ W)[visible]  # from the eye, in the world
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    degree = min(options.sh_degree, g.sh_degree)
+    degree = min(view.sh_degree, g.sh_degree)
     colors = colors_from_harmonics(g.sh[visible], directions, degree)
 
     records = np.zeros((int(visible.sum()), 16), np.float32)

@@ -35,33 +35,45 @@ from splatree.scene.gaussians import Gaussians
 from splatree.scene.names import Profile
 from splatree.scene.options import SelectOptions, ViewTest
 from splatree.scene.tree import BlockIndex, GaussianTree
+from splatree.scene.view import View
 from splatree.shapes import Array, Bool, Float64, Int32
 
-__all__ = ["Footprints", "centred", "cut_by_walk", "cut_rows", "project", "radii", "select", "shadowed", "visible"]
+__all__ = [
+    "Footprints",
+    "centred",
+    "cut_by_walk",
+    "cut_rows",
+    "in_runs",
+    "project",
+    "radii",
+    "select",
+    "shadowed",
+    "visible",
+]
 
 
 def select(
     gaussians: Gaussians,
     tree: GaussianTree,
     blocks: BlockIndex | None,
-    camera: Camera,
+    view: View,
     options: SelectOptions,
     *,
-    dilation_px2: float,
-    threshold: float,
+    runs: Int32[Array, "r 2"] | None = None,
     threads: int = 0,
 ) -> tuple[Int32[Array, "v"], int]:
     """Rows drawn, ascending, by the rules `cut`, `paper-strict` or `release`, and how many were looked at: all.
 
-    ``blocks``, ``threads`` and the options ``budget`` and ``max_radius`` are not used.
+    With ``runs``, ascending first rows and ends, only rows in one of them are drawn. ``blocks``, ``threads`` and the options
+    ``budget`` and ``max_radius`` are not used.
 
     `cut`           the definition above.
     `paper-strict`  only visible nodes take part: those out of view neither stop nor are drawn.
     `release`       the code of FilterGS: each small inner node is drawn, also below another; only leaves look at their
                     ancestors, and visible ones alone shadow.
     """
-    small = radii(gaussians, tree.extents, camera, options.radius, dilation_px2) <= options.pixel_error
-    seen = visible(gaussians, camera, options.view_test, dilation_px2, threshold)
+    small = radii(gaussians, tree.extents, view.camera, options.radius, view.dilation_px2) <= options.pixel_error
+    seen = visible(gaussians, view.camera, options.view_test, view.dilation_px2, view.least_threshold)
     leaf, end = tree.is_leaf, tree.subtree_end
     if options.rule == "cut":
         drawn = (leaf | small) & ~shadowed(~leaf & small, end) & seen
@@ -71,7 +83,14 @@ def select(
         drawn = np.where(leaf, ~shadowed(~leaf & small & seen, end), small) & seen
     else:
         raise ValueError(f"rule {options.rule!r} is a traversal: see lod/serial.py")
+    if runs is not None:
+        drawn &= in_runs(np.arange(len(tree), dtype=np.int32), runs)
     return np.flatnonzero(drawn).astype(np.int32), len(tree)
+
+
+def in_runs(rows: Int32[Array, "v"], runs: Int32[Array, "r 2"]) -> Bool[Array, "v"]:
+    """Whether each row is in one of the runs: an odd number of their bounds is at or before it."""
+    return np.asarray(np.searchsorted(runs.ravel(), rows, side="right") % 2 == 1)
 
 
 def cut_rows(tree: GaussianTree, radii: Array, pixel_error: float) -> Int32[Array, "v"]:

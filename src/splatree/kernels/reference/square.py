@@ -21,7 +21,7 @@ from splatree.constants import (
     SIGMAS,
     TILE_PX,
 )
-from splatree.scene.options import ResolvedOptions
+from splatree.scene.view import View
 from splatree.shapes import Array
 
 __all__ = ["SquareRule", "half_sides", "rule_of", "tile_range"]
@@ -42,11 +42,11 @@ class SquareRule(NamedTuple):
     """Under the root of the larger eigenvalue, px⁴."""
 
 
-def rule_of(options: ResolvedOptions) -> SquareRule:
+def rule_of(view: View) -> SquareRule:
     """The numbers of a square tile rule; `3sigma` is `tau` with nothing that may be shrunk."""
-    if options.tile_rule == "3sigma":
-        return SquareRule(options.threshold, SHRINK_ENERGY_MIN, 1.0, 0.0, EIGENVALUE_FLOOR_PX4)
-    return SquareRule(options.threshold, SHRINK_ENERGY_MIN, SHRINK_RATIO_MIN, SHRINK_PAD_PX, EIGENVALUE_FLOOR_PX4)
+    if view.tile_rule == "3sigma":
+        return SquareRule(view.threshold, SHRINK_ENERGY_MIN, 1.0, 0.0, EIGENVALUE_FLOOR_PX4)
+    return SquareRule(view.threshold, SHRINK_ENERGY_MIN, SHRINK_RATIO_MIN, SHRINK_PAD_PX, EIGENVALUE_FLOOR_PX4)
 
 
 def half_sides(xx: Array, xy: Array, yy: Array, opacities: Array, rule: SquareRule) -> Array:

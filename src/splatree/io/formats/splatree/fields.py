@@ -31,8 +31,8 @@ __all__ = [
     "values_of",
 ]
 
-NOT_STORED = ("blocks", "device")
-"""Fields of a scene that are of this run: an index that is made anew, and where it is drawn."""
+NOT_STORED = ("blocks",)
+"""Fields of a scene that are of this run: an index that is made anew."""
 
 _WORLD_ORIGIN = "world_origin"
 """Key of `Source.origin` among the provenance; left out where it is zero."""

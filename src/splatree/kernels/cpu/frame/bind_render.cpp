@@ -83,7 +83,8 @@ nb::ndarray<nb::numpy, int32_t, nb::ndim<1>> bin_splats(In<float> records, In<in
 
 void blend_tiles(In<float> records, In<int64_t> tile_start, In<int32_t> splat_from_pair, int num_tiles_x, int num_tiles_y,
                  double threshold, std::optional<In<float>> floors, In<double> background, bool whole_tile, Out<float> image,
-                 Out<float> alpha, Out<float> depth, std::optional<Out<float>> contributions, Out<int64_t> num_consumed,
+                 Out<float> alpha, Out<float> depth, std::optional<Out<float>> contributions,
+                 std::optional<Out<int64_t>> last_pair, std::optional<Out<float>> median_depth, Out<int64_t> num_consumed,
                  Out<int64_t> num_evaluated, Out<int64_t> num_blended, int threads) {
   const int height = int(alpha.shape(0)), width = int(alpha.shape(1));
   const double* b = background.data();
@@ -103,6 +104,8 @@ void blend_tiles(In<float> records, In<int64_t> tile_start, In<int32_t> splat_fr
                      alpha.data(),
                      depth.data(),
                      contributions ? contributions->data() : nullptr,
+                     last_pair ? last_pair->data() : nullptr,
+                     median_depth ? median_depth->data() : nullptr,
                      num_consumed.data(),
                      num_evaluated.data(),
                      num_blended.data()};
@@ -126,8 +129,8 @@ void bind_render(nb::module_& m) {
   m.def("blend_tiles", &blend_tiles, nb::arg("records"), nb::arg("tile_start"), nb::arg("splat_from_pair"),
         nb::arg("num_tiles_x"), nb::arg("num_tiles_y"), nb::arg("threshold"), nb::arg("floors").none(), nb::arg("background"),
         nb::arg("whole_tile"), nb::arg("image"), nb::arg("alpha"), nb::arg("depth"), nb::arg("contributions").none(),
-        nb::arg("num_consumed"), nb::arg("num_evaluated"), nb::arg("num_blended"), nb::arg("threads"),
-        "Blend all tiles and count the work of each.");
+        nb::arg("last_pair").none(), nb::arg("median_depth").none(), nb::arg("num_consumed"), nb::arg("num_evaluated"),
+        nb::arg("num_blended"), nb::arg("threads"), "Blend all tiles and count the work of each.");
 }
 
 }  // namespace splatree

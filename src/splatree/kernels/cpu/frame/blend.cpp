@@ -9,6 +9,7 @@
 
 #include "cpu/runtime/isa.h"
 #include "cpu/runtime/pool.h"
+#include "shared/blend.h"
 #include "shared/constants.h"
 #include "shared/elementary.h"
 #include "shared/record.h"
@@ -28,6 +29,13 @@ struct alignas(64) Tile {
   float transmittance[BLOCKS][LANES];
   float red[BLOCKS][LANES], green[BLOCKS][LANES], blue[BLOCKS][LANES], depth[BLOCKS][LANES];
   int32_t blended[LANES];
+};
+
+// What is kept of each pixel beside the picture; entries count from 1 at the start of the tile's list.
+struct alignas(64) Pixels {
+  int32_t last[BLOCKS][LANES];      // last entry that was blended, 0 if none
+  int32_t finisher[BLOCKS][LANES];  // entry that finished the pixel, 0 if none did
+  float median[BLOCKS][LANES];      // depth at which T fell below ½
 };
 
 // What one splat needs, in units in which the exponent is a power of 2.
@@ -83,22 +91,24 @@ SPLATREE_FN int load_brush(const float* record, float x, float y, float log2_thr
   return touched;
 }
 
-template <bool TAPER, bool CONTRIBUTIONS>
-SPLATREE_FN void blend_block(Brush& brush, int block, const Limits& limits, Tile& tile) {
+template <class Ends, class Keeps>
+SPLATREE_FN void blend_block(Brush& brush, int block, const Limits& limits, int32_t entry, Tile& tile, Pixels& pixels) {
   const float u_of_block = brush.u_of_block[block], v_of_block = brush.v_of_block[block];
   float* transmittance = tile.transmittance[block];
   float *red = tile.red[block], *green = tile.green[block], *blue = tile.blue[block], *depth = tile.depth[block];
+  int32_t *last = pixels.last[block], *finisher = pixels.finisher[block];
+  float* median = pixels.median[block];
 #pragma omp simd
   for (int l = 0; l < LANES; ++l) {
     const float u = u_of_block + brush.u_of_lane[l], v = v_of_block + brush.v_of_lane[l];
     const float log2_alpha = brush.log2_opacity - (u * u + v * v);
     // Where it is not exact, far outside, the splat does not pass.
-    const float whole = TAPER ? exp2_of(log2_alpha) : exp2_within(log2_alpha);
-    const float left = TAPER ? least(TAPER_SLOPE * (whole - brush.floor) + ALPHA_THRESHOLD, whole) : whole;
+    const float whole = Ends::TAPERS ? exp2_of(log2_alpha) : exp2_within(log2_alpha);
+    const float left = Ends::TAPERS ? least(TAPER_SLOPE * (whole - brush.floor) + ALPHA_THRESHOLD, whole) : whole;
     const float alpha = least(left, limits.alpha_max);
     const float before = transmittance[l];
     const float after = before * (1.f - alpha);
-    const bool passes = TAPER ? whole >= brush.floor : log2_alpha >= brush.log2_threshold;
+    const bool passes = Ends::TAPERS ? whole >= brush.floor : log2_alpha >= brush.log2_threshold;
     const bool seen = passes & (before > 0.f);
     const bool drawn = seen & (after >= TRANSMITTANCE_MIN);
     const float weight = drawn ? before * alpha : 0.f;
@@ -108,7 +118,12 @@ SPLATREE_FN void blend_block(Brush& brush, int block, const Limits& limits, Tile
     blue[l] += weight * brush.blue;
     depth[l] += weight * brush.depth;
     tile.blended[l] += drawn ? 1 : 0;
-    if (CONTRIBUTIONS) brush.contribution[l] += weight;
+    if (Keeps::OF_PAIRS) brush.contribution[l] += weight;
+    if (Keeps::OF_PIXELS) {
+      last[l] = drawn ? entry : last[l];
+      finisher[l] = seen & !drawn ? entry : finisher[l];
+      median[l] = drawn & (before >= HALF_TRANSMITTANCE) & (after < HALF_TRANSMITTANCE) ? brush.depth : median[l];
+    }
   }
 }
 
@@ -137,11 +152,35 @@ int open_blocks(const Tile& tile) {
   return open;
 }
 
-template <bool TAPER, bool CONTRIBUTIONS>
+// The outputs beside the picture, and the exact counts of entries: a pixel reads those up to the one that finishes it.
+void keep_pixels(const BlendJob& job, int64_t index, int x0, int y0, const Pixels& pixels) {
+  const int64_t begin = job.tile_start[index];
+  const int32_t length = int32_t(job.tile_start[index + 1] - begin);
+  int64_t num_evaluated = 0, num_consumed = 0;
+  for (int block = 0; block < BLOCKS; ++block)
+    for (int l = 0; l < LANES; ++l) {
+      const int x = x0 + 4 * (block & 3) + (l & 3), y = y0 + 4 * (block >> 2) + (l >> 2);
+      if (x >= job.width || y >= job.height) continue;
+      const int64_t pixel = int64_t(y) * job.width + x;
+      const int32_t last = pixels.last[block][l], finisher = pixels.finisher[block][l];
+      if (job.last_pair) job.last_pair[pixel] = last ? begin + last - 1 : -1;
+      if (job.median_depth) job.median_depth[pixel] = pixels.median[block][l];
+      const int32_t read = finisher ? finisher : length;
+      num_evaluated += read;
+      num_consumed = num_consumed < read ? read : num_consumed;
+    }
+  if (!job.last_pair) return;
+  job.num_consumed[index] = num_consumed;
+  job.num_evaluated[index] = num_evaluated;
+}
+
+template <class Ends, class Keeps>
 void blend_tile(const BlendJob& job, int64_t index) {
   const int x0 = int(index % job.num_tiles_x) * TILE, y0 = int(index / job.num_tiles_x) * TILE;
   Tile tile;
+  Pixels pixels;
   memset(&tile, 0, sizeof tile);
+  if (Keeps::OF_PIXELS) memset(&pixels, 0, sizeof pixels);
   for (int block = 0; block < BLOCKS; ++block)
     for (int l = 0; l < LANES; ++l) {
       const int x = x0 + 4 * (block & 3) + (l & 3), y = y0 + 4 * (block >> 2) + (l >> 2);
@@ -154,7 +193,7 @@ void blend_tile(const BlendJob& job, int64_t index) {
   Brush brushes[GROUP];
   const Limits limits = {unknown(ALPHA_MAX), unknown(0.f)};
   int blocks[GROUP];
-  if (CONTRIBUTIONS && begin < end) memset(job.contributions + begin, 0, (end - begin) * sizeof(float));
+  if (Keeps::OF_PAIRS && begin < end) memset(job.contributions + begin, 0, (end - begin) * sizeof(float));
   int64_t i = begin;
   while (i < end) {
     const int since_look = int((i - begin + 1) % PERIOD);
@@ -169,18 +208,18 @@ void blend_tile(const BlendJob& job, int64_t index) {
       if (i + j + AHEAD < end) __builtin_prefetch(job.records + int64_t(job.splat_from_pair[i + j + AHEAD]) * NUM_COLUMNS);
       const float* record = job.records + int64_t(splat) * NUM_COLUMNS;
       Brush& brush = brushes[j];
-      if (TAPER) brush.floor = job.floors[splat];
-      blocks[j] = load_brush(record, x0, y0, TAPER ? log2_of(brush.floor) : job.log2_threshold, limits, brush);
+      if (Ends::TAPERS) brush.floor = job.floors[splat];
+      blocks[j] = load_brush(record, x0, y0, Ends::TAPERS ? log2_of(brush.floor) : job.log2_threshold, limits, brush);
       if (job.whole_tile) blocks[j] = (1 << BLOCKS) - 1;
     }
     for (int j = 0; j < count; ++j) {
       Brush& brush = brushes[j];
-      if (CONTRIBUTIONS) memset(brush.contribution, 0, sizeof brush.contribution);
+      if (Keeps::OF_PAIRS) memset(brush.contribution, 0, sizeof brush.contribution);
       for (int left = blocks[j] & open; left; left &= left - 1) {
-        blend_block<TAPER, CONTRIBUTIONS>(brush, __builtin_ctz(left), limits, tile);
+        blend_block<Ends, Keeps>(brush, __builtin_ctz(left), limits, int32_t(i + j - begin) + 1, tile, pixels);
         num_evaluated += LANES;
       }
-      if (CONTRIBUTIONS) job.contributions[i + j] = sum_of(brush.contribution);
+      if (Keeps::OF_PAIRS) job.contributions[i + j] = sum_of(brush.contribution);
     }
     i += count;
   }
@@ -204,21 +243,27 @@ void blend_tile(const BlendJob& job, int64_t index) {
       job.alpha[pixel] = alpha;
       job.depth[pixel] = alpha > 0.f ? tile.depth[block][l] / alpha : 0.f;
     }
+  if (Keeps::OF_PIXELS) keep_pixels(job, index, x0, y0, pixels);
 }
 
-template <bool TAPER, bool CONTRIBUTIONS>
+template <class Ends, class Keeps>
 void blend_all(const BlendJob& job) {
   parallel_chunks(int64_t(job.num_tiles_x) * job.num_tiles_y, job.threads,
-                  [&](int64_t index) { blend_tile<TAPER, CONTRIBUTIONS>(job, index); });
+                  [&](int64_t index) { blend_tile<Ends, Keeps>(job, index); });
+}
+
+template <class Ends>
+void blend_keeping(const BlendJob& job) {
+  if (job.contributions)
+    blend_all<Ends, AndPairs>(job);
+  else if (job.last_pair || job.median_depth)
+    blend_all<Ends, AndPixels>(job);
+  else
+    blend_all<Ends, PictureAlone>(job);
 }
 
 }  // namespace
 
-void blend(const BlendJob& job) {
-  if (job.floors)
-    job.contributions ? blend_all<true, true>(job) : blend_all<true, false>(job);
-  else
-    job.contributions ? blend_all<false, true>(job) : blend_all<false, false>(job);
-}
+void blend(const BlendJob& job) { job.floors ? blend_keeping<Taper>(job) : blend_keeping<Hard>(job); }
 
 }  // namespace splatree::SPLATREE_ISA

@@ -15,9 +15,12 @@ struct BlendJob {
   float background[3];
   bool whole_tile;  // evaluate all 4 × 4 blocks of a tile instead of those that the ellipse touches
   int threads;
-  float* image;                                         // h w 3
-  float *alpha, *depth;                                 // h w
-  float* contributions;                                 // m, Σ α T of each pair; null: not asked for
+  float* image;          // h w 3
+  float *alpha, *depth;  // h w
+  // Null where they are not wanted:
+  float* contributions;                                 // m, Σ α T of each pair
+  int64_t* last_pair;                                   // h w, index of the last pair that each pixel blended, -1 if none
+  float* median_depth;                                  // h w, depth of the splat at which T falls below ½, 0 if it never does
   int64_t *num_consumed, *num_evaluated, *num_blended;  // a tile
 };
 

@@ -5,10 +5,9 @@ import numpy as np
 from splatree.errors import InputError
 from splatree.kernels.cpu import _core
 from splatree.kernels.cpu.frame.view import pack_square, pack_view
-from splatree.scene.cameras import Camera
 from splatree.scene.frame import Splats
 from splatree.scene.gaussians import Gaussians
-from splatree.scene.options import ResolvedOptions
+from splatree.scene.view import View
 from splatree.shapes import Array, Float32, Int32, UInt32
 
 __all__ = ["project"]
@@ -18,8 +17,7 @@ def project(
     gaussians: Gaussians,
     ids: UInt32[Array, "n"] | None,
     rows: Int32[Array, "v"],
-    camera: Camera,
-    options: ResolvedOptions,
+    view: View,
     *,
     threads: int = 0,
 ) -> Splats:
@@ -38,12 +36,12 @@ def project(
         gaussians.logit_opacities,
         gaussians.sh,
         rows,
-        pack_view(camera, options.dilation_px2),
-        options.pixel_threshold,
-        options.least_opacity,
-        pack_square(options),
-        options.mode == "antialiased",
-        min(options.sh_degree, gaussians.sh_degree),
+        pack_view(view),
+        view.pixel_threshold,
+        view.least_opacity,
+        pack_square(view),
+        view.mode == "antialiased",
+        min(view.sh_degree, gaussians.sh_degree),
         out_rows,
         records,
         depths,

@@ -7,11 +7,12 @@ import numpy as np
 from splatree.constants import CENTRE_PAD, DILATION_PX2, EIGENVALUE_FLOOR_PX4, SIGMAS
 from splatree.errors import InputError
 from splatree.kernels.cpu import _core
+from splatree.kernels.cpu.frame.blocks import index_blocks
 from splatree.kernels.cpu.frame.view import pack_view
-from splatree.scene.cameras import Camera
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.options import SelectOptions
 from splatree.scene.tree import BlockIndex, GaussianTree
+from splatree.scene.view import View
 from splatree.shapes import Array, Bool, Float64, Int32
 
 __all__ = [
@@ -38,12 +39,10 @@ what float32 says of their rows."""
 def select(
     gaussians: Gaussians,
     tree: GaussianTree,
-    blocks: BlockIndex,
-    camera: Camera,
+    blocks: BlockIndex | None,
+    view: View,
     options: SelectOptions,
     *,
-    dilation_px2: float,
-    threshold: float,
     runs: Int32[Array, "r 2"] | None = None,
     threads: int = 0,
 ) -> tuple[Int32[Array, "v"], int]:
@@ -53,17 +52,18 @@ def select(
     """
     if options.rule != "cut":
         raise InputError(f"select: found rule {options.rule!r}, wanted 'cut'; the others are in NumPy only")
+    packed = pack_view(view)
     rows, num_visited = _core.select_cut(
         gaussians,
         tree,
-        blocks,
-        pack_view(camera, dilation_px2),
-        threshold,
-        pack_rule(camera, options, dilation_px2, threshold),
+        blocks or index_blocks(gaussians, tree, threads=threads),
+        packed,
+        view.least_threshold,
+        pack_rule(view, options),
         VIEW_TESTS.index(options.view_test),
         is_culled(options),
         runs,
-        *view_planes(camera, options, dilation_px2, threshold),
+        *view_planes(view, options, packed),
         threads,
     )
     return rows, num_visited
@@ -80,11 +80,9 @@ def select_by_ancestors(
     gaussians: Gaussians,
     tree: GaussianTree,
     ancestors: Int32[Array, "n l"],
-    camera: Camera,
+    view: View,
     options: SelectOptions,
     *,
-    dilation_px2: float,
-    threshold: float,
     threads: int = 0,
 ) -> tuple[Int32[Array, "v"], int]:
     """Rows drawn by the rules `cut`, `paper-strict` or `release`, ascending, and how many were looked at: all.
@@ -98,9 +96,9 @@ def select_by_ancestors(
         gaussians,
         tree,
         ancestors,
-        pack_view(camera, dilation_px2),
-        threshold,
-        pack_rule(camera, options, dilation_px2, threshold),
+        pack_view(view),
+        view.least_threshold,
+        pack_rule(view, options),
         VIEW_TESTS.index(options.view_test),
         options.rule == "cut",
         options.rule == "release",
@@ -113,16 +111,16 @@ def small(
     gaussians: Gaussians,
     tree: GaussianTree,
     rows: Int32[Array, "v"],
-    camera: Camera,
+    view: View,
     options: SelectOptions,
     *,
-    dilation_px2: float,
     threads: int = 0,
 ) -> Bool[Array, "v"]:
     """Whether R ≤ τ_R for each of the rows, as `select` decides it."""
     found = np.empty(len(rows), bool)
-    rule = pack_rule(camera, options, dilation_px2, 0.5)
-    _core.small_rows(gaussians, tree, rows, pack_view(camera, dilation_px2), 0.5, rule, found, threads)
+    _core.small_rows(
+        gaussians, tree, rows, pack_view(view), view.least_threshold, pack_rule(view, options), found, threads
+    )
     return found
 
 
@@ -130,20 +128,17 @@ def visible(
     gaussians: Gaussians,
     tree: GaussianTree,
     rows: Int32[Array, "v"],
-    camera: Camera,
+    view: View,
     options: SelectOptions,
     *,
-    dilation_px2: float,
-    threshold: float,
     threads: int = 0,
 ) -> Bool[Array, "v"]:
     """Whether each of the rows can be seen, as `select` decides it."""
     if options.view_test == "none":
         return np.ones(len(rows), bool)
     found = np.empty(len(rows), bool)
-    view, rule = pack_view(camera, dilation_px2), pack_rule(camera, options, dilation_px2, threshold)
-    named = VIEW_TESTS.index(options.view_test)
-    _core.visible_rows(gaussians, tree, rows, view, threshold, rule, named, found, threads)
+    packed, rule, named = pack_view(view), pack_rule(view, options), VIEW_TESTS.index(options.view_test)
+    _core.visible_rows(gaussians, tree, rows, packed, view.least_threshold, rule, named, found, threads)
     return found
 
 
@@ -152,8 +147,9 @@ def is_culled(options: SelectOptions) -> bool:
     return bool(options.view_test != "none" and options.pixel_error < CULL_BELOW_PX)
 
 
-def pack_rule(camera: Camera, options: SelectOptions, dilation_px2: float, threshold: float) -> Float64[Array, "12"]:
+def pack_rule(view: View, options: SelectOptions) -> Float64[Array, "12"]:
     """The numbers of the struct SelectRule in shared/select.h, in the order of bind_select.cpp."""
+    camera, dilation_px2, threshold = view.camera, view.dilation_px2, view.least_threshold
     focal = camera.K[0, 0], camera.K[1, 1]
     limit = (options.pixel_error / SIGMAS) ** 2
     added = (0.0, DILATION_PX2) if options.radius == "ref" else (dilation_px2, 0.0)
@@ -171,11 +167,7 @@ def _reach_of_opaque(threshold: float) -> float:
 
 
 def view_planes(
-    camera: Camera,
-    options: SelectOptions,
-    dilation_px2: float,
-    threshold: float,
-    view: Float64[Array, "25"] | None = None,
+    view: View, options: SelectOptions, packed: Float64[Array, "25"]
 ) -> tuple[Float64[Array, "11 4"], Float64[Array, "5"]]:
     """The struct ViewPlanes of cpu/frame/select.h as rows (n, d) of n·p + d, and how far a unit of σ reaches over each side.
 
@@ -185,16 +177,17 @@ def view_planes(
         f x − (b − c + k √h) z > k f √(1 + u²) s.
 
     An inner node that is drawn is small, so it reaches at most k √((τ_R / 3)² + h) whatever its s; s is that of the leaves.
-    ``view`` are the camera's numbers, if they are packed already.
+    ``packed`` is what `pack_view` made of the view.
     """
+    camera = view.camera
     # Plain numbers: arrays of four take three times as long.
     axes = camera.camera_from_world[:3].tolist()  # x, y, z in the camera
     z = axes[2]
     footprint = options.view_test == "footprint"
-    k = _reach_of_opaque(threshold) if footprint else 0.0
+    k = _reach_of_opaque(view.least_threshold) if footprint else 0.0
     largest = min(options.pixel_error, CULL_BELOW_PX)  # beyond that the sides are not asked
-    own_reach = k * math.sqrt((largest / SIGMAS) ** 2 + dilation_px2)
-    min_x, max_x, min_y, max_y = (pack_view(camera, dilation_px2) if view is None else view)[19:23].tolist()
+    own_reach = k * math.sqrt((largest / SIGMAS) ** 2 + view.dilation_px2)
+    min_x, max_x, min_y, max_y = packed[19:23].tolist()
     slopes = max(abs(min_x), abs(max_x)), max(abs(min_y), abs(max_y))
     outside, inside, reach = [], [], []
     for axis, size in ((0, camera.width), (1, camera.height)):

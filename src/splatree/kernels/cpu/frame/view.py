@@ -5,15 +5,15 @@ import numpy as np
 from splatree.constants import DILATION_MIN_PX2, FRUSTUM_CLAMP, SIGMA_MAX_PX
 from splatree.errors import InputError
 from splatree.kernels.reference.square import rule_of
-from splatree.scene.cameras import Camera
-from splatree.scene.options import ResolvedOptions
+from splatree.scene.view import View
 from splatree.shapes import Array, Float64
 
 __all__ = ["pack_square", "pack_view"]
 
 
-def pack_view(camera: Camera, dilation_px2: float) -> Float64[Array, "25"]:
+def pack_view(view: View) -> Float64[Array, "25"]:
     """The numbers of the struct View, in its order."""
+    camera, dilation_px2 = view.camera, view.dilation_px2
     if camera.lens is not None:
         raise InputError(
             f"camera {camera.name!r}: found a lens, wanted a pinhole: a stage of a frame knows no other; `render` and `trace` "
@@ -36,8 +36,8 @@ def _slopes(focal: float, centre: float, size: int) -> tuple[float, float]:
     return -before - margin, after + margin
 
 
-def pack_square(options: ResolvedOptions) -> Float64[Array, "5"] | None:
+def pack_square(view: View) -> Float64[Array, "5"] | None:
     """The numbers of the struct Square, in its order; None if the tile rule lists no square."""
-    if not options.is_square:
+    if not view.is_square:
         return None
-    return np.array(rule_of(options), np.float64)
+    return np.array(rule_of(view), np.float64)

@@ -1,0 +1,8 @@
+"""The stages of a frame by definition, by the names of kernels/contract.py."""
+
+from splatree.kernels.reference.bin import bin
+from splatree.kernels.reference.blend import blend
+from splatree.kernels.reference.project import project
+from splatree.kernels.reference.select import select
+
+__all__ = ["bin", "blend", "project", "select"]
