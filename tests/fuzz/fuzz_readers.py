@@ -23,7 +23,9 @@ from pathlib import Path
 import numpy as np
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path[:0] = [str(ROOT / "src"), str(ROOT)]
+sys.path.insert(
+    0, str(ROOT)
+)  # for tests.io; splatree is the installed one, whose core is compiled, or that of PYTHONPATH
 
 SECONDS_MAX = 10
 """A file of a few kilobytes that takes longer is a hang."""
