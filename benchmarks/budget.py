@@ -16,7 +16,7 @@ import numpy as np
 import splatree
 from harness import DATA, save, table
 from splatree.metrics.psnr import psnr
-from splatree.scene.scene import Mode
+from splatree.scene.names import Mode
 
 CITY = DATA / "trained" / "semarang_city"
 VIEWS = DATA / "cameras" / "semarang_city_made_views.json"

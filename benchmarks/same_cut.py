@@ -15,7 +15,7 @@ import numpy as np
 from harness import DATA, save, table
 from splatree import PathOptions, Scene, SelectOptions, build_lod, flyout, orbit, read, read_cameras, select
 from splatree.kernels.cpu.frame import select as cpu
-from splatree.lod.serial import levels_of, select_serial
+from splatree.lod.serial import child_table_of, select_serial
 from splatree.scene.cameras import Camera
 from splatree.scene.view import view_of
 
@@ -47,7 +47,7 @@ def scenes() -> Iterator[tuple[str, Scene, list[Camera]]]:
 
 
 def row(name: str, scene: Scene, views: list[Camera]) -> dict[str, object]:
-    levels, ancestors = levels_of(scene.tree), cpu.ancestor_table(scene.tree)
+    table, ancestors = child_table_of(scene.tree), cpu.ancestor_table(scene.tree)
     drawn = compared = 0
     for camera, pixel_error, profile in product(views, PIXEL_ERRORS, PROFILES):
         if len(scene) > 1_000_000 and (profile, pixel_error) not in (("exact", 3.0), ("sphere", 12.0)):
@@ -55,7 +55,7 @@ def row(name: str, scene: Scene, views: list[Camera]) -> dict[str, object]:
         options = replace(SelectOptions(), pixel_error=pixel_error, profile=profile)
         view = view_of(scene, camera)
         blocks = select(scene, view, options).rows
-        serial, _ = select_serial(scene.gaussians, scene.tree, None, view, options, levels=levels)
+        serial, _ = select_serial(scene.gaussians, scene.tree, None, view, options, table=table)
         table, _ = cpu.select_by_ancestors(scene.gaussians, scene.tree, ancestors, view, options)
         for other, scheme in ((serial, "level by level"), (table, "table of ancestors")):
             if not np.array_equal(blocks, other):

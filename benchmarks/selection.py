@@ -22,7 +22,7 @@ from splatree import Camera, Gaussians, GaussianTree, Scene, SelectOptions, buil
 from splatree.kernels.cpu.frame import select as cpu
 from splatree.lod.baselines import Baseline, BaselineOptions, baseline
 from splatree.lod.blocks import with_blocks
-from splatree.lod.serial import levels_of, select_serial
+from splatree.lod.serial import child_table_of, select_serial
 from splatree.scene.view import View, view_of
 
 CITY = DATA / "trained" / "semarang_city"
@@ -39,7 +39,7 @@ def main() -> None:
         sys.exit(f"selection: {DATA} is not there; this benchmark needs the shared scenes")
     scene = load(Path(sys.argv[1]) if len(sys.argv) > 1 else None)
     index = measure(lambda: with_blocks(replace(scene, blocks=None), threads=1))
-    scene, levels = index.value, levels_of(scene.tree)
+    scene, table = index.value, child_table_of(scene.tree)
     ancestors = measure(lambda: baseline("filtergs", scene, options=BaselineOptions(SelectOptions().pixel_error)))
     filtergs = ancestors.value
     n = len(scene)
@@ -89,7 +89,7 @@ def row(scene: Scene, levels: object, filtergs: Baseline, camera: Camera) -> dic
     blocks = measure(lambda: select(scene, camera, options, threads=1), repeat=REPEAT)
     view = view_of(scene, camera)
     serial = measure(
-        lambda: select_serial(scene.gaussians, scene.tree, None, view, options, levels=levels, threads=1),
+        lambda: select_serial(scene.gaussians, scene.tree, None, view, options, table=table, threads=1),
         repeat=REPEAT,
     )
     flat = measure(lambda: select_flat(scene, view, options), repeat=REPEAT)

@@ -7,14 +7,28 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from splatree import Camera, Gaussians, GaussianTree, InputError, Scene, SelectOptions, render, select
+from splatree import (
+    BuildOptions,
+    Camera,
+    Gaussians,
+    GaussianTree,
+    InputError,
+    Scene,
+    SelectOptions,
+    build_lod,
+    render,
+    select,
+)
 from splatree.kernels.cpu.frame import baselines as cpu
 from splatree.kernels.cpu.frame import select as cpu_select
 from splatree.kernels.reference import baselines as reference
 from splatree.kernels.reference import select as reference_select
-from splatree.lod.baselines import BaselineOptions, Method, Request, baseline, log_serial, violations
+from splatree.lod.baselines import BaselineName, BaselineOptions, Request, baseline, log_serial, violations
 from splatree.lod.select import count_uncovered
 from splatree.scene.view import View, view_of
+
+from ..lod.test_build import surface
+from ..lod.test_select import camera_at, quad_tree
 
 CUTS = ("3dgs", "roots", "depth", "h3dgs", "serial", "octree", "flod", "filtergs")
 PER_NODE = ("octree-per-node", "flod-per-node", "lodge")
@@ -218,7 +232,7 @@ def test_the_release_of_filtergs_drops_what_is_larger_than_700_px():
 
 def test_methods_count_the_bytes_of_what_they_keep_beside_the_tree():
     scene, camera = forest(4), Camera.look_at(np.array([0.0, 0, -60]), np.zeros(3))
-    made = {method: baseline(method, scene, [camera], BaselineOptions(chunks=1)) for method in get_args(Method)}
+    made = {method: baseline(method, scene, [camera], BaselineOptions(chunks=1)) for method in get_args(BaselineName)}
     num_bands = min(BaselineOptions().bands, scene.tree.num_levels)
     assert made["flod"].num_bytes == 4 * (num_bands + num_bands - 1)  # a depth a band, a distance between two
     assert made["lodge"].num_bytes == made["lodge"].cut(camera).nbytes  # the one list
@@ -237,7 +251,7 @@ def test_log_serial_loses_the_subtrees_of_roots_that_are_not_passed_on():
 
 def test_every_method_is_drawn_by_the_renderer():
     scene, camera = forest(4), Camera.look_at(np.array([0.0, 0, -30]), np.zeros(3), width=48, height=32)
-    for method in get_args(Method):
+    for method in get_args(BaselineName):
         result = render(scene, camera, select=baseline(method, scene, [camera]))
         assert result.counters.num_selected > 0
         assert np.isfinite(result.image).all()
@@ -257,3 +271,28 @@ def test_a_cover_of_nothing_leaves_every_leaf_uncovered():
     tree = forest(4).tree
     assert count_uncovered(tree, np.zeros(0, np.int32)) == tree.num_leaves
     assert count_uncovered(tree, np.flatnonzero(tree.depth == 0)) == 0
+
+
+PROFILES = {
+    "serial": "exact",
+    "filtergs": "exact",
+    "log-serial": "ref",
+    "filtergs-strict": "ref",
+    "filtergs-release": "ref",
+}
+
+
+def test_each_method_says_which_radius_it_compares():
+    scene, camera = quad_tree(4), camera_at(2.0)
+    for method in get_args(BaselineName):
+        made = baseline(method, scene, [camera], BaselineOptions(chunks=1))
+        assert made(View(camera)).profile == PROFILES.get(method)
+
+
+@pytest.mark.parametrize("method", ["serial", "filtergs"])
+def test_the_exact_cut_is_that_of_the_levels(method):
+    """Levels by pairs are drawn by spheres: the baselines of the exact cut draw the rows that `select` draws."""
+    scene = build_lod(Scene.flat(surface(600)), BuildOptions("pairs"))
+    made, camera = baseline(method, scene), camera_at(12.0)
+    assert made(View(camera)).profile == "sphere"
+    np.testing.assert_array_equal(made(View(camera)).rows, select(scene, camera).rows)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from splatree import Camera, Gaussians, GaussianTree, Scene, SelectOptions, select
 from splatree.kernels.reference import select as reference
 from splatree.lod.select import count_nested
-from splatree.lod.serial import levels_of, select_serial
+from splatree.lod.serial import child_table_of, select_serial
 from splatree.scene.view import view_of
 
 PROFILES = ("exact", "3dgs", "ref", "sphere")
@@ -182,10 +182,10 @@ def test_level_by_level_traversal_finds_the_same_cut(parents, camera, profile, t
 
 @given(forests())
 def test_levels_list_the_children_of_each_node(parents):
-    levels = levels_of(tree_of(parents))
+    table = child_table_of(tree_of(parents))
     lists = [[c for c, p in enumerate(parents) if p == v] for v in range(len(parents))]
-    assert [levels.children(np.array([v])).tolist() for v in range(len(parents))] == lists
-    assert levels.children(np.arange(len(parents))).tolist() == [c for found in lists for c in found]
+    assert [table.children(np.array([v])).tolist() for v in range(len(parents))] == lists
+    assert table.children(np.arange(len(parents))).tolist() == [c for found in lists for c in found]
 
 
 @given(forests(), cameras(), taus, st.integers(0, 2**20))

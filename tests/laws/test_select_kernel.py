@@ -105,14 +105,14 @@ def visible_within(scene: Scene, camera: Camera, view_test: str, dilation: float
 def assert_is_the_cut(rows: np.ndarray, scene: Scene, camera: Camera, options: SelectOptions, dilation: float) -> None:
     """Equal to the definition but for nodes within 1e-4 of τ_R, with what is below them, and boxes within 0.1 px of a border."""
     tree, tau = scene.tree, options.pixel_error
-    radii = reference.radii(scene.gaussians, tree.extents, camera, options.radius, dilation)
+    radii = reference.radii(scene.gaussians, tree.extents, camera, options.resolved_profile, dilation)
     open_nodes = np.zeros(len(scene), bool)
     if np.isfinite(tau) and tau > 0:
         # Float32 has 6e-8, but the larger eigenvalue is a difference of rounded squares; 1e-4 is the band of the laws.
         open_nodes = np.abs(radii / tau - 1) < 1e-4
         # Depths round too: who is beyond the near plane within 0.1 % may be refined or not.
         depths = reference.project(scene.gaussians, camera).depths
-        open_nodes |= (np.abs(depths / camera.near - 1) < 1e-3) & (options.radius != "sphere")
+        open_nodes |= (np.abs(depths / camera.near - 1) < 1e-3) & (options.resolved_profile != "sphere")
     undecided = open_nodes | reference.shadowed(open_nodes, tree.subtree_end)
     cut = np.zeros(len(scene), bool)
     cut[reference.cut_rows(tree, radii, tau)] = True

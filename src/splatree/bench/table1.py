@@ -17,7 +17,7 @@ from splatree.bench import paper
 from splatree.bench.experiment import Curve, Plot, Report, Row, Table
 from splatree.bench.measure import Judge, number
 from splatree.bench.subject import Subject, SubjectOptions, subject_of
-from splatree.lod.baselines import Baseline, BaselineOptions, Method, baseline, violations
+from splatree.lod.baselines import Baseline, BaselineName, BaselineOptions, baseline, violations
 from splatree.lod.select import Selector
 from splatree.metrics.lpips import Lpips, Net
 from splatree.progress import track
@@ -27,7 +27,7 @@ from splatree.scene.options import SelectOptions
 
 __all__ = ["Options", "run"]
 
-LABELS: dict[Method, str] = {
+LABELS: dict[BaselineName, str] = {
     "3dgs": "3DGS: all leaves",
     "roots": "roots",
     "depth": "one depth",
@@ -93,7 +93,7 @@ NOTES = (
 
 def _methods(subject: Subject, options: BaselineOptions) -> Iterator[tuple[str, SelectOptions | Selector, int]]:
     """Made one after the other: tables of large scenes take memory."""
-    for method in get_args(Method):
+    for method in get_args(BaselineName):
         made = baseline(method, subject.scene, subject.training, options)
         yield LABELS[method], made, made.num_bytes
     assert subject.scene.blocks is not None

@@ -19,7 +19,8 @@ from splatree.lod.link import link_levels
 from splatree.lod.options import BuildOptions
 from splatree.lod.report import report_levels
 from splatree.render.calibrate import CalibrateOptions, Calibration, calibrate, calibrated
-from splatree.scene.scene import Mode, Scene
+from splatree.scene.names import Mode
+from splatree.scene.scene import Scene
 
 STEPS = {"radii": "radius", "pixel_sizes": "pixel"}
 """What each level was made by, in the record of the levels and in the table."""

@@ -16,7 +16,7 @@ from splatree.io.cameras.files import read_cameras
 from splatree.io.cameras.split import split_views
 from splatree.io.photos import Photos, PhotosUsed, photographed
 from splatree.kernels.devices import DeviceName
-from splatree.lod.baselines import Baseline, BaselineOptions, Method, baseline
+from splatree.lod.baselines import Baseline, BaselineName, BaselineOptions, baseline
 from splatree.lod.blocks import with_blocks
 from splatree.metrics.lpips import Lpips, Net
 from splatree.render.calibrate import METADATA_KEY
@@ -46,7 +46,7 @@ class Command:
     """Draw each n-th of these views only, from the first."""
     scale: float = 1.0
     """Factor on the width and height of the views; photographs are resized likewise."""
-    method: Method | None = None
+    method: BaselineName | None = None
     """Choose nodes by a published method instead of the options below, of which --pixel-error alone counts."""
     frames: int = 100
     """Frames timed, the views themselves or a path through them, after 20 to warm up; 0: none."""

@@ -11,8 +11,9 @@ from dataclasses import dataclass, field
 
 from splatree.errors import InputError
 from splatree.scene.gaussians import Gaussians
+from splatree.scene.names import Mode
 from splatree.scene.origin import NO_ORIGIN, Origin
-from splatree.scene.scene import Mode, Scene
+from splatree.scene.scene import Scene
 
 ROWS_PER_CHUNK = 1 << 14
 """4 MB at degree 3: small beside any scene and, with as much of a file's records, in the processor's last cache; large beside

@@ -12,7 +12,8 @@ from splatree.kernels.cpu.frame.blocks import index_blocks
 from splatree.maths.forests import Preorder, preorder_from_links, subtree_radii
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.levels import UNKNOWN_LEVELS, LevelRecord
-from splatree.scene.scene import Mode, Scene, Source
+from splatree.scene.names import Mode
+from splatree.scene.scene import Scene, Source
 from splatree.scene.tree import GaussianTree
 from splatree.shapes import Array, Float32, Int32, UInt8
 

@@ -16,7 +16,8 @@ from splatree.io.chunks import ROWS_PER_CHUNK, Chunks, Counts, counted_chunks
 from splatree.io.options import ReadOptions
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
-from splatree.scene.scene import Mode, Scene, Source
+from splatree.scene.names import Mode
+from splatree.scene.scene import Scene, Source
 
 __all__ = ["FileRows", "Fill", "columns_to_fill"]
 

@@ -35,20 +35,21 @@ import numpy as np
 from splatree.errors import InputError
 from splatree.kernels.cpu.frame import baselines as cpu
 from splatree.kernels.cpu.frame import select as cpu_select
-from splatree.lod.select import count_nested, count_uncovered
-from splatree.lod.serial import levels_of, select_serial
+from splatree.lod.select import count_nested, count_uncovered, for_levels
+from splatree.lod.serial import child_table_of, select_serial
 from splatree.scene.cameras import Camera
 from splatree.scene.frame import Selection
 from splatree.scene.literals import check_literals
+from splatree.scene.names import Profile
 from splatree.scene.options import SelectOptions, ViewTest
 from splatree.scene.scene import Scene
 from splatree.scene.tree import GaussianTree
 from splatree.scene.view import View, as_view
 from splatree.shapes import Array, Bool, Int32, UInt8
 
-__all__ = ["Baseline", "BaselineOptions", "Method", "Violations", "baseline", "violations"]
+__all__ = ["Baseline", "BaselineName", "BaselineOptions", "Violations", "baseline", "violations"]
 
-Method = Literal[
+BaselineName = Literal[
     "3dgs",
     "roots",
     "depth",
@@ -123,7 +124,7 @@ class BaselineOptions:
 class Baseline:
     """A method over one scene; called as `render` calls a selector."""
 
-    method: Method
+    method: BaselineName
     """Its name."""
     scene: Scene
     """What it chooses from."""
@@ -135,6 +136,8 @@ class Baseline:
     """Data beside the Gaussians and the tree's own ``subtree_end`` and ``depth``."""
     pixel_error: float
     """τ_R, px; 0 where the method has none."""
+    profile: Profile | None
+    """The radius that the method compares with τ_R; None: it compares something else, or nothing."""
 
     def __post_init__(self) -> None:
         check_literals(self)
@@ -142,7 +145,7 @@ class Baseline:
     def __call__(self, view: View, *, threads: int = 0) -> Selection:
         """Choose the rows to draw."""
         rows, visited = self.choose(Request(view, self.view_test, threads))
-        return Selection(rows, self.method, "exact", self.pixel_error, visited)
+        return Selection(rows, self.method, self.profile, self.pixel_error, visited)
 
     def cut(self, view: Camera | View) -> Int32[Array, "v"]:
         """The rows that stand for the whole scene, seen or not."""
@@ -165,7 +168,7 @@ def violations(tree: GaussianTree, rows: Array) -> Violations:
 
 
 def baseline(
-    method: Method, scene: Scene, cameras: Sequence[Camera] = (), options: BaselineOptions | None = None
+    method: BaselineName, scene: Scene, cameras: Sequence[Camera] = (), options: BaselineOptions | None = None
 ) -> Baseline:
     """Make what a method needs of a scene once.
 
@@ -174,8 +177,8 @@ def baseline(
     Raises:
         InputError: a method of an unknown name, or without the cameras that it needs.
     """
-    if method not in get_args(Method):
-        raise InputError(f"method: found {method!r}, wanted one of {', '.join(get_args(Method))}")
+    if method not in get_args(BaselineName):
+        raise InputError(f"method: found {method!r}, wanted one of {', '.join(get_args(BaselineName))}")
     if method in ("octree", "octree-per-node", "lodge") and not cameras:
         raise InputError(f"method {method!r}: found no cameras, wanted those that the scene was trained on")
     options = options or BaselineOptions()
@@ -183,9 +186,13 @@ def baseline(
     tree = scene.tree
 
     def made(
-        choose: Choose, num_bytes: int = 0, view_test: ViewTest = "footprint", pixel_error: float = 0.0
+        choose: Choose,
+        num_bytes: int = 0,
+        view_test: ViewTest = "footprint",
+        pixel_error: float = 0.0,
+        profile: Profile | None = None,
     ) -> Baseline:
-        return Baseline(method, scene, choose, view_test, num_bytes, pixel_error)
+        return Baseline(method, scene, choose, view_test, num_bytes, pixel_error, profile)
 
     if method in ("3dgs", "roots", "depth"):
         depth = {"3dgs": tree.num_levels, "roots": 0, "depth": options.depth}[method]
@@ -195,11 +202,17 @@ def baseline(
         rows, num_bytes = _h3dgs(scene, tau)
         return made(_culled(scene, rows), num_bytes, pixel_error=tau)
     if method in ("serial", "log-serial"):
-        select = SelectOptions(tau) if method == "serial" else SelectOptions(tau, rule="log-serial", profile="ref")
-        return made(log_serial(scene, select), 12 * len(tree), pixel_error=tau)
+        exact_cut = for_levels(SelectOptions(tau), scene)
+        select = exact_cut if method == "serial" else SelectOptions(tau, rule="log-serial", profile="ref")
+        return made(log_serial(scene, select), 12 * len(tree), pixel_error=tau, profile=select.profile)
     if method in ("filtergs", "filtergs-strict", "filtergs-release"):
-        choose, num_bytes = _filtergs(scene, method, tau)
-        return made(choose, num_bytes, "centre" if method == "filtergs-release" else "footprint", tau)
+        select = {
+            "filtergs": for_levels(SelectOptions(tau), scene),
+            "filtergs-strict": SelectOptions(tau, rule="paper-strict", profile="ref"),
+            "filtergs-release": SelectOptions(tau, rule="release", profile="ref"),
+        }[method]
+        choose, num_bytes = _filtergs(scene, select)
+        return made(choose, num_bytes, "centre" if select.rule == "release" else "footprint", tau, select.profile)
     if method == "lodge":
         rows, num_bytes = _lodge(scene, cameras, options)
         return made(_culled(scene, rows), num_bytes, "none")
@@ -209,7 +222,7 @@ def baseline(
 
 def log_serial(scene: Scene, select: SelectOptions, roots: Array | None = None) -> Choose:
     """The traversal level by level; ``roots`` are those not hidden by others, None: all."""
-    levels = levels_of(scene.tree)
+    table = child_table_of(scene.tree)
 
     def choose(asked: Request) -> tuple[Array, int]:
         return select_serial(
@@ -218,7 +231,7 @@ def log_serial(scene: Scene, select: SelectOptions, roots: Array | None = None) 
             None,
             asked.view,
             replace(select, view_test=asked.view_test),
-            levels=levels,
+            table=table,
             roots=roots,
             threads=asked.threads,
         )
@@ -257,20 +270,15 @@ def _h3dgs(scene: Scene, pixel_error: float) -> tuple[Choose, int]:
     return rows_of, lower.nbytes + upper.nbytes
 
 
-def _filtergs(scene: Scene, method: Method, pixel_error: float) -> tuple[Choose, int]:
+def _filtergs(scene: Scene, select: SelectOptions) -> tuple[Choose, int]:
     table = cpu_select.ancestor_table(scene.tree)
-    select = {
-        "filtergs": SelectOptions(pixel_error),
-        "filtergs-strict": SelectOptions(pixel_error, rule="paper-strict", profile="ref"),
-        "filtergs-release": SelectOptions(pixel_error, rule="release", profile="ref"),
-    }[method]
 
     def choose(asked: Request) -> tuple[Array, int]:
         options = replace(select, view_test=asked.view_test)
         rows, visited = cpu_select.select_by_ancestors(
             scene.gaussians, scene.tree, table, asked.view, options, threads=asked.threads
         )
-        if method == "filtergs-release" and asked.view_test != "none":
+        if select.rule == "release" and asked.view_test != "none":
             largest = replace(options, pixel_error=RELEASE_LARGEST_PX)
             rows = rows[cpu_select.small(scene.gaussians, scene.tree, rows, asked.view, largest, threads=asked.threads)]
         return rows, visited

@@ -34,7 +34,7 @@ from splatree.lod.forest import Forest, NewLevel
 from splatree.lod.resolve import ResolvedBuild
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
-from splatree.scene.scene import Mode
+from splatree.scene.names import Mode
 from splatree.scene.thinning import Groups, MergeOptions
 from splatree.shapes import Array
 from splatree.simplify.pairs import means_of_pairs

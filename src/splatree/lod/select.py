@@ -113,7 +113,7 @@ def select(
             rows = rows[cpu.small(scene.gaussians, scene.tree, rows, view, largest, threads=threads)]
         return rows, visited
 
-    finest, smallest = options.pixel_error, smallest_radius(options.radius, view.dilation_px2)
+    finest, smallest = options.pixel_error, smallest_radius(options.resolved_profile, view.dilation_px2)
     if options.budget is not None and last is not None:
         rows, visited, pixel_error = meet_budget_from(rows_at, options.budget, (finest, smallest), last, view.camera)
     else:
@@ -123,7 +123,7 @@ def select(
             coarser = max(finest, smallest)
             rows, visited, pixel_error = meet_budget(rows_at, options.budget, coarser, len(rows), view.camera)
     notes = notes_on(scene, options, pixel_error, view)
-    return Selection(rows, options.rule, options.radius, pixel_error, visited, notes)
+    return Selection(rows, options.rule, options.resolved_profile, pixel_error, visited, notes)
 
 
 def for_levels(options: SelectOptions, scene: Scene) -> SelectOptions:
@@ -137,7 +137,7 @@ def for_levels(options: SelectOptions, scene: Scene) -> SelectOptions:
 def notes_on(scene: Scene, options: SelectOptions, pixel_error: float, view: View) -> tuple[str, ...]:
     """What the caller should know of a selection by a τ_R of ``pixel_error``, px."""
     notes: tuple[str, ...] = ()
-    profile, record = options.radius, scene.tree.record
+    profile, record = options.resolved_profile, scene.tree.record
     smallest = smallest_radius(profile, view.dilation_px2)
     if 0 < pixel_error < smallest:
         notes += (

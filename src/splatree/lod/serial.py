@@ -26,7 +26,7 @@ from splatree.scene.tree import BlockIndex, GaussianTree
 from splatree.scene.view import View
 from splatree.shapes import Array, Bool, Int32
 
-__all__ = ["Levels", "levels_of", "select_serial"]
+__all__ = ["ChildTable", "child_table_of", "select_serial"]
 
 ROOT_PAD = 0.5
 """Share of the half image by which a root's centre may lie outside (LoG)."""
@@ -37,7 +37,7 @@ LAST_LEVEL = 30
 
 
 @dataclass(frozen=True, eq=False)
-class Levels:
+class ChildTable:
     """The rows of a tree level by level, children of one node together: what a traversal needs beside the tree."""
 
     rows: Int32[Array, "n"]
@@ -57,7 +57,7 @@ class Levels:
         return np.asarray(self.rows[np.repeat(self.first_child[parents], counts) + within])
 
 
-def levels_of(tree: GaussianTree) -> Levels:
+def child_table_of(tree: GaussianTree) -> ChildTable:
     """The table of children of a tree; 12 bytes a node, built once a scene."""
     rows = np.argsort(tree.depth, kind="stable").astype(np.int32)
     place = np.empty_like(rows)
@@ -71,7 +71,7 @@ def levels_of(tree: GaussianTree) -> Levels:
         parents = rows[above:below]
         of_child = np.searchsorted(parents, rows[below:end]) - 1  # the last node above that precedes the child
         num_children[parents] = np.bincount(of_child, minlength=len(parents))
-    return Levels(rows, int(level_start[1]), first_child, num_children)
+    return ChildTable(rows, int(level_start[1]), first_child, num_children)
 
 
 def select_serial(
@@ -82,7 +82,7 @@ def select_serial(
     options: SelectOptions,
     *,
     runs: Int32[Array, "r 2"] | None = None,
-    levels: Levels | None = None,
+    table: ChildTable | None = None,
     roots: Array | None = None,
     threads: int = 0,
 ) -> tuple[Int32[Array, "v"], int]:
@@ -91,9 +91,9 @@ def select_serial(
     Signature as `kernels.cpu.select.select`; ``blocks`` is not used. Radii and the view test come from the same compiled
     functions, so the rule `cut` gives the same set bit for bit.
     """
-    levels = levels or levels_of(tree)
+    table = table or child_table_of(tree)
     as_log = options.rule == "log-serial"
-    frontier = levels.rows[: levels.num_roots] if roots is None else np.asarray(roots, np.int32)
+    frontier = table.rows[: table.num_roots] if roots is None else np.asarray(roots, np.int32)
     if as_log:
         frontier = frontier[_centred(gaussians, frontier, view.camera, ROOT_PAD)]
         # Strict: R < τ_R is R ≤ the number before τ_R.
@@ -106,9 +106,9 @@ def select_serial(
         stays = cpu.small(gaussians, tree, frontier, view, options, threads=threads)
         if as_log and level > 0:
             stays |= ~_centred(gaussians, frontier, view.camera, NODE_PAD)
-        stays |= levels.num_children[frontier] == 0
+        stays |= table.num_children[frontier] == 0
         kept.append(frontier[stays])
-        frontier = levels.children(frontier[~stays])
+        frontier = table.children(frontier[~stays])
         level += 1
     rows = np.sort(np.concatenate(kept))
     if runs is not None:

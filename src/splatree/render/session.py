@@ -421,7 +421,7 @@ class Session:
             traced = self._held.trace(view, select)
             notes = notes_on(self._scene, select, select.pixel_error, view)
             selection = Selection(
-                traced.rows, select.rule, select.radius, select.pixel_error, traced.num_visited, notes
+                traced.rows, select.rule, select.resolved_profile, select.pixel_error, traced.num_visited, notes
             )
         else:
             culling, selection = self._chosen(view, select, clock)
@@ -438,7 +438,7 @@ class Session:
         if self._scene.blocks is None:  # kept by an update: what the index says is of other columns
             with clock.timed("select"):
                 rows = np.arange(len(self._scene), dtype=np.int32)
-                return None, Selection(rows, select.rule, select.radius, select.pixel_error, len(rows))
+                return None, Selection(rows, select.rule, select.resolved_profile, select.pixel_error, len(rows))
         culling = None
         if cull_rule(self._scene, select) != "none":
             with clock.timed("cull"):

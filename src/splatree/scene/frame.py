@@ -13,6 +13,7 @@ import numpy as np
 from splatree.constants import TILE_PX
 from splatree.scene.cameras import Camera
 from splatree.scene.clusters import Culling
+from splatree.scene.names import Profile
 from splatree.scene.view import View
 from splatree.shapes import Array, Float32, Int32, Int64, check_fields
 
@@ -25,8 +26,8 @@ class Selection:
     """Rows of the scene, ascending, none twice."""
     rule: str
     """Rule set that chose them (docs/explanation/select.md)."""
-    profile: str
-    """Radius function that it used."""
+    profile: Profile | None
+    """Radius function that it used; None: the method that chose them compares no radius."""
     pixel_error: float
     """τ_R, px: a node whose radius is at most this stands for its subtree; as raised to meet a budget."""
     num_visited: int = 0

@@ -53,8 +53,8 @@ class SelectOptions:
             raise InputError(f"max_radius: found {self.max_radius}, wanted more than 0 px")
 
     @property
-    def radius(self) -> Profile:
-        """The profile by name; `exact` where it is left to a scene that none is at hand of."""
+    def resolved_profile(self) -> Profile:
+        """The profile; `exact` if none was chosen and no scene was consulted."""
         return self.profile or "exact"
 
 

@@ -11,7 +11,7 @@ from splatree.errors import InputError, ShapeError
 from splatree.scene.clusters import ClusterIndex
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.literals import check_literals
-from splatree.scene.names import Mode as Mode
+from splatree.scene.names import Mode
 from splatree.scene.origin import NO_ORIGIN, Origin
 from splatree.scene.tree import BlockIndex, GaussianTree
 from splatree.shapes import Array, UInt32, check_fields

@@ -5,7 +5,7 @@ import numpy as np
 from splatree.errors import InputError
 from splatree.kernels.cpu.build import merge as kernel
 from splatree.scene.gaussians import Gaussians
-from splatree.scene.scene import Mode
+from splatree.scene.names import Mode
 from splatree.scene.thinning import Groups, Importance, MergeOptions, Weight
 from splatree.shapes import Array, Float32
 

@@ -26,7 +26,7 @@ from splatree.kernels.cpu.build import pairs as kernel
 from splatree.kernels.cpu.build.thin import group
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
-from splatree.scene.scene import Mode
+from splatree.scene.names import Mode
 from splatree.scene.thinning import Groups, ThinOptions
 from splatree.shapes import Array, Float32
 from splatree.simplify.merge import weights_of

@@ -9,7 +9,7 @@ import numpy as np
 
 from splatree.kernels.cpu.build.visibility import measure_visibilities
 from splatree.scene.gaussians import Gaussians
-from splatree.scene.scene import Mode
+from splatree.scene.names import Mode
 from splatree.shapes import Array, Float32
 
 __all__ = ["pixel_size_of", "visibilities_in", "visibilities_of"]

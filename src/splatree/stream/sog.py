@@ -21,7 +21,8 @@ from splatree.io.formats.streamed_sog.format import MANIFEST
 from splatree.io.options import WriteOptions
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
-from splatree.scene.scene import Mode, Scene
+from splatree.scene.names import Mode
+from splatree.scene.scene import Scene
 from splatree.shapes import Array
 from splatree.stream.boxes import box_around, outward
 from splatree.stream.chunks import TreeChunks, chunks_of_tree

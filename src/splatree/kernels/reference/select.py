@@ -72,7 +72,9 @@ def select(
     `release`       the code of FilterGS: each small inner node is drawn, also below another; only leaves look at their
                     ancestors, and visible ones alone shadow.
     """
-    small = radii(gaussians, tree.extents, view.camera, options.radius, view.dilation_px2) <= options.pixel_error
+    small = (
+        radii(gaussians, tree.extents, view.camera, options.resolved_profile, view.dilation_px2) <= options.pixel_error
+    )
     seen = visible(gaussians, view.camera, options.view_test, view.dilation_px2, view.least_threshold)
     leaf, end = tree.is_leaf, tree.subtree_end
     if options.rule == "cut":

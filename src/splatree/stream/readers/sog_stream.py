@@ -16,7 +16,8 @@ from splatree.io.formats.streamed_sog.format import MANIFEST
 from splatree.io.formats.streamed_sog.format import files as files_of_stream
 from splatree.io.options import ReadOptions
 from splatree.scene.gaussians import Gaussians
-from splatree.scene.scene import Mode, Scene
+from splatree.scene.names import Mode
+from splatree.scene.scene import Scene
 from splatree.shapes import Array, Float64, Int64, check_fields
 
 __all__ = ["Ranges", "SogStream", "open_sog_stream"]

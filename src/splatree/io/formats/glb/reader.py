@@ -38,8 +38,9 @@ from splatree.io.options import ReadOptions
 from splatree.maths.axes import signs_between
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
+from splatree.scene.names import Mode
 from splatree.scene.origin import NO_ORIGIN, Origin, origin_of
-from splatree.scene.scene import Mode, Scene, Source
+from splatree.scene.scene import Scene, Source
 from splatree.shapes import Array, Float64
 
 EXTENSION: Final = "KHR_gaussian_splatting"

@@ -8,7 +8,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from splatree.errors import FormatError
-from splatree.scene.scene import Mode
+from splatree.scene.names import Mode
 
 __all__ = ["HEADER_MAX", "Element", "Encoding", "Header", "Text", "parse_header", "parse_text"]
 

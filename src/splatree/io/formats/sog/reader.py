@@ -30,7 +30,8 @@ from splatree.kernels.cpu import _core
 from splatree.kernels.cpu.codec.sog import SogTables, decode
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
-from splatree.scene.scene import Mode, Scene
+from splatree.scene.names import Mode
+from splatree.scene.scene import Scene
 from splatree.shapes import Array
 
 if TYPE_CHECKING:

@@ -39,7 +39,8 @@ from splatree.kernels.cpu.codec import quantize
 from splatree.maths.axes import harmonic_signs, quat_signs, signs_between
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
-from splatree.scene.scene import Mode, Scene
+from splatree.scene.names import Mode
+from splatree.scene.scene import Scene
 from splatree.shapes import Array
 
 SCENE_AXES: Final = "RDF"

@@ -152,13 +152,13 @@ def pack_rule(view: View, options: SelectOptions) -> Float64[Array, "12"]:
     camera, dilation_px2, threshold = view.camera, view.dilation_px2, view.least_threshold
     focal = camera.K[0, 0], camera.K[1, 1]
     limit = (options.pixel_error / SIGMAS) ** 2
-    added = (0.0, DILATION_PX2) if options.radius == "ref" else (dilation_px2, 0.0)
-    floor = 0.0 if options.radius == "exact" else EIGENVALUE_FLOOR_PX4
+    added = (0.0, DILATION_PX2) if options.resolved_profile == "ref" else (dilation_px2, 0.0)
+    floor = 0.0 if options.resolved_profile == "exact" else EIGENVALUE_FLOOR_PX4
     # Opacities are compared as logits; the slack of 1e-3 covers the rounding of the sigmoid in the projection.
     logit_min = np.log(threshold / (1 - threshold)) - 1e-3
     pads = CENTRE_PAD * camera.width / 2, CENTRE_PAD * camera.height / 2
     sizes = [limit, *added, floor, options.pixel_error, max(focal), min(focal), _reach_of_opaque(threshold)]
-    return np.array([*sizes, logit_min, *pads, options.radius == "sphere"], np.float64)
+    return np.array([*sizes, logit_min, *pads, options.resolved_profile == "sphere"], np.float64)
 
 
 def _reach_of_opaque(threshold: float) -> float:
