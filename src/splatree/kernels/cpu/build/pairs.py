@@ -23,9 +23,7 @@ def best_partners(
     """
     n = len(gaussians)
     partner, costs, opacities = np.empty(n, np.int32), np.empty(n, np.float32), np.empty(n, np.float32)
-    _core.best_partners(
-        gaussians, weights, visibilities, dilation, partner, costs, opacities, threads
-    )
+    _core.best_partners(gaussians, weights, visibilities, dilation, partner, costs, opacities, threads)
     return partner, costs, opacities
 
 
