@@ -87,8 +87,8 @@ class Identification:
     """Four side planes, which lose nothing, or Eq. 3 of the paper without its division; the exact rule reads 8 bytes more."""
     interval: int = 1
     """Cycles from one cluster to the next: 1 is four rows of multipliers, 16 one shared column (ours)."""
-    latency: int = 8
-    """Cycles from the input to the output, both FIFOs included (measured on the RTL, `splatree rtl`)."""
+    latency: int = 9
+    """Cycles from the input to the output, two in each FIFO included (as the circuit that `splatree rtl` writes)."""
     record_fifo: int = 64
     """Records of clusters that wait (ours)."""
     selected_fifo: int = 16
@@ -97,6 +97,11 @@ class Identification:
     def __post_init__(self) -> None:
         check_literals(self)
         _positive(self, "identification", "interval", "latency", "record_fifo", "selected_fifo")
+        if self.latency < 5 or self.selected_fifo < 2:
+            raise InputError(
+                f"identification: found a latency of {self.latency} cycles and {self.selected_fifo} selected clusters, wanted at "
+                f"least 5 and 2: each FIFO takes two cycles and holds two entries"
+            )
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,14 @@
 // Glue of the accelerator: settings come as a dictionary of named numbers, what was found goes back as one.
+#include <nanobind/stl/pair.h>
 #include <nanobind/stl/string.h>
+#include <nanobind/stl/vector.h>
 
+#include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
+#include "cpu/machine/identifier.h"
 #include "cpu/machine/simulate.h"
 #include "cpu/runtime/arrays.h"
 
@@ -104,6 +109,24 @@ nb::dict simulate_frame(nb::dict settings, nb::dict clusters, nb::dict tiles) {
   return found;
 }
 
+// The cycle in which each kept cluster leaves the identification alone, where the input never waits and the output is taken in
+// the cycles in which `ready` says so.
+std::vector<std::pair<int64_t, int64_t>> identify(In<bool> kept, In<bool> ready, int interval, int latency, int selected_fifo) {
+  Identifier identifier(interval, latency, selected_fifo);
+  std::vector<std::pair<int64_t, int64_t>> found;
+  const int64_t count = int64_t(kept.shape(0)), cycles = int64_t(ready.shape(0));
+  int64_t next = 0;
+  for (int64_t now = 0; now < cycles; ++now) {
+    std::optional<Identifier::Visit> visit;
+    if (next < count) visit = Identifier::Visit{next, kept.data()[next]};
+    next += visit && identifier.has_room();
+    const std::optional<int64_t> front = identifier.front();
+    if (front && ready.data()[now]) found.emplace_back(now, *front);
+    identifier.step(visit, ready.data()[now]);
+  }
+  return found;
+}
+
 // LRU within each set; the youngest comes first. Without sets every access misses.
 void cache_misses(In<int32_t> splats, In<int64_t> start, In<int64_t> order, int64_t sets, int ways, Out<int64_t> misses) {
   nb::gil_scoped_release release;
@@ -133,6 +156,8 @@ void cache_misses(In<int32_t> splats, In<int64_t> start, In<int64_t> order, int6
 void bind_machine(nb::module_& m) {
   m.def("simulate_frame", &simulate_frame, nb::arg("settings"), nb::arg("clusters"), nb::arg("tiles"),
         "Step the accelerator through a frame; dictionaries of named numbers and columns (splatree/hardware/simulate.py).");
+  m.def("identify", &identify, nb::arg("kept"), nb::arg("ready"), nb::arg("interval"), nb::arg("latency"),
+        nb::arg("selected_fifo"), "Cycle and number of each cluster that leaves the identification alone.");
   m.def("cache_misses", &cache_misses, nb::arg("splats"), nb::arg("start"), nb::arg("order"), nb::arg("sets"), nb::arg("ways"),
         nb::arg("misses"), "Fill the lines that each tile misses in an LRU cache of so many sets and ways.");
 }

@@ -3,6 +3,7 @@
 #include <deque>
 
 #include "cpu/machine/engine.h"
+#include "cpu/machine/identifier.h"
 
 namespace splatree::machine {
 
@@ -15,7 +16,8 @@ class Front {
         result_(result),
         step1_(s.geometry, dram, GEOMETRY, result.units[STEP1], result.spans, STEP1),
         step2_(s.color, dram, COLOR, result.units[STEP2], result.spans, STEP2),
-        record_lines_((clusters.num_visits * s.record_bytes + s.dram.line_bytes - 1) / s.dram.line_bytes) {}
+        record_lines_((clusters.num_visits * s.record_bytes + s.dram.line_bytes - 1) / s.dram.line_bytes),
+        identifier_(s.interval, s.latency, s.selected_fifo) {}
 
   bool is_done() const { return is_done_; }
 
@@ -23,7 +25,7 @@ class Front {
   bool step(int64_t now) {
     moved_ = false;
     identify(now);
-    feed_step1(now);
+    feed_step1();
     step1_.step(
         now, [&](const Piece& p) { ask_rows(GEOMETRY, s_.geometry, p.first_row, p.rows); },
         [&](const Piece& p) { return pass_on(p); });
@@ -35,15 +37,7 @@ class Front {
   }
 
  private:
-  struct InPipe {
-    int64_t visit, due;
-  };
-  struct Selected {
-    int64_t cluster, since;
-  };
-
-  // Records come line by line into the FIFO; one enters the pipeline each `interval` cycles. If a selected cluster finds no room
-  // at the end of the pipeline, all of the pipeline stands still.
+  // Records come line by line into a FIFO and go on to the identifier; a selected cluster goes on to step 1 if that has room.
   void identify(int64_t now) {
     if (!s_.identifies) return;
     UnitTime& time = result_.units[CIE];
@@ -54,40 +48,39 @@ class Front {
     const int64_t here = std::min(clusters_.num_visits, dram_.arrived(RECORDS) * line / s_.record_bytes);
     for (; in_fifo_ < here; ++in_fifo_) records_since_.push_back(now), ++result_.records.pushes;
     count(result_.records, here - next_visit_);
-    bool is_blocked = false;
-    if (!pipe_.empty() && pipe_.front().due <= enabled_) {
-      const int32_t cluster = clusters_.visits[pipe_.front().visit];
-      is_blocked = cluster >= 0 && int(selected_.size()) >= s_.selected_fifo;
-      if (!is_blocked) {
-        if (cluster >= 0) selected_.push_back({cluster, now}), ++result_.selected.pushes;
-        pipe_.pop_front();
-        ++time.items;
-        time.last_end = now;
-        moved_ = true;
-      }
+
+    std::optional<Identifier::Visit> visit;
+    if (here > next_visit_) {
+      const int32_t cluster = clusters_.visits[next_visit_];
+      visit = Identifier::Visit{cluster, cluster >= 0};
     }
-    if (is_blocked) {
-      ++time.stalled_on_output;
-      return;
-    }
-    if (next_visit_ == clusters_.num_visits && pipe_.empty()) {
-      ++time.idle;
-      return;
-    }
-    ++enabled_;
-    if (enabled_ >= next_entry_ && here > next_visit_) {
-      pipe_.push_back({next_visit_++, enabled_ + s_.latency - 1});
-      ++result_.records.pops;
+    const bool takes = visit && identifier_.has_room(), is_ready = step1_.has_room();
+    if (takes) {
+      ++next_visit_, ++time.items, ++result_.records.pops;
       result_.records.waited += now + 1 - records_since_.front();
       records_since_.pop_front();
-      next_entry_ = enabled_ + s_.interval;
       if (time.first_start < 0) time.first_start = now;
-      moved_ = true;
-      ++time.busy;
-    } else if (enabled_ < next_entry_ || !pipe_.empty()) {
-      ++time.busy;
+    }
+    const std::optional<int64_t> selected = identifier_.front();
+    const size_t before = identifier_.num_selected();
+    const Identifier::State state = identifier_.step(visit, is_ready);
+    if (selected && is_ready) {
+      result_.selected.waited += now + 1 - selected_since_.front();
+      selected_since_.pop_front();
+      ++result_.selected.pops;
+      push(*selected);
+    }
+    if (identifier_.num_selected() + (selected && is_ready) > before)
+      selected_since_.push_back(now + 1), ++result_.selected.pushes;
+    count(result_.selected, int64_t(identifier_.num_selected()));
+    moved_ |= takes || (selected && is_ready) || state == Identifier::BUSY;
+    if (next_visit_ == clusters_.num_visits && identifier_.is_empty()) {
+      ++time.idle;
+      if (time.last_end == 0) time.last_end = now;
+    } else if (state == Identifier::NO_ROOM) {
+      ++time.stalled_on_output;
     } else {
-      ++time.stalled_on_input;
+      state == Identifier::BUSY ? ++time.busy : ++time.stalled_on_input;
     }
   }
 
@@ -96,7 +89,7 @@ class Front {
     fifo.most = std::max(fifo.most, occupancy);
   }
 
-  void feed_step1(int64_t now) {
+  void feed_step1() {
     if (closed1_) return;
     if (!s_.identifies) {
       if (next_visit_ < clusters_.num_visits && step1_.has_room()) {
@@ -106,15 +99,7 @@ class Front {
       if (next_visit_ == clusters_.num_visits) closed1_ = true, step1_.close();
       return;
     }
-    count(result_.selected, int64_t(selected_.size()));
-    if (!selected_.empty() && step1_.has_room()) {
-      result_.selected.waited += now + 1 - selected_.front().since;
-      ++result_.selected.pops;
-      push(selected_.front().cluster);
-      selected_.pop_front();
-      moved_ = true;
-    }
-    if (next_visit_ == clusters_.num_visits && pipe_.empty() && selected_.empty()) closed1_ = true, step1_.close();
+    if (next_visit_ == clusters_.num_visits && identifier_.is_empty()) closed1_ = true, step1_.close();
   }
 
   void push(int64_t cluster) {
@@ -195,10 +180,9 @@ class Front {
   Result& result_;
   Engine step1_, step2_;
   const int64_t record_lines_;
-  std::deque<InPipe> pipe_;
-  std::deque<Selected> selected_;
-  std::deque<int64_t> records_since_;
-  int64_t next_visit_ = 0, in_fifo_ = 0, enabled_ = 0, next_entry_ = 0, splat_bytes_ = 0, splats_written_ = 0, lists_written_ = 0;
+  Identifier identifier_;
+  std::deque<int64_t> records_since_, selected_since_;
+  int64_t next_visit_ = 0, in_fifo_ = 0, splat_bytes_ = 0, splats_written_ = 0, lists_written_ = 0;
   double backlog_ = 0, distributed_ = 0;
   bool closed1_ = false, closed2_ = false, is_done_ = false, is_flushed_ = false, moved_ = false;
 };
