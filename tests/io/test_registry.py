@@ -104,6 +104,12 @@ def test_a_pattern_that_no_shell_expanded_is_expanded(tmp_path):
     assert len(splatree.read(str(tmp_path / "part[12].ply"))) == 5
 
 
+def test_a_pattern_of_folders_reads_what_is_in_them(tmp_path):
+    for i in range(3):
+        write_scene(tmp_path / f"part_{i}/point_cloud.ply", n=i + 1)
+    assert len(splatree.read(tmp_path / "part_*")) == 6
+
+
 def test_the_newest_iteration_of_a_training_is_read(tmp_path):
     for i in (7000, 30000, 900):
         write_scene(tmp_path / f"point_cloud/iteration_{i}/point_cloud.ply", n=i // 100)
