@@ -179,3 +179,19 @@ def test_a_tree_is_not_reordered(tree):
 def test_edits_that_make_no_sense_are_refused(wrong, message):
     with pytest.raises(InputError, match=message):
         EditOptions(**wrong)
+
+
+@pytest.mark.parametrize(
+    ("options", "keeps"),
+    [
+        (EditOptions(sh_degree=1), True),
+        (MOVE, False),
+        (EditOptions(min_opacity=0.3), False),
+        (EditOptions(order="morton"), False),
+    ],
+)
+def test_clusters_go_with_what_they_held(city, options, keeps):
+    clustered = splatree.build_clusters(city, 9)
+    edited = edit(clustered, options)
+    assert (edited.clusters is not None) == keeps
+    assert ("the 9 clusters" in edited.source.metadata.get("lost", "")) != keeps

@@ -16,20 +16,34 @@ from splatree.kernels.cpu.frame.blocks import index_blocks
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.origin import Origin
 from splatree.scene.scene import Scene
-from splatree.scene.tree import GaussianTree
 from splatree.shapes import Array, Bool, Float32
 
 __all__ = ["edit", "edit_rows", "move_from_options"]
 
 
 def edit(scene: Scene, options: EditOptions) -> Scene:
-    """The scene edited, in the order that `EditOptions` states.
+    """Filter, move, turn, scale, crop and order a scene, in the order that `EditOptions` states.
 
-    Moving keeps the tree. Filters look at leaves: a merged node stays if all leaves below it do; how many went says
-    ``source.metadata["lost"]``.
+    Moving keeps the tree. Filters decide about leaves: a merged node stays if all leaves below it stay.
+
+    Args:
+        scene: any scene.
+        options: the edits.
+
+    Returns:
+        The edited scene. ``source.metadata["lost"]`` says how many merged nodes and clusters were dropped.
+
+    Raises:
+        InputError: the order `morton` is asked for, but the scene has levels.
+
+    Example:
+        >>> turned = st.edit(scene, st.EditOptions(rotate=(90, 0, 0), min_opacity=0.05))
+        >>> len(turned) <= len(scene)
+        True
     """
     move = move_from_options(options, scene.source.origin)
     similarity = move.similarity
+    clusters = scene.clusters
     moved = _moved(scene.gaussians, similarity)
     if options.may_drop_rows:
         is_kept = kept_rows(scene.gaussians, moved, options, move.origin)
@@ -48,9 +62,16 @@ def edit(scene: Scene, options: EditOptions) -> Scene:
     if gaussians is not scene.gaussians:
         extents = similarity.extents(scene.tree.extents, moved)
         record = None if scene.tree.record is None else scene.tree.record.scaled(similarity.scale)
-        scene = _with_gaussians(scene, gaussians, replace(scene.tree, extents=extents, record=record, roots=None))
+        kept_clusters = scene.clusters if similarity.is_identity else None  # harmonics alone move nothing
+        tree = replace(scene.tree, extents=extents, record=record, roots=None)
+        blocks = None if scene.blocks is None else index_blocks(gaussians, tree)
+        scene = replace(scene, gaussians=gaussians, tree=tree, blocks=blocks, clusters=kept_clusters)
     scene = replace(scene, source=replace(scene.source, origin=move.origin))
-    return in_morton_order(scene) if options.order == "morton" else scene
+    if options.order == "morton":
+        scene = in_morton_order(scene)
+    if clusters is not None and scene.clusters is None:
+        scene = _with_loss(scene, f"the {len(clusters):,} clusters: they held the scene before the edit; make new ones")
+    return scene
 
 
 def edit_rows(gaussians: Gaussians, options: EditOptions, move: Move) -> Gaussians:
@@ -82,11 +103,6 @@ def kept_rows(g: Gaussians, moved: Float32[Array, "n 3"], options: EditOptions, 
         *centre, radius = options.crop_sphere
         kept &= np.square(moved - (np.asarray(centre) - np.asarray(origin))).sum(axis=1) <= radius * radius
     return kept
-
-
-def _with_gaussians(scene: Scene, gaussians: Gaussians, tree: GaussianTree) -> Scene:
-    blocks = None if scene.blocks is None else index_blocks(gaussians, tree)
-    return replace(scene, gaussians=gaussians, tree=tree, blocks=blocks)
 
 
 def _with_loss(scene: Scene, sentence: str) -> Scene:

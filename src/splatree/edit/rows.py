@@ -61,4 +61,4 @@ def _with_rows(scene: Scene, rows: Int64[Array, "m"], tree: GaussianTree) -> Sce
     gaussians = scene.gaussians.take(rows)
     ids = None if scene.ids is None else scene.ids[rows]
     blocks = None if scene.blocks is None else index_blocks(gaussians, tree)
-    return replace(scene, gaussians=gaussians, tree=tree, ids=ids, blocks=blocks)
+    return replace(scene, gaussians=gaussians, tree=tree, ids=ids, blocks=blocks, clusters=None)
