@@ -10,6 +10,9 @@ from splatree.kernels.cuda.device import open_device
 from splatree.kernels.cuda.driver import Device
 
 from .kernels.simt_device import Emulator, compile_emulator
+from .shown import shown_files, shown_folder
+
+__all__ = ["shown_files", "shown_folder"]
 
 # No deadline: this suite never asserts on time. Derandomized: a red run is red again.
 settings.register_profile(

@@ -1,14 +1,9 @@
 """What the pages show runs as it stands there: Python blocks, lines of commands, names of benchmarks."""
 
-import json
 import re
 import shlex
-import shutil
-import webbrowser
-from importlib.resources import as_file, files
 from pathlib import Path
 
-import numpy as np
 import pytest
 import tyro
 
@@ -52,53 +47,11 @@ def commands():
     return found
 
 
-@pytest.fixture(scope="session")
-def shown_files(tmp_path_factory):
-    """A folder with all the files that the pages name, of 300 real Gaussians."""
-    folder = tmp_path_factory.mktemp("shown")
-    with as_file(files("splatree") / "data" / "semarang_5_9.sog") as path:
-        scene = st.read(path)
-    scene = st.Scene.flat(scene.gaussians.take(np.arange(0, len(scene), 1000)))
-    for name in ("city.ply", "scene.ply", "in.ply", "big.ply", "city.sog", "scene.sog"):
-        st.write(scene, folder / name)
-    tree = st.build_clusters(st.build_lod(scene), 9)
-    for name in ("city.splatree", "scene.splatree"):
-        st.write(tree, folder / name)
-    for name, rows in (("chunk_0", np.arange(150)), ("chunk_1", np.arange(150, len(scene)))):
-        (folder / name).mkdir()
-        st.write(st.Scene.flat(scene.gaussians.take(rows)), folder / name / "point_cloud.ply")
-    cameras = st.flyout(scene, st.PathOptions(views=10, width=64, height=36))
-    (folder / "photographs").mkdir()
-    for name in ("cameras.json", "train.json", "photographs/cameras.json"):
-        st.write_cameras(cameras, folder / name)
-    for camera in cameras:
-        st.write_image(st.render(scene, camera).image, folder / "photographs" / f"{camera.name}.png")
-    streamed = folder / "playbot"
-    streamed.mkdir()
-    levels = [scene, st.thin(scene, st.ThinOptions(keep=0.2)).scene]
-    for i, level in enumerate(levels):
-        st.write(level, streamed / f"{i}_0" / "meta.json")
-    lods = {str(i): {"file": i, "offset": 0, "count": len(level)} for i, level in enumerate(levels)}
-    manifest = {"lodLevels": 2, "filenames": ["0_0/meta.json", "1_0/meta.json"], "tree": {"lods": lods}}
-    (streamed / "lod-meta.json").write_text(json.dumps(manifest))
-    return folder
-
-
-@pytest.fixture
-def folder(shown_files, tmp_path, monkeypatch):
-    """A copy of it, and the current folder."""
-    copy = shutil.copytree(shown_files, tmp_path / "copy")
-    monkeypatch.chdir(copy)
-    monkeypatch.setattr(st.Viewer, "wait", lambda viewer: None)  # a page that nobody looks at
-    monkeypatch.setattr(webbrowser, "open", lambda url: True)
-    return copy
-
-
 WITH_PYTHON = [page for page in PAGES if blocks(page, "python")]
 
 
 @pytest.mark.parametrize("page", WITH_PYTHON, ids=lambda page: page.name)
-def test_python_runs_as_shown(page, folder, capsys):
+def test_python_runs_as_shown(page, shown_folder, capsys):
     scene = st.read("city.splatree")
     names = {"scene": scene, "camera": st.flyout(scene, st.PathOptions(views=1, width=64, height=36))[0]}
     for block in blocks(page, "python"):
@@ -106,9 +59,9 @@ def test_python_runs_as_shown(page, folder, capsys):
 
 
 @pytest.mark.parametrize("words", commands())
-def test_command_runs_as_shown(words, folder, capsys):
+def test_command_runs_as_shown(words, shown_folder, capsys):
     verb, *rest = words
-    rest = [name for word in rest for name in (sorted(map(str, folder.glob(word))) if "*" in word else [word])]
+    rest = [name for word in rest for name in (sorted(map(str, shown_folder.glob(word))) if "*" in word else [word])]
     if verb == "bench":  # takes minutes: its line is parsed alone
         command_type, *rest = bench.COMMANDS[rest[0]], *rest[1:]
         tyro.cli(command_type, args=rest, config=(tyro.conf.FlagCreatePairsOff,))

@@ -45,16 +45,23 @@ LARGE_SHARE, LARGE_CLUSTERS = 0.1, 0.25
 
 @dataclass(frozen=True)
 class ClusterOptions:
-    """How clusters are made."""
+    """How clusters are made.
+
+    Example:
+        >>> flat = st.read("city.ply")
+        >>> st.build_clusters(flat, 9, st.ClusterOptions(size_classes=True)).clusters is not None
+        True
+    """
 
     iterations: int = 10
-    """Iterations of K-means at most."""
+    """Largest number of iterations of K-means."""
     size_classes: bool = False
-    """Put the largest tenth of the Gaussians into clusters of their own: tighter spheres. Off: as in Jo 2024."""
+    """Put the largest tenth of the Gaussians into clusters of their own, which makes the other spheres tighter. Off: as in Jo
+    2024."""
     seed: int = 0
-    """Draws the first centres of K-means."""
+    """Seed of the random points that are the first centres of K-means."""
     device: DeviceName = "cpu"
-    """Where K-means runs; in scenes with levels there is none."""
+    """Where K-means runs. Scenes with levels need no K-means."""
 
     def __post_init__(self) -> None:
         check_literals(self)
@@ -69,13 +76,30 @@ def build_clusters(
     *,
     threads: int = 0,
 ) -> Scene:
-    """The scene with clusters: a flat one permuted, one with levels in its order.
+    """Add clusters to a scene, by which whole runs of rows are left out of a frame.
 
-    ``num_clusters`` is the number for K-means; coinciding points may leave some empty, which are dropped. In a tree it sets the
-    size of the subtrees, and the number comes out near it. `auto`: one for 128 rows, 1,024 to 32,768.
+    The rows of a flat scene are permuted so that each cluster is one run. A scene with levels keeps its order.
+
+    Args:
+        scene: any scene.
+        num_clusters: number of clusters for K-means; coinciding points may leave some empty, which are dropped. In a tree it
+            sets the size of the subtrees, and the number comes out near it. `auto`: one for 128 rows, from 1,024 to 32,768.
+        options: how clusters are made; None: the defaults.
+        threads: threads to use; 0: all. The result is the same for any number.
+
+    Returns:
+        The scene with its ``clusters``.
 
     Raises:
-        InputError: more clusters than rows, or rows that are not finite.
+        InputError: there are fewer rows than clusters, or rows that are not finite.
+
+    Source:
+        Jo 2024, §3, Eq. 1 and 2; docs/explanation/clusters.md.
+
+    Example:
+        >>> clustered = st.build_clusters(st.read("city.ply"), 9)
+        >>> len(clustered.clusters)
+        9
     """
     options = options or ClusterOptions()
     n = len(scene)

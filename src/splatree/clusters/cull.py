@@ -78,25 +78,26 @@ class Margins(NamedTuple):
 
 
 def cull(clusters: ClusterIndex, view: Camera | View, rule: Cull = "exact", *, threads: int = 0) -> Culling:
-    """Decide which clusters may be seen.
+    """Decide which clusters may be in a picture.
 
     Args:
         clusters: spheres and boxes around runs of rows.
-        view: a camera, for the usual options of drawing; or a view, for whose dilation, τ and tile rule `exact` holds.
-        rule: the rule; the head of this module defines each.
-        threads: 0 means all there are.
+        view: a camera, for drawing with the usual options; or a view, for whose dilation, τ and tile rule `exact` holds.
+        rule: `exact` leaves out what provably changes no bit of the picture; the other rules are there to compare with.
+        threads: threads to use; 0: all.
 
     Returns:
-        The clusters that may be seen and the runs of their rows.
+        The clusters that are kept, and their rows as runs.
 
     Raises:
         InputError: there is no rule of that name.
 
-    Source: Jo 2024, §3, Eq. 2 and 3 for the rules that begin with `paper`; docs/algorithms/clusters.md proves `exact`.
+    Source:
+        Jo 2024, §3, Eq. 2 and 3, for the rules that begin with `paper`; docs/explanation/clusters.md proves `exact`.
 
-    Example::
-
-        rows = st.cull(scene.clusters, camera).rows
+    Example:
+        >>> st.cull(scene.clusters, camera).num_rows <= len(scene)
+        True
     """
     view = as_view(view)
     if rule == "none":

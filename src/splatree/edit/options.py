@@ -15,8 +15,15 @@ Order = Literal["kept", "morton"]
 
 @dataclass(frozen=True)
 class EditOptions:
-    """Edits, in the order in which they are done: what is too faint is dropped, the rest is scaled, turned and moved, then
-    cropped where it now lies, then its harmonics are cut, then it is ordered."""
+    """Edits of a scene, in the order in which they are done.
+
+    Faint Gaussians are dropped. The others are scaled, turned and moved, and then cropped in their new place. Harmonics are cut,
+    and rows are ordered last.
+
+    Example:
+        >>> st.EditOptions(crop_sphere=(0, 0, 0, 10)).may_drop_rows
+        True
+    """
 
     min_opacity: float = 0.0
     """Drop Gaussians whose opacity, 0 to 1, is less than this."""
@@ -27,13 +34,13 @@ class EditOptions:
     translate: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Move by this much along x, y and z, world units."""
     crop_box: tuple[float, float, float, float, float, float] | None = None
-    """Keep Gaussians whose centre lies in the box from x y z to x y z."""
+    """Keep Gaussians whose centre lies in this box: its smallest x y z, then its largest x y z."""
     crop_sphere: tuple[float, float, float, float] | None = None
     """Keep Gaussians whose centre lies within the sphere with this centre x y z and radius."""
     sh_degree: int = 3
-    """Cut off the harmonics above this degree."""
+    """Remove the harmonics above this degree."""
     order: Order = "kept"
-    """Order of the rows: `kept`, or `morton`, by which neighbours in the file are neighbours in space."""
+    """Order of the rows: `kept`, or `morton`: neighbours in the file are then neighbours in space."""
 
     def __post_init__(self) -> None:
         check_literals(self)

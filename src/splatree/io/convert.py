@@ -35,16 +35,23 @@ __all__ = ["ConvertOptions", "Converted", "convert"]
 
 @dataclass(frozen=True)
 class ConvertOptions:
-    """How a conversion reads, edits and writes."""
+    """How a conversion reads, edits and writes.
+
+    Example:
+        >>> options = st.ConvertOptions(edit=st.EditOptions(sh_degree=0))
+        >>> st.convert("city.ply", "plain.spz", options, force=True).lost[0]
+        'precision: spz rounds values to steps of its own'
+    """
 
     read: ReadOptions = field(default_factory=ReadOptions)
-    """What readers are told."""
+    """How the inputs are read."""
     edit: EditOptions = field(default_factory=EditOptions)
-    """What is done on the way."""
+    """Edits between reading and writing."""
     write: WriteOptions = field(default_factory=WriteOptions)
-    """What the writer is told."""
+    """How the output is written."""
     depth: int | None = None
-    """Write one cut of the tree to a format without levels: the nodes at this depth, 0 the roots; None: the leaves."""
+    """Write one cut of the tree to a format without levels: the nodes at this depth (0: the roots) and the leaves above it; None:
+    the leaves."""
 
     mode: Mode | None = None
     """How the scene was trained and is drawn, where the file does not say it; None: as the file says, else `classic`."""
@@ -57,18 +64,24 @@ class ConvertOptions:
 
 @dataclass(frozen=True)
 class Converted:
-    """What a conversion did."""
+    """What a conversion did.
+
+    Example:
+        >>> done = st.convert("city.ply", "city.sog", force=True)
+        >>> done.num_read == done.num_written
+        True
+    """
 
     num_read: int
-    """Gaussians read, without merged ones."""
+    """Number of Gaussians read, without merged nodes."""
     num_written: int
-    """Gaussians left after the edits, without merged ones."""
+    """Number of Gaussians left after the edits, without merged nodes."""
     lost: tuple[str, ...]
-    """What of the inputs the file does not hold, a sentence each."""
+    """What the file does not hold of the inputs, a sentence each."""
     repairs: dict[str, int]
-    """How many values or rows each rule of repair touched."""
+    """Number of values or rows that each rule of repair changed."""
     in_chunks: bool
-    """Whether it went in chunks, with bounded memory."""
+    """Whether the conversion went in chunks, with bounded memory."""
     notes: tuple[str, ...] = ()
     """What reading did that the user should know, a sentence each."""
 
@@ -80,17 +93,27 @@ def convert(
     *,
     force: bool = False,
 ) -> Converted:
-    """Write what is read from a file, a folder or several of them (as by `read`) in the format of the output's suffix.
+    """Convert a scene to the format that the suffix of the output names.
+
+    Where both formats allow it, rows go through in chunks, so that files may be larger than memory.
 
     Args:
-        inputs: one path or several, which are one scene.
+        inputs: one path or several, which are read as one scene, as `read` reads them.
         output: the new file.
-        options: how to read, edit and write.
+        options: how to read, edit and write; None: the defaults.
         force: replace the file if it exists.
 
+    Returns:
+        Counts, and what the file does not hold of the inputs.
+
     Raises:
-        InputError: as `read` and `write` do.
+        FormatError: a file does not hold what it promises.
+        InputError: an input is missing or of no known format, or an option does not suit the formats.
         OutputError: the output exists, or could not be written; an old file is then whole.
+
+    Example:
+        >>> st.convert("city.ply", "city.splat", force=True).num_written
+        253
     """
     options, target = options or ConvertOptions(), Path(output)
     paths = [inputs] if isinstance(inputs, str | os.PathLike) else list(inputs)

@@ -23,8 +23,20 @@ def read_image(path: str | os.PathLike[str], *, size: tuple[int, int] | None = N
     """Read a picture as RGB, 0 to 1; alpha is blended over black.
 
     Args:
-        path: PNG, JPEG, WebP or whatever else Pillow opens.
-        size: width and height in px to which it is resampled (each pixel the mean of what it covers); None: as it is.
+        path: PNG, JPEG, WebP or another format that Pillow opens.
+        size: width and height, px, to which the picture is resampled: each pixel is the mean of what it covers. None: unchanged.
+
+    Returns:
+        float32 (h w 3), in the colour space of the file.
+
+    Raises:
+        InputError: there is no such file.
+        FormatError: the file is no picture, or is damaged.
+
+    Example:
+        >>> st.write_image(np.ones((4, 6, 3), np.float32), "white.png", force=True)
+        >>> st.read_image("white.png").shape
+        (4, 6, 3)
     """
     from PIL import Image
 
@@ -58,10 +70,20 @@ def image_size(path: str | os.PathLike[str]) -> tuple[int, int]:
 
 
 def write_image(image: Float32[Array, "h w 3"], path: str | os.PathLike[str], *, force: bool = False) -> None:
-    """Write RGB or grey, 0 to 1, as PNG of 8 bits a channel: clipped and rounded.
+    """Write RGB or grey, 0 to 1, as PNG with 8 bits a channel; values are clipped and rounded.
+
+    Args:
+        image: float32 (h w 3), or (h w).
+        path: the new file, .png.
+        force: replace the file if it exists.
 
     Raises:
+        InputError: the suffix is not .png, or the picture holds NaN.
+        ShapeError: the picture has another shape, or no pixel.
         OutputError: the file exists and ``force`` is not set, or it cannot be written.
+
+    Example:
+        >>> st.write_image(st.render(scene, camera).image, "picture.png", force=True)
     """
     from PIL import Image
 

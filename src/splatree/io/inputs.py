@@ -55,7 +55,7 @@ def _find(path: Path, is_scene: Callable[[Path], bool], notes: list[str]) -> lis
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
     if not is_there:
-        return [found for match in _match(path) for found in _find(match, is_scene)]
+        return [found for match in _match(path) for found in _find(match, is_scene, notes)]
     if is_scene(path):
         return [path]
     if not path.is_dir():

@@ -17,15 +17,20 @@ Packing = Literal["spz"]
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """How a file is read."""
+    """How a file is read.
+
+    Example:
+        >>> st.ConvertOptions(read=st.ReadOptions(repair=True)).read.repair
+        True
+    """
 
     level: int | None = None
     """Level of detail to read from a format that has several, 0 the finest; None: 0. An error for other formats."""
     repair: Repair = False
-    """Fix or drop what is wrong by the rules of `splatree.io.check`, and count it, instead of raising."""
+    """Repair or drop values that cannot be used, and count them, instead of raising; "drop" drops every row that has one."""
     axes: AxesName | None = None
-    """Where x, y and z point in a file whose format leaves that open and that does not name it itself (left or right, up or down,
-    front or back); None: RDF, as in a .ply."""
+    """Where x, y and z point in an .spz file that does not say so: left or right, up or down, front or back; None: RDF, as in a
+    .ply."""
     ignore_properties: bool = False
     """Read a file whose other properties would change the picture (motion, other kernels), and say what is lost, instead of
     raising."""
@@ -36,15 +41,20 @@ class ReadOptions:
 
 @dataclass(frozen=True)
 class WriteOptions:
-    """What some formats are told when they are written. None leaves the choice to the format; an option that the chosen format
-    does not take is an error."""
+    """How a file is written. None leaves the choice to the format. An option that the chosen format does not take is an error.
+
+    Example:
+        >>> lost = st.write(scene, "coarse.spz", options=st.WriteOptions(sh_bits=4), depth=1, force=True)
+        >>> "precision: spz rounds values to steps of its own" in lost
+        True
+    """
 
     format_version: int | None = None
-    """Version of the format to write, where there are several."""
+    """Version of the format, where several can be written."""
     sh_bits: int | None = None
-    """Bits of a harmonic beyond the DC, where the format leaves them open (SPZ: of degree 2 and 3, degree 1 gets one more)."""
+    """Bits of a harmonic beyond the DC, in SPZ: of degrees 2 and 3; degree 1 gets one bit more."""
     sh_palette: int | None = None
-    """Entries of the palette of harmonics, where the format has one: more are nearer to the scene, and slower to find."""
+    """Entries of the palette of harmonics, in SOG: more entries are nearer to the scene, and take longer to find."""
     iterations: int | None = None
     """Rounds of K-means for palettes and codebooks."""
     compression: int | None = None
@@ -53,7 +63,7 @@ class WriteOptions:
     """Where x, y and z shall point in the file, where the format leaves that open; None: as in the scene, RDF."""
 
     packing: Packing | None = None
-    """How values are packed, in a format that leaves it open; None: not at all."""
+    """How values are packed in a .glb: `spz`; None: plain."""
 
     def __post_init__(self) -> None:
         check_literals(self)
@@ -64,7 +74,7 @@ class WriteOptions:
         return {name: value for name, value in values.items() if value is not None}
 
     def check_taken(self, taken: tuple[str, ...], where: str) -> None:
-        """Refuse options that the format at hand does not take."""
+        """Refuse options that the chosen format does not take."""
         for name, value in self.given().items():
             if name not in taken:
                 known = f"only {', '.join(taken)}" if taken else "none"

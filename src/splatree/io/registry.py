@@ -262,23 +262,32 @@ def read(
 ) -> Scene:
     """Read one scene from a file, a folder, or several of them.
 
-    A folder may be a format of its own (SOG, streamed SOG), a training output (its newest ``point_cloud/iteration_*`` is
-    taken) or hold chunks of one scene: every scene file and folder in it is read. Several inputs are joined in their order.
-    A single input that matches no file but holds ``* ? [`` is expanded as a pattern. Addresses (``https://…``), standard input
-    (``-``), ``.gz`` and ``.zip`` of one file are read too (io/local.py).
+    A folder may be a format of its own (SOG, streamed SOG), the output of a training (its newest ``point_cloud/iteration_*`` is
+    taken), or hold pieces of one scene: then every scene file and folder in it is read. Several inputs are joined in their order.
+    If a single path matches no file but holds ``* ? [``, it is expanded as a pattern. Addresses (``https://…``), standard input
+    (``-``), ``.gz`` and ``.zip`` of one file are read too.
 
     Args:
         path: one path or several.
         level: level of detail to take from a format that has several; 0, the default, is the finest.
-        repair: fix or drop values that cannot be used, and count them in ``source.metadata["repairs"]``, instead of raising;
-            "drop" drops all rows that have any.
-        axes: where x, y, z point in an .spz that does not say it; None: RDF, as in a .ply.
-        ignore_properties: read a .ply whose other properties would change the picture (motion, other kernels) as it stands; what
-            is lost stands in ``source.metadata["lost"]``.
+        repair: repair or drop values that cannot be used, and count them in ``source.metadata["repairs"]``, instead of
+            raising; "drop" drops every row that has one.
+        axes: where x, y and z point in an .spz that does not say so; None: RDF, as in a .ply.
+        ignore_properties: read a .ply although it has properties that would change the picture (motion, other kernels);
+            ``source.metadata["lost"]`` says which.
+
+    Returns:
+        The scene, with its levels if the format keeps them.
 
     Raises:
         FormatError: a file does not hold what it promises; the message says where and what to do.
-        InputError: nothing is there, or it is of no known format, or the inputs cannot be joined.
+        InputError: nothing is there, it is of no known format, or the inputs cannot be joined.
+
+    Example:
+        >>> st.read("city.ply").tree.num_levels
+        1
+        >>> len(st.read("chunk_*"))  # chunk_0, chunk_1
+        253
     """
     options = ReadOptions(level, repair, axes, ignore_properties)
     paths = [path] if isinstance(path, str | os.PathLike) else list(path)
@@ -290,11 +299,23 @@ def read(
 
 
 def read_levels(path: str | os.PathLike[str], *, repair: bool = False) -> tuple[Scene, ...]:
-    """Read all levels of a format that has several, the finest first, each as a flat scene; `link_levels` makes one tree of them.
+    """Read all levels of a format that has several.
+
+    Args:
+        path: a file or folder, for instance a streamed SOG.
+        repair: repair or drop values that cannot be used, and count them, instead of raising.
+
+    Returns:
+        The levels as flat scenes, the finest first. `link_levels` makes one tree of them.
 
     Raises:
-        FormatError: as `read`.
-        InputError: the path is of a format without levels to choose from.
+        FormatError: a file does not hold what it promises.
+        InputError: the format has no levels to choose from.
+
+    Example:
+        >>> fine, coarse = st.read_levels("playbot")
+        >>> len(coarse) < len(fine)
+        True
     """
     found = detect(Path(path))
     if found is None or found.holds.levels != "one of":
@@ -313,24 +334,28 @@ def write(
     depth: int | None = None,
     options: WriteOptions | None = None,
 ) -> tuple[str, ...]:
-    """Write a scene in the format of the path's suffix, whole or not at all; return what the file does not hold of it.
+    """Write a scene in the format of the path's suffix, whole or not at all.
 
-    A format without levels gets one cut of the tree: the leaves, or with ``depth`` the nodes at that depth and the leaves
-    above it (0: the roots, the coarsest picture).
+    A format without levels gets one cut of the tree: the leaves, or with ``depth`` the nodes at that depth and the leaves above
+    it (0: the roots, the coarsest picture).
 
     Args:
         scene: what to write.
         path: the new file.
         force: replace the file if it exists.
         depth: which cut to write; None: the leaves, or the whole tree if the format keeps it.
-        options: what the format is told; None: nothing.
+        options: how to write; None: as the format does by default.
 
     Returns:
-        What was lost, a sentence each; none if reading gives the same scene.
+        What the file does not hold, a sentence each; none if reading gives the same scene.
 
     Raises:
         InputError: no format that is written has this suffix, it does not take an option, or ``depth`` is negative.
         OutputError: the file exists, or could not be written; an old file is then whole.
+
+    Example:
+        >>> st.write(scene, "copy.splatree", force=True)
+        ()
     """
     target, options = Path(path), options or WriteOptions()
     chosen = format_to_write(target)

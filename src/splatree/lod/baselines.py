@@ -96,20 +96,25 @@ Choose = Callable[[Request], tuple[Array, int]]
 
 @dataclass(frozen=True)
 class BaselineOptions:
-    """Parameters of the methods; each uses its own."""
+    """Parameters of the published methods; each method uses its own.
+
+    Example:
+        >>> st.baseline("depth", scene, options=st.BaselineOptions(depth=1)).method
+        'depth'
+    """
 
     pixel_error: float = 3.0
-    """τ_R, px, of H3DGS, LoG and FilterGS."""
+    """For H3DGS, LoG and FilterGS: τ_R, px."""
     depth: int = 3
-    """Of the method `depth`: the only depth that is drawn."""
+    """For the method `depth`: the only depth of the tree that is drawn."""
     fork: float = 2.0
-    """Octree-GS: factor of the distance from one level to the next."""
+    """For Octree-GS: factor of the distance from one level to the next."""
     bands: int = 5
-    """FLoD, LODGE: levels, as depths of the tree evenly spread from the deepest to the roots."""
+    """For FLoD and LODGE: number of levels, as depths of the tree spread evenly from the deepest to the roots."""
     band_px: float = 1.0
-    """γ, px, of FLoD: a level is drawn from the distance at which its median Gaussian has this standard deviation."""
+    """For FLoD: γ, px; a level is drawn from the distance at which its median Gaussian has this standard deviation."""
     chunks: int = 8
-    """LODGE: places, from the cameras, for which rows are listed beforehand."""
+    """For LODGE: number of places among the cameras for which rows are listed beforehand."""
 
     def __post_init__(self) -> None:
         if not self.fork > 1:
@@ -122,20 +127,28 @@ class BaselineOptions:
 
 @dataclass(frozen=True, eq=False)
 class Baseline:
-    """A method over one scene; called as `render` calls a selector."""
+    """A published method of selection over one scene.
+
+    `render` takes it in place of `SelectOptions`. `baseline` makes it.
+
+    Example:
+        >>> made = st.baseline("h3dgs", scene)
+        >>> st.render(scene, camera, select=made).counters.num_selected > 0
+        True
+    """
 
     method: BaselineName
-    """Its name."""
+    """Name of the method."""
     scene: Scene
-    """What it chooses from."""
+    """Scene that the rows are chosen from."""
     choose: Choose
-    """The rule."""
+    """Rule of the method: a view to its rows, and how many rows were looked at."""
     view_test: ViewTest
-    """What is dropped as out of view; `none` where the method leaves that to the renderer."""
+    """Test whether a node can be in the picture; `none` if the method leaves that to the renderer."""
     num_bytes: int
-    """Data beside the Gaussians and the tree's own ``subtree_end`` and ``depth``."""
+    """Memory of the data that the method needs beside the Gaussians and the tree's own ``subtree_end`` and ``depth``."""
     pixel_error: float
-    """τ_R, px; 0 where the method has none."""
+    """τ_R, px; 0 if the method has none."""
     profile: Profile | None
     """The radius that the method compares with τ_R; None: it compares something else, or nothing."""
 
@@ -148,7 +161,7 @@ class Baseline:
         return Selection(rows, self.method, self.profile, self.pixel_error, visited)
 
     def cut(self, view: Camera | View) -> Int32[Array, "v"]:
-        """The rows that stand for the whole scene, seen or not."""
+        """The rows that stand for the whole scene, in view or not."""
         return self.choose(Request(as_view(view), "none", 0))[0]
 
 
@@ -170,12 +183,29 @@ def violations(tree: GaussianTree, rows: Array) -> Violations:
 def baseline(
     method: BaselineName, scene: Scene, cameras: Sequence[Camera] = (), options: BaselineOptions | None = None
 ) -> Baseline:
-    """Make what a method needs of a scene once.
+    """Prepare a published method of selection for a scene.
 
-    ``cameras`` are the views that Octree-GS takes its distances and LODGE its places from: those of the training.
+    What the method needs of the scene is computed once, here.
+
+    Args:
+        method: name of the method; docs/explanation/baselines.md lists them.
+        scene: a scene with levels.
+        cameras: views of the training; Octree-GS takes its distances from them, LODGE its places.
+        options: parameters of the method; None: the defaults.
+
+    Returns:
+        The method, to be given to `render`, `trace` or `evaluate` as ``select``.
 
     Raises:
-        InputError: a method of an unknown name, or without the cameras that it needs.
+        InputError: the name is unknown, or the method needs cameras and there are none.
+
+    Source:
+        The papers named in docs/explanation/baselines.md; FilterGS 2026, Table 1.
+
+    Example:
+        >>> made = st.baseline("filtergs", scene)
+        >>> bool((made.cut(camera) == st.baseline("serial", scene).cut(camera)).all())
+        True
     """
     if method not in get_args(BaselineName):
         raise InputError(f"method: found {method!r}, wanted one of {', '.join(get_args(BaselineName))}")

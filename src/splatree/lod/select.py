@@ -65,30 +65,32 @@ def select(
     stages: FrameStages | None = None,
     threads: int = 0,
 ) -> Selection:
-    """Choose the rows of a scene to draw in a view.
+    """Choose the nodes to draw in a view.
 
     Args:
-        scene: what is chosen from; without ``blocks`` its index is made at each call (`lod.blocks.with_blocks` keeps it).
+        scene: what is chosen from. Without ``blocks`` its index is made at each call (`lod.blocks.with_blocks` keeps it).
         view: a camera, for drawing with the options that the scene itself has; or a view, whose dilation and τ the view test
             `footprint` takes into account.
-        options: which nodes are drawn; None: those of `SelectOptions`.
+        options: pixel error, budget, rule, profile and view test; None: the defaults.
         culling: what `cull_scene` found for the same view and options; None: it is found here.
         last: τ_R, px, of the view before, for the budget of a camera that moves: the search begins there and is content with
-            90 % of the budget (lod/budget.py); None: a view alone.
-        stages: the back end that selects by the rule `cut`; None: the processor.
-        threads: 0 means all there are.
+            90 % of the budget (lod/budget.py). None: a view alone.
+        stages: the back end that selects by the rule `cut`; None: the CPU.
+        threads: threads to use; 0: all. The result is the same for any number.
 
     Returns:
-        The rows, ascending, with the τ_R that chose them.
+        The selected rows, ascending, with the τ_R that chose them.
 
     Raises:
-        InputError: a budget that not even the roots in view meet; or a rule of culling for a scene without clusters.
+        InputError: more roots are in view than the budget allows, or a rule of culling was named for a scene without clusters.
 
-    Source: FilterGS (Wang 2026), §3.2, for the cut without a traversal.
+    Source:
+        FilterGS (Wang 2026), §3.2, for the cut without a traversal; docs/explanation/select.md.
 
-    Example::
-
-        rows = st.select(scene, camera, st.SelectOptions(budget=200_000)).rows
+    Example:
+        >>> all_leaves = st.select(scene, camera, st.SelectOptions(pixel_error=0))
+        >>> len(st.select(scene, camera)) <= len(all_leaves)
+        True
     """
     if isinstance(view, Camera):
         view = view_of(scene, view)

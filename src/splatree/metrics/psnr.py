@@ -7,10 +7,25 @@ from splatree.shapes import Array, Float32
 
 
 def psnr(image: Float32[Array, "h w 3"], reference: Float32[Array, "h w 3"], *, peak: float = 1.0) -> float:
-    """Return the peak signal-to-noise ratio in dB; infinity for equal pictures.
+    """Peak signal-to-noise ratio of two pictures.
 
-    ``peak`` is the largest value that a channel can have. Values above it are compared as they are: clip first what
-    will be shown clipped.
+    Values are compared as they are: clip first what will be shown clipped.
+
+    Args:
+        image: a picture, (h w 3).
+        reference: the picture to compare it with, of the same shape.
+        peak: largest value that a channel can have.
+
+    Returns:
+        10 log₁₀(peak² / mean squared error), dB; infinity if the pictures are equal.
+
+    Raises:
+        InputError: the pictures differ in shape, hold no pixel, or hold NaN or infinity.
+
+    Example:
+        >>> black = np.zeros((8, 8, 3))
+        >>> round(st.psnr(black + 0.1, black), 3)
+        20.0
     """
     a, b = comparable(image, reference)
     error = float(np.mean((a - b) ** 2))

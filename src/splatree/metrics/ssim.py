@@ -35,7 +35,28 @@ Border = Literal["valid", "zero"]
 def ssim(
     image: Float32[Array, "h w 3"], reference: Float32[Array, "h w 3"], *, peak: float = 1.0, border: Border = "valid"
 ) -> float:
-    """Return the mean structural similarity, at most 1; computed for each channel in float64."""
+    """Mean structural similarity of two pictures, computed for each channel in float64.
+
+    Args:
+        image: a picture, (h w 3).
+        reference: the picture to compare it with, of the same shape.
+        peak: largest value that a channel can have.
+        border: `valid` places the window inside the picture only; `zero` places it everywhere, with zeros beyond the edge.
+
+    Returns:
+        The mean over pixels and channels, at most 1.
+
+    Raises:
+        InputError: the pictures differ in shape, or are smaller than the window.
+
+    Source:
+        Wang 2004, "Image Quality Assessment: From Error Visibility to Structural Similarity", Eq. 13.
+
+    Example:
+        >>> image = np.random.default_rng(0).random((16, 16, 3), np.float32)
+        >>> st.ssim(image, image)
+        1.0
+    """
     a, b = comparable(image, reference)
     if border not in get_args(Border):
         raise InputError(f"ssim: found border {border!r}, wanted one of {', '.join(get_args(Border))}")

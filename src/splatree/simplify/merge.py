@@ -23,7 +23,30 @@ def merge(
     mode: Mode = "classic",
     threads: int = 0,
 ) -> Gaussians:
-    """One Gaussian for each group; a group of one is copied bit for bit. ``mode``: how the result will be drawn."""
+    """Merge each group of Gaussians to one.
+
+    Args:
+        gaussians: the Gaussians.
+        groups: which of them become one, for instance `Thinned.groups`.
+        options: the rules; None: those that follow from the mode.
+        mode: how the result will be drawn.
+        threads: threads to use; 0: all. The result is the same for any number.
+
+    Returns:
+        One Gaussian for each group, in the order of the groups. A group of one is copied bit for bit.
+
+    Raises:
+        InputError: the opacity rule is `fitted`, which only merging by pairs can follow.
+
+    Source:
+        docs/explanation/thin.md; the equations are in kernels/reference/merge.py.
+
+    Example:
+        >>> flat = st.read("city.ply")
+        >>> groups = st.thin(flat, st.ThinOptions(radius="auto")).groups
+        >>> len(st.merge(flat.gaussians, groups)) == len(groups)
+        True
+    """
     options = (options or MergeOptions()).resolved(mode)
     return kernel.merge(gaussians, groups, weights_of(gaussians, options.weight or "opacity"), options, threads=threads)
 

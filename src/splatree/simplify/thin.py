@@ -33,16 +33,22 @@ NUM_QUERIES = 2048
 
 @dataclass(frozen=True, eq=False)
 class Thinned:
-    """A thinned scene and how it came about."""
+    """A thinned scene, and how it came about.
+
+    Example:
+        >>> thinned = st.thin(st.read("city.ply"), st.ThinOptions(keep=0.5))
+        >>> len(thinned) == len(thinned.groups)
+        True
+    """
 
     scene: Scene
     """A flat scene: one Gaussian for each group, in the order of their representatives' rows."""
     groups: Groups
-    """Which Gaussians of the input, counted without merged nodes, each stands for."""
+    """Which Gaussians of the input each one stands for; the input is counted without merged nodes."""
     radius: float | None
-    """r, world units, given or found; None for `pairs`."""
+    """r, world units, as given or found; None for `pairs`."""
     options: ThinOptions
-    """The rules, method and merge filled in."""
+    """The rules that were followed, with method and merge rules filled in."""
 
     def __len__(self) -> int:
         return len(self.scene)
@@ -56,20 +62,22 @@ def thin(scene: Scene, options: ThinOptions | None = None, *, threads: int = 0) 
 
     Args:
         scene: any scene. Of a scene with levels only the leaves count.
-        options: how far to thin and by which rules.
+        options: how far to thin and by which rules; None: to the radius `auto`.
         threads: threads to use; 0: all. The result is the same for any number.
 
     Returns:
         The thinned scene, and which Gaussians each of its own stands for.
 
     Raises:
-        InputError: NaN or infinity in the Gaussians, or a count that colour does not allow.
+        InputError: NaN or infinity in the Gaussians, or a count that the colours do not allow.
+
+    Source:
+        docs/explanation/thin.md.
 
     Example:
-        >>> import splatree as st
-        >>> thinned = st.thin(st.Scene.flat(st.Gaussians.empty()), st.ThinOptions(keep=0.25))
+        >>> thinned = st.thin(st.read("city.ply"), st.ThinOptions(count=100))
         >>> len(thinned.scene)
-        0
+        100
     """
     if not isinstance(scene, Scene):
         raise InputError(

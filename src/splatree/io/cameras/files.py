@@ -24,18 +24,30 @@ _COLMAP_FOLDERS = ("sparse", "colmap/sparse", "")
 
 
 def read_cameras(path: str | os.PathLike[str], *, origin: Origin = NO_ORIGIN) -> Cameras:
-    """Read the views of a file or folder, in the coordinates of a scene whose ``source.origin`` is ``origin``.
+    """Read the views of a file or folder.
 
-    - ``cameras.json`` of a 3DGS training: rotation is camera-to-world, position its centre; in the order of the file;
-    - a COLMAP sparse model, binary or text, or a folder with one in ``sparse/0``; in the order of the pictures' names,
-      as the 3DGS code holds every eighth of them out for tests;
-    - ``transforms.json`` of nerfstudio or instant-ngp, whose axes are OpenGL's; in the order of the file.
+    - ``cameras.json`` of a 3DGS training. Its rotation is camera-to-world, its position the centre. Views are in the order of the
+      file.
+    - A COLMAP sparse model, binary or text, or a folder with one in ``sparse/0``. Views are in the order of the pictures' names,
+      because the 3DGS code holds out every eighth of them for tests in that order.
+    - ``transforms.json`` of nerfstudio or instant-ngp, with the axes of OpenGL. Views are in the order of the file.
 
     A folder is searched for a COLMAP model, then transforms.json, then cameras.json.
+
+    Args:
+        path: the file or folder.
+        origin: ``source.origin`` of the scene that is looked at; poses are given relative to it.
+
+    Returns:
+        The views, with OpenCV axes and intrinsics in px.
 
     Raises:
         FormatError: the file is damaged or holds no camera, or a camera has a lens of an unknown model.
         InputError: there is nothing of these kinds.
+
+    Example:
+        >>> len(st.read_cameras("cameras.json"))
+        10
     """
     cameras = _read(Path(path))
     if not len(cameras):
@@ -85,10 +97,22 @@ def _largest_model(models: Sequence[Path]) -> Cameras:
 
 
 def write_cameras(cameras: Cameras | Sequence[Camera], path: str | os.PathLike[str], *, force: bool = False) -> None:
-    """Write the JSON of the 3DGS code; ``cx cy near`` are added where they are not its half sizes and default.
+    """Write views as the JSON of the 3DGS code.
+
+    ``cx cy`` are added if the principal point is not the middle, ``near`` if it is not the default.
+
+    Args:
+        cameras: the views.
+        path: the new file, .json.
+        force: replace the file if it exists.
 
     Raises:
         OutputError: the file exists and ``force`` is not set, or it cannot be written.
+
+    Example:
+        >>> st.write_cameras(cameras, "views.json", force=True)
+        >>> len(st.read_cameras("views.json")) == len(cameras)
+        True
     """
     records = []
     for i, camera in enumerate(cameras):
