@@ -3,8 +3,13 @@
 import numpy as np
 import pytest
 
+from splatree.edit.edit import edit
+from splatree.edit.options import EditOptions
+from splatree.io.cameras.files import read_cameras
 from splatree.render.pipeline import render
 from splatree.scene.options import RenderOptions, SelectOptions
+from splatree.scene.thinning import ThinOptions
+from splatree.simplify.thin import thin
 from splatree.view.options import ViewOptions
 from splatree.view.viewer import Viewer
 
@@ -55,6 +60,11 @@ def picture(viewer, page, **select):
 def settled(page):
     """Wait until the newest cut is drawn and on the screen."""
     page.wait_for("splatree.isReady")
+    shown(page)
+
+
+def shown(page):
+    """Wait until what is drawn is on the screen."""
     page.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
 
 
@@ -63,7 +73,7 @@ def test_the_browser_draws_the_cut_as_the_library_does(browser, viewer):
     header = page.evaluate("splatree.layers[0].header")
     assert 0.85 * 60_000 <= header["rows"] <= 60_000
     assert psnr(page.screenshot(), picture(viewer, page, pixel_error=header["tau"])) >= 40
-    assert page.evaluate("splatree.stats.bytesAtFirst") <= 700_000
+    assert page.evaluate("splatree.layers[0].firstBytes") <= 700_000
     assert page.errors == []
     page.close()
 
@@ -96,7 +106,7 @@ def test_moving_and_the_slider_change_the_cut(browser, viewer):
 def test_a_camera_that_rests_gets_the_exact_picture(browser, viewer):
     page = opened(browser, viewer, "&renderer=webgl")
     page.wait_for("splatree.isExact")
-    page.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    shown(page)
     header = page.evaluate("splatree.layers[0].frameHeader")
     expected = np.clip(picture(viewer, page, pixel_error=header["tau"]), 0, 1)
     # 8 bits, and last bits of a pose that went through JSON: two steps at most.
@@ -117,6 +127,136 @@ def test_without_webgl_the_server_draws(browser, viewer):
     page.wait_for(f"splatree.isExact && splatree.layers[0].frameHeader.seq > {header['seq']}")
     assert page.evaluate("splatree.layers[0].frameHeader.seq") > header["seq"]
     assert page.errors == []
+    page.close()
+
+
+def test_the_server_draws_where_it_is_asked_to_and_the_browser_goes_on(browser, viewer):
+    page = opened(browser, viewer, "&renderer=webgl")
+    page.evaluate("splatree.page.drawer.pick('server')")
+    page.wait_for("splatree.isExact && splatree.frames")
+    shown(page)
+    header = page.evaluate("splatree.layers[0].frameHeader")
+    expected = np.clip(picture(viewer, page, pixel_error=header["tau"]), 0, 1)
+    assert np.abs(page.screenshot() - expected).max() <= 2.5 / 255
+    page.evaluate("splatree.page.drawer.pick('browser')")
+    settled(page)
+    assert not page.evaluate("splatree.frames")
+    header = page.evaluate("splatree.layers[0].header")
+    assert psnr(page.screenshot(), picture(viewer, page, pixel_error=header["tau"])) >= 40
+    assert page.errors == []
+    page.close()
+
+
+@pytest.mark.parametrize("layer", ["levels", "cut", "depth", "alpha"])
+def test_layers_show_the_same_nodes_in_other_colours(browser, viewer, layer):
+    page = opened(browser, viewer, "&renderer=webgl&exact=0")
+    covered = page.screenshot()
+    page.evaluate(f"splatree.page.layers.pick('{layer}')")
+    settled(page)
+    found = page.screenshot()
+    image = render(
+        viewer._server.exhibits[0].scene,
+        viewer.camera,
+        select=SelectOptions(pixel_error=page.evaluate("splatree.layers[0].header.tau")),
+    )
+    assert np.abs(found - covered).mean() > 0.02
+    if layer == "alpha":
+        assert psnr(found, np.repeat(image.alpha[..., None], 3, axis=2)) >= 40
+    if layer == "depth":
+        grey, solid = found.mean(axis=2), image.alpha > 0.9
+        order = np.corrcoef(np.log(image.depth[solid]), grey[solid])[0, 1]
+        assert order < -0.99  # near is bright
+    assert page.errors == []
+    page.close()
+
+
+def test_two_scenes_share_a_camera_and_the_window(browser, viewer, city_tree):
+    small = thin(city_tree, ThinOptions(keep=0.05)).scene
+    with Viewer(city_tree, ViewOptions(budget=60_000), beside=small) as pair:
+        page = opened(browser, pair, "&renderer=webgl&exact=0")
+        found, middle = page.screenshot(), SIZE[0] // 2
+        background = RenderOptions(background=tuple(page.evaluate("splatree.page.background()")))
+        for which, half in ((0, np.s_[:, : middle - 2]), (1, np.s_[:, middle + 2 :])):
+            tau = page.evaluate(f"splatree.layers[{which}].header.tau")
+            scene = pair._server.exhibits[which].scene
+            expected = render(scene, pair.camera, background, SelectOptions(pixel_error=tau)).image
+            assert psnr(found[half], expected[half]) >= 40
+        assert page.errors == []
+        page.close()
+
+
+def test_a_scene_that_is_replaced_is_drawn_without_a_gap(browser, city_tree):
+    with Viewer(city_tree, ViewOptions(budget=20_000)) as live:
+        page = opened(browser, live, "&renderer=webgl&exact=0")
+        eye = page.evaluate("splatree.camera.eye")
+        moved = edit(city_tree, EditOptions(translate=(5.0, 0.0, 0.0)))
+        live.set_scene(moved)
+        page.wait_for(
+            "splatree.layers[0].isSettled && splatree.layers[0].header.add === splatree.layers[0].header.rows"
+        )
+        settled(page)
+        tau = page.evaluate("splatree.layers[0].header.tau")
+        background = RenderOptions(background=tuple(page.evaluate("splatree.page.background()")))
+        expected = render(live._server.exhibits[0].scene, live.camera, background, SelectOptions(pixel_error=tau)).image
+        assert psnr(page.screenshot(), expected) >= 40
+        assert page.evaluate("splatree.camera.eye") == eye
+        page.close()
+
+
+def test_cameras_go_to_files_that_the_library_reads(browser, viewer, tmp_path):
+    page = opened(browser, viewer, "&renderer=webgl&exact=0")
+    page.evaluate("splatree.camera.orbit(0.4, 0.1)")
+    settled(page)
+    for name, kind in (("cameras.json", "inria"), ("transforms.json", "nerfstudio")):
+        (tmp_path / name).write_text(page.evaluate(f"JSON.stringify(splatree.page.views.{kind}())"))
+        (found,) = read_cameras(tmp_path / name)
+        np.testing.assert_allclose(found.camera_from_world, viewer.camera.camera_from_world, atol=1e-9)
+        np.testing.assert_allclose(found.K, viewer.camera.K, atol=1e-9)
+    page.close()
+
+
+def test_the_address_holds_the_camera(browser, viewer):
+    page = opened(browser, viewer, "&renderer=webgl&exact=0")
+    page.evaluate("splatree.camera.orbit(0.7, 0.1)")
+    page.wait_for("location.hash.includes('eye=')")
+    settled(page)
+    page.wait_for("splatree.addressWritten")
+    address, eye = page.evaluate("location.href"), page.evaluate("splatree.camera.eye")
+    page.open("about:blank", size=SIZE)
+    page.open(address, size=SIZE)
+    page.wait_for("window.splatree?.isReady")
+    np.testing.assert_allclose(page.evaluate("splatree.camera.eye"), eye, rtol=1e-5, atol=1e-4)
+    page.close()
+
+
+def test_a_double_click_sets_the_point_to_turn_about(browser, viewer):
+    page = opened(browser, viewer, "&renderer=webgl&exact=0")
+    before = page.evaluate("splatree.camera.target")
+    for kind in ("mousePressed", "mouseReleased"):
+        for count in (1, 2):
+            page.mouse(kind, 200, 150, button="left", buttons=1, clickCount=count)
+    page.wait_for(f"splatree.camera.target.join() !== '{','.join(map(str, before))}' && !splatree.motion")
+    settled(page)
+    image = render(viewer._server.exhibits[0].scene, viewer.camera, select=SelectOptions(pixel_error=3.0))
+    distance = page.evaluate("splatree.camera.distance()")
+    assert image.depth[SIZE[1] // 2, SIZE[0] // 2] == pytest.approx(distance, rel=0.1)  # it is in the middle now
+    page.close()
+
+
+def test_touch_turns_and_pinches(browser, viewer):
+    page = browser.new_page()
+    page.open(f"{viewer.url}?renderer=webgl&exact=0", size=(360, 640), is_phone=True)
+    page.wait_for("window.splatree?.isReady")
+    eye, distance = page.evaluate("splatree.camera.eye"), page.evaluate("splatree.camera.distance()")
+    page.touch([[(180, 300)], [(220, 310)], [(260, 320)]])
+    settled(page)
+    assert page.evaluate("splatree.camera.eye") != eye
+    assert page.evaluate("splatree.camera.distance()") == pytest.approx(distance)
+    page.touch([[(150, 300), (210, 300)], [(130, 300), (230, 300)], [(90, 300), (270, 300)]])
+    settled(page)
+    assert page.evaluate("splatree.camera.distance()") == pytest.approx(distance / 3, rel=0.05)
+    wide = page.evaluate("document.documentElement.scrollWidth")
+    assert wide <= 360  # nothing sticks out
     page.close()
 
 

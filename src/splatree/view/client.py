@@ -125,7 +125,9 @@ class Client:
                     self._send(pack_message({"kind": "error", "seq": request.seq, "text": str(error)}))
 
     def _begin(self, exhibit: Exhibit) -> None:
-        self._exhibit, self._last, self._rung = exhibit, FIRST_TAU_PX, 0
+        if exhibit is not self._exhibit:  # another scene in the place of one that was shown: no steps, no flicker
+            self._rung = len(LADDER)
+        self._exhibit = exhibit
         self._slots = Slots(exhibit.scene, exhibit.centre, self._capacity)
         self._send(pack_message({"kind": "scene", "capacity": self._capacity, **exhibit.facts}))
 

@@ -36,6 +36,7 @@ export class Layer {
     const isFirst = this.facts === null;
     this.facts = header;
     this.header = null;
+    this.isSettled = false;
     this.store?.clear();
     this.drop();
     this.on.scene(this, isFirst);
@@ -57,7 +58,7 @@ export class Layer {
   }
 
   cut(header, data, offset) {
-    header.at = performance.now();
+    this.firstBytes ??= this.link.bytes; // of what the first picture needs
     this.store.take(header, data, offset);
     this.on.cut(this);
   }
@@ -91,11 +92,13 @@ export class Layer {
     this.on.frame(this, header);
   }
 
-  /** Forget the exact picture: the camera moves on. */
-  drop() {
-    this.asked.frame = -1;
-    this.fade = 0;
-    this.bitmap = null;
-    this.isExact = false;
+  /** The picture is of a camera that has moved on: forget it, or keep it until the next where the server draws. */
+  drop(isKept = false) {
+    if (!isKept) {
+      this.asked.frame = -1;
+      this.fade = 0;
+      this.bitmap = null;
+    }
+    this.isExact = this.isAskedExact = false;
   }
 }

@@ -26,12 +26,13 @@ class App {
       background: 'theme',
       exact: query.get('exact') !== '0',
       leaves: false,
+      resolution: 1, // pixels of the picture for each of the window, along each side
       box: null,
       split: 0.5,
     };
     this.still = { since: 0, asked: false };
-    this.painter = null;
-    this.frames = settings.frames || query.get('renderer') === 'frames';
+    this.painter = null; // null: this browser draws no nodes
+    this.frames = settings.frames || query.get('renderer') === 'frames'; // the server draws
     if (!this.frames) {
       try {
         this.painter = new Painter(canvas);
@@ -40,8 +41,8 @@ class App {
         this.reason = `${error.message}: pictures are drawn by the server`;
       }
     }
-    this.context = this.frames ? canvas.getContext('2d') : null;
-    this.stats = { frames: 0, fps: 0, slow: 0, psnr: null, first: null, bytesAtFirst: null };
+    this.context = this.painter ? null : canvas.getContext('2d');
+    this.stats = { frames: 0, fps: 0, slow: 0, psnr: null, first: null };
     this.lines = {};
     this.page = new Page(this, settings);
     this.controls = new Controls(canvas, this.camera, {
@@ -71,7 +72,7 @@ class App {
   }
 
   resize() {
-    const ratio = Math.min(devicePixelRatio || 1, isPhone ? 2 : 1.5);
+    const ratio = this.state.resolution * Math.min(devicePixelRatio || 1, isPhone ? 2 : 1.5);
     const width = Math.max(1, Math.round(canvas.clientWidth * ratio)), height = Math.max(1, Math.round(canvas.clientHeight * ratio));
     if (canvas.width === width && canvas.height === height) return;
     canvas.width = width;
@@ -144,10 +145,7 @@ class App {
   }
 
   cutDrawn(layer, applied) {
-    if (applied.length && this.stats.first === null) {
-      this.stats.first = performance.now();
-      this.stats.bytesAtFirst = layer.link.bytes;
-    }
+    if (applied.length) this.stats.first ??= performance.now();
     this.isDirty = true;
     this.page.showStatus();
   }
@@ -187,8 +185,28 @@ class App {
     this.page.showStatus();
   }
 
-  /** Without WebGL2: the picture itself. Sizes while moving follow the time that a picture takes. */
+  /** Who draws from now on: 'browser' or 'server'. */
+  setDrawer(name) {
+    this.frames = name === 'server';
+    this.stats.slow = 0;
+    this.changed();
+  }
+
+  /** A picture of the server is all that is seen. Sizes while moving follow the time that a picture takes. */
   showPicture(layer) {
+    layer.isWaiting = false;
+    const took = layer.frameHeader.took;
+    this.factor = Math.min(1, Math.max(0.25, (this.factor ?? 0.5) * (took > 140 ? 0.8 : took < 70 ? 1.15 : 1)));
+    if (this.painter) {
+      layer.fade = 1;
+      this.painter.draw(this.view(), this.parts().map((part) => ({ ...part, isPicture: true })), Object.values(this.lines));
+    } else this.drawPicture(layer);
+    this.stats.frames++;
+    this.countFrame(performance.now());
+  }
+
+  /** The same without WebGL2. */
+  drawPicture(layer) {
     const width = Math.round(this.state.split * canvas.width), isPair = this.layers.length > 1;
     this.context.imageSmoothingQuality = 'high';
     this.context.save();
@@ -199,11 +217,6 @@ class App {
     }
     this.context.drawImage(layer.bitmap, 0, 0, canvas.width, canvas.height);
     this.context.restore();
-    layer.isWaiting = false;
-    const took = layer.frameHeader.took;
-    this.factor = Math.min(1, Math.max(0.25, (this.factor ?? 0.5) * (took > 140 ? 0.8 : took < 70 ? 1.15 : 1)));
-    this.stats.frames++;
-    this.countFrame(performance.now());
   }
 
   askPoint(x, y) {
@@ -232,9 +245,9 @@ class App {
       this.stats.psnr = null;
       this.isDirty = true;
       for (const layer of this.layers) {
-        layer.drop();
+        layer.drop(this.frames);
         layer.isStale = true;
-        if (layer.store) this.sort(layer);
+        if (layer.store && !this.frames) this.sort(layer);
       }
     }
     if (this.frames) this.tickFrames(now);
@@ -247,6 +260,9 @@ class App {
   }
 
   tickFrames(now) {
+    if (this.isDirty && this.painter && this.layers.every((layer) => layer.room.picture)) {
+      this.painter.draw(this.view(), this.parts().map((part) => ({ ...part, fade: 1, isPicture: true })), Object.values(this.lines));
+    }
     for (const layer of this.layers) {
       if (layer.isStale && !layer.isWaiting && layer.facts) {
         layer.isStale = false;
@@ -260,7 +276,7 @@ class App {
 
   tickCuts(now) {
     for (const layer of this.layers) {
-      if (layer.isStale && layer.askCut(this.request(layer), now)) layer.isStale = false;
+      if (layer.isStale && layer.facts && layer.askCut(this.request(layer), now)) layer.isStale = false;
     }
     this.askExact(now);
     for (const layer of this.layers) {
@@ -304,7 +320,7 @@ class App {
       const took = now - this.lastDraw;
       this.stats.fps = this.stats.fps ? 0.9 * this.stats.fps + 0.1 * (1000 / Math.max(took, 1)) : 1000 / Math.max(took, 1);
       this.stats.slow = took > 200 ? this.stats.slow + 1 : 0;
-      if (!this.frames && this.stats.slow >= SLOW_FRAMES && query.get('renderer') !== 'webgl') this.page.offerFrames();
+      if (!this.frames && this.stats.slow >= SLOW_FRAMES && query.get('renderer') !== 'webgl') this.page.serverDraws();
     }
     this.lastDraw = now;
   }

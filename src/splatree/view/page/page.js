@@ -73,9 +73,18 @@ export class Page {
       state[name] = value;
       this.app.changed();
     };
-    this.budget = slider('Nodes', { low: 20_000, high: this.app.frames ? 1_000_000 : 2_000_000, value: state.budget, show: count, hint: 'Most nodes that are drawn' }, set('budget'));
+    this.budget = slider('Nodes', { low: 20_000, high: 2_000_000, value: state.budget, show: count, hint: 'Most nodes that are drawn' }, set('budget'));
     this.tau = slider('τ', { low: 0.5, high: 200, value: Math.max(0.5, state.tau), show: (v) => `${v} px`, hint: 'A node that looks at most this large stands for all below it' }, set('tau'));
-    this.layers = choice('Show', [['color', 'Colour'], ['levels', 'Levels', 'Depth in the tree: violet is coarse, yellow is fine'], ['cut', 'Cut', 'Green: leaves. Orange: merged nodes'], ['depth', 'Depth'], ['alpha', 'Alpha']].filter(([key]) => !this.app.frames || !['levels', 'cut'].includes(key)), 'color', set('layer'));
+    this.layers = choice('Show', [['color', 'Colour'], ['levels', 'Levels', 'Depth in the tree: violet is coarse, yellow is fine'], ['cut', 'Cut', 'Green: leaves. Orange: merged nodes'], ['depth', 'Depth'], ['alpha', 'Alpha']].filter(([key]) => this.app.painter || !['levels', 'cut'].includes(key)), 'color', set('layer'));
+    this.drawer = choice('Drawn by', [['browser', 'Browser', 'WebGL2 draws the nodes'], ['server', 'Server', 'Pictures come from the server: smaller ones while moving']], this.app.frames ? 'server' : 'browser', (name) => {
+      this.app.setDrawer(name);
+      document.body.classList.toggle('server', name === 'server');
+    });
+    document.body.classList.toggle('server', this.app.frames);
+    const resolution = slider('Resolution', { low: 0.25, high: 2, value: 1, show: (v) => `${Math.round(100 * v)} %`, hint: 'Pixels of the picture for each of the window' }, (value) => {
+      state.resolution = value;
+      this.app.resize();
+    });
     this.exact = tick('Exact picture when still', state.exact, set('exact'), 'The server draws the same cut with splatree itself');
     this.leaves = tick('… of all leaves', state.leaves, set('leaves'), 'The full scene, without levels of detail');
     this.histogram = make('div', { class: 'histogram', title: 'Nodes of the cut by depth in the tree' });
@@ -95,8 +104,8 @@ export class Page {
     this.clip = tick('Clipping box', false, (isOn) => this.setClip(isOn));
     this.clipRows = make('div', { class: 'clip', hidden: true });
     at('panel').append(
-      section('Detail', true, this.budget, this.tau, this.exact, this.leaves, this.histogram),
-      section('Show', true, named('Layer', this.layers), ...(this.app.frames ? [] : [named('Boxes', boxes)]), named('Background', background)),
+      section('Detail', true, this.budget, this.tau, resolution, this.exact, this.leaves, this.histogram),
+      section('Show', true, named('Layer', this.layers), ...(this.app.painter ? [named('Boxes', boxes), named('Drawn by', this.drawer)] : []), named('Background', background)),
       section('Scene', false, named('Up', up), fov, this.clip, this.clipRows, this.facts),
       section('Cameras', false, ...this.views.rows()),
     );
@@ -219,15 +228,10 @@ export class Page {
     put(0.5);
   }
 
-  offerFrames() {
-    this.app.stats.slow = 0;
-    if (this.offered) return;
-    this.offered = true;
-    const url = new URL(location.href);
-    url.searchParams.set('renderer', 'frames');
-    const row = make('span', {}, 'This browser draws fewer than 5 pictures a second. ');
-    row.append(make('a', { href: url.href }, 'Let the server draw'), ', or lower the number of nodes.');
-    this.notice(row, 12000);
+  /** The graphics here are slow: let the server draw, and say so. */
+  serverDraws() {
+    this.drawer.pick('server');
+    this.notice('This browser draws fewer than 5 pictures a second: the server draws now. “Drawn by” in the settings changes it.', 8000);
   }
 
   notice(content, duration = 0) {

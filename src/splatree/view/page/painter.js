@@ -58,7 +58,7 @@ export class Painter {
   }
 
   /**
-   * Draw rooms side by side: `parts` is [{room, from, to, fade, range}] with from and to as shares of the width.
+   * Draw rooms side by side: `parts` is [{room, from, to, fade, range, isPicture}] with from and to as shares of the width.
    * view: {eye, axes, focal, near, width, height, dilation, antialiased, layer, depths, box, background, threshold}
    */
   draw(view, parts, lines = []) {
@@ -69,7 +69,7 @@ export class Painter {
       if (width <= 0) continue;
       gl.enable(gl.SCISSOR_TEST);
       gl.scissor(x, 0, width, view.height);
-      this.drawNodes(view, part.room);
+      if (!part.isPicture) this.drawNodes(view, part.room);
       const outX = Math.round(part.from * this.canvas.width), outWidth = Math.round(part.to * this.canvas.width) - outX;
       gl.scissor(outX, 0, outWidth, this.canvas.height);
       this.drawCover(view, part);

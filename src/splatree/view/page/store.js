@@ -20,14 +20,17 @@ export class Store {
     this.worker.postMessage({ change: { capacity } });
   }
 
+  /** Forget all nodes, but go on drawing them until the first cut of what follows is there. */
   clear() {
     this.pending = [];
     this.version++;
+    this.isWaiting = true;
     this.worker.postMessage({ change: { capacity: this.capacity } });
   }
 
   /** Take in a message of kind `cut`. */
   take(header, data, offset) {
+    this.isWaiting = false;
     const part = (count) => {
       const array = new Uint32Array(data, offset, count);
       offset += 4 * count;
@@ -48,7 +51,7 @@ export class Store {
 
   /** Ask for the order of a view; the newest one follows when the worker is free. */
   sort(view) {
-    if (this.isSorting) {
+    if (this.isSorting || this.isWaiting) {
       this.next = view;
       return;
     }
@@ -59,6 +62,7 @@ export class Store {
 
   sorted({ version, order, range, ms }) {
     this.isSorting = false;
+    if (this.isWaiting) return;
     const rows = new Set();
     const applied = [];
     while (this.pending.length && this.pending[0].version <= version) {
