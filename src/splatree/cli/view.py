@@ -56,6 +56,7 @@ def run(command: Command) -> Viewed:
     if command.photos is not None and cameras is not None:
         photos = Photos(command.photos, list(cameras))
     scene = read_scene(command.paths, command.reading)
+    cameras = None if cameras is None else cameras.relative_to(scene.source.origin)
     beside = None if command.beside is None else read_scene((command.beside,), command.reading)
     names = (command.paths[0].name or str(command.paths[0]), "" if command.beside is None else command.beside.name)
     viewer = Viewer(scene, command.options, beside=beside, names=names, cameras=cameras, photos=photos)

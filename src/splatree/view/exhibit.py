@@ -81,7 +81,7 @@ class Exhibit:
             "levels": tree.num_levels,
             "degree": g.sh_degree,
             "mode": self.scene.mode,
-            "centre": framing.centre.tolist(),
+            "centre": (framing.centre + self.scene.source.origin).tolist(),
             "radius": framing.radius,
             "up": framing.up.tolist(),
             "sure": framing.is_sure,
