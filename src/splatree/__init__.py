@@ -37,10 +37,13 @@ if TYPE_CHECKING:
     from splatree.lod.link import link_levels
     from splatree.lod.options import BuildOptions
     from splatree.lod.select import select
+    from splatree.metrics.flip import flip
     from splatree.metrics.psnr import psnr
     from splatree.metrics.ssim import ssim
     from splatree.render.batch import render_batch, trace_batch
     from splatree.render.calibrate import CalibrateOptions, Calibration, calibrate, calibrated
+    from splatree.render.compare import ComparedView, Difference, compare, comparison_views
+    from splatree.render.compare_page import Comparison, write_comparison
     from splatree.render.contribution import (
         ContributionHistogram,
         TileContributions,
@@ -85,11 +88,14 @@ __all__ = [
     "Cameras",
     "ClusterIndex",
     "ClusterOptions",
+    "ComparedView",
+    "Comparison",
     "ContributionHistogram",
     "ConvertOptions",
     "Converted",
     "Culling",
     "DeviceError",
+    "Difference",
     "EditOptions",
     "Evaluation",
     "FormatError",
@@ -141,12 +147,15 @@ __all__ = [
     "calibrate",
     "calibrated",
     "common_head",
+    "compare",
+    "comparison_views",
     "contribution_histogram",
     "convert",
     "create_scene",
     "cull",
     "edit",
     "evaluate",
+    "flip",
     "flyout",
     "frame_counters",
     "frame_scene",
@@ -179,6 +188,7 @@ __all__ = [
     "view",
     "write",
     "write_cameras",
+    "write_comparison",
     "write_counters",
     "write_image",
 ]
@@ -193,11 +203,14 @@ _HOME = {
     "Cameras": "splatree.scene.cameras",
     "ClusterIndex": "splatree.scene.clusters",
     "ClusterOptions": "splatree.clusters.build",
+    "ComparedView": "splatree.render.compare",
+    "Comparison": "splatree.render.compare_page",
     "ContributionHistogram": "splatree.render.contribution",
     "ConvertOptions": "splatree.io.convert",
     "Converted": "splatree.io.convert",
     "Culling": "splatree.scene.clusters",
     "DeviceError": "splatree.errors",
+    "Difference": "splatree.render.compare",
     "EditOptions": "splatree.edit.options",
     "Evaluation": "splatree.render.evaluate",
     "FormatError": "splatree.errors",
@@ -249,12 +262,15 @@ _HOME = {
     "calibrate": "splatree.render.calibrate",
     "calibrated": "splatree.render.calibrate",
     "common_head": "splatree.io.formats.splatree.head",
+    "compare": "splatree.render.compare",
+    "comparison_views": "splatree.render.compare",
     "contribution_histogram": "splatree.render.contribution",
     "convert": "splatree.io.convert",
     "create_scene": "splatree.io.formats.splatree.writer",
     "cull": "splatree.clusters.cull",
     "edit": "splatree.edit.edit",
     "evaluate": "splatree.render.evaluate",
+    "flip": "splatree.metrics.flip",
     "flyout": "splatree.render.paths",
     "frame_counters": "splatree.render.counters",
     "frame_scene": "splatree.render.framing.frame",
@@ -287,6 +303,7 @@ _HOME = {
     "view": "splatree.view.viewer",
     "write": "splatree.io.registry",
     "write_cameras": "splatree.io.cameras.files",
+    "write_comparison": "splatree.render.compare_page",
     "write_counters": "splatree.render.counters",
     "write_image": "splatree.io.images",
 }

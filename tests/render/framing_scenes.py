@@ -103,14 +103,14 @@ def figure():
     return scene(parts)
 
 
-def city(*, seed=0):
+def city(*, seed=0, step=1.5):
     """Blocks on a plain of 200 m, as a drone sees them, without sky."""
     rng = np.random.default_rng(seed)
-    parts = [patch((-100, 0, -100), (200, 0, 0), (0, 0, 200), (0.4, 0.5, 0.35), step=1.5)]
+    parts = [patch((-100, 0, -100), (200, 0, 0), (0, 0, 200), (0.4, 0.5, 0.35), step=step)]
     for x in range(-90, 90, 30):
         for z in range(-90, 90, 30):
             height = rng.uniform(5, 25)
-            parts += box((x, -height, z), (x + 18, 0, z + 18), rng.uniform(0.2, 0.8, 3), faces="nsewt", step=1.5)
+            parts += box((x, -height, z), (x + 18, 0, z + 18), rng.uniform(0.2, 0.8, 3), faces="nsewt", step=step)
     return scene(parts)
 
 

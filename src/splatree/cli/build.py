@@ -9,6 +9,8 @@ from typing import Annotated, Any, Literal
 from tyro.conf import arg
 
 from splatree.cli.calibrate import Views, in_words, training_views, views_in_words
+from splatree.cli.comparison import Reporting, read_back
+from splatree.cli.comparison import in_words as comparison_in_words
 from splatree.cli.console import Console, UsageError, size, table
 from splatree.cli.files import Files, inputs_and_output, lost_and_noted, read_scene, repairs_of, told
 from splatree.clusters.build import ClusterOptions, build_clusters
@@ -19,6 +21,7 @@ from splatree.lod.link import link_levels
 from splatree.lod.options import BuildOptions
 from splatree.lod.report import report_levels
 from splatree.render.calibrate import CalibrateOptions, Calibration, calibrate, calibrated
+from splatree.render.compare_page import Comparison
 from splatree.scene.names import Mode
 from splatree.scene.scene import Scene
 
@@ -43,6 +46,7 @@ class Command:
     clustering: Annotated[ClusterOptions, arg(name="", help="")] = ClusterOptions()
     views: Annotated[Views, arg(name="", help="")] = Views()
     calibration: Annotated[CalibrateOptions, arg(name="", help="")] = CalibrateOptions()
+    reporting: Annotated[Reporting, arg(name="", help="")] = Reporting()
     console: Annotated[Console, arg(name="", help="")] = Console()
 
 
@@ -80,6 +84,8 @@ class Built:
     """Which photographs it was chosen with; None if none were given."""
     notes: tuple[str, ...] = ()
     """What the readers of the scene and of the cameras did that the user should know, a sentence each."""
+    comparison: Comparison | None = None
+    """What a cut of the levels loses in pictures, if --report asks for it."""
 
 
 def run(command: Command) -> Built:
@@ -94,6 +100,7 @@ def run(command: Command) -> Built:
             f"found {'--flat' if command.flat else '--levels file'} and {', '.join(changed)}, which only levels that grow use; "
             "wanted one of them"
         )
+    command.reporting.check(force=command.files.force)
     views = training_views(command.views)
     scene = _linked(command, inputs) if command.levels == "file" else _read(command, inputs)
     if command.clusters is not None:
@@ -121,6 +128,9 @@ def run(command: Command) -> Built:
         calibration=calibration,
         photographs=None if views is None else views.used,
         notes=(*notes, *(() if views is None else views.notes)),
+        comparison=read_back(  # whose leaves are the input, bit for bit
+            output, scene, command.reporting, made_from=", ".join(map(str, inputs)), force=command.files.force
+        ),
     )
 
 
@@ -171,4 +181,5 @@ def show(built: Built) -> str:
     )
     calibration = [] if built.calibration is None else [in_words(built.calibration)]
     views = views_in_words(built.photographs, built.notes)
-    return "\n".join([wrote, *views, *calibration, *told(built.repairs, built.lost)])
+    compared = [] if built.comparison is None else comparison_in_words(built.comparison)
+    return "\n".join([wrote, *views, *calibration, *told(built.repairs, built.lost), *compared])

@@ -1,18 +1,22 @@
 """``splatree convert``: a scene in another format, moved, cropped or filtered on the way."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
 from tyro.conf import arg
 
+from splatree.cli.comparison import Reporting, in_words, read_back
 from splatree.cli.console import Console, UsageError, size
-from splatree.cli.files import Files, inputs_and_output, told
+from splatree.cli.files import Files, inputs_and_output, read_scene, told
+from splatree.edit.edit import edit
 from splatree.edit.options import EditOptions
 from splatree.errors import InputError
 from splatree.io.convert import ConvertOptions, convert
 from splatree.io.options import ReadOptions, Repair, WriteOptions
 from splatree.io.registry import stored_bytes
+from splatree.render.compare_page import Comparison
 from splatree.scene.names import Mode
 
 
@@ -35,6 +39,7 @@ class Command:
     """Drop Gaussians with values that cannot be used, and count them, instead of stopping; --repair mends what it can."""
     edit: Annotated[EditOptions, arg(name="", help="")] = EditOptions()
     options: Annotated[WriteOptions, arg(name="", help="")] = WriteOptions()
+    reporting: Annotated[Reporting, arg(name="", help="")] = Reporting()
     console: Annotated[Console, arg(name="", help="")] = Console()
 
 
@@ -58,6 +63,8 @@ class Result:
     """Whether it went in chunks, with bounded memory."""
     notes: tuple[str, ...] = ()
     """What reading did that the user should know, a sentence each."""
+    comparison: Comparison | None = None
+    """What was lost in pictures, if --report asks for it."""
 
 
 def run(command: Command) -> Result:
@@ -70,6 +77,7 @@ def run(command: Command) -> Result:
         options = ConvertOptions(read, command.edit, command.options, command.depth, command.mode)
     except InputError as error:
         raise UsageError(str(error)) from error
+    command.reporting.check(force=command.files.force)
     done = convert(inputs, output, options, force=command.files.force)
     return Result(
         output=output,
@@ -80,11 +88,26 @@ def run(command: Command) -> Result:
         lost=done.lost,
         in_chunks=done.in_chunks,
         notes=done.notes,
+        comparison=_comparison(command, inputs, output),
     )
+
+
+def _comparison(command: Command, inputs: Sequence[Path], output: Path) -> Comparison | None:
+    """What was written beside what was read, moved as the edits say; what filters dropped counts as lost."""
+    if command.reporting.report is None:
+        return None
+    edits = command.edit
+    move = EditOptions(scale=edits.scale, rotate=edits.rotate, translate=edits.translate)
+    reference = edit(read_scene(inputs, command.files.reading, level=command.level), move)
+    if command.mode is not None:
+        reference = replace(reference, mode=command.mode)
+    made_from = ", ".join(map(str, inputs))
+    return read_back(output, reference, command.reporting, made_from=made_from, force=command.files.force)
 
 
 def show(result: Result) -> str:
     """The result in words."""
     of = f" of {result.num_read:,}" if result.num_read != result.num_gaussians else ""
     wrote = f"wrote {result.output}: {result.num_gaussians:,}{of} Gaussians, {size(result.bytes)}"
-    return "\n".join([wrote, *told(result.repairs, result.lost, result.notes)])
+    compared = [] if result.comparison is None else in_words(result.comparison)
+    return "\n".join([wrote, *told(result.repairs, result.lost, result.notes), *compared])

@@ -9,6 +9,7 @@ from typing import Annotated
 import numpy as np
 from tyro.conf import Positional, arg
 
+from splatree.cli.comparison import Drawing, Reporting, compared, in_words
 from splatree.cli.console import Console, UsageError, table
 from splatree.cli.files import Reading, check_inputs, lost_and_noted, read_scene
 from splatree.errors import InputError
@@ -20,6 +21,8 @@ from splatree.lod.baselines import Baseline, BaselineName, BaselineOptions, base
 from splatree.lod.blocks import with_blocks
 from splatree.metrics.lpips import Lpips, Net
 from splatree.render.calibrate import METADATA_KEY
+from splatree.render.compare import comparison_views
+from splatree.render.compare_page import Comparison
 from splatree.render.evaluate import Evaluation, evaluate
 from splatree.render.paths import PathOptions, flyout
 from splatree.render.timing import STAGES, Timing, peak_bytes, time_frames
@@ -30,12 +33,18 @@ from splatree.scene.scene import Scene
 
 @dataclass(frozen=True)
 class Command:
-    """Compare the cut with all leaves, view by view; with --data both with photographs of views that were held out."""
+    """Say what was lost: a scene beside another (--reference), the cut beside all leaves, or both beside photographs (--data)."""
 
     paths: Positional[tuple[Path, ...]]
     """Scene; several files or folders are read as one."""
+    reference: Path | None = None
+    """Compare with this scene instead, from which the first was made: how much was lost, in PSNR, SSIM and FLIP."""
+    report: Path | None = None
+    """With --reference: folder for report.html and its pictures, side by side."""
+    force: bool = False
+    """Replace a report that is there."""
     cameras: Path | None = None
-    """cameras.json, transforms.json or a COLMAP model; None: those in --data, or else a flight away from the scene."""
+    """cameras.json, transforms.json or a COLMAP model; None: those in --data, or else views that are made for the scene."""
     data: Path | None = None
     """Folder of photographs: the names of the cameras below it, or in its `images` or a scaled copy such as `images_4`."""
     held_out: int | Path = 8
@@ -142,14 +151,18 @@ class Evaluated:
     """What the readers of the scene and of the cameras did that the user should know, a sentence each."""
 
 
-def run(command: Command) -> Evaluated:
-    """Draw and compare each view, then time frames."""
+def run(command: Command) -> Evaluated | Comparison:
+    """Draw and compare each view, then time frames; with --reference, compare two scenes."""
     check_inputs(command.paths)
     if command.every < 1 or not command.scale > 0 or command.frames < 0:
         found = f"{command.every}, {command.scale}, {command.frames}"
         raise UsageError(f"every, scale, frames: found {found}, wanted at least 1, more than 0, and at least 0")
     if command.training and command.data is None:
         raise UsageError("training: found no --data, wanted photographs; without them no view is held out")
+    if command.reference is not None:
+        return _against_reference(command)
+    if command.report is not None:
+        raise UsageError("report: found no --reference, wanted a scene to compare with")
     source = command.cameras or command.data
     named = None if source is None else read_cameras(source)  # missing ones are told before any work
     scene = with_blocks(read_scene(command.paths, command.reading))
@@ -202,6 +215,27 @@ def run(command: Command) -> Evaluated:
     )
 
 
+def _against_reference(command: Command) -> Comparison:
+    """Two scenes from the same views, given or made for the reference."""
+    assert command.reference is not None
+    if command.data is not None or command.method is not None or command.lpips is not None:
+        raise UsageError("reference: found it beside --data, --method or --lpips, wanted one of them")
+    Reporting(command.report).check(force=command.force)
+    named = None if command.cameras is None else read_cameras(command.cameras)
+    scene = read_scene(command.paths, command.reading)
+    reference = read_scene([command.reference], command.reading)
+    cameras = (comparison_views(reference, command.made) if named is None else named).views[:: command.every]
+    return compared(
+        scene,
+        reference,
+        [camera.scaled(command.scale) for camera in cameras],
+        command.report,
+        about=f"{', '.join(map(str, command.paths))} beside {command.reference}, drawn from the same views",
+        force=command.force,
+        drawing=Drawing(command.options, command.select, command.device),
+    )
+
+
 def _views(cameras: Sequence[Camera], command: Command) -> tuple[list[Camera], list[Camera], str]:
     """Views to score, training views, and what their pictures are compared with."""
 
@@ -226,8 +260,10 @@ def _check_calibration(scene: Scene, held_out: Sequence[Camera]) -> None:
         )
 
 
-def show(evaluated: Evaluated) -> str:
+def show(evaluated: Evaluated | Comparison, *, verbose: bool = False) -> str:
     """The views as a table, their means, what a frame takes, and sizes."""
+    if isinstance(evaluated, Comparison):
+        return "\n".join(in_words(evaluated, views=True))
     head = (
         f"{evaluated.num_gaussians:,} Gaussians, {evaluated.num_nodes:,} nodes, {evaluated.levels} levels, "
         f"{evaluated.mode}, method {evaluated.method}; compared with {evaluated.compared_with}"
@@ -235,7 +271,7 @@ def show(evaluated: Evaluated) -> str:
     lines = [head, *(f"note: {note}" for note in evaluated.notes)]
     if evaluated.photographs is not None:
         lines += evaluated.photographs.in_words()
-    lines += [table([row_of(view) for view in evaluated.views]), f"mean: {_words(evaluated.mean)}"]
+    lines += [table([row_of(view, verbose=verbose) for view in evaluated.views]), f"mean: {_words(evaluated.mean)}"]
     if evaluated.training_mean:
         lines.append(f"mean of the training views, no measure of new ones: {_words(evaluated.training_mean)}")
     if evaluated.timing is not None:
@@ -280,8 +316,8 @@ def view_of(e: Evaluation) -> View:
     )
 
 
-def row_of(view: View) -> dict[str, object]:
-    """One line of the table."""
+def row_of(view: View, *, verbose: bool = True) -> dict[str, object]:
+    """One line of the table; milliseconds only with ``verbose``."""
     row: dict[str, object] = {
         "view": view.name,
         "nodes": view.selected,
@@ -293,7 +329,8 @@ def row_of(view: View) -> dict[str, object]:
     }
     if view.lpips_vs_leaves is not None:
         row["LPIPS"] = f"{view.lpips_vs_leaves:.4f}"
-    row |= {f"{stage} ms": ms for stage, ms in view.ms.items()}
+    if verbose:
+        row |= {f"{stage} ms": ms for stage, ms in view.ms.items()}
     if view.psnr_vs_photo is not None:
         row |= {"PSNR photo": view.psnr_vs_photo, "leaves photo": view.leaves_psnr_vs_photo}
     return row

@@ -6,9 +6,11 @@ from typing import Annotated
 
 from tyro.conf import arg
 
+from splatree.cli.comparison import Reporting, in_words, read_back
 from splatree.cli.console import Console, size
 from splatree.cli.files import Files, inputs_and_output, lost_and_noted, read_scene, repairs_of, told
 from splatree.io.registry import stored_bytes, write
+from splatree.render.compare_page import Comparison
 from splatree.scene.names import Mode
 from splatree.scene.thinning import ThinOptions
 from splatree.simplify.thin import thin
@@ -22,6 +24,7 @@ class Command:
     mode: Mode | None = None
     """How the scene was trained and is drawn: merging follows it. None: as the file says, else `classic`."""
     options: Annotated[ThinOptions, arg(name="", help="")] = ThinOptions()
+    reporting: Annotated[Reporting, arg(name="", help="")] = Reporting()
     console: Annotated[Console, arg(name="", help="")] = Console()
 
 
@@ -49,11 +52,14 @@ class Result:
     """What of the inputs the file does not hold, a sentence each."""
     notes: tuple[str, ...] = ()
     """What reading did that the user should know, a sentence each."""
+    comparison: Comparison | None = None
+    """What was lost in pictures, if --report asks for it."""
 
 
 def run(command: Command) -> Result:
     """Read the leaves, thin them, write."""
     inputs, output = inputs_and_output(command.files)
+    command.reporting.check(force=command.files.force)
     scene = read_scene(inputs, command.files.reading)
     if command.mode is not None:
         scene = replace(scene, mode=command.mode)
@@ -71,6 +77,9 @@ def run(command: Command) -> Result:
         repairs=repairs_of(scene),
         lost=lost,
         notes=notes,
+        comparison=read_back(
+            output, scene, command.reporting, made_from=", ".join(map(str, inputs)), force=command.files.force
+        ),
     )
 
 
@@ -82,4 +91,5 @@ def show(result: Result) -> str:
         f"wrote {result.output}: {result.num_gaussians:,} of {result.num_read:,} Gaussians ({share:.1f} %), "
         f"{how}, {size(result.bytes)}"
     )
-    return "\n".join([wrote, *told(result.repairs, result.lost, result.notes)])
+    compared = [] if result.comparison is None else in_words(result.comparison)
+    return "\n".join([wrote, *told(result.repairs, result.lost, result.notes), *compared])

@@ -1,0 +1,198 @@
+"""A comparison of two scenes as a folder: an HTML page that needs nothing else, and its pictures beside it as PNG."""
+
+import base64
+import html
+import io
+import math
+import os
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from string import Template
+from typing import Final
+
+import numpy as np
+
+from splatree.errors import InputError, OutputError
+from splatree.io.images import write_image
+from splatree.io.replacing import check_target, replacing
+from splatree.render.compare import ComparedView, Difference, summary_of
+from splatree.shapes import Array, Float32
+
+__all__ = ["PAGE", "Comparison", "check_comparison_folder", "decibels", "error_colors", "write_comparison"]
+
+PAGE: Final = "report.html"
+"""Name of the page in its folder."""
+
+WHITE_AT: Final = 0.5
+"""FLIP that is shown white; what is twice as bad cannot be told apart by then."""
+
+RAMP: Final = (
+    (0.0, 0.0, 0.02),
+    (0.23, 0.06, 0.44),
+    (0.55, 0.16, 0.51),
+    (0.87, 0.29, 0.41),
+    (0.99, 0.62, 0.43),
+    (1.0, 1.0, 0.95),
+)
+"""Colours of errors, RGB, at equal steps from 0 to WHITE_AT."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What a comparison of two scenes found."""
+
+    all: Difference
+    """All views together."""
+    worst: str
+    """Name of the view with the largest FLIP."""
+    views: tuple[Difference, ...]
+    """One entry a view, in order."""
+    report: Path | None = None
+    """The page; None if none was written."""
+
+
+def write_comparison(
+    views: Iterable[ComparedView],
+    folder: str | os.PathLike[str] | None = None,
+    *,
+    title: str = "How much was lost",
+    about: str = "",
+    force: bool = False,
+) -> Comparison:
+    """Take views as they are compared, write pictures and a page into a folder, and return what they say together.
+
+    For each view NAME_side_by_side.png (reference, scene, errors) and NAME_error.png are written, and a page report.html.
+
+    Args:
+        views: from `compare`; each is let go once its pictures are written.
+        folder: where to write, made if it is not there; None: nothing is written.
+        title: headline of the page.
+        about: a sentence below it, such as the names of both files.
+        force: replace a page that is there.
+
+    Raises:
+        InputError: there is no view.
+        OutputError: the page exists and ``force`` is not set, or the folder cannot be written.
+
+    Example::
+
+        views = st.compare(st.read("new.sog"), st.read("old.ply"))
+        print(st.write_comparison(views, "lost/").all.flip)
+    """
+    place = None if folder is None else Path(folder)
+    if place is not None:
+        check_comparison_folder(place, force=force)
+    differences, cards = [], []
+    for i, view in enumerate(views):
+        differences.append(view.difference)
+        if place is None:
+            continue
+        name = re.sub(r"[^\w.-]+", "_", Path(view.camera.name).stem) or f"{i:04d}"
+        colors = error_colors(view.errors)
+        side_by_side = np.concatenate([view.reference, view.image, colors], axis=1)
+        write_image(side_by_side, place / f"{name}_side_by_side.png", force=True)
+        write_image(colors, place / f"{name}_error.png", force=True)
+        cards.append((view.difference.flip, _card(view, colors)))
+    if not differences:
+        raise InputError("write_comparison: found no view, wanted at least one")
+    together = summary_of(differences)
+    worst = max(differences, key=lambda difference: difference.flip).name
+    if place is None:
+        return Comparison(together, worst, tuple(differences))
+    text = _filled(
+        "comparison.html",
+        title=html.escape(title),
+        about=html.escape(about),
+        numbers=_numbers(together, worst),
+        table=_table([*differences, together]),
+        cards="\n".join(card for _, card in sorted(cards, key=lambda card: -card[0])),
+    )
+    with replacing(place / PAGE, force=force) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    return Comparison(together, worst, tuple(differences), place / PAGE)
+
+
+def check_comparison_folder(folder: Path, *, force: bool) -> None:
+    """Make the folder of a comparison, before any work is done for it.
+
+    Raises:
+        OutputError: it cannot be made, or holds a page already and ``force`` is not set.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"{folder}: cannot be made a folder ({error.strerror})") from error
+    check_target(folder / PAGE)
+    if (folder / PAGE).exists() and not force:
+        raise OutputError(f"{folder / PAGE}: exists already; choose another folder or replace it with --force")
+
+
+def error_colors(errors: Float32[Array, "h w"]) -> Float32[Array, "h w 3"]:
+    """Errors as colours, from black through red to white at WHITE_AT."""
+    place = np.clip(errors / WHITE_AT, 0, 1) * (len(RAMP) - 1)
+    channels = [np.interp(place, np.arange(len(RAMP)), [color[c] for color in RAMP]) for c in range(3)]
+    return np.stack(channels, axis=-1).astype(np.float32)
+
+
+def decibels(value: float | None) -> str:
+    """31.42, or "equal" for equal pictures."""
+    if value is None:
+        return ""
+    return "equal" if math.isinf(value) else f"{value:.2f}"
+
+
+def _filled(template: str, **values: str) -> str:
+    return Template((files("splatree") / "data" / template).read_text(encoding="utf-8")).substitute(values)
+
+
+def _numbers(together: Difference, worst: str) -> str:
+    shown = {
+        "PSNR": decibels(together.psnr) + ("" if math.isinf(together.psnr) else " dB"),
+        "PSNR covered": decibels(together.psnr_covered),
+        "SSIM": "" if together.ssim is None else f"{together.ssim:.4f}",
+        "FLIP": f"{together.flip:.4f}",
+        "worst view": html.escape(worst),
+    }
+    return "".join(f"<div><b>{value}</b>{name}</div>" for name, value in shown.items() if value)
+
+
+def _table(differences: Sequence[Difference]) -> str:
+    head = ("view", "drawn", "of the reference", "PSNR", "PSNR covered", "SSIM", "FLIP")
+    rows = ["<tr>" + "".join(f"<th>{cell}</th>" for cell in head) + "</tr>"]
+    for d in differences:
+        cells = (
+            html.escape(d.name),
+            f"{d.num_drawn:,}",
+            f"{d.num_drawn_reference:,}",
+            decibels(d.psnr),
+            decibels(d.psnr_covered),
+            "" if d.ssim is None else f"{d.ssim:.4f}",
+            f"{d.flip:.4f}",
+        )
+        rows.append("<tr>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>")
+    return "\n".join(rows)
+
+
+def _card(view: ComparedView, colors: Array) -> str:
+    d = view.difference
+    return _filled(
+        "comparison_view.html",
+        name=html.escape(d.name),
+        words=f"PSNR {decibels(d.psnr)}, FLIP {d.flip:.4f}",
+        white=f"{WHITE_AT:g}",
+        image=_data_uri(view.image),
+        reference=_data_uri(view.reference),
+        errors=_data_uri(colors),
+    )
+
+
+def _data_uri(image: Float32[Array, "h w 3"]) -> str:
+    from PIL import Image
+
+    buffer = io.BytesIO()
+    pixels = np.rint(255 * np.clip(image, 0, 1)).astype(np.uint8)
+    Image.fromarray(pixels).save(buffer, "JPEG", quality=90, optimize=True)
+    return "data:image/jpeg;base64," + base64.b64encode(buffer.getvalue()).decode()
