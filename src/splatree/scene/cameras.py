@@ -13,7 +13,17 @@ from splatree.shapes import Array, Float64, check_fields
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """One view."""
+    """One view: where the camera is, and how it projects.
+
+    Axes are those of OpenCV: x right, y down, z forward. The centre of the first pixel is at (½, ½).
+
+    Example:
+        >>> camera = st.Camera.look_at([0, -80, -120], [0, 0, 0], width=640, height=360)
+        >>> camera.position.round(6).tolist()
+        [0.0, -80.0, -120.0]
+        >>> camera.scaled(0.5).width
+        320
+    """
 
     camera_from_world: Float64[Array, "4 4"]
     """Rigid transform: ``x_camera = R x_world + t``."""
@@ -26,9 +36,10 @@ class Camera:
     near: float = NEAR
     """Gaussians whose centre has a smaller view depth, world units, are not drawn."""
     name: str = ""
-    """Name of the picture that it belongs to, if any."""
+    """Name of the picture that the camera belongs to, if there is one."""
     lens: Lens | None = None
-    """How it bends straight lines; None: not at all. `render` and `trace` draw it through a covering pinhole (scene/warp.py)."""
+    """How the camera bends straight lines; None: not at all. `render` and `trace` draw it through a covering pinhole
+    (scene/warp.py)."""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -77,9 +88,21 @@ class Camera:
         height: int = 540,
         fov_y_deg: float = 50.0,
     ) -> "Camera":
-        """A camera at ``position`` that looks at ``target`` with ``up`` upwards in the picture.
+        """A camera at ``position`` that looks at ``target``.
 
-        3DGS scenes are usually y-down, hence the default ``up``. ``fov_y_deg`` is the vertical field of view in degrees.
+        Args:
+            position: centre of projection, world units.
+            target: point that is in the middle of the picture.
+            up: direction in the world that points upwards in the picture; most 3DGS scenes have y down.
+            width: width of the picture, px.
+            height: height of the picture, px.
+            fov_y_deg: vertical field of view, degrees.
+
+        Returns:
+            The camera.
+
+        Raises:
+            InputError: position and target are the same point.
         """
         position, target, up = (np.asarray(v, np.float64) for v in (position, target, up))
         forward = target - position
@@ -101,10 +124,16 @@ class Camera:
 
 @dataclass(frozen=True, eq=False)
 class Cameras:
-    """Views in order."""
+    """Views in order.
+
+    Example:
+        >>> cameras = st.Cameras((camera, camera.scaled(2)))
+        >>> [view.width for view in cameras]
+        [64, 128]
+    """
 
     views: tuple[Camera, ...]
-    """One camera a view."""
+    """The cameras."""
     notes: tuple[str, ...] = ()
     """What the reader of their file chose or left out, a sentence each."""
 

@@ -13,10 +13,15 @@ from splatree.shapes import Array, Bool, Float32, Float64, Int32, Int64, check_f
 
 @dataclass(frozen=True, eq=False)
 class ClusterIndex:
-    """Clusters: run ``j`` is the rows ``start[j] : start[j + 1]``; each row is in one.
+    """Clusters of rows: cluster ``j`` is the rows ``start[j] : start[j + 1]``, and each row is in one cluster.
 
-    All radii are around the same centre, over the rows of the cluster; radii and boxes are rounded outwards. In a tree a row's
-    descendants that lie in other clusters are held by those.
+    All radii are around the same centre, over the rows of the cluster. Radii and boxes are rounded outwards. In a tree,
+    descendants of a row that lie in other clusters are held by those.
+
+    Example:
+        >>> clusters = st.build_clusters(st.read("city.ply"), 9).clusters
+        >>> len(clusters), clusters.num_rows
+        (9, 253)
     """
 
     start: Int32[Array, "c+1"]
@@ -24,13 +29,14 @@ class ClusterIndex:
     centers: Float32[Array, "c 3"]
     """Centres of the spheres, world units."""
     radii: Float32[Array, "c"]
-    """Holds the 3σ balls: largest |μ − centre| + 3σ, σ the largest standard deviation (Jo 2024, Eq. 2)."""
+    """Radius that holds the 3σ balls: largest |μ − centre| + 3σ, σ the largest standard deviation (Jo 2024, Eq. 2)."""
     mean_radii: Float32[Array, "c"]
-    """Holds the means: largest |μ − centre| (the ablation "only distance" of Jo 2024)."""
+    """Radius that holds the means: largest |μ − centre| (the ablation "only distance" of Jo 2024)."""
     footprint_radii: Float32[Array, "c"]
-    """Holds what is drawn at τ = 1/255: largest |μ − centre| + k σ with k = √(2 ln 255 o), of rows of opacity o ≥ 1/255."""
+    """Radius that holds everything drawn at τ = 1/255: largest |μ − centre| + k σ with k = √(2 ln 255 o), of rows of opacity o ≥
+    1/255."""
     box_low: Float32[Array, "c 3"]
-    """Least coordinates of the boxes along the world's axes that hold the centre and the kσ ellipsoids of the same rows."""
+    """Smallest coordinates of the boxes along the world's axes that hold the centre and the kσ ellipsoids of the same rows."""
     box_high: Float32[Array, "c 3"]
     """Largest coordinates of these boxes: largest μ + k √Σ_ii along axis i."""
 
@@ -44,16 +50,16 @@ class ClusterIndex:
 
     @property
     def num_rows(self) -> int:
-        """Rows of all clusters."""
+        """Number of rows of all clusters."""
         return int(self.start[-1])
 
     @property
     def counts(self) -> Int32[Array, "c"]:
-        """Rows of each cluster."""
+        """Number of rows of each cluster."""
         return np.diff(self.start)
 
     def fits(self, gaussians: Gaussians) -> bool:
-        """Whether they are the clusters of these Gaussians, by their number and the first row of each."""
+        """Whether these are the clusters of the given Gaussians, judged by their number and by the first row of each cluster."""
         if self.num_rows != len(gaussians):
             return False
         first = self.start[:-1]
@@ -133,7 +139,13 @@ class Sides:
 
 @dataclass(frozen=True, eq=False)
 class Culling:
-    """What is left of a scene's clusters in a view."""
+    """The clusters of a scene that may be in the picture of a view.
+
+    Example:
+        >>> culling = st.cull(scene.clusters, camera)
+        >>> len(culling.rows) == culling.num_rows
+        True
+    """
 
     kept: Bool[Array, "c"]
     """Whether each cluster is kept."""
@@ -147,7 +159,7 @@ class Culling:
 
     @property
     def num_rows(self) -> int:
-        """Rows of the kept clusters."""
+        """Number of rows of the kept clusters."""
         return int((self.runs[:, 1] - self.runs[:, 0]).sum(dtype=np.int64))
 
     @property

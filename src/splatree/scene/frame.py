@@ -20,20 +20,26 @@ from splatree.shapes import Array, Float32, Int32, Int64, check_fields
 
 @dataclass(frozen=True, eq=False)
 class Selection:
-    """The rows drawn for a view: a cut of the tree, less what cannot be seen."""
+    """The rows drawn for a view: the nodes of a cut that can be in the picture.
+
+    Example:
+        >>> selection = st.select(scene, camera, st.SelectOptions(pixel_error=4))
+        >>> selection.rule, selection.pixel_error
+        ('cut', 4)
+    """
 
     rows: Int32[Array, "v"]
     """Rows of the scene, ascending, none twice."""
     rule: str
-    """Rule set that chose them (docs/explanation/select.md)."""
+    """Rule that chose the rows (docs/explanation/select.md)."""
     profile: Profile | None
-    """Radius function that it used; None: the method that chose them compares no radius."""
+    """Function that gave the radii; None: the method that chose the rows compares no radius."""
     pixel_error: float
-    """τ_R, px: a node whose radius is at most this stands for its subtree; as raised to meet a budget."""
+    """τ_R, px: a node whose radius is at most this stands for its subtree. With a budget, the value that was reached."""
     num_visited: int = 0
-    """Rows looked at."""
+    """Number of rows that the selection looked at."""
     notes: tuple[str, ...] = ()
-    """What the caller should know of this selection, for instance that pixel_error is too small to choose any level."""
+    """Warnings about this selection, for instance that the pixel error is too small to choose any level."""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -202,7 +208,13 @@ class Counters:
 
 @dataclass(frozen=True, eq=False)
 class RenderResult:
-    """A picture and what it cost."""
+    """A picture, and what it cost.
+
+    Example:
+        >>> result = st.render(scene, camera)
+        >>> result.image.shape, sorted(result.milliseconds)
+        ((36, 64, 3), ['bin', 'blend', ..., 'select'])
+    """
 
     image: Float32[Array, "h w 3"]
     """Colour over the background, nominally 0 to 1, not clipped above."""
@@ -211,11 +223,11 @@ class RenderResult:
     depth: Float32[Array, "h w"]
     """Blended view depth of the splats divided by alpha, world units; 0 where nothing is drawn."""
     counters: Counters
-    """Work done."""
+    """How much work each stage did."""
     milliseconds: dict[str, float]
     """Wall time of each stage."""
     cpu_milliseconds: dict[str, float]
-    """Processor time of each stage, all threads together: other work on the machine disturbs it least."""
+    """Processor time of each stage, all threads together. Other work on the machine disturbs it least."""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -223,7 +235,13 @@ class RenderResult:
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """All that a frame computed."""
+    """Everything that the stages of one frame computed.
+
+    Example:
+        >>> frame = st.trace(scene, camera)
+        >>> len(frame.splats) <= len(frame.selection)
+        True
+    """
 
     view: View
     """Camera and options, with nothing left open."""

@@ -12,7 +12,15 @@ from splatree.shapes import Array, Float32, Float64, check_fields
 
 @dataclass(frozen=True, eq=False)
 class Gaussians:
-    """``n`` Gaussians as columns."""
+    """Gaussians as columns of ``n`` rows, in the encodings of files.
+
+    Example:
+        >>> gaussians = st.read("city.ply").gaussians
+        >>> len(gaussians), gaussians.sh_degree
+        (253, 3)
+        >>> len(gaussians.take(gaussians.opacities() > 0.5)) < len(gaussians)
+        True
+    """
 
     means: Float32[Array, "n 3"]
     """Centres, world units."""
@@ -21,7 +29,7 @@ class Gaussians:
     log_scales: Float32[Array, "n 3"]
     """Natural logarithm of the standard deviation along each axis, world units."""
     logit_opacities: Float32[Array, "n"]
-    """Opacity before the sigmoid."""
+    """Opacity before the sigmoid: opacity = 1 / (1 + e^−logit)."""
     sh: Float32[Array, "n k 3"]
     """Spherical harmonics, coefficient by coefficient with RGB inside, DC first; k = (degree + 1)², k in 1, 4, 9, 16."""
 
@@ -40,7 +48,7 @@ class Gaussians:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of all columns."""
+        """Memory of all columns, bytes."""
         return sum(getattr(self, f.name).nbytes for f in fields(self))
 
     def opacities(self) -> Float64[Array, "n"]:
@@ -60,17 +68,17 @@ class Gaussians:
             return np.asarray(SIGMAS * np.exp(longest.astype(np.float64)))
 
     def take(self, rows: Array) -> "Gaussians":
-        """The rows of an index or mask, in its order, copied."""
+        """The rows that an index or a mask names, in its order, copied."""
         # np.take copies rows of several values up to ten times faster than indexing with an array does.
         indices = np.arange(len(self))[rows]
         return Gaussians(*(np.take(getattr(self, f.name), indices, axis=0) for f in fields(self)))
 
     def rows(self, begin: int, end: int) -> "Gaussians":
-        """Consecutive rows, as views."""
+        """Consecutive rows, as views of the same memory."""
         return Gaussians(*(getattr(self, f.name)[begin:end] for f in fields(self)))
 
     def with_sh_degree(self, degree: int) -> "Gaussians":
-        """The same Gaussians with higher harmonics cut off, or missing ones set to zero."""
+        """The same Gaussians with higher harmonics removed, or missing ones set to zero."""
         if not 0 <= degree <= 3:
             raise ShapeError(f"with_sh_degree: found degree {degree}, wanted 0 to 3")
         k = (degree + 1) ** 2

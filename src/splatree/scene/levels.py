@@ -27,12 +27,12 @@ whose rule the file does not name; `mixed`: trees of several rules that were joi
 
 @dataclass(frozen=True)
 class LevelRecord:
-    """How the levels of a tree were made. A field is None where it does not apply, is unknown, or differs between joined trees.
+    """How the levels of a tree were made. A field is None if it does not apply, is unknown, or differs between joined trees.
 
     Example:
-        >>> record = LevelRecord("pairs", "sphere", steps=(0.01, 0.02), growth=2.0)
-        >>> LevelRecord.from_json(record.to_json()) == record
-        True
+        >>> record = st.build_lod(st.read("city.ply")).tree.record
+        >>> record.profile, st.LevelRecord.from_json(record.to_json()) == record
+        ('exact', True)
     """
 
     rule: LevelRule

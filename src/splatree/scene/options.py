@@ -24,24 +24,31 @@ Pixels = Literal["taper", "hard"]
 
 @dataclass(frozen=True)
 class SelectOptions:
-    """Which nodes of the tree are drawn."""
+    """Which nodes of a tree are drawn.
+
+    Example:
+        >>> few = st.render(scene, camera, select=st.SelectOptions(budget=100))
+        >>> few.counters.num_selected <= 100
+        True
+    """
 
     pixel_error: float = PIXEL_ERROR
-    """τ_R, px: a node whose projected radius is at most this stands for its subtree; 0 draws all leaves."""
+    """τ_R, px: a node stands for its subtree if its radius on the screen is at most this; 0 draws all leaves."""
     budget: int | None = None
-    """Draw at most this many nodes: pixel_error is raised until the visible cut fits."""
+    """Largest number of nodes to draw; pixel_error is raised until the nodes in view fit. None: no limit."""
     rule: Rule = "cut"
-    """Rule set: `cut` is exact and draws no duplicates; the others reproduce published code."""
+    """Rule of the selection: `cut` is exact and draws nothing twice; the others reproduce published methods."""
     profile: Profile | None = None
-    """Radius of a node, px: `exact` is 3 √λ of the dilated splat, `sphere` its extent over the distance; None: `sphere` for
-    levels that were made for it, by pairs or linked, else `exact`."""
+    """Radius of a node, px: `exact` is 3 √λ of the dilated splat, `sphere` its extent over the distance; None: as the levels were
+    made for: `sphere` for levels by pairs and linked ones, else `exact`."""
     view_test: ViewTest = "footprint"
-    """Nodes dropped as out of view: splats that miss the image, centres outside of it, or nothing."""
+    """Nodes that are dropped as out of view: splats that miss the image (`footprint`), centres outside of it (`centre`), or
+    none."""
     max_radius: float | None = None
     """Also drop nodes of a larger radius, px, leaves too (700 in the code of FilterGS); None: draw them."""
     cull: Cull | None = None
-    """Clusters left out before their rows are read; `exact` changes no bit of the picture. None: `exact` for scenes with clusters
-    and no levels; in a tree, none, as the test of blocks leaves out as much."""
+    """Rule by which clusters are left out before their rows are read; `exact` changes no bit of the picture. None: `exact` for
+    scenes with clusters and no levels, `none` for trees, where the test of blocks leaves out as much."""
 
     def __post_init__(self) -> None:
         check_literals(self)
@@ -60,24 +67,30 @@ class SelectOptions:
 
 @dataclass(frozen=True)
 class RenderOptions:
-    """How the selected nodes become a picture."""
+    """How the selected nodes become a picture.
+
+    Example:
+        >>> white = st.render(scene, camera, st.RenderOptions(background=(1, 1, 1)))
+        >>> bool((white.image >= st.render(scene, camera).image).all())
+        True
+    """
 
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Colour behind everything, RGB 0 to 1."""
+    """Colour behind the scene, RGB 0 to 1."""
     mode: Mode | None = None
     """`classic` or `antialiased`; None: as the scene says."""
     dilation_px2: float = DILATION_PX2
     """Variance added to both axes of each splat, px²."""
     threshold: float | None = None
-    """τ: opacity below which a splat ends; None: as the scene says (1/255 is lossless)."""
+    """τ: opacity at which a splat ends; None: as the scene says (1/255 loses nothing)."""
     tile_rule: TileRule | None = None
-    """Tiles of a splat: `ellipse` those that it reaches with opacity τ, `balanced` with less for large splats; `tau` and `3sigma`
-    squares as the code of FilterGS and of 3DGS; None: as the scene says, else `ellipse`."""
+    """Tiles that a splat is listed in: `ellipse` those in which its opacity reaches τ, `balanced` fewer for small splats at the
+    same loss; `tau` and `3sigma` the squares of FilterGS's and 3DGS's code; None: as the scene says, else `ellipse`."""
     pixels: Pixels = "hard"
-    """Pixels of these tiles: `hard` draws opacities down to 1/255, so that a large τ shows edges of tiles; `taper` lets each
-    splat end smoothly before the first tile that it is not listed in."""
+    """What a splat draws in its tiles: `hard` everything down to 1/255, so that edges of tiles show at a large τ; `taper` a
+    smooth end before the first tile that it is not listed in."""
     sh_degree: int | None = None
-    """Highest degree of harmonics evaluated; None: all that the scene has."""
+    """Highest degree of harmonics that is evaluated; None: all that the scene has."""
 
     def __post_init__(self) -> None:
         check_literals(self)

@@ -38,26 +38,32 @@ class Source:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Gaussians, their level-of-detail tree, and how they are meant to be drawn."""
+    """Gaussians, their tree of levels of detail, and how they must be drawn: what one file holds.
+
+    Example:
+        >>> scene = st.read("city.ply")
+        >>> len(scene), scene.tree.num_levels, scene.mode
+        (253, 1, 'classic')
+    """
 
     gaussians: Gaussians
-    """Every node, leaves and merged ones, in the order of the tree."""
+    """All nodes, leaves and merged ones, in the order of the tree."""
     tree: GaussianTree
     """Levels of detail; a forest of leaves if there are none."""
     ids: UInt32[Array, "n"] | None = None
-    """Identity of each row, kept by permutations: equal depths are blended in its order. None: the row number."""
+    """Identity of each row, which permutations keep: splats at equal depth are blended in its order. None: the row number."""
     blocks: BlockIndex | None = None
-    """Index of the tree for the selection; None: it is made at each selection (`lod.blocks.with_blocks` keeps it)."""
+    """Index of the tree for the selection; None: each selection makes it (`lod.blocks.with_blocks` keeps it)."""
     clusters: ClusterIndex | None = None
-    """Clusters of rows with spheres around them, which culling leaves out whole (`clusters.build.build_clusters`)."""
+    """Clusters of rows, which culling leaves out whole (`build_clusters`); None: there are none."""
     mode: Mode = "classic"
-    """How the scene is drawn."""
+    """How the scene was trained and must be drawn: `classic` or `antialiased`."""
     threshold: float = ALPHA_THRESHOLD
-    """τ: a splat ends where its opacity falls below this."""
+    """τ: opacity at which a splat ends."""
     tile_rule: TileRule | None = None
-    """Rule for the tiles of a splat that τ was chosen for; None: `ellipse`."""
+    """Tile rule that τ was chosen for; None: `ellipse`."""
     source: Source = Source()
-    """Where it came from."""
+    """Where the scene came from."""
 
     def __post_init__(self) -> None:
         if len(self.tree) != len(self.gaussians):

@@ -36,31 +36,37 @@ Position = Literal["centroid", "representative"]
 
 @dataclass(frozen=True)
 class MergeOptions:
-    """How the Gaussians of a group become one."""
+    """How the Gaussians of a group become one.
+
+    Example:
+        >>> optical = st.ThinOptions(keep=0.5, merge=st.MergeOptions(opacity="optical"))
+        >>> len(st.thin(st.read("city.ply"), optical))
+        126
+    """
 
     rule: MergeRule = "moments"
-    """Shape: `moments` keeps mean and covariance of the group, `mean` averages scales and quaternions axis by axis."""
+    """Shape: `moments` keeps mean and covariance of the group; `mean` averages scales and quaternions axis by axis."""
     weight: Weight | None = None
-    """Weight of a member in means: `opacity`, or times its mean scale, or times its area; None: `opacity-area` in a scene of
+    """Weight of a member in means: `opacity`, opacity times mean scale, or opacity times area; None: `opacity-area` in a scene of
     mode `antialiased`, whose splats keep their mass however small they get, else `opacity`."""
     opacity: OpacityRule | None = None
-    """`union` 1 − Π(1 − α), `mass` Σ α A / A, `standard`: the larger of both, excess mass widens the Gaussian, or `optical`:
-    the group's optical depth is kept, and what a stack covers beyond one Gaussian widens it; `fitted`, of pairs alone: what
-    shows most nearly what the two showed, and excess mass widens; None: `optical` in a scene of mode `antialiased`, else
-    `fitted` for pairs and `standard` for larger groups."""
+    """Opacity of the merged Gaussian: `union` 1 − Π(1 − α); `mass` Σ α A / A; `standard` the larger of both, where a mass above 1
+    widens the Gaussian; `optical` keeps the optical depth of the group; `fitted`, for pairs alone, the opacity that changes
+    the picture least. None: `optical` in a scene of mode `antialiased`, else `fitted` for pairs and `standard` for larger
+    groups."""
     position: Position = "centroid"
-    """`centroid`, or the `representative`'s own place (then merged Gaussians keep the minimum distance)."""
+    """Place of the merged Gaussian: the `centroid`, or that of the `representative`, which keeps the smallest distance."""
     scale_bound: float | None = None
-    """κ: no axis longer than κ times the members' weighted mean; None: 1.5 for `mean`, unbounded for `moments`."""
+    """κ: no axis is longer than κ times the weighted mean of the members; None: 1.5 for `mean`, no bound for `moments`."""
     widening: float | None = None
-    """`standard`, `fitted`: mass m > 1 over the merged area multiplies the scales by m to this power; None: 0.4, for
-    `fitted` 0.3."""
+    """For `standard` and `fitted`: a mass m > 1 over the merged area multiplies the scales by m to this power; None: 0.3 for
+    `fitted`, else 0.4."""
     mass_limit: float = 5.0
-    """`standard`, `fitted`: mass above this is not drawn."""
+    """For `standard` and `fitted`: mass above this is not drawn."""
     dilation: float | None = None
-    """Added to variances where areas are compared, in units of the merged σ_max², for levels by pairs of the squared width of
-    their pixel; None: what the renderer's dilation amounts to where a node is drawn, for the levels of a scene of mode
-    `classic`, else 0."""
+    """Added to variances where areas are compared, in units of the merged σ_max², and for levels by pairs in units of the squared
+    width of their pixel. None: what the renderer's dilation amounts to where a node is drawn, for the levels of a scene of
+    mode `classic`; else 0."""
 
     def __post_init__(self) -> None:
         check_literals(self)
@@ -140,25 +146,33 @@ def check_used(options: Any, method: Method, method_from_option: Mapping[str, Me
 
 @dataclass(frozen=True)
 class ThinOptions:
-    """How far a scene is thinned. Give one of radius, keep and count; without any of them the radius is `auto`."""
+    """How far a scene is thinned. Give one of radius, keep and count; without any of them the radius is `auto`.
+
+    Example:
+        >>> len(st.thin(st.read("city.ply"), st.ThinOptions(count=60)))
+        60
+    """
 
     method: Method | None = None
-    """`pairs` changes the picture least; `radius` keeps an even distance; None: `pairs` for a share or count, else `radius`."""
+    """`pairs` changes the picture least; `radius` keeps an even distance; None: `pairs` for a share or a count, else `radius`."""
 
     radius: float | Literal["auto"] | None = None
-    """r, world units: no two representatives are closer. `auto`: 1.5 × the median distance to the nearest neighbour."""
+    """Smallest distance between representatives, world units. `auto`: 1.5 × the median distance to the nearest neighbour."""
     keep: float | None = None
-    """Share of the Gaussians to keep, 0 to 1; `radius` finds r by bisection, to 1 % of the count."""
+    """Share of the Gaussians to keep, 0 to 1. The method `radius` finds the radius by bisection, to 1 % of the count."""
     count: int | None = None
-    """Number of Gaussians to keep; `radius` meets it to 1 %."""
+    """Number of Gaussians to keep. The method `radius` meets it to 1 %."""
     importance: Importance = "opacity-scale"
-    """`radius`: which of two close Gaussians stays: the larger `opacity`, opacity times mean scale, or opacity times area."""
+    """For `radius`: which of two close Gaussians stays: that of larger `opacity`, opacity times mean scale, or opacity times
+    area."""
     color_radius: float | None = 0.5
-    """`radius`: ρ, the distance in linear RGB (DC colour) that counts as much as r in space; None: colour keeps nothing apart."""
+    """For `radius`: ρ, the distance in linear RGB (DC colour) that counts as much as the radius in space; None: colour does not
+    count."""
     pixel_size: float | None = None
-    """`pairs` in mode `classic`: width of a pixel, world units, where the scene is seen; None: as its median Gaussian."""
+    """For `pairs` in mode `classic`: width of a pixel, world units, where the scene is seen; None: as large as its median
+    Gaussian."""
     visibility: bool = True
-    """`pairs`: what others hide from all around counts less; False: all count alike."""
+    """For `pairs`: Gaussians that others hide from all around count less; False: all count alike."""
     merge: MergeOptions = field(default_factory=MergeOptions)
     """How a group becomes one Gaussian."""
 
@@ -191,20 +205,26 @@ class ThinOptions:
 
 @dataclass(frozen=True, eq=False)
 class Groups:
-    """A partition of ``n`` rows into ``g`` groups, each around a representative."""
+    """A partition of ``n`` rows into ``g`` groups, each around a representative.
+
+    Example:
+        >>> groups = st.thin(st.read("city.ply"), st.ThinOptions(keep=0.5)).groups
+        >>> int(groups.sizes.sum())
+        253
+    """
 
     representatives: Int32[Array, "g"]
-    """Row that each group stands around, ascending."""
+    """Row around which each group was formed, ascending."""
     group_from_row: Int32[Array, "n"]
     """Group of each row."""
     start: Int64[Array, "g+1"]
     """Members of group ``i`` are ``rows[start[i] : start[i + 1]]``."""
     rows: Int32[Array, "n"]
-    """Rows by group, ascending inside each."""
+    """Rows by group, ascending inside each group."""
     rounds: int = 0
-    """Rounds of parallel decisions that it took; 0 where it was sequential."""
+    """Number of rounds of parallel decisions; 0 if the decisions were sequential."""
     num_visited: int = 0
-    """Pairs of row and candidate looked at."""
+    """Number of pairs of row and candidate that were looked at."""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -214,7 +234,7 @@ class Groups:
 
     @property
     def sizes(self) -> Int64[Array, "g"]:
-        """Members of each group."""
+        """Number of members of each group."""
         return np.diff(self.start)
 
 

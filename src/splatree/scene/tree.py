@@ -17,20 +17,26 @@ from splatree.shapes import Array, Bool, Float32, Int32, UInt8, check_fields
 
 @dataclass(frozen=True, eq=False)
 class GaussianTree:
-    """A forest over ``n`` rows; a flat scene is a forest of leaves."""
+    """A forest over ``n`` rows in depth-first preorder; a flat scene is a forest of leaves.
+
+    Example:
+        >>> tree = scene.tree
+        >>> tree.num_leaves < len(tree), int(tree.depth.min())
+        (True, 0)
+    """
 
     subtree_end: Int32[Array, "n"]
-    """One past the last row of the subtree of each row; a leaf has ``i + 1``."""
+    """One past the last row of the subtree of each row; ``i + 1`` for a leaf ``i``."""
     depth: UInt8[Array, "n"]
     """Edges from the root; 0 for a root."""
     extents: Float32[Array, "n"]
-    """What the profile `sphere` sets against the distance, world units. Levels by a radius: radius of a ball around the row's
-    mean that holds the 3σ ellipsoids of the row and its descendants; by pairs: three pixels of the size at which the row begins
-    to stand for its descendants, which may be less."""
+    """Size of each row, world units, which the profile `sphere` compares with the distance. Levels by radius: radius of a ball
+    around the row's mean that holds the 3σ ellipsoids of the row and its descendants. Levels by pairs: three pixels of the
+    width from which the row stands for its descendants, which may be less."""
     record: LevelRecord | None = None
-    """How the levels were made and are to be drawn; None: there are no levels, or nothing is known of them."""
+    """How the levels were made and must be drawn; None: there are no levels, or nothing is known about them."""
     roots: Roots | None = None
-    """What merging has to know to go on above the roots; None: it is not known, so the levels can only be built anew."""
+    """What merging must know to go on above the roots; None: it is not known, so the levels can only be built anew."""
 
     def __post_init__(self) -> None:
         n = check_fields(self)["n"]
@@ -65,7 +71,7 @@ class GaussianTree:
 
     @property
     def num_leaves(self) -> int:
-        """Rows without children."""
+        """Number of rows without children."""
         return int(self.is_leaf.sum())
 
     @property

@@ -14,10 +14,16 @@ __all__ = ["View", "Wanted", "as_view", "view_of"]
 
 @dataclass(frozen=True)
 class Wanted:
-    """Outputs of the blend beside colour, alpha and depth; one that is not wanted costs nothing."""
+    """Outputs of the blend beside colour, alpha and depth. An output that is not wanted costs nothing.
+
+    Example:
+        >>> frame = st.trace(scene, camera, wanted=st.Wanted(median_depth=True))
+        >>> frame.picture.median_depth.shape
+        (36, 64)
+    """
 
     contributions: bool = False
-    """`Picture.contributions`: the light that each pair of splat and tile adds to the picture."""
+    """`Picture.contributions`: what each pair of splat and tile adds to the picture."""
     last_pair: bool = False
     """`Picture.last_pair`: the last pair that each pixel blended. Also makes the counts of `TileWork` exact."""
     median_depth: bool = False
@@ -31,7 +37,13 @@ class Wanted:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """One view of one scene, with nothing left open: `view_of` makes it from a camera and `RenderOptions`."""
+    """One view of one scene, with nothing left open. `view_of` makes it from a camera and `RenderOptions`.
+
+    Example:
+        >>> view = st.trace(scene, camera).view
+        >>> view.mode, view.tile_rule, view.tapers
+        ('classic', 'ellipse', False)
+    """
 
     camera: Camera
     """Where the picture is taken from, and its size."""
@@ -46,9 +58,9 @@ class View:
     pixels: Pixels = "hard"
     """How splats end at the pixels of these tiles."""
     sh_degree: int = 3
-    """Highest degree of harmonics evaluated, 0 to 3."""
+    """Highest degree of harmonics that is evaluated, 0 to 3."""
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Colour behind everything, RGB 0 to 1."""
+    """Colour behind the scene, RGB 0 to 1."""
     wanted: Wanted = Wanted()
     """Outputs beside colour, alpha and depth."""
 
