@@ -2,7 +2,7 @@
 
 import sys
 
-from splatree.cli.main import main
+from splatree.cli.start import main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -3,12 +3,13 @@
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Annotated, Any
 
 from tyro.conf import arg
 
+from splatree.cli.plain import printable
 from splatree.errors import InputError
 from splatree.progress import Event, Sink, listen
 
@@ -35,7 +36,9 @@ class Console:
 @contextmanager
 def progress_shown(console: Console) -> Iterator[None]:
     """Show the library's progress: bars on a terminal, lines of finished steps with ``--verbose``, else nothing."""
-    if console.verbose:
+    if sys.stderr is None:  # closed by whoever started the program
+        yield
+    elif console.verbose:
         with listen(_lines()):
             yield
     elif sys.stderr.isatty() and not console.quiet:
@@ -92,7 +95,9 @@ def _lines() -> Sink:
     def sink(event: Event) -> None:
         begin = started.setdefault(event.name, time.perf_counter())
         if event.finished:
-            print(f"{event.name}: {time.perf_counter() - begin:.2f} s", file=sys.stderr)
+            line = f"{event.name}: {time.perf_counter() - begin:.2f} s"
+            with suppress(OSError):  # it may be full, or its reader gone: the work goes on
+                print(printable(line, sys.stderr), file=sys.stderr, flush=True)
             del started[event.name]
 
     return sink

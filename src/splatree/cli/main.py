@@ -23,11 +23,12 @@ import os
 import sys
 import traceback
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import ModuleType
 from typing import Any, get_args
 
+from splatree.cli.plain import holds_all, printable, tolerant
 from splatree.errors import InputError, OutputError, SplatreeError
 
 VERBS = {
@@ -75,6 +76,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         # NumPy's linear algebra would start a thread for each processor, which spin for a fifth of the start before they sleep;
         # no verb has work for them, the kernels have threads of their own.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    tolerant()
     try:
         return _main(list(sys.argv[1:] if argv is None else argv))
     except KeyboardInterrupt:
@@ -169,6 +171,8 @@ def _run(verb: str, words: list[str], module: Any, command_type: Any, descriptio
             result = module.run(command)
         if console.json:
             text = json.dumps(_plain(result), indent=2, ensure_ascii=False, allow_nan=False)
+            if sys.stdout is not None and not holds_all(sys.stdout, text):
+                text = json.dumps(_plain(result), indent=2, allow_nan=False)  # JSON has a spelling for all characters
         elif not console.quiet:
             says_more = console.verbose and "verbose" in inspect.signature(module.show).parameters
             text = module.show(result, verbose=True) if says_more else module.show(result)
@@ -176,7 +180,7 @@ def _run(verb: str, words: list[str], module: Any, command_type: Any, descriptio
         _complain(f"splatree {verb}: error: {error}")
         return 2
     except Exception as error:
-        if console.verbose:
+        if console.verbose and sys.stderr is not None:
             traceback.print_exc()
         _complain(f"splatree {verb}: error: {_message(error)}")
         return 1
@@ -205,8 +209,10 @@ def _defaults_trusted() -> Iterator[None]:
 
 def _say(text: str) -> None:
     """Print on stdout, if there is one."""
+    if sys.stdout is None:
+        return
     try:
-        print(text, flush=True)
+        print(printable(text, sys.stdout), flush=True)
     except BrokenPipeError:
         raise
     except OSError as error:
@@ -216,7 +222,8 @@ def _say(text: str) -> None:
 def _complain(text: str) -> None:
     """Print on stderr, if there is one."""
     if sys.stderr is not None:  # None would print on stdout
-        print(text, file=sys.stderr)
+        with suppress(OSError):  # it may be full, or its reader gone: then there is nobody to tell
+            print(printable(text, sys.stderr), file=sys.stderr, flush=True)
 
 
 def _unwritable(error: OSError) -> OutputError:
@@ -225,7 +232,9 @@ def _unwritable(error: OSError) -> OutputError:
 
 def _drop_output() -> None:
     """Let what is left in the buffer of stdout go nowhere when the interpreter flushes it at its end."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    if sys.stdout is not None:
+        with suppress(OSError, ValueError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _message(error: Exception) -> str:

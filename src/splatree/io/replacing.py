@@ -1,14 +1,30 @@
-"""Whole files or none: write beside the target, flush to the disk, rename."""
+"""Whole files or none: write beside the target, flush to the disk, rename.
 
+Without ``force`` the name is taken by a hard link, which fails if it is taken already: of several writers one wins. With it the
+new file keeps the mode of the old one. What killed writers left is removed by the next writer in the folder.
+"""
+
+import errno
 import os
+import re
+import stat
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from types import ModuleType
 
 from splatree.errors import OutputError, SplatreeError
 from splatree.progress import renamed
 
+fcntl: ModuleType | None
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None
+
 ON_WINDOWS = os.name == "nt"
+
+_TEMPORARY = re.compile(r"\..+\.[0-9a-f]{8}\.splatree\.tmp")
 
 
 @contextmanager
@@ -22,17 +38,23 @@ def replacing(path: str | os.PathLike[str], *, force: bool = False) -> Iterator[
         OutputError: the file exists and ``force`` is not set, it is not a plain file, its folder is missing, or the disk is
             full or otherwise fails.
     """
-    target = Path(path).resolve()  # through a link, so that what it points to is replaced
-    check_target(path)
+    target = check_target(path)
     if target.exists() and not force:
-        raise OutputError(f"{path}: exists already; choose another name or replace it with force")
-    temporary = target.parent / f".{target.name[:100]}.{os.urandom(4).hex()}.tmp"
+        raise OutputError(_exists(path))
+    remove_abandoned(target.parent)
+    temporary: Path | None = None
+    lock: int | None = None
     try:
-        temporary.touch(exist_ok=False)
+        temporary, lock = _locked_temporary(target)
         with renamed(temporary.name, Path(path).name):
             yield temporary
         _flush(temporary, os.O_RDWR)
-        temporary.replace(target)
+        if force and target.exists():
+            temporary.chmod(stat.S_IMODE(target.stat().st_mode))
+        if force:
+            temporary.replace(target)
+        elif not _moved_to_free_name(temporary, target):
+            raise OutputError(_exists(path))
         if not ON_WINDOWS:  # which opens no folders; its file systems write the new name down themselves
             _flush(target.parent, os.O_RDONLY)
     except SplatreeError as error:
@@ -50,26 +72,109 @@ def replacing(path: str | os.PathLike[str], *, force: bool = False) -> Iterator[
             f"{path}: could not be written ({error.strerror or error}); the old file, if any, is whole{advice}"
         ) from error
     finally:
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)
+        if lock is not None:
+            os.close(lock)
+
+
+def remove_abandoned(folder: Path) -> None:
+    """Remove temporary files in a folder whose writer has ended without taking them away, killed or cut off from power.
+
+    A writer holds a lock on its file, which ends with the process. On Windows what is in use cannot be removed either.
+    """
+    try:
+        abandoned = [entry for entry in folder.iterdir() if _TEMPORARY.fullmatch(entry.name)]
+    except OSError:
+        return  # a folder that may be written but not listed: nothing can be told of its files
+    for entry in abandoned:
+        with suppress(OSError):  # in use, or another writer was faster
+            lock = os.open(entry, os.O_RDWR)
+            try:
+                if _locked(lock):
+                    entry.unlink()
+            finally:
+                os.close(lock)
+
+
+def _locked_temporary(target: Path) -> tuple[Path, int]:
+    """A new, empty file beside the target and a lock on it."""
+    while True:
+        temporary = target.parent / f".{target.name[:100]}.{os.urandom(4).hex()}.splatree.tmp"
+        lock = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
+        # Between both calls another writer may have taken the file for an abandoned one.
+        if _locked(lock) and temporary.exists():
+            return temporary, lock
+        os.close(lock)
         temporary.unlink(missing_ok=True)
 
 
-def check_target(path: str | os.PathLike[str]) -> None:
-    """Refuse what no file can be written to, before any work is done for it.
+def _locked(descriptor: int) -> bool:
+    """Lock an open file for this process, if nobody else has."""
+    if fcntl is None:
+        return True
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError as error:
+        if error.errno in (errno.ENOLCK, errno.ENOTSUP, errno.EINVAL, errno.ENOSYS):
+            return True  # a file system without locks
+        raise
+    return True
+
+
+def _moved_to_free_name(temporary: Path, target: Path) -> bool:
+    """Give the file its name if nobody else has taken it; of several writers one wins."""
+    if ON_WINDOWS:
+        try:
+            temporary.rename(target)  # which replaces nothing there
+        except FileExistsError:
+            return False
+        return True
+    try:
+        target.hardlink_to(temporary)
+    except FileExistsError:
+        return False
+    except OSError as error:
+        if error.errno not in (errno.EPERM, errno.ENOTSUP, errno.EMLINK, errno.ENOSYS, errno.EXDEV):
+            raise
+        # A file system without hard links: an empty file takes the name first.
+        try:
+            os.close(os.open(target, os.O_CREAT | os.O_EXCL | os.O_WRONLY))
+        except FileExistsError:
+            return False
+        temporary.replace(target)
+    return True
+
+
+def _exists(path: str | os.PathLike[str]) -> str:
+    return f"{path}: exists already; choose another name or replace it with force"
+
+
+def check_target(path: str | os.PathLike[str]) -> Path:
+    """Refuse what no file can be written to, before any work is done for it; return the path through all links.
 
     Raises:
-        OutputError: it is there and not a plain file, or its folder is missing or may not be
-            looked into, or no file can have its name.
+        OutputError: it is there and not a plain file, its folder is missing or may not be looked into, no file can have its name,
+            links lead in a circle, or the working folder is gone.
     """
-    target = Path(path).resolve()
     try:
+        target = Path(path).resolve()  # so that what a link points to is replaced
         is_other = target.exists() and not target.is_file()
         has_folder = target.parent.is_dir()
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written ({error.strerror or error})") from error
+    except FileNotFoundError as error:
+        raise OutputError(
+            f"{path}: cannot be written, the working folder was deleted; change to another one"
+        ) from error
+    except (OSError, RuntimeError) as error:  # a circle of links is the one or the other
+        what = error.strerror if isinstance(error, OSError) else "its links lead in a circle"
+        raise OutputError(f"{path}: cannot be written ({what or error})") from error
     if is_other:
         raise OutputError(f"{path}: cannot be written, it is not a plain file")
     if not has_folder:
         raise OutputError(f"{path}: cannot be written, there is no folder {target.parent}")
+    return target
 
 
 def _flush(path: Path, flags: int) -> None:
