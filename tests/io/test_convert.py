@@ -98,8 +98,9 @@ def test_repairs_are_counted_and_rows_that_are_dropped_are_not_written(tmp_path,
 def test_infinite_logits_are_counted_without_repair(tmp_path, small_chunks):
     g = random_gaussians(555, 1)
     g.logit_opacities[[3, 4, 500]] = np.inf
-    splatree.write(Scene.flat(g), tmp_path / "a.ply")
-    for inputs, count in (([tmp_path / "a.ply"], 3), ([tmp_path / "a.ply"] * 2, 6)):
+    for name in ("a.ply", "a2.ply"):
+        splatree.write(Scene.flat(g), tmp_path / name)
+    for inputs, count in (([tmp_path / "a.ply"], 3), ([tmp_path / "a.ply", tmp_path / "a2.ply"], 6)):
         for edits in (EditOptions(), EditOptions(min_opacity=0.5), EditOptions(order="morton")):
             done = convert(inputs, tmp_path / "b.spz", ConvertOptions(edit=edits), force=True)
             assert done.in_chunks == (edits.order == "kept") and done.repairs == {"clamped_opacities": count}

@@ -16,13 +16,14 @@ from pathlib import Path
 from splatree.edit.edit import edit, edit_rows, move_from_options
 from splatree.edit.options import EditOptions
 from splatree.errors import InputError
+from splatree.io.budget import RowBudget
 from splatree.io.chunks import Chunks
 from splatree.io.inputs import find_inputs
 from splatree.io.joined import joined, joined_source, relative_to
 from splatree.io.local import local_inputs
 from splatree.io.notes import notes_in, sentences_in, with_notes
 from splatree.io.options import ReadOptions, WriteOptions
-from splatree.io.registry import detect, format_to_write, read_one, write, write_chunks
+from splatree.io.registry import detect, files_of, format_to_write, read_one, write, write_chunks
 from splatree.progress import track
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.literals import check_literals
@@ -140,12 +141,16 @@ def _converted_from(found: Sequence[Path], target: Path, options: ConvertOptions
 
 def _opened(paths: Sequence[Path], options: ReadOptions) -> list[Chunks] | None:
     """All inputs in chunks; None if one of them cannot be read so."""
-    parts = []
+    parts, budget = [], RowBudget(f"{paths[0]} and {len(paths) - 1} more")
     for path in paths:
         found = detect(path)
         chunks = None if found is None or found.read_chunks is None else found.read_chunks(path, options)
         if chunks is None:
             return None
+        if len(paths) > 1:
+            for file in files_of(path):
+                budget.add_file(file)
+            budget.take(len(chunks))
         parts.append(chunks)
     return parts
 

@@ -46,7 +46,14 @@ def find_inputs(paths: Sequence[Path], is_scene: Callable[[Path], bool]) -> Inpu
     if not paths:
         raise InputError("read: found no paths, wanted at least one")
     notes: list[str] = []
-    return Inputs([found for path in paths for found in _find(path, is_scene, notes)], tuple(notes))
+    found = [each for path in paths for each in _find(path, is_scene, notes)]
+    named: dict[Path, Path] = {}
+    for path in found:
+        if (other := named.setdefault(path.resolve(), path)) is not path:
+            raise InputError(
+                f"{path}: is named twice (as {other}); its Gaussians would be drawn twice, wanted each file once"
+            )
+    return Inputs(found, tuple(notes))
 
 
 def _find(path: Path, is_scene: Callable[[Path], bool], notes: list[str]) -> list[Path]:

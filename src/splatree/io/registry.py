@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from splatree.errors import FormatError, InputError, OutputError, SplatreeError
+from splatree.io.budget import RowBudget
 from splatree.io.chunks import Chunks, chunks_of
 from splatree.io.foreign import not_content
 from splatree.io.holds import Holds, losses, origin_lost
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
     from splatree.io.formats.splatree import format as store
     from splatree.io.formats.spz import format as spz
     from splatree.io.formats.streamed_sog import format as streamed_sog
+    from splatree.io.formats.tiles3d import format as tiles3d
 else:
 
     class _Later:
@@ -69,6 +71,7 @@ else:
     spz = _Later("formats.spz.format")
     store = _Later("formats.splatree.format")
     streamed_sog = _Later("formats.streamed_sog.format")
+    tiles3d = _Later("formats.tiles3d.format")
 
 FOLDER_FILE = "meta.json"
 """Name of a new file that asks for a folder of files."""
@@ -209,6 +212,16 @@ FORMATS: tuple[Format, ...] = (
         files=streamed_sog.files,
     ),
     Format(
+        name="3d-tiles",
+        description="OGC 3D Tiles of glTF",
+        suffixes=(),
+        versions="1.0, 1.1",
+        holds=Holds(axes="LUF, z up"),
+        sniff=tiles3d.sniff,
+        read=tiles3d.read,
+        files=tiles3d.files,
+    ),
+    Format(
         name="ksplat",
         description="GaussianSplats3D",
         suffixes=(".ksplat",),
@@ -293,9 +306,21 @@ def read(
     paths = [path] if isinstance(path, str | os.PathLike) else list(path)
     with local_inputs([Path(p) for p in paths]) as local:
         inputs = find_inputs(local.paths, lambda p: detect(p) is not None)
-        scene = joined(read_one(p, options) for p in inputs.paths)
+        scene = joined(_within_budget(inputs.paths, options))
     source = replace(scene.source, paths=tuple(map(local.named, scene.source.paths)))
     return replace(scene, source=with_notes(source, inputs.notes))
+
+
+def _within_budget(paths: Sequence[Path], options: ReadOptions) -> Iterator[Scene]:
+    """The scenes of several files, as long as they are not more than the files can hold."""
+    budget = RowBudget(f"{paths[0]} and {len(paths) - 1} more")
+    for path in paths:
+        scene = read_one(path, options)
+        if len(paths) > 1:
+            for file in files_of(path):
+                budget.add_file(file)
+            budget.take(len(scene))
+        yield scene
 
 
 def read_levels(path: str | os.PathLike[str], *, repair: bool = False) -> tuple[Scene, ...]:
@@ -472,9 +497,13 @@ def stored_bytes(path: Path) -> int:
     """Bytes of the files that a path of a known format stands for: of a folder or its meta.json, all that it names."""
     if not path.exists():  # it was fetched from elsewhere
         return 0
+    return sum(file.stat().st_size for file in files_of(path))
+
+
+def files_of(path: Path) -> list[Path]:
+    """The files that a path of a known format stands for."""
     found = detect(path)
-    files = [path] if found is None or found.files is None else found.files(path)
-    return sum(file.stat().st_size for file in files)
+    return [path] if found is None or found.files is None else found.files(path)
 
 
 def read_one(path: Path, options: ReadOptions) -> Scene:

@@ -107,6 +107,26 @@ def inner_path(name: str, where: str) -> str:
     return "/".join(parts)
 
 
+def inner_file(folder: Path, name: str, where: str) -> Path:
+    """The file of a folder that an untrusted name names: a plain file that lies in the folder, wherever links lead.
+
+    Raises:
+        FormatError: the name or a link leads out of the folder, or there is no plain file.
+    """
+    path = folder / inner_path(name, where)
+    try:
+        real = path.resolve(strict=True)
+    except (OSError, RuntimeError) as error:  # not there, or a loop of links
+        raise FormatError(
+            f"{path}: cannot be read ({getattr(error, 'strerror', None) or error}), but {where} names it"
+        ) from error
+    if not real.is_relative_to(folder.resolve()):
+        raise FormatError(f"{path}: leads out of its folder, to {real}; wanted a file inside it")
+    if not real.is_file():
+        raise FormatError(f"{path}: is no plain file (a folder, device or pipe), but {where} names it")
+    return path
+
+
 def _kind(value: Any) -> str:
     kinds = {dict: "an object", list: "a list", str: "a string", bool: "a boolean", type(None): "null"}
     return kinds.get(type(value), "a number")

@@ -81,6 +81,8 @@ class GltfFile:
         self._binary: _Buffer | None = None
         self._opened: dict[int, _Buffer] = {}
         self._files: list[BinaryIO] = []
+        self.num_bytes = path.stat().st_size
+        """Bytes of the file and of the buffers beside it that were opened, each once."""
         file.seek(0)
         text = self._glb_text() if file.read(4) == MAGIC else self._gltf_text()
         self.json = untrusted.as_object(untrusted.parse_json(text, self.where), self.where)
@@ -210,17 +212,17 @@ class GltfFile:
                 data = base64.b64decode(body, validate=True)
             except binascii.Error as error:
                 raise FormatError(f"{where}: found base64 that cannot be read ({error})") from error
+            self.num_bytes += len(data)
             return _Buffer(io.BytesIO(data), 0, len(data))
         from urllib.parse import unquote
 
-        path = self._path.parent / untrusted.inner_path(unquote(uri), where)
-        if not path.resolve().is_relative_to(self._path.parent.resolve()):
-            raise FormatError(f"{where}: found {uri!r}, which leads out of the folder, wanted a file inside it")
+        path = untrusted.inner_file(self._path.parent, unquote(uri), where)
         try:
             size, file = path.stat().st_size, path.open("rb")
         except OSError as error:
             raise FormatError(f"{where}: {path}: cannot be read ({error.strerror or error})") from error
         self._files.append(file)
+        self.num_bytes += size
         return _Buffer(file, 0, size)
 
 

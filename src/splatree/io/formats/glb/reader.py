@@ -11,6 +11,9 @@ KHR_gaussian_splatting:SH_DEGREE_l_…   3 f4      one harmonic, RGB
 COLOR_0                                4 u1      colour and opacity for viewers that know points only
 =====================================  ========  ==================================================================
 
+Drafts of 2025 are read too: attributes ``_ROTATION``, ``_SCALE``, ``_OPACITY`` (or the alpha of COLOR_0), ``_SH_DEGREE_l_…``, and
+the extensions that `glb/names.py` lists. A file that requires an extension which is not known is refused.
+
 Our scenes are RDF: x and y change signs on the way, and with them quaternions and harmonics. All primitives that the nodes of the
 file's scene show are one scene; a node may move, turn and scale them. `glb/writer.py` writes. docs/reference/formats/glb.md.
 """
@@ -18,7 +21,7 @@ file's scene show are one scene; a node may move, turn and scale them. `glb/writ
 import json
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 from typing import Any, Final
@@ -26,33 +29,39 @@ from typing import Any, Final
 import numpy as np
 
 from splatree.constants import SH_C0
-from splatree.edit.similarity import Similarity
 from splatree.errors import FormatError
 from splatree.io import untrusted
+from splatree.io.budget import RowBudget
 from splatree.io.check import checked, finite_logits
 from splatree.io.chunks import ROWS_PER_CHUNK
 from splatree.io.formats.glb.container import MAGIC, Accessor, GltfFile
+from splatree.io.formats.glb.names import (
+    EXTENSION,
+    PACKED_EXTENSIONS,
+    RTC_EXTENSION,
+    SPLAT_EXTENSIONS,
+    attribute_names,
+    check_required,
+)
 from splatree.io.formats.spz import format as spz
 from splatree.io.mirror import mirror
 from splatree.io.options import ReadOptions
+from splatree.io.placing import Placed, placed, settle
 from splatree.maths.axes import signs_between
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.names import Mode
-from splatree.scene.origin import NO_ORIGIN, Origin, origin_of
 from splatree.scene.scene import Scene, Source
 from splatree.shapes import Array, Float64
-
-EXTENSION: Final = "KHR_gaussian_splatting"
-SPZ_EXTENSION: Final = "KHR_gaussian_splatting_compression_spz_2"
-
-RTC_EXTENSION: Final = "CESIUM_RTC"
 
 GLTF_AXES: Final = "LUF"
 """Axes of glTF: x left, y up, z front."""
 
 SPZ_AXES: Final = "RUB"
 """Axes of an SPZ inside a glTF: those of the format's documents, as the extension demands."""
+
+_ROWS_PER_BYTE = 0.25
+"""Rows that a byte of a glTF may stand for: a row takes 17 bytes and more, so a mesh may be shown four times and more often."""
 
 _NODES_MAX = 1 << 16
 """More nodes than this in a scene are refused."""
@@ -69,8 +78,10 @@ def read(path: Path, options: ReadOptions) -> Scene:
     with path.open("rb") as file:
         gltf = GltfFile(path, file)
         try:
+            check_required(gltf.json, gltf.where)
             parts, lost = _parts(gltf)
-            gaussians, modes, places = [], set(), list[Float64[Array, "n 3"] | None]()
+            budget = RowBudget(str(path), _ROWS_PER_BYTE)
+            places, modes = list[Placed](), set()
             repairs: dict[str, int] = {}
             for part in parts:
                 if part.color_space != "srgb_rec709_display":
@@ -81,9 +92,9 @@ def read(path: Path, options: ReadOptions) -> Scene:
                         )
                     repairs["other_color_space"] = repairs.get("other_color_space", 0) + 1
                 g, mode = part.decode(path)
-                placed, means = part.placed(g)
-                gaussians.append(placed)
-                places.append(means)
+                budget.num_bytes = gltf.num_bytes
+                budget.take(len(g))
+                places.append(part.placed(g))
                 modes.add(mode)
         finally:
             gltf.close()
@@ -95,7 +106,7 @@ def read(path: Path, options: ReadOptions) -> Scene:
     generator = gltf.json["asset"].get("generator")
     if isinstance(generator, str):
         metadata["generator"] = generator
-    origin = _settle(gaussians, places)
+    gaussians, origin = settle(places)
     whole = gaussians[0] if len(gaussians) == 1 else Gaussians.concatenate(gaussians)
     scene = Scene.flat(whole, mode=modes.pop(), source=Source(metadata=metadata, origin=origin))
     return checked(scene, str(path), repair=options.repair)
@@ -109,6 +120,7 @@ class _Part:
     where: str
     primitive: dict[str, Any]
     extension: dict[str, Any]
+    packed: tuple[str, Any] | None  # the extension that holds an SPZ in the place of attributes, by its name
     matrix: Float64[Array, "4 4"]  # of the node, to the scene, in the axes of glTF
 
     @property
@@ -118,10 +130,9 @@ class _Part:
 
     def decode(self, path: Path) -> tuple[Gaussians, Mode]:
         """The Gaussians in the axes of our scenes, where the primitive has them."""
-        extensions = self.extension.get("extensions", {})
-        packed = extensions.get(SPZ_EXTENSION) if isinstance(extensions, dict) else None
-        if packed is not None:
-            where = f"{self.where}: {SPZ_EXTENSION}"
+        if self.packed is not None:
+            name, packed = self.packed
+            where = f"{self.where}: {name}"
             view = untrusted.field(untrusted.as_object(packed, where), "bufferView", where)
             file, start, size, _ = self.gltf.view(view, where)
             file.seek(start)
@@ -134,38 +145,10 @@ class _Part:
         is_mip = isinstance(extras, dict) and extras.get("SplatRenderMode") == "mip"
         return gaussians, "antialiased" if is_mip else "classic"
 
-    def placed(self, gaussians: Gaussians) -> tuple[Gaussians, Float64[Array, "n 3"] | None]:
-        """The Gaussians turned and scaled as the node shows them, and their means; None: as they are."""
-        linear = self.matrix[:3, :3]
-        scale = float(np.cbrt(np.linalg.det(linear)))
-        rotation = linear / scale if scale > 0 else linear
-        # Within float32, as which matrices are stored.
-        if not (scale > 0 and np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-5)):
-            raise FormatError(
-                f"{self.where}: found a node that mirrors, shears or stretches it ({linear.round(6).tolist()}), wanted one "
-                "that moves, turns and scales all axes alike"
-            )
-        signs = signs_between(GLTF_AXES, spz.SCENE_AXES).astype(np.float64)
-        if np.array_equal(self.matrix, np.eye(4)):
-            return gaussians, None
-        turned = rotation * signs[:, None] * signs
-        means = scale * gaussians.means.astype(np.float64) @ turned.T + self.matrix[:3, 3] * signs
-        return Similarity(scale, turned).gaussians(gaussians), means
-
-
-def _settle(gaussians: list[Gaussians], places: list[Float64[Array, "n 3"] | None]) -> Origin:
-    """Put the Gaussians to their places, relative to an origin if these lie far off; return it."""
-    origin = NO_ORIGIN
-    if any(place is not None for place in places):
-        rows = 1 << 16
-        every = max(1, sum(map(len, gaussians)) // rows)
-        means = [g.means.astype(np.float64) if p is None else p for g, p in zip(gaussians, places, strict=True)]
-        sample = np.concatenate([m[::every] for m in means])
-        origin = origin_of(sample, np.concatenate([g.log_scales[::every] for g in gaussians]))
-        for i, (g, m) in enumerate(zip(gaussians, means, strict=True)):
-            if places[i] is not None or origin != NO_ORIGIN:
-                gaussians[i] = replace(g, means=(m - np.asarray(origin)).astype(np.float32))
-    return origin
+    def placed(self, gaussians: Gaussians) -> Placed:
+        """The Gaussians where the node shows them."""
+        signs = np.diag([*signs_between(GLTF_AXES, spz.SCENE_AXES).astype(np.float64), 1.0])
+        return placed(gaussians, signs @ self.matrix @ signs, self.where)
 
 
 def _parts(gltf: GltfFile) -> tuple[list[_Part], list[str]]:
@@ -177,14 +160,17 @@ def _parts(gltf: GltfFile) -> tuple[list[_Part], list[str]]:
             where = f"{name}: primitives[{i}]"
             primitive = untrusted.as_object(value, where)
             extensions = untrusted.as_object(primitive.get("extensions", {}), f"{where}: extensions")
-            if EXTENSION not in extensions:
+            named = next((name for name in SPLAT_EXTENSIONS if name in extensions), None)
+            extension = {} if named is None else untrusted.as_object(extensions[named], f"{where}: {named}")
+            inner = untrusted.as_object(extension.get("extensions", {}), f"{where}: extensions")
+            packed = next(((n, of[n]) for of in (inner, extensions) for n in PACKED_EXTENSIONS if n in of), None)
+            if named is None and packed is None:
                 num_others += 1
                 continue
-            extension = untrusted.as_object(extensions[EXTENSION], f"{where}: {EXTENSION}")
             kernel = extension.get("kernel", "ellipse")
             if kernel != "ellipse":
                 raise FormatError(f"{where}: found kernel {kernel!r}, wanted 'ellipse'")
-            parts.append(_Part(gltf, where, primitive, extension, matrix))
+            parts.append(_Part(gltf, where, primitive, extension, packed, matrix))
     if not parts:
         raise FormatError(f"{gltf.where}: found no primitive with {EXTENSION}: this glTF shows no Gaussians")
     return parts, [f"{num_others} primitives without Gaussians"] if num_others else []
@@ -264,21 +250,25 @@ def _attributes(part: _Part) -> _Attributes:
     named = untrusted.as_object(part.primitive.get("attributes", {}), where)
 
     def accessor(name: str, *widths: int) -> Accessor:
-        found = part.gltf.accessor(untrusted.field(named, name, where), f"{where}.{name}")
+        key = next((key for key in attribute_names(name) if key in named), attribute_names(name)[0])
+        found = part.gltf.accessor(untrusted.field(named, key, where), f"{where}.{key}")
         if found.width not in widths:
             raise FormatError(
-                f"{where}.{name}: found {found.width} numbers a row, wanted {' or '.join(map(str, widths))}"
+                f"{where}.{key}: found {found.width} numbers a row, wanted {' or '.join(map(str, widths))}"
             )
         return found
 
-    prefix = f"{EXTENSION}:"
+    def has(name: str) -> bool:
+        return any(key in named for key in attribute_names(name))
+
     means = accessor("POSITION", 3)
-    quats, scales = accessor(f"{prefix}ROTATION", 4), accessor(f"{prefix}SCALE", 3)
-    opacities = accessor(f"{prefix}OPACITY", 1)
-    degree = max((d for d in range(1, 4) if f"{prefix}SH_DEGREE_{d}_COEF_0" in named), default=0)
-    is_color = f"{prefix}SH_DEGREE_0_COEF_0" not in named and degree == 0 and "COLOR_0" in named
-    names = [f"{prefix}SH_DEGREE_{d}_COEF_{i}" for d in range(degree + 1) for i in range(2 * d + 1)]
-    sh = [accessor("COLOR_0", 3, 4)] if is_color else [accessor(name, 3) for name in names]
+    quats, scales = accessor("ROTATION", 4), accessor("SCALE", 3)
+    opacities = accessor("COLOR_0", 4) if not has("OPACITY") and has("COLOR_0") else accessor("OPACITY", 1)
+    degree = max((d for d in range(1, 4) if has(f"SH_DEGREE_{d}_COEF_0")), default=0)
+    has_dc = has("SH_DEGREE_0_COEF_0")
+    is_color = not has_dc and has("COLOR_0")
+    names = [f"SH_DEGREE_{d}_COEF_{i}" for d in range(degree + 1) for i in range(2 * d + 1)]
+    sh = [accessor("COLOR_0", 3, 4) if is_color and name == names[0] else accessor(name, 3) for name in names]
     for other in (quats, scales, opacities, *sh):
         if other.count != means.count:
             raise FormatError(f"{other.where}: found {other.count} rows, wanted {means.count}, as many as of POSITION")
@@ -298,12 +288,12 @@ def _decoded(where: str, a: _Attributes, path: Path) -> Gaussians:
             xyzw = a.quats.rows(begin, end)
             quats[rows, 0], quats[rows, 1:] = xyzw[:, 3], xyzw[:, :3]
             scales[rows] = a.scales.rows(begin, end)
-            logits[rows] = _logits(a.opacities.rows(begin, end)[:, 0])
+            logits[rows] = _logits(a.opacities.rows(begin, end)[:, -1])  # the alpha of a colour, or the opacity alone
             for k, accessor in enumerate(a.sh):
                 sh[rows, k] = accessor.rows(begin, end)[:, :3]
             advance(end - begin)
     if a.is_color:
-        sh[:] = (sh - np.float32(0.5)) / np.float32(SH_C0)
+        sh[:, 0] = (sh[:, 0] - np.float32(0.5)) / np.float32(SH_C0)
     # Drafts had logarithms here; a standard deviation below 0 says that these are.
     if n == 0 or float(scales.min()) >= 0:
         np.log(scales, out=scales)

@@ -18,7 +18,8 @@ from splatree.errors import InputError
 from splatree.io.check import refuse_unusable
 from splatree.io.chunks import Chunks
 from splatree.io.formats.glb.container import GLB_BYTES_MAX, MAGIC
-from splatree.io.formats.glb.reader import EXTENSION, GLTF_AXES, SPZ_EXTENSION
+from splatree.io.formats.glb.names import EXTENSION, SPZ_EXTENSION
+from splatree.io.formats.glb.reader import GLTF_AXES
 from splatree.io.formats.spz import format as spz
 from splatree.io.options import WriteOptions
 from splatree.kernels.cpu.runtime.files import write_at

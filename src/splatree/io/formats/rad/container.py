@@ -143,10 +143,7 @@ def _open_chunk(path: Path, file: BinaryIO, chunks_at: int, entry: Any, where: s
     offset, size = (untrusted.integer(entry, key, where, high=2**62) for key in ("offset", "bytes"))
     if entry.get("filename") is None:
         return _parse_chunk(path, file, chunks_at + offset, size, where)
-    name = untrusted.inner_path(untrusted.text(entry, "filename", where), where)
-    beside = path.parent / name
-    if not beside.is_file():
-        raise FormatError(f"{where}: found no file {beside}, wanted the chunk of that name beside the .rad")
+    beside = untrusted.inner_file(path.parent, untrusted.text(entry, "filename", where), where)
     with beside.open("rb") as other:
         return _parse_chunk(beside, other, offset, size, where)
 

@@ -85,7 +85,8 @@ def files(path: Path) -> list[Path]:
         return [path]
     folder = path if path.is_dir() else path.parent
     meta = untrusted.as_object(untrusted.read_json(folder / "meta.json"), f"{folder}/meta.json")
-    return [folder / "meta.json", *(folder / name for name in _Meta(meta, f"{folder}/meta.json").file_names)]
+    names = _Meta(meta, f"{folder}/meta.json").file_names
+    return [folder / "meta.json", *(untrusted.inner_file(folder, name, "meta.json") for name in names)]
 
 
 def read_unchecked(path: Path, options: ReadOptions) -> Scene:
@@ -319,7 +320,7 @@ def _with_channels(image: Array, channels: int) -> Array:
 
 
 def _folder_file(folder: Path, name: str) -> bytes:
-    path = folder / name
+    path = untrusted.inner_file(folder, name, "meta.json")
     try:
         return path.read_bytes()
     except OSError as error:

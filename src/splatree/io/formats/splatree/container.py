@@ -161,6 +161,8 @@ def _column(entry: Any, start: int, num_bytes: int, where: str) -> Column:
     ends = untrusted.as_list(untrusted.field(entry, "data_offsets", where), where)
     offsets = [untrusted.as_integer(end, f"{where}: data_offsets", high=2**62) for end in ends]
     size = math.prod(shape) * dtype.itemsize
+    if math.prod(max(s, 1) for s in shape) > 2**48:  # NumPy cannot hold it even where an axis is 0
+        raise FormatError(f"{where}: found shape {shape}, which no file holds; the header is damaged")
     if len(shape) > 8 or len(offsets) != 2 or offsets[1] - offsets[0] != size or start + offsets[1] > num_bytes:
         raise FormatError(
             f"{where}: found bytes {offsets} for shape {shape} of {dtype.name} ({size} bytes) in a file that holds "

@@ -14,6 +14,7 @@ from typing import Any
 
 from splatree.errors import FormatError, InputError
 from splatree.io import untrusted
+from splatree.io.budget import RowBudget
 from splatree.io.check import checked
 from splatree.io.formats.sog import reader as sog
 from splatree.io.options import ReadOptions
@@ -60,9 +61,14 @@ def read(path: Path, options: ReadOptions) -> Scene:
     ranges = [r for r in _ranges(tree, str(level), len(names), where) if r[2] > 0]
     _check_counts(meta, level, num_levels, sum(count for _, _, count in ranges), where)
 
-    units = {index: _read_unit(manifest.parent / names[index], options) for index in sorted({r[0] for r in ranges})}
+    budget, read_units = RowBudget(where), dict[Path, Scene]()
+    places = {index: _unit_of(manifest.parent / names[index]) for index in sorted({r[0] for r in ranges})}
+    for index, place in places.items():
+        if place not in read_units:  # a unit may be named twice
+            read_units[place] = _read_unit(manifest.parent, names[index], options, budget)
+    units = {index: read_units[place] for index, place in places.items()}
     parts = []
-    covered: dict[int, list[tuple[int, int]]] = {}
+    covered: dict[Path, list[tuple[int, int]]] = {}
     for index, offset, count in ranges:
         gaussians = units[index].gaussians
         if offset + count > len(gaussians):
@@ -70,18 +76,16 @@ def read(path: Path, options: ReadOptions) -> Scene:
                 f"{where}: level {level}: found rows {offset} to {offset + count} of {names[index]}, "
                 f"wanted at most its {len(gaussians)}"
             )
-        covered.setdefault(index, []).append((offset, offset + count))
+        covered.setdefault(places[index], []).append((offset, offset + count))
         parts.append(_rows(gaussians, offset, count))
-    for index, spans in covered.items():
+    for place, spans in covered.items():
         spans.sort()
         if any(end > begin for (_, end), (begin, _) in pairwise(spans)):
-            raise FormatError(
-                f"{where}: level {level}: ranges of {names[index]} overlap; its rows would be drawn twice"
-            )
+            raise FormatError(f"{where}: level {level}: ranges of {place.name} overlap; its rows would be drawn twice")
 
-    scenes = list(units.values())
+    scenes = list(read_units.values())
     if meta.get("environment") is not None:
-        scenes.append(_read_unit(manifest.parent / _environment(meta, where), options))
+        scenes.append(_read_unit(manifest.parent, _environment(meta, where), options, budget))
         parts.append(scenes[-1].gaussians)
     modes = {scene.mode for scene in scenes} or {"classic"}
     if len(modes) > 1:
@@ -106,10 +110,25 @@ def _environment(meta: dict[str, Any], where: str) -> str:
     return untrusted.inner_path(untrusted.text(meta, "environment", where), f"{where}: environment")
 
 
-def _read_unit(path: Path, options: ReadOptions) -> Scene:
+def _unit_of(path: Path) -> Path:
+    """The file or folder that a name means, whichever of its names that is."""
+    real = path.resolve()
+    return real.parent if real.name == "meta.json" else real
+
+
+def _read_unit(folder: Path, name: str, options: ReadOptions, budget: RowBudget) -> Scene:
+    path = folder / name
     if not path.exists():
         raise FormatError(f"{path}: not found, but lod-meta.json names it; fetch the whole folder")
-    return sog.read_unchecked(path, options)
+    if not path.resolve().is_relative_to(folder.resolve()):
+        raise FormatError(f"{path}: leads out of its folder, to {path.resolve()}; wanted a unit inside it")
+    if not (path.is_dir() or path.is_file()):
+        raise FormatError(f"{path}: is neither a folder nor a plain file, but lod-meta.json names it")
+    for file in sog.files(path):
+        budget.add_file(file)
+    scene = sog.read_unchecked(path, options)
+    budget.take(len(scene))
+    return scene
 
 
 def _rows(gaussians: Gaussians, offset: int, count: int) -> Gaussians:

@@ -1,0 +1,64 @@
+"""Names of the extensions and attributes of glTF that hold Gaussians, those of drafts included.
+
+The extension was called CESIUM_gaussian_splatting and KHR_spz_gaussian_splats_compression before it became
+KHR_gaussian_splatting with KHR_gaussian_splatting_compression_spz_2; attributes began with ``_`` before they began with its name.
+"""
+
+import re
+from collections.abc import Mapping
+from typing import Any, Final
+
+from splatree.errors import FormatError
+from splatree.io import untrusted
+
+__all__ = [
+    "EXTENSION",
+    "PACKED_EXTENSIONS",
+    "RTC_EXTENSION",
+    "SPLAT_EXTENSIONS",
+    "SPZ_EXTENSION",
+    "attribute_names",
+    "check_required",
+]
+
+EXTENSION: Final = "KHR_gaussian_splatting"
+SPZ_EXTENSION: Final = "KHR_gaussian_splatting_compression_spz_2"
+RTC_EXTENSION: Final = "CESIUM_RTC"
+
+SPLAT_EXTENSIONS: Final = (EXTENSION, "CESIUM_gaussian_splatting", "CESIUM_gaussian_splats")
+"""Extensions of a primitive whose points are Gaussians."""
+
+PACKED_EXTENSIONS: Final = (
+    SPZ_EXTENSION,
+    "KHR_gaussian_splatting_compression_spz",
+    "KHR_gaussian_splatting_spz_compression",
+    "KHR_spz_gaussian_splats_compression",
+    "KHR_spz_compression",
+)
+"""Extensions of a primitive, or of its splat extension, that hold an SPZ."""
+
+_UNDERSTOOD = {*SPLAT_EXTENSIONS, *PACKED_EXTENSIONS, RTC_EXTENSION, "KHR_mesh_quantization"}
+_HARMLESS = re.compile(r"KHR_(materials|texture|lights|xmp|node_visibility)\w*|EXT_(texture|lights)\w*")
+"""Extensions of what is not drawn here."""
+
+
+def attribute_names(name: str) -> tuple[str, ...]:
+    """The names under which a value of a Gaussian may stand, today's first."""
+    if name in ("POSITION", "COLOR_0"):
+        return (name,)
+    return (f"{EXTENSION}:{name}", f"_{name}", name)
+
+
+def check_required(content: Mapping[str, Any], where: str) -> None:
+    """Refuse a file that says it cannot be read without what is not known here.
+
+    Raises:
+        FormatError: an extension is required that is not known.
+    """
+    for value in untrusted.as_list(content.get("extensionsRequired", []), f"{where}: extensionsRequired"):
+        name = untrusted.as_text(value, f"{where}: extensionsRequired")
+        if name not in _UNDERSTOOD and not _HARMLESS.fullmatch(name):
+            raise FormatError(
+                f"{where}: requires the extension {name[:80]!r}, which is not known here, and would be read wrongly without it; "
+                "write the file without it (compression such as EXT_meshopt_compression can be undone with gltf-transform)"
+            )

@@ -1,0 +1,1 @@
+"""3D Tiles: `tileset.json` and glTF tiles."""
