@@ -247,8 +247,11 @@ def test_a_field_of_view_and_a_picture_replace_focal_length_and_size(tmp_path):
     (tmp_path / "transforms.json").write_text(json.dumps(content))
     camera = splatree.read_cameras(tmp_path)[2]
     np.testing.assert_allclose(camera.K, [[15, 0, 15], [0, 15, 10], [0, 0, 1]])
-    (tmp_path / "images/2.png").unlink()
-    with pytest.raises(FormatError, match="frame 2: found no w and h and no picture"):
+    (tmp_path / "images/2.png").unlink()  # taken to be as large as the others, and said
+    cameras = splatree.read_cameras(tmp_path)
+    assert cameras[2].width == 30 and "neither w and h nor a picture" in cameras.notes[0]
+    (tmp_path / "images/0.png").unlink()
+    with pytest.raises(FormatError, match="frame 0: found no w and h and no picture"):
         splatree.read_cameras(tmp_path)
 
 

@@ -15,6 +15,7 @@ from splatree.io.photos import Photos, photographed
 from splatree.io.registry import read
 from splatree.lod.blocks import with_blocks
 from splatree.lod.build import build_lod
+from splatree.render.overlap import overlap_hint
 from splatree.render.paths import PathOptions, flyout
 from splatree.scene.cameras import Camera
 from splatree.scene.scene import Scene
@@ -104,7 +105,8 @@ def _views(scene: Scene, options: SubjectOptions) -> tuple[tuple[Camera, ...], t
         cameras = chosen(flyout(scene, made).views)
         return cameras, cameras, "a flight away from the scene", None
     known = read_cameras(source, origin=scene.source.origin)
-    named = "; ".join([source.name, *known.notes])
+    hint = overlap_hint(scene, known.views)
+    named = "; ".join([source.name, *known.notes, *([hint] if hint else [])])
     if options.data is None:
         return chosen(known.views), chosen(known.views), named, None
     photos = Photos(options.data, known.views)

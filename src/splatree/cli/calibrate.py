@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
-import numpy as np
 from tyro.conf import arg
 
 from splatree.cli.console import Console, table
@@ -16,8 +15,9 @@ from splatree.io.cameras.split import split_views
 from splatree.io.photos import Photos, PhotosUsed, photographed
 from splatree.io.registry import write
 from splatree.render.calibrate import CalibrateOptions, Calibration, calibrate, calibrated
+from splatree.render.overlap import overlap_hint
 from splatree.render.paths import PathOptions, flyout, orbit
-from splatree.scene.cameras import Camera
+from splatree.scene.cameras import Camera, Cameras
 from splatree.scene.options import RenderOptions, SelectOptions
 from splatree.scene.scene import Scene
 
@@ -54,9 +54,10 @@ class TrainingViews:
     """What the reader of the cameras chose or left out."""
 
     def relative_to(self, scene: Scene) -> "TrainingViews":
-        """The same views in the coordinates of a scene with an origin."""
-        origin = np.asarray(scene.source.origin)
-        return replace(self, cameras=[camera.moved(origin) for camera in self.cameras]) if origin.any() else self
+        """The same views in the coordinates of a scene, and a note if none of them sees it."""
+        cameras = Cameras(tuple(self.cameras)).relative_to(scene.source.origin).views
+        hint = overlap_hint(scene, cameras)
+        return replace(self, cameras=cameras, notes=(*self.notes, *([hint] if hint else [])))
 
     @property
     def used(self) -> PhotosUsed | None:

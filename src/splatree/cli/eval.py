@@ -24,6 +24,7 @@ from splatree.render.calibrate import METADATA_KEY
 from splatree.render.compare import comparison_views
 from splatree.render.compare_page import Comparison
 from splatree.render.evaluate import Evaluation, evaluate
+from splatree.render.overlap import overlap_hint
 from splatree.render.paths import PathOptions, flyout
 from splatree.render.timing import STAGES, Timing, peak_bytes, time_frames
 from splatree.scene.cameras import Camera
@@ -168,6 +169,7 @@ def run(command: Command) -> Evaluated | Comparison:
     scene = with_blocks(read_scene(command.paths, command.reading))
     cameras = flyout(scene, command.made) if named is None else named.relative_to(scene.source.origin)
     photos = None if command.data is None else Photos(command.data, cameras.views)
+    hint = None if named is None else overlap_hint(scene, cameras.views)
     held_out, training, compared_with = _views(cameras.views if photos is None else photos.views, command)
     if photos is not None:
         photos = photos.at([*held_out, *training])
@@ -211,7 +213,7 @@ def run(command: Command) -> Evaluated | Comparison:
         training_mean=_means([view for view in views if not view.held_out]),
         views=views,
         photographs=None if photos is None else photos.used,
-        notes=(*lost_and_noted(scene)[1], *cameras.notes),
+        notes=(*lost_and_noted(scene)[1], *cameras.notes, *([hint] if hint else [])),
     )
 
 

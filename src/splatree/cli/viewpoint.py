@@ -5,14 +5,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
-
 from splatree.cli.console import UsageError
 from splatree.errors import InputError
 from splatree.io.cameras.files import read_cameras
 from splatree.render.framing.frame import frame_scene
+from splatree.render.overlap import overlap_hint
 from splatree.render.paths import PathOptions, flyout, orbit, turn
-from splatree.scene.cameras import Camera
+from splatree.scene.cameras import Camera, Cameras
 from splatree.scene.scene import Scene
 
 __all__ = ["Viewpoint", "Views", "named_views", "relative_to", "views_of"]
@@ -67,9 +66,10 @@ class Views:
 
 
 def relative_to(views: Views, scene: Scene) -> Views:
-    """Views of files in the coordinates of a scene with an origin."""
-    origin = np.asarray(scene.source.origin)
-    return replace(views, cameras=tuple(camera.moved(origin) for camera in views.cameras)) if origin.any() else views
+    """Views of files in the coordinates of a scene, and a note if none of them sees it."""
+    cameras = Cameras(views.cameras).relative_to(scene.source.origin).views
+    hint = overlap_hint(scene, cameras)
+    return replace(views, cameras=cameras, notes=(*views.notes, *([hint] if hint else [])))
 
 
 def named_views(viewpoint: Viewpoint) -> Views | None:

@@ -14,10 +14,13 @@ import numpy as np
 from splatree.constants import NEAR
 from splatree.errors import FormatError, InputError
 from splatree.io import untrusted
-from splatree.io.cameras import colmap, nerfstudio
+from splatree.io.cameras import camera_path, colmap, foreign, llff, nerfstudio
 from splatree.io.replacing import replacing
 from splatree.scene.cameras import Camera, Cameras
 from splatree.scene.origin import NO_ORIGIN, Origin
+
+_SPLITS = ("transforms_train.json", "transforms_val.json", "transforms_test.json")
+"""Files of synthetic scenes (Mildenhall 2020), a part of the views each."""
 
 _COLMAP_FOLDERS = ("sparse", "colmap/sparse", "")
 """Where a model or several numbered ones lie in a folder of pictures, in the order in which they are tried."""
@@ -31,8 +34,11 @@ def read_cameras(path: str | os.PathLike[str], *, origin: Origin = NO_ORIGIN) ->
     - A COLMAP sparse model, binary or text, or a folder with one in ``sparse/0``. Views are in the order of the pictures' names,
       because the 3DGS code holds out every eighth of them for tests in that order.
     - ``transforms.json`` of nerfstudio or instant-ngp, with the axes of OpenGL. Views are in the order of the file.
+    - ``transforms_train.json``, ``_val`` and ``_test`` of a synthetic scene, one after the other.
+    - ``camera_path.json`` of nerfstudio's viewer, and ``poses_bounds.npy`` of LLFF.
 
-    A folder is searched for a COLMAP model, then transforms.json, then cameras.json.
+    A folder is searched for these in the order COLMAP, transforms.json, transforms_*.json, cameras.json, poses_bounds.npy and
+    camera_path.json. A ``dataparser_transforms.json`` of nerfstudio beside them moves the cameras into the frame of its training.
 
     Args:
         path: the file or folder.
@@ -59,28 +65,55 @@ def _read(root: Path) -> Cameras:
     if root.is_dir():
         for folder in _COLMAP_FOLDERS:
             if models := colmap.models_in(root / folder):
-                return _largest_model(models)
-        for name in ("transforms.json", "cameras.json"):
+                return nerfstudio.in_training_frame(_largest_model(models), root)
+        if (root / "transforms.json").is_file():
+            return _read(root / "transforms.json")
+        if splits := [root / name for name in _SPLITS if (root / name).is_file()]:
+            return _of_splits(splits)
+        for name in ("cameras.json", llff.NAME, "camera_path.json"):
             if (root / name).is_file():
                 return _read(root / name)
+        if known := foreign.advice_for_file(root):
+            raise InputError(f"{root}: {known}")
         raise InputError(
             f"{root}: found no cameras in this folder; wanted a COLMAP model (cameras.bin and images.bin, or .txt) in it or in "
-            "sparse/0, transforms.json or cameras.json"
+            "sparse/0, transforms.json, cameras.json, poses_bounds.npy or camera_path.json"
         )
     if not root.is_file():
         raise InputError(f"{root}: not found; wanted cameras.json, transforms.json or a folder with a COLMAP model")
+    if known := foreign.advice_for_file(root):
+        raise InputError(f"{root}: {known}")
+    if root.suffix.lower() == ".npy":
+        return llff.read(root)
     if root.suffix.lower() in (".bin", ".txt"):
         if colmap.is_model(root.parent):
             return colmap.read(root.parent)
         raise InputError(f"{root}: found no COLMAP model in its folder, wanted cameras and images beside each other")
     content = untrusted.read_json(root)
+    if known := foreign.advice_for_content(content):
+        raise InputError(f"{root}: {known}")
     if isinstance(content, dict) and "frames" in content:
         return nerfstudio.parse(content, root)
+    if isinstance(content, dict) and "camera_path" in content:
+        return camera_path.parse(content, root)
+    if root.name == nerfstudio.DATAPARSER:
+        raise InputError(
+            f"{root}: holds no cameras; it is taken along where it lies beside transforms.json: name that, or the folder"
+        )
     if isinstance(content, list):
         return _parse_inria(content, root)
     raise FormatError(
-        f"{root}: found other JSON, wanted a list of cameras (INRIA) or an object with frames (nerfstudio)"
+        f"{root}: found other JSON, wanted a list of cameras (INRIA), or an object with frames or a camera_path (nerfstudio)"
     )
+
+
+def _of_splits(paths: Sequence[Path]) -> Cameras:
+    """The cameras of several files, one after the other."""
+    parts = [_read(path) for path in paths]
+    notes = dict.fromkeys(note for part in parts for note in part.notes)
+    counts = ", ".join(f"{len(part)} of {path.name}" for path, part in zip(paths, parts, strict=True))
+    note = f"cameras: {counts}; to score the views of one file, name it: --held-out {paths[-1].name}"
+    return Cameras(tuple(view for part in parts for view in part), (*notes, note))
 
 
 def _largest_model(models: Sequence[Path]) -> Cameras:

@@ -1,7 +1,7 @@
 """Which views are held out: those that a scene was not trained or calibrated on, the only ones that a score may come from.
 
 Two rules are usual: every n-th view in the order in which they are read, from the first (3DGS and most papers: n = 8, ordered by
-the pictures' names), or a list of names.
+the pictures' names), or a list of names, which may be a transforms_test.json.
 """
 
 from collections.abc import Sequence
@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from splatree.errors import FormatError, InputError
+from splatree.io import untrusted
 from splatree.scene.cameras import Camera
 
 __all__ = ["Split", "split_views"]
@@ -51,9 +52,19 @@ def split_views(cameras: Sequence[Camera], held_out: int | Path) -> Split:
     )
 
 
+def _names_of_frames(path: Path) -> list[str]:
+    """The names of the frames of a transforms_test.json."""
+    content = untrusted.as_object(untrusted.read_json(path), str(path))
+    frames = untrusted.as_list(untrusted.field(content, "frames", str(path)), f"{path}: frames")
+    records = (untrusted.as_object(frame, f"{path}: frame {i}") for i, frame in enumerate(frames))
+    return [untrusted.text(record, "file_path", f"{path}: a frame") for record in records]
+
+
 def _listed(cameras: Sequence[Camera], path: Path) -> set[int]:
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = (
+            _names_of_frames(path) if path.suffix.lower() == ".json" else path.read_text(encoding="utf-8").splitlines()
+        )
     except FileNotFoundError as error:
         raise InputError(f"{path}: not found, wanted a list of the held-out views, one name a line") from error
     except UnicodeDecodeError as error:

@@ -1,0 +1,169 @@
+"""Cameras of other programs: read where that can be, else refused by name with a way out."""
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import splatree as st
+from splatree import Camera, FormatError, InputError
+from splatree.io.cameras.split import split_views
+from splatree.render.overlap import overlap_hint
+
+VIEW = Camera.look_at(np.array([3.0, -2.0, 1.0]), np.array([0.1, 0.2, 0.3]), width=640, height=480)
+OTHER = Camera.look_at(np.array([-4.0, 0.5, 2.0]), np.zeros(3), width=640, height=480)
+
+
+def opengl(camera):
+    """Camera-to-world with x right, y up, z back."""
+    return np.linalg.inv(camera.camera_from_world) @ np.diag([1.0, -1, -1, 1])
+
+
+def same_view(a, b, atol=1e-9):
+    np.testing.assert_allclose(a.camera_from_world, b.camera_from_world, atol=atol)
+    np.testing.assert_allclose(a.K, b.K, rtol=1e-9)
+    assert (a.width, a.height) == (b.width, b.height)
+
+
+@pytest.mark.parametrize("flat", [True, False])
+def test_a_camera_path_of_nerfstudio(tmp_path, flat):
+    frames = [
+        {"camera_to_world": opengl(c).ravel().tolist() if flat else opengl(c).tolist(), "fov": 50, "aspect": 1.33}
+        for c in (VIEW, OTHER)
+    ]
+    content = {
+        "camera_type": "perspective",
+        "render_width": 640,
+        "render_height": 480,
+        "camera_path": frames,
+        "fps": 24,
+    }
+    (tmp_path / "camera_path.json").write_text(json.dumps(content))
+    for path in (tmp_path, tmp_path / "camera_path.json"):
+        cameras = st.read_cameras(path)
+        for found, wanted in zip(cameras, (VIEW, OTHER), strict=True):
+            same_view(found, wanted)
+    (tmp_path / "camera_path.json").write_text(json.dumps(content | {"camera_type": "equirectangular"}))
+    with pytest.raises(FormatError, match="camera_type 'equirectangular', wanted 'perspective'"):
+        st.read_cameras(tmp_path)
+
+
+def transforms(folder, views=(VIEW, OTHER), name="transforms.json", **extra):
+    frames = [{"file_path": f"{i}.png", "transform_matrix": opengl(c).tolist()} for i, c in enumerate(views)]
+    content = {"fl_x": VIEW.K[0, 0], "w": 640, "h": 480, "frames": frames, **extra}
+    (folder / name).write_text(json.dumps(content))
+
+
+APPLIED = np.array(
+    [[0.0, 1, 0, 0.5], [1, 0, 0, 0], [0, 0, -1, 2], [0, 0, 0, 1]]
+)  # as ns-process-data moves COLMAP's poses
+
+
+def test_cameras_are_moved_into_the_frame_of_a_training_of_nerfstudio(tmp_path):
+    """As the dataparser does it: T_auto on the poses of the file, then the scale; T_auto after A is what it writes."""
+    auto = np.eye(4)
+    auto[:3, :3] = VIEW.camera_from_world[:3, :3]
+    auto[:3, 3] = (0.3, -0.2, 0.1)
+    transforms(tmp_path, applied_transform=APPLIED[:3].tolist(), applied_scale=2.0)
+    record = {"transform": (auto @ APPLIED)[:3].tolist(), "scale": 0.25 * 2.0}
+    (tmp_path / "dataparser_transforms.json").write_text(json.dumps(record))
+    cameras = st.read_cameras(tmp_path)
+    for found, view in zip(cameras, (VIEW, OTHER), strict=True):
+        pose = auto @ opengl(view)
+        pose[:3, 3] *= 0.25
+        np.testing.assert_allclose(opengl(found), pose, atol=1e-9)
+    assert "moved into the frame of the training" in cameras.notes[0]
+    with pytest.raises(InputError, match=r"holds no cameras.*beside transforms.json"):
+        st.read_cameras(tmp_path / "dataparser_transforms.json")
+    (tmp_path / "dataparser_transforms.json").write_text('{"transform": [[1]], "scale": 1}')
+    with pytest.raises(FormatError, match="transform: found numbers of shape"):
+        st.read_cameras(tmp_path)
+
+
+def test_the_files_of_a_synthetic_scene(tmp_path):
+    angle = 2 * np.arctan(320 / VIEW.K[0, 0])
+    for split, view in (("train", VIEW), ("test", OTHER)):
+        (tmp_path / split).mkdir()
+        Image.new("RGB", (640, 480)).save(tmp_path / split / "r_0.png")
+        frames = [{"file_path": f"./{split}/r_0", "transform_matrix": opengl(view).tolist()}]
+        frames += [{"file_path": f"./{split}/r_1", "transform_matrix": opengl(view).tolist()}]  # without its picture
+        (tmp_path / f"transforms_{split}.json").write_text(json.dumps({"camera_angle_x": angle, "frames": frames}))
+    cameras = st.read_cameras(tmp_path)
+    assert [c.name for c in cameras] == ["./train/r_0", "./train/r_1", "./test/r_0", "./test/r_1"]
+    same_view(cameras[0], VIEW)
+    same_view(cameras[3], OTHER)
+    assert "2 of transforms_train.json, 2 of transforms_test.json" in cameras.notes[-1]
+    split = split_views(cameras.views, tmp_path / "transforms_test.json")
+    assert [c.name for c in split.held_out] == ["./test/r_0", "./test/r_1"]
+
+
+def test_poses_bounds_of_llff(tmp_path):
+    rows = []
+    for view in (VIEW, OTHER):
+        right, down, forward = view.camera_from_world[:3, :3]
+        size = [480, 640, view.K[0, 0]]
+        matrix = np.column_stack([down, right, -forward, view.position, size])
+        rows.append([*matrix.ravel(), 0.5, 20.0])
+    np.save(tmp_path / "poses_bounds.npy", np.array(rows))
+    assert [c.name for c in st.read_cameras(tmp_path)] == ["view_0000", "view_0001"]
+    (tmp_path / "images").mkdir()
+    for name in ("b.JPG", "a.png"):
+        (tmp_path / "images" / name).write_bytes(b"")
+    cameras = st.read_cameras(tmp_path)
+    assert [c.name for c in cameras] == ["a.png", "b.JPG"]
+    for found, wanted in zip(cameras, (VIEW, OTHER), strict=True):
+        same_view(found, wanted)
+    np.save(tmp_path / "poses_bounds.npy", np.array([{"a": 1}], object), allow_pickle=True)
+    with pytest.raises(FormatError, match="no array of numbers"):
+        st.read_cameras(tmp_path)
+    np.save(tmp_path / "poses_bounds.npy", np.zeros((3, 15)))
+    with pytest.raises(FormatError, match=r"wanted numbers of shape \(views, 17\)"):
+        st.read_cameras(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("cameras.xml", '<?xml version="1.0"?><document version="2.0.0"><chunk label="a">', "Metashape.*COLMAP"),
+        ("block.xml", "<BlocksExchange><Block>", "ContextCapture"),
+        ("poses.csv", "#name,x,y,alt,heading,pitch,roll,f,px,py,k1\na.jpg,1,2,3", "RealityCapture.*COLMAP"),
+        ("reconstruction.json", '[{"cameras": {}, "shots": {}}]', "OpenSfM.*export_colmap"),
+        ("123.json", json.dumps({f"t_{r}{c}": 0 for r in range(3) for c in range(4)}), "Polycam.*ns-process-data"),
+        ("cameras.sfm", '{"views": [], "poses": []}', "Meshroom or OpenMVG"),
+        ("bundle.out", "# Bundle file v0.3\n", "Bundler"),
+        ("model.nvm", "NVM_V3\n", "VisualSFM"),
+    ],
+)
+def test_other_cameras_are_refused_by_name_with_advice(tmp_path, name, content, message):
+    (tmp_path / name).write_text(content)
+    with pytest.raises(InputError, match=message):
+        st.read_cameras(tmp_path / name)
+
+
+@pytest.mark.parametrize(("name", "message"), [("keyframes/a", "Polycam"), ("reconstruction.json", "OpenSfM")])
+def test_folders_of_other_programs_are_refused_by_name(tmp_path, name, message):
+    (tmp_path / name).parent.mkdir(exist_ok=True)
+    (tmp_path / name).write_text("[]")
+    with pytest.raises(InputError, match=message):
+        st.read_cameras(tmp_path)
+
+
+def test_cameras_that_do_not_see_the_scene_are_told():
+    rng = np.random.default_rng(0)
+    n = 300
+    scene = st.Scene.flat(
+        st.Gaussians(
+            rng.normal(0, 0.5, (n, 3)).astype(np.float32), np.tile(np.float32([1, 0, 0, 0]), (n, 1)),
+            np.full((n, 3), -4, np.float32), np.zeros(n, np.float32), np.zeros((n, 1, 3), np.float32),
+        )
+    )  # fmt: skip
+    away = VIEW.moved(np.array([1000.0, 0, 0]))
+    assert overlap_hint(scene, [VIEW]) is None and overlap_hint(scene, [away, VIEW]) is None
+    hint = overlap_hint(scene, [away])
+    assert (
+        "none of the 1 cameras sees the scene" in hint
+        and "dataparser_transforms.json" in hint
+        and "applied_transform" in hint
+    )
+    assert overlap_hint(scene, []) is None
