@@ -36,7 +36,7 @@ def overlap_hint(scene: Scene, cameras: Sequence[Camera]) -> str | None:
     distances = [float(np.linalg.norm(camera.position - centre)) for camera in cameras]
     return (
         f"none of the {len(cameras)} cameras sees the scene: they are {min(distances):.4g} and more from its middle, and its "
-        f"radius is {radius:.4g}. Cameras and scene may be in other coordinates: nerfstudio trains in a frame of its own (put its "
-        "dataparser_transforms.json beside transforms.json, and the cameras are taken there); applied_transform of "
+        f"radius is {radius:.4g}. Cameras and scene may be in other coordinates: nerfstudio trains in a frame of its own (put "
+        "its dataparser_transforms.json beside transforms.json, and the cameras are taken there); applied_transform of "
         "transforms.json has moved its poses away from COLMAP's; or one of the two was turned or moved"
     )

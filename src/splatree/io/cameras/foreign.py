@@ -9,7 +9,7 @@ _AS_COLMAP = "wanted a COLMAP model, transforms.json or cameras.json"
 
 
 def advice_for_file(path: Path) -> str | None:
-    """What a file or folder of cameras is by its name and first bytes, and what to do; None for those that are read or unknown."""
+    """What a file or folder of cameras is by its name and first bytes, and what to do; None for those read or unknown."""
     if path.is_dir():
         if (path / "keyframes").is_dir():
             return f"is a capture of Polycam, {_AS_COLMAP}: `ns-process-data polycam` makes transforms.json of it"
