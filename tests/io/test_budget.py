@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import splatree as st
-from splatree import FormatError, InputError, Scene
+from splatree import FormatError, Scene
 from splatree.io import budget
 from splatree.io.budget import RowBudget
 
@@ -95,12 +95,13 @@ def _take_few(self, rows):
         raise FormatError("too many")
 
 
-def test_a_file_that_is_named_twice_is_refused(tmp_path):
+def test_a_file_that_is_named_twice_is_told(tmp_path, strict):
     st.write(Scene.flat(random_gaussians(5, 0)), tmp_path / "a.ply")
     (tmp_path / "b.ply").symlink_to(tmp_path / "a.ply")
     for paths in ([tmp_path / "a.ply"] * 2, [tmp_path / "a.ply", tmp_path / "b.ply"]):
-        with pytest.raises(InputError, match="is named twice"):
-            st.read(paths)
+        scene = st.read(paths)
+        assert len(scene) == 10 and "a.ply is named 2 times" in json.loads(scene.source.metadata["notes"])[-1]
+        assert "a.ply is named 2 times" in st.convert(paths, tmp_path / "c.ply", force=True).notes[0]
 
 
 @pytest.mark.parametrize("name", ["means_l.webp", "meta.json"])

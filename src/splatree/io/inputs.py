@@ -1,6 +1,7 @@
 """From what a user names to the files of a scene: folders of chunks, training outputs, patterns."""
 
 import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -47,12 +48,12 @@ def find_inputs(paths: Sequence[Path], is_scene: Callable[[Path], bool]) -> Inpu
         raise InputError("read: found no paths, wanted at least one")
     notes: list[str] = []
     found = [each for path in paths for each in _find(path, is_scene, notes)]
-    named: dict[Path, Path] = {}
-    for path in found:
-        if (other := named.setdefault(path.resolve(), path)) is not path:
-            raise InputError(
-                f"{path}: is named twice (as {other}); its Gaussians would be drawn twice, wanted each file once"
-            )
+    times = Counter(path.resolve() for path in found)
+    notes += [
+        f"{path} is named {count} times: its Gaussians stand there as often"
+        for path, count in times.items()
+        if count > 1
+    ]
     return Inputs(found, tuple(notes))
 
 
