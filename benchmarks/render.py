@@ -45,6 +45,7 @@ def project_rows(scalar: ctypes.CDLL) -> list[dict[str, Any]]:
     camera = st.Camera.look_at((0, 0, 0), (0, 0, 1), width=WIDTH, height=HEIGHT)
     rows = np.arange(len(g), dtype=np.int32)
     view, threshold = pack_view(st.View(camera)), 1 / 255
+    numbers = np.concatenate([np.ravel(field) for field in view]).astype(np.float64)
     out_rows, depths = np.zeros(len(g), np.int32), np.zeros(len(g), np.float32)
     records = aligned_zeros(len(g))
     columns = (g.means, g.quats, g.log_scales, g.logit_opacities, g.sh)
@@ -57,7 +58,7 @@ def project_rows(scalar: ctypes.CDLL) -> list[dict[str, Any]]:
     visible = out_rows[:num].copy()
     ours = cheapest_ms(lambda: project(rows))
     plain = cheapest_ms(
-        lambda: scalar.project(*map(pointer, columns), len(g), pointer(view), threshold, pointer(records))
+        lambda: scalar.project(*map(pointer, columns), len(g), pointer(numbers), threshold, pointer(records))
     )
     seen = cheapest_ms(lambda: project(visible))
     order = np.zeros(num, np.int32)

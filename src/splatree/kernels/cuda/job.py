@@ -12,7 +12,7 @@ import numpy as np
 
 from splatree.errors import InputError
 from splatree.kernels.cpu import _core
-from splatree.kernels.cpu.frame.select import VIEW_TESTS, is_culled, pack_rule, view_planes
+from splatree.kernels.cpu.frame.select import is_culled, pack_rule, view_planes
 from splatree.kernels.cpu.frame.view import pack_square, pack_view
 from splatree.kernels.cuda.sources import headers
 from splatree.scene.options import SelectOptions
@@ -90,7 +90,7 @@ def pack_numbers(view: View, select: SelectOptions, *, degree: int, whole_box: b
             view.pixel_threshold,
             view.mode == "antialiased",
             pack_rule(view, select),
-            VIEW_TESTS.index(select.view_test),
+            select.view_test,
             is_culled(select),
             *view_planes(view, select, packed),
             min(view.sh_degree, degree),

@@ -18,18 +18,18 @@
 namespace splatree {
 namespace {
 
-nb::bytes frame_numbers(In<double> view, double threshold, double area_power, double least_threshold, double least_opacity,
-                        double pixel_threshold, bool antialiased, In<double> rule, int view_test, bool cull, In<double> planes,
-                        In<double> reach, int degree, int width, int height, In<double> background,
-                        std::optional<In<double>> square, bool whole_box) {
+nb::bytes frame_numbers(nb::handle view, double threshold, double area_power, double least_threshold, double least_opacity,
+                        double pixel_threshold, bool antialiased, nb::handle rule, const std::string& view_test, bool cull,
+                        In<double> planes, In<double> reach, int degree, int width, int height, In<double> background,
+                        nb::handle square, bool whole_box) {
   FrameNumbers n{};
-  n.view = view_of(view.data(), least_threshold, antialiased);
+  n.view = view_of(view, least_threshold, antialiased);
   n.view.least_opacity = float(least_opacity);
-  n.rule = rule_of(rule.data());
+  n.rule = rule_of(rule);
   n.planes = planes_of(planes.data(), int(planes.shape(0)));
   for (int i = 0; i < NUM_SIDES; ++i) n.reach[i] = reach.data()[i];
-  for (int i = 0; i < 3; ++i) n.eye[i] = view.data()[9 + i];
-  n.view_test = view_test;
+  for (int i = 0; i < 3; ++i) n.eye[i] = column<double>(view, "center")[i];
+  n.view_test = chosen(view_test, "view_test", VIEW_TESTS);
   n.all_small = std::isinf(n.rule.pixel_error);
   n.cull = cull;
   n.degree = degree;
@@ -38,8 +38,8 @@ nb::bytes frame_numbers(In<double> view, double threshold, double area_power, do
   for (int i = 0; i < 3; ++i) n.background[i] = float(background.data()[i]);
   n.log2_threshold = float(std::log2(threshold)), n.area_power = float(area_power);
   n.log2_pixel_threshold = float(std::log2(pixel_threshold));
-  n.tile_rule = int(square ? TileRule::SQUARE : whole_box ? TileRule::BOX : TileRule::ELLIPSE);
-  if (square) n.square = square_of(square->data());
+  n.tile_rule = int(!square.is_none() ? TileRule::SQUARE : whole_box ? TileRule::BOX : TileRule::ELLIPSE);
+  if (!square.is_none()) n.square = square_of(square);
   return nb::bytes(reinterpret_cast<const char*>(&n), sizeof n);
 }
 

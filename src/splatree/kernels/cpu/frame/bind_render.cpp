@@ -18,11 +18,11 @@ namespace splatree {
 namespace {
 
 int64_t project_rows(In<float> means, In<float> quats, In<float> log_scales, In<float> logit_opacities, In<float> sh,
-                     In<int32_t> rows, In<double> view, double threshold, double least_opacity, std::optional<In<double>> square,
+                     In<int32_t> rows, nb::handle view, double threshold, double least_opacity, nb::handle square,
                      bool antialiased, int degree, Out<int32_t> out_rows, Out<float> out_records, Out<float> out_depths,
                      int threads) {
   const int64_t num_rows = int64_t(rows.shape(0));
-  View seen = view_of(view.data(), threshold, antialiased);
+  View seen = view_of(view, threshold, antialiased);
   seen.least_opacity = float(least_opacity);
   const ProjectJob job{means.data(),
                        quats.data(),
@@ -32,8 +32,8 @@ int64_t project_rows(In<float> means, In<float> quats, In<float> log_scales, In<
                        int(sh.shape(1)),
                        degree,
                        seen,
-                       square.has_value(),
-                       square ? square_of(square->data()) : Square{},
+                       !square.is_none(),
+                       square.is_none() ? Square{} : square_of(square),
                        rows.data(),
                        num_rows,
                        threads,
@@ -54,7 +54,7 @@ void order_splats(In<float> depths, In<int32_t> rows, std::optional<In<uint32_t>
 
 nb::ndarray<nb::numpy, int32_t, nb::ndim<1>> bin_splats(In<float> records, In<int32_t> order, double threshold, double area_power,
                                                         int width, int height, Out<int64_t> tile_start, int num_tiles_x,
-                                                        int num_tiles_y, std::optional<In<double>> square, bool whole_box,
+                                                        int num_tiles_y, nb::handle square, bool whole_box,
                                                         std::optional<Out<float>> floors, int threads) {
   const BinJob job{records.data(),
                    order.data(),
@@ -65,10 +65,10 @@ nb::ndarray<nb::numpy, int32_t, nb::ndim<1>> bin_splats(In<float> records, In<in
                    height,
                    num_tiles_x,
                    num_tiles_y,
-                   square      ? TileRule::SQUARE
-                   : whole_box ? TileRule::BOX
-                               : TileRule::ELLIPSE,
-                   square ? square_of(square->data()) : Square{},
+                   !square.is_none() ? TileRule::SQUARE
+                   : whole_box       ? TileRule::BOX
+                                     : TileRule::ELLIPSE,
+                   square.is_none() ? Square{} : square_of(square),
                    threads,
                    floors ? floors->data() : nullptr};
   Scratch<int32_t> pairs;

@@ -12,20 +12,14 @@
 #include "cpu/frame/ancestors.h"
 #include "cpu/frame/select.h"
 #include "cpu/frame/view.h"
-#include "cpu/runtime/arrays.h"
 #include "cpu/runtime/isa.h"
 #include "cpu/runtime/pool.h"
+#include "cpu/runtime/structs.h"
 
 namespace splatree {
 namespace {
 
 using Vector32 = nb::ndarray<nb::numpy, int32_t, nb::ndim<1>>;
-
-// A column of a struct, which keeps it alive.
-template <class T>
-const T* column(nb::handle owner, const char* name) {
-  return nb::cast<In<T>>(owner.attr(name)).data();
-}
 
 Vector32 to_numpy(int32_t* data, size_t size) {
   const nb::capsule owner(data, [](void* p) noexcept { delete[] static_cast<int32_t*>(p); });
@@ -38,7 +32,8 @@ Vector32 copied(const std::vector<int32_t>& values) {
   return to_numpy(data, values.size());
 }
 
-SelectJob job_of(nb::handle gaussians, nb::handle tree, In<double> view, double threshold, In<double> rule, int view_test) {
+SelectJob job_of(nb::handle gaussians, nb::handle tree, nb::handle view, double threshold, nb::handle rule,
+                 const std::string& view_test) {
   SelectJob job{};
   job.means = column<float>(gaussians, "means");
   job.quats = column<float>(gaussians, "quats");
@@ -47,11 +42,12 @@ SelectJob job_of(nb::handle gaussians, nb::handle tree, In<double> view, double 
   job.extents = column<float>(tree, "extents");
   job.subtree_end = column<int32_t>(tree, "subtree_end");
   job.num_rows = int64_t(nb::len(tree));
-  job.view = view_of(view.data(), threshold, false);
-  job.rule = rule_of(rule.data());
-  job.view_test = ViewTest(view_test);
+  job.view = view_of(view, threshold, false);
+  job.rule = rule_of(rule);
+  job.view_test = chosen(view_test, "view_test", VIEW_TESTS);
   job.all_small = std::isinf(job.rule.pixel_error);
-  for (int i = 0; i < 3; ++i) job.eye[i] = view.data()[9 + i];
+  const double* center = column<double>(view, "center");
+  for (int i = 0; i < 3; ++i) job.eye[i] = center[i];
   return job;
 }
 
@@ -66,8 +62,8 @@ BlockColumns blocks_of(nb::handle blocks) {
       column<int32_t>(blocks, "ancestors")};
 }
 
-std::pair<Vector32, int64_t> select_cut(nb::handle gaussians, nb::handle tree, nb::handle blocks, In<double> view,
-                                        double threshold, In<double> rule, int view_test, bool cull,
+std::pair<Vector32, int64_t> select_cut(nb::handle gaussians, nb::handle tree, nb::handle blocks, nb::handle view,
+                                        double threshold, nb::handle rule, const std::string& view_test, bool cull,
                                         std::optional<In<int32_t>> runs, In<double> planes, In<double> reach, int threads) {
   SelectJob job = job_of(gaussians, tree, view, threshold, rule, view_test);
   job.index = blocks_of(blocks);
@@ -102,8 +98,8 @@ std::pair<Vector32, int64_t> select_cut(nb::handle gaussians, nb::handle tree, n
   return {to_numpy(rows, size_t(num_selected)), num_visited};
 }
 
-Vector32 select_ancestors(nb::handle gaussians, nb::handle tree, In<int32_t> ancestors, In<double> view, double threshold,
-                          In<double> rule, int view_test, bool unseen_shadow, bool only_leaves_ask, int threads) {
+Vector32 select_ancestors(nb::handle gaussians, nb::handle tree, In<int32_t> ancestors, nb::handle view, double threshold,
+                          nb::handle rule, const std::string& view_test, bool unseen_shadow, bool only_leaves_ask, int threads) {
   const SelectJob job = job_of(gaussians, tree, view, threshold, rule, view_test);
   const AncestorTable table{ancestors.data(), int(ancestors.shape(1))};
   std::vector<int32_t> found;
@@ -125,13 +121,13 @@ void ask_rows(const SelectJob& job, const In<int32_t>& rows, Out<bool>& answers,
                   [&](int64_t begin, int64_t end) { ask(job, row + begin, end - begin, answer + begin); });
 }
 
-void small_of(nb::handle gaussians, nb::handle tree, In<int32_t> rows, In<double> view, double threshold, In<double> rule,
+void small_of(nb::handle gaussians, nb::handle tree, In<int32_t> rows, nb::handle view, double threshold, nb::handle rule,
               Out<bool> answers, int threads) {
-  ask_rows(job_of(gaussians, tree, view, threshold, rule, UNSEEN_TOO), rows, answers, threads, kernels().small_rows);
+  ask_rows(job_of(gaussians, tree, view, threshold, rule, "none"), rows, answers, threads, kernels().small_rows);
 }
 
-void visible_of(nb::handle gaussians, nb::handle tree, In<int32_t> rows, In<double> view, double threshold, In<double> rule,
-                int view_test, Out<bool> answers, int threads) {
+void visible_of(nb::handle gaussians, nb::handle tree, In<int32_t> rows, nb::handle view, double threshold, nb::handle rule,
+                const std::string& view_test, Out<bool> answers, int threads) {
   ask_rows(job_of(gaussians, tree, view, threshold, rule, view_test), rows, answers, threads, kernels().visible_rows);
 }
 

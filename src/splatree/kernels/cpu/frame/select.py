@@ -1,6 +1,7 @@
 """Choose the visible cut by blocks: glue over select.cpp; kernels/reference/select.py is the definition."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -8,7 +9,7 @@ from splatree.constants import CENTRE_PAD, DILATION_PX2, EIGENVALUE_FLOOR_PX4, S
 from splatree.errors import InputError
 from splatree.kernels.cpu import _core
 from splatree.kernels.cpu.frame.blocks import index_blocks
-from splatree.kernels.cpu.frame.view import pack_view
+from splatree.kernels.cpu.frame.view import PackedView, pack_view
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.options import SelectOptions
 from splatree.scene.tree import BlockIndex, GaussianTree
@@ -16,7 +17,7 @@ from splatree.scene.view import View
 from splatree.shapes import Array, Bool, Float64, Int32
 
 __all__ = [
-    "VIEW_TESTS",
+    "PackedRule",
     "ancestor_table",
     "is_culled",
     "pack_rule",
@@ -27,8 +28,6 @@ __all__ = [
     "visible",
 ]
 
-VIEW_TESTS = ("footprint", "centre", "none")
-"""In the order of the enumeration ViewTest in cpu/frame/select.h."""
 CULL_BELOW_PX = 1e6
 """Largest τ_R for which blocks are tested against the image: drawn inner nodes reach out of their block by as much."""
 BORDER_PX = 1.0
@@ -60,7 +59,7 @@ def select(
         packed,
         view.least_threshold,
         pack_rule(view, options),
-        VIEW_TESTS.index(options.view_test),
+        options.view_test,
         is_culled(options),
         runs,
         *view_planes(view, options, packed),
@@ -99,7 +98,7 @@ def select_by_ancestors(
         pack_view(view),
         view.least_threshold,
         pack_rule(view, options),
-        VIEW_TESTS.index(options.view_test),
+        options.view_test,
         options.rule == "cut",
         options.rule == "release",
         threads,
@@ -137,7 +136,7 @@ def visible(
     if options.view_test == "none":
         return np.ones(len(rows), bool)
     found = np.empty(len(rows), bool)
-    packed, rule, named = pack_view(view), pack_rule(view, options), VIEW_TESTS.index(options.view_test)
+    packed, rule, named = pack_view(view), pack_rule(view, options), options.view_test
     _core.visible_rows(gaussians, tree, rows, packed, view.least_threshold, rule, named, found, threads)
     return found
 
@@ -147,8 +146,37 @@ def is_culled(options: SelectOptions) -> bool:
     return bool(options.view_test != "none" and options.pixel_error < CULL_BELOW_PX)
 
 
-def pack_rule(view: View, options: SelectOptions) -> Float64[Array, "12"]:
-    """The numbers of the struct SelectRule in shared/select.h, in the order of bind_select.cpp."""
+class PackedRule(NamedTuple):
+    """The numbers of the struct SelectRule in shared/select.h, by their names there."""
+
+    limit: float
+    """(τ_R / 3)², px²."""
+    add: float
+    """Variance added to both axes before sizes are compared, px²."""
+    least_diagonal: float
+    """Least variance of both axes, px²."""
+    floor: float
+    """Under the root of the larger eigenvalue, px⁴."""
+    pixel_error: float
+    """τ_R, px."""
+    focal_max: float
+    """The larger focal length, px."""
+    focal_min: float
+    """The smaller one, px."""
+    k_max: float
+    """Standard deviations at which an opacity of 1 falls to τ."""
+    logit_min: float
+    """Logit of the least opacity that is drawn."""
+    pad_x: float
+    """Distance outside of the image, along x, at which a centre still counts as inside, px."""
+    pad_y: float
+    """The same along y."""
+    sphere: bool
+    """Whether a node's size is that of its sphere."""
+
+
+def pack_rule(view: View, options: SelectOptions) -> PackedRule:
+    """The numbers that the kernels take of the options."""
     camera, dilation_px2, threshold = view.camera, view.dilation_px2, view.least_threshold
     focal = camera.K[0, 0], camera.K[1, 1]
     limit = (options.pixel_error / SIGMAS) ** 2
@@ -157,8 +185,8 @@ def pack_rule(view: View, options: SelectOptions) -> Float64[Array, "12"]:
     # Opacities are compared as logits; the slack of 1e-3 covers the rounding of the sigmoid in the projection.
     logit_min = np.log(threshold / (1 - threshold)) - 1e-3
     pads = CENTRE_PAD * camera.width / 2, CENTRE_PAD * camera.height / 2
-    sizes = [limit, *added, floor, options.pixel_error, max(focal), min(focal), _reach_of_opaque(threshold)]
-    return np.array([*sizes, logit_min, *pads, options.resolved_profile == "sphere"], np.float64)
+    sizes = limit, *added, floor, options.pixel_error, max(focal), min(focal), _reach_of_opaque(threshold)
+    return PackedRule(*sizes, logit_min, *pads, options.resolved_profile == "sphere")
 
 
 def _reach_of_opaque(threshold: float) -> float:
@@ -167,7 +195,7 @@ def _reach_of_opaque(threshold: float) -> float:
 
 
 def view_planes(
-    view: View, options: SelectOptions, packed: Float64[Array, "25"]
+    view: View, options: SelectOptions, packed: PackedView
 ) -> tuple[Float64[Array, "11 4"], Float64[Array, "5"]]:
     """The struct ViewPlanes of cpu/frame/select.h as rows (n, d) of n·p + d, and how far a unit of σ reaches over each side.
 
@@ -187,8 +215,10 @@ def view_planes(
     k = _reach_of_opaque(view.least_threshold) if footprint else 0.0
     largest = min(options.pixel_error, CULL_BELOW_PX)  # beyond that the sides are not asked
     own_reach = k * math.sqrt((largest / SIGMAS) ** 2 + view.dilation_px2)
-    min_x, max_x, min_y, max_y = packed[19:23].tolist()
-    slopes = max(abs(min_x), abs(max_x)), max(abs(min_y), abs(max_y))
+    slopes = (
+        max(abs(packed.slope_min_x), abs(packed.slope_max_x)),
+        max(abs(packed.slope_min_y), abs(packed.slope_max_y)),
+    )
     outside, inside, reach = [], [], []
     for axis, size in ((0, camera.width), (1, camera.height)):
         focal, centre = float(camera.K[axis, axis]), float(camera.K[axis, 2])

@@ -2,39 +2,63 @@
 #pragma once
 #include <cmath>
 
+#include "cpu/runtime/structs.h"
 #include "shared/select.h"
 
 namespace splatree {
 
-// The rule of the squares from the doubles that kernels/cpu/frame/view.py packs.
-inline Square square_of(const double* v) { return {float(std::log2(v[0])), float(v[1]), float(v[2]), float(v[3]), float(v[4])}; }
+// The number `name` of a struct, as a float.
+inline float number_of(nb::handle owner, const char* name) { return float(nb::cast<double>(owner.attr(name))); }
 
-// The view from the doubles that kernels/cpu/frame/view.py packs, in their order.
-inline View view_of(const double* v, double threshold, bool antialiased) {
+// The rule of the squares from SquareRule of Python.
+inline Square square_of(nb::handle rule) {
+  return {float(std::log2(nb::cast<double>(rule.attr("threshold")))), number_of(rule, "energy_min"), number_of(rule, "ratio_min"),
+          number_of(rule, "pad_px"), number_of(rule, "eigenvalue_floor_px4")};
+}
+
+// The view from PackedView of kernels/cpu/frame/view.py.
+inline View view_of(nb::handle packed, double threshold, bool antialiased) {
   View view{};
-  for (int i = 0; i < 9; ++i) view.rotation[i] = float(*v++);
+  const double* rotation = column<double>(packed, "rotation");
+  for (int i = 0; i < 9; ++i) view.rotation[i] = float(rotation[i]);
+  const double* center = column<double>(packed, "center");
   for (int i = 0; i < 3; ++i) {
-    view.center_high[i] = float(*v);
-    view.center_low[i] = float(*v - view.center_high[i]);
-    ++v;
+    float high = float(center[i]);
+    // GCC 12 makes vectors of these statements and takes a double rounded to float and back for the double itself: low would be
+    // 0.
+    asm("" : "+m"(high));
+    view.center_high[i] = high;
+    view.center_low[i] = float(center[i] - double(high));
   }
-  float* const rest[] = {&view.fx,          &view.fy,       &view.cx,          &view.cy,          &view.width,
-                         &view.height,      &view.near,     &view.slope_min_x, &view.slope_max_x, &view.slope_min_y,
-                         &view.slope_max_y, &view.dilation, &view.sigma_max};
-  for (float* field : rest) *field = float(*v++);
+  view.fx = number_of(packed, "fx"), view.fy = number_of(packed, "fy");
+  view.cx = number_of(packed, "cx"), view.cy = number_of(packed, "cy");
+  view.width = number_of(packed, "width"), view.height = number_of(packed, "height");
+  view.near = number_of(packed, "near");
+  view.slope_min_x = number_of(packed, "slope_min_x"), view.slope_max_x = number_of(packed, "slope_max_x");
+  view.slope_min_y = number_of(packed, "slope_min_y"), view.slope_max_y = number_of(packed, "slope_max_y");
+  view.dilation = number_of(packed, "dilation");
+  view.sigma_max = number_of(packed, "sigma_max");
   view.least_opacity = float(threshold);
   view.log2_threshold = float(std::log2(threshold));
   view.antialiased = antialiased;
   return view;
 }
 
-// The rule from the doubles that kernels/cpu/frame/select.py packs.
-inline SelectRule rule_of(const double* v) {
+constexpr Choice<ViewTest> VIEW_TESTS[] = {{"footprint", FOOTPRINT}, {"centre", CENTRE}, {"none", UNSEEN_TOO}};
+
+// The rule from PackedRule of kernels/cpu/frame/select.py.
+inline SelectRule rule_of(nb::handle packed) {
   SelectRule rule{};
-  float* const fields[] = {&rule.limit,     &rule.add,   &rule.least_diagonal, &rule.floor, &rule.pixel_error, &rule.focal_max,
-                           &rule.focal_min, &rule.k_max, &rule.logit_min,      &rule.pad_x, &rule.pad_y};
-  for (float* field : fields) *field = float(*v++);
-  rule.sphere = *v++ != 0;
+  rule.limit = number_of(packed, "limit");
+  rule.add = number_of(packed, "add");
+  rule.least_diagonal = number_of(packed, "least_diagonal");
+  rule.floor = number_of(packed, "floor");
+  rule.pixel_error = number_of(packed, "pixel_error");
+  rule.focal_max = number_of(packed, "focal_max"), rule.focal_min = number_of(packed, "focal_min");
+  rule.k_max = number_of(packed, "k_max");
+  rule.logit_min = number_of(packed, "logit_min");
+  rule.pad_x = number_of(packed, "pad_x"), rule.pad_y = number_of(packed, "pad_y");
+  rule.sphere = nb::cast<bool>(packed.attr("sphere"));
   return rule;
 }
 

@@ -1,18 +1,55 @@
 """A camera as the compiled kernels take it: the struct View in shared/project.h."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from splatree.constants import DILATION_MIN_PX2, FRUSTUM_CLAMP, SIGMA_MAX_PX
 from splatree.errors import InputError
-from splatree.kernels.reference.square import rule_of
+from splatree.kernels.reference.square import SquareRule, rule_of
 from splatree.scene.view import View
 from splatree.shapes import Array, Float64
 
-__all__ = ["pack_square", "pack_view"]
+__all__ = ["PackedView", "pack_square", "pack_view"]
 
 
-def pack_view(view: View) -> Float64[Array, "25"]:
-    """The numbers of the struct View, in its order."""
+class PackedView(NamedTuple):
+    """The numbers of the struct View in shared/project.h, by their names there."""
+
+    rotation: Float64[Array, "3 3"]
+    """Of the camera, row by row."""
+    center: Float64[Array, "3"]
+    """Of the camera in the world."""
+    fx: float
+    """Focal length along x, px."""
+    fy: float
+    """The same along y."""
+    cx: float
+    """Principal point along x, px."""
+    cy: float
+    """The same along y."""
+    width: float
+    """Of the image, px."""
+    height: float
+    """The same along y."""
+    near: float
+    """Distance of the near plane."""
+    slope_min_x: float
+    """Least slope x / z of the Jacobian."""
+    slope_max_x: float
+    """The largest."""
+    slope_min_y: float
+    """Least slope y / z of the Jacobian."""
+    slope_max_y: float
+    """The largest."""
+    dilation: float
+    """Variance added to splats, px²."""
+    sigma_max: float
+    """Largest scale that is drawn, in units of the distance."""
+
+
+def pack_view(view: View) -> PackedView:
+    """The numbers that the kernels take of a view."""
     camera, dilation_px2 = view.camera, view.dilation_px2
     if camera.lens is not None:
         raise InputError(
@@ -23,10 +60,16 @@ def pack_view(view: View) -> Float64[Array, "25"]:
     # Not −Rᵀt: the rotation may be off by 1e-4, and then the pixels of far Gaussians would move.
     center = np.linalg.solve(rotation, -translation)
     (fx, _, cx), (_, fy, cy), _ = camera.K.tolist()
-    size = [camera.width, camera.height, camera.near]
-    slopes = [*_slopes(fx, cx, camera.width), *_slopes(fy, cy, camera.height)]
-    limits = [max(dilation_px2, DILATION_MIN_PX2), SIGMA_MAX_PX / max(fx, fy)]
-    return np.array([*rotation.ravel().tolist(), *center.tolist(), fx, fy, cx, cy, *size, *slopes, *limits], np.float64)
+    return PackedView(
+        np.ascontiguousarray(rotation, np.float64),
+        np.ascontiguousarray(center, np.float64),
+        *(fx, fy, cx, cy),
+        *(camera.width, camera.height, camera.near),
+        *_slopes(fx, cx, camera.width),
+        *_slopes(fy, cy, camera.height),
+        max(dilation_px2, DILATION_MIN_PX2),
+        SIGMA_MAX_PX / max(fx, fy),
+    )
 
 
 def _slopes(focal: float, centre: float, size: int) -> tuple[float, float]:
@@ -36,8 +79,6 @@ def _slopes(focal: float, centre: float, size: int) -> tuple[float, float]:
     return -before - margin, after + margin
 
 
-def pack_square(view: View) -> Float64[Array, "5"] | None:
-    """The numbers of the struct Square, in its order; None if the tile rule lists no square."""
-    if not view.is_square:
-        return None
-    return np.array(rule_of(view), np.float64)
+def pack_square(view: View) -> SquareRule | None:
+    """The rule of the squares; None if the tile rule lists none."""
+    return rule_of(view) if view.is_square else None
