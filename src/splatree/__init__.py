@@ -54,8 +54,9 @@ if TYPE_CHECKING:
     from splatree.render.evaluate import Evaluation, evaluate
     from splatree.render.framing.frame import Framing, frame_scene
     from splatree.render.paths import PathOptions, flyout, orbit, through, turn
+    from splatree.render.pending import Pending
     from splatree.render.pipeline import render, trace
-    from splatree.render.session import Pending, Session, open_session
+    from splatree.render.session import Session, open_session
     from splatree.render.tensors import TensorScene, scene_from_tensors
     from splatree.render.timing import Timing, time_frames
     from splatree.render.video import open_video
@@ -227,7 +228,7 @@ _HOME = {
     "MissingExtraError": "splatree.errors",
     "OutputError": "splatree.errors",
     "PathOptions": "splatree.render.paths",
-    "Pending": "splatree.render.session",
+    "Pending": "splatree.render.pending",
     "ReadOptions": "splatree.io.options",
     "RenderOptions": "splatree.scene.options",
     "RenderResult": "splatree.scene.frame",

@@ -43,7 +43,7 @@ def test_kernels_read_the_tensors_where_they_lie(wrap: Any, columns: dict[str, D
     wanted = st.render(st.Scene.flat(gaussians(200, 1, degree=2)), camera())
     with st.open_session(scene) as session:
         found = session.draw_on_device(camera())
-        held = session._held.scene.arrays
+        held = session._engine.held.scene.arrays
     assert st.psnr(found.image.numpy(), wanted.image) > 90
     assert {name: held[name].pointer for name in NAMES} == {name: columns[name].pointer for name in NAMES}
 

@@ -12,8 +12,8 @@
 What a session makes once: the copies of the columns on a device, its arrays for a frame, the index of the blocks. What it makes
 a frame: a `View`, in which nothing is left open, and from it the frame. `render` and `trace` open a session, draw and close it.
 
-Back ends (kernels/contract.py) that hold scenes draw a frame as one piece of work, if the rule is `cut` and no budget is to be
-met; otherwise rows are chosen first and then drawn. All others draw stage by stage. The session never asks which device it is.
+How a view is drawn is in render/engine.py. A session adds that any thread may call, that views can be asked for ahead, and
+that cameras may have a lens. It never asks which device it is.
 """
 
 import threading
@@ -22,33 +22,27 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
 from types import TracebackType
-from typing import Any, TypeGuard, cast
+from typing import Any
 from weakref import WeakSet
 
-import numpy as np
-
-from splatree.errors import InputError, SplatreeError
-from splatree.kernels.contract import FrameStages, HeldScene
-from splatree.kernels.devices import DeviceName, feature_of, stages_of
-from splatree.kernels.reference.select import in_runs
-from splatree.lod.blocks import with_blocks
-from splatree.lod.select import Selector, cull_rule, cull_scene, for_levels, notes_on
-from splatree.lod.select import select as select_rows
+from splatree.errors import InputError
+from splatree.kernels.contract import FrameStages
+from splatree.kernels.devices import DeviceName
+from splatree.lod.select import Selector
+from splatree.render.engine import Engine
 from splatree.render.lens import pinhole_of, through_lens
-from splatree.render.stages import Clock, draw_rows, frame_of, result_of
+from splatree.render.pending import Pending
+from splatree.render.stages import Clock
 from splatree.render.tensors import TensorScene
-from splatree.render.updates import updated_scene
 from splatree.scene.cameras import Camera
-from splatree.scene.clusters import Culling
 from splatree.scene.frame import Frame, RenderResult, Selection
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.options import RenderOptions, SelectOptions
 from splatree.scene.scene import Scene
-from splatree.scene.tree import BlockIndex, GaussianTree
 from splatree.scene.view import View, Wanted, view_of
-from splatree.shapes import Array, Int32
+from splatree.shapes import Array
 
-__all__ = ["Pending", "Session", "open_session"]
+__all__ = ["NOTHING", "Session", "open_session"]
 
 NOTHING = Wanted()
 """No output beside colour, alpha and depth."""
@@ -92,39 +86,6 @@ def open_session(
     return Session(scene, device or "cpu", (options, select), threads=threads, columns=columns)
 
 
-class Pending:
-    """A view that a session was asked to draw."""
-
-    def __init__(self, draw: Callable[[], RenderResult]) -> None:
-        self._draw: Callable[[], RenderResult] | None = draw
-        self._result: RenderResult | None = None
-        self._error: SplatreeError | None = None
-        self._lock = threading.Lock()
-
-    def wait(self) -> None:
-        """Return when the view is drawn, or cannot be."""
-        with self._lock:
-            if self._draw is None:
-                return
-            try:
-                self._result = self._draw()
-            except SplatreeError as error:
-                self._error = error
-            self._draw = None
-
-    def result(self) -> RenderResult:
-        """Wait for the picture; the same object at each call.
-
-        Raises:
-            SplatreeError: what `Session.draw` would have raised.
-        """
-        self.wait()
-        if self._error is not None:
-            raise self._error
-        assert self._result is not None
-        return self._result
-
-
 class Session:
     """Draws views of one scene on one device; `open_session` makes it. Any thread may call; one call works at a time."""
 
@@ -138,16 +99,9 @@ class Session:
         columns: Mapping[str, Any] | None = None,
     ) -> None:
         """``defaults`` are options of the drawing and the selection; ``columns`` lie on the device already."""
-        self.device, self._threads = device, threads
+        self.device = device
         self._options, self._select = defaults
-        self._stages: FrameStages = stages_of(device)
-        self._scene = with_blocks(scene, threads=threads)
-        self._held: HeldScene | None = None
-        hold = feature_of(device, "hold")
-        if hold is not None:
-            parts = (self._scene.gaussians, self._scene.ids, self._scene.tree, self._scene.blocks)
-            self._held = cast(HeldScene, hold(*parts, columns or {}))
-            self._stages = cast(FrameStages, _HeldStages(self._held, self._stages))
+        self._engine = Engine(scene, device, columns or {}, threads=threads)
         self._lock = threading.RLock()
         self._worker: ThreadPoolExecutor | None = None
         self._pending: WeakSet[Pending] = WeakSet()
@@ -156,21 +110,21 @@ class Session:
     @property
     def scene(self) -> Scene:
         """What is drawn, with the index of its blocks; without it after an update that kept the old one."""
-        return self._scene
+        return self._engine.scene
 
     @property
     def draws_whole_frames(self) -> bool:
         """Whether the device draws a frame as one piece of work; `trace` then takes longer than `draw`, which is the frame."""
-        return self._held is not None
+        return self._engine.held is not None
 
     @property
     def stages(self) -> FrameStages:
         """The stages of the back end, for programs that run some of them alone (kernels/contract.py)."""
-        return self._stages
+        return self._engine.stages
 
     def view(self, camera: Camera, options: RenderOptions | None = None, wanted: Wanted = NOTHING) -> View:
         """The view that a camera is drawn as; of a camera with a lens, that of the pinhole that stands for it."""
-        return view_of(self._scene, pinhole_of(camera), options or self._options, wanted)
+        return view_of(self._engine.scene, pinhole_of(camera), options or self._options, wanted)
 
     def draw(
         self,
@@ -198,9 +152,8 @@ class Session:
             coarse = session.draw(camera, select=st.SelectOptions(pixel_error=8)).image
         """
         with self._working():
-            view, chosen = self._settled(camera, options, select, NOTHING)
-            drawn = self._enqueued(view, chosen)() if self._is_whole(chosen) else self._traced(view, chosen).result
-            return through_lens(drawn, view.camera, camera)
+            view, chosen = self._settled(camera, options, select)
+            return through_lens(self._engine.draw(view, chosen), view.camera, camera)
 
     def enqueue(
         self,
@@ -220,13 +173,13 @@ class Session:
             images = [view.result().image for view in pending]
         """
         with self._working():
-            view, chosen = self._settled(camera, options, select, NOTHING)
-            if self._is_whole(chosen):
-                drawn = self._enqueued(view, chosen)
+            view, chosen = self._settled(camera, options, select)
+            if self._engine.is_whole(chosen):
+                drawn = self._in_turn(self._engine.enqueue(view, chosen))
             else:
                 if self._worker is None:
                     self._worker = ThreadPoolExecutor(1, "splatree-session")
-                drawn = self._worker.submit(self._draw_later, view, chosen).result
+                drawn = self._worker.submit(self._in_turn(lambda: self._engine.draw(view, chosen))).result
             pending = Pending(lambda: through_lens(drawn(), view.camera, camera))
             self._pending.add(pending)
             return pending
@@ -260,7 +213,7 @@ class Session:
             last = session.trace(camera, st.Wanted(last_pair=True)).picture.last_pair
         """
         with self._working():
-            frame = self._traced(*self._settled(camera, options, select, wanted))
+            frame = self._engine.trace(*self._settled(camera, options, select, wanted))
             return replace(frame, result=through_lens(frame.result, frame.camera, camera))
 
     def select(
@@ -280,7 +233,7 @@ class Session:
             num_nodes = len(session.select(camera))
         """
         with self._working():
-            return self._chosen(*self._settled(camera, options, select, NOTHING), Clock())[1]
+            return self._engine.choose(*self._settled(camera, options, select), Clock())[1]
 
     def draw_on_device(
         self,
@@ -303,14 +256,14 @@ class Session:
             image = torch.from_dlpack(session.draw_on_device(camera).image)
         """
         with self._working():
-            view, chosen = self._settled(camera, options, select, NOTHING)
-            if self._held is None:
+            view, chosen = self._settled(camera, options, select)
+            if self._engine.held is None:
                 raise InputError(f"draw_on_device: device {self.device!r} has no memory of its own; use draw")
             if camera.lens is not None:
                 raise InputError(f"draw_on_device: camera {camera.name!r}: found a lens, wanted a pinhole; use draw")
-            if not self._is_whole(chosen):
+            if not self._engine.is_whole(chosen):
                 raise InputError("draw_on_device: found a budget, a baseline or another rule than 'cut'; use draw")
-            return self._held.enqueue(view, chosen).finish()
+            return self._engine.held.enqueue(view, chosen).finish()
 
     def update(self, columns: Gaussians | Mapping[str, Array], *, keep_index: bool = False) -> None:
         """Replace columns of the Gaussians; rows, tree and their order stay. Views asked for before show the old columns.
@@ -330,10 +283,7 @@ class Session:
         """
         self._wait_for_pending()
         with self._working():
-            scene, names = updated_scene(self._scene, columns, keep_index=keep_index, threads=self._threads)
-            self._scene = scene
-            if self._held is not None:
-                self._held.update(scene.gaussians, scene.blocks, names)
+            self._engine.update(columns, keep_index=keep_index)
 
     def close(self) -> None:
         """Give back what the session holds, after the views asked for were drawn; a closed session cannot draw."""
@@ -342,7 +292,7 @@ class Session:
         self._wait_for_pending()
         if self._worker is not None:
             self._worker.shutdown()
-        self._held = None
+        self._engine.held = None
 
     def __enter__(self) -> "Session":
         return self
@@ -369,105 +319,17 @@ class Session:
         camera: Camera,
         options: RenderOptions | None,
         select: SelectOptions | Selector | None,
-        wanted: Wanted,
+        wanted: Wanted = NOTHING,
     ) -> tuple[View, SelectOptions | Selector]:
-        """The view, and the options of the selection with what follows from the scene and from how it is drawn."""
+        """The view and the choice of nodes for one call."""
         view = self.view(camera, options, wanted)
-        chosen = select or self._select or SelectOptions()
-        if isinstance(chosen, SelectOptions):
-            chosen = for_levels(chosen, self._scene)
-            if chosen.view_test == "footprint" and view.is_square:
-                # Footprints are ellipses; the projection drops what squares do not show.
-                chosen = replace(chosen, view_test="none")
-        return view, chosen
+        return view, self._engine.settled(select or self._select or SelectOptions(), view)
 
-    def _is_whole(self, select: SelectOptions | Selector) -> TypeGuard[SelectOptions]:
-        """Whether the device selects and draws as one piece of work; it tests blocks, so exact culling adds nothing."""
-        return (
-            self._held is not None
-            and self._scene.blocks is not None
-            and isinstance(select, SelectOptions)
-            and (select.rule, select.budget, select.max_radius) == ("cut", None, None)
-            and cull_rule(self._scene, select) in ("none", "exact")
-        )
+    def _in_turn(self, work: Callable[[], RenderResult]) -> Callable[[], RenderResult]:
+        """The same work, done when no other call is at work."""
 
-    def _enqueued(self, view: View, select: SelectOptions) -> Callable[[], RenderResult]:
-        """Let the device draw, and return what waits for the picture."""
-        assert self._held is not None
-        clock = Clock()
-        stop = clock.start("frame")
-        queued = self._held.enqueue(view, select)
-
-        def downloaded() -> RenderResult:
+        def in_turn() -> RenderResult:
             with self._lock:
-                picture, counts = queued.download()
-            stop()
-            return result_of(picture, (counts["num_selected"], counts["num_visible"], counts["num_pairs"]), clock)
+                return work()
 
-        return downloaded
-
-    def _draw_later(self, view: View, select: SelectOptions | Selector) -> RenderResult:
-        with self._lock:
-            return self._traced(view, select).result
-
-    def _traced(self, view: View, select: SelectOptions | Selector) -> Frame:
-        clock = Clock()
-        if self._held is None:
-            culling, selection = self._chosen(view, select, clock)
-            drawn = draw_rows(self._stages, self._scene, view, selection, clock, threads=self._threads)
-            return frame_of(view, culling, selection, drawn, clock)
-        culling = None
-        if self._is_whole(select):
-            traced = self._held.trace(view, select)
-            notes = notes_on(self._scene, select, select.pixel_error, view)
-            selection = Selection(
-                traced.rows, select.rule, select.resolved_profile, select.pixel_error, traced.num_visited, notes
-            )
-        else:
-            culling, selection = self._chosen(view, select, clock)
-            traced = self._held.trace(view, SelectOptions(), rows=selection.rows)
-        clock.milliseconds.update(traced.milliseconds)
-        clock.cpu_milliseconds.update(traced.cpu_milliseconds)
-        return frame_of(view, culling, selection, (traced.splats, traced.bins, traced.picture), clock)
-
-    def _chosen(self, view: View, select: SelectOptions | Selector, clock: Clock) -> tuple[Culling | None, Selection]:
-        """The rows to draw, and the clusters that were left out before."""
-        if not isinstance(select, SelectOptions):
-            with clock.timed("select"):
-                return None, select(view, threads=self._threads)
-        if self._scene.blocks is None:  # kept by an update: what the index says is of other columns
-            with clock.timed("select"):
-                rows = np.arange(len(self._scene), dtype=np.int32)
-                return None, Selection(rows, select.rule, select.resolved_profile, select.pixel_error, len(rows))
-        culling = None
-        if cull_rule(self._scene, select) != "none":
-            with clock.timed("cull"):
-                culling = cull_scene(self._scene, view, select, threads=self._threads)
-        with clock.timed("select"):
-            selection = select_rows(
-                self._scene, view, select, culling=culling, stages=self._stages, threads=self._threads
-            )
-        return culling, selection
-
-
-class _HeldStages:
-    """The stages of a back end whose selection reads the columns that a session holds on the device."""
-
-    def __init__(self, held: HeldScene, stages: FrameStages) -> None:
-        self._held = held
-        self.project, self.bin, self.blend = stages.project, stages.bin, stages.blend
-
-    def select(
-        self,
-        gaussians: Gaussians,
-        tree: GaussianTree,
-        blocks: BlockIndex | None,
-        view: View,
-        options: SelectOptions,
-        *,
-        runs: Int32[Array, "r 2"] | None = None,
-        threads: int = 0,
-    ) -> tuple[Int32[Array, "v"], int]:
-        """The rows of the cut; the Gaussians, their tree and blocks are those that are held."""
-        rows, num_visited = self._held.select(view, replace(options, budget=None, max_radius=None))
-        return (rows if runs is None else rows[in_runs(rows, runs)]), num_visited
+        return in_turn

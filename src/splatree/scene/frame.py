@@ -2,8 +2,9 @@
 
 `render` drops the intermediates, `trace` keeps them in a `Frame`; tests, overlays, evaluation and simulators read these.
 
-A picture can have more outputs than colour, alpha and depth. To add one: a field of `scene.view.Wanted` and one of `Picture`, its
-definition in kernels/reference/blend.py, its computation in kernels/cpu/frame/blend.{h,cpp} and kernels/cuda/blend.cu.
+A picture can have more outputs than colour, alpha and depth. To add one of each pixel: a field of `scene.view.Wanted`; one of
+`Picture` and its type in `PIXEL_OUTPUTS`; its definition in kernels/reference/blend.py; for the processor blend.h, blend.cpp and
+bind_render.cpp in kernels/cpu/frame; for a GPU job.h and blend.cu in kernels/cuda.
 """
 
 from dataclasses import dataclass
@@ -153,6 +154,10 @@ class TileWork:
 
     def __post_init__(self) -> None:
         check_fields(self)
+
+
+PIXEL_OUTPUTS: dict[str, type] = {"last_pair": np.int64, "median_depth": np.float32}
+"""Outputs of each pixel beside colour, alpha and depth, by the names of `Wanted` and `Picture`, and their types."""
 
 
 @dataclass(frozen=True, eq=False)

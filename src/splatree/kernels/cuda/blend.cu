@@ -7,7 +7,7 @@
 //            quarter is left out while it is loaded.
 //
 // Each is there once more for splats that are tapered off, and blend_16 for what is wanted beside the picture: pixels_16 for
-// outputs of pixels, pairs_16 for those and the sums of what each pair contributes.
+// outputs of pixels, pairs_16 for the sums of what each pair contributes, both_16 for both.
 //
 // The list is taken in batches: each thread loads a splat into shared memory. Then each warp tests 32 splats of the batch at
 // once, a splat a lane, against its own 8 × 4 px, and evaluates those that may touch them, nearest first. Bounds are widened by
@@ -98,7 +98,8 @@ template <int SIDE, class Ends, class Keeps>
 SPLATREE_FN void blend(const FrameJob* job, int from_b) {
   constexpr int THREADS = SIDE * SIDE, PARTS = int(TILE_PX) / SIDE;
   constexpr bool TAPER = Ends::TAPERS, CONTRIBUTIONS = Keeps::OF_PAIRS;
-  static_assert(PARTS == 1 || !Keeps::OF_PIXELS, "entries are known where no splat is left out while it is loaded");
+  static_assert(PARTS == 1 || !(Keeps::OF_PIXELS || Keeps::OF_PAIRS),
+                "entries are known where no splat is left out while it is loaded");
   SPLATREE_SHARED(float4, geometry, THREADS);    // x, y, a, b
   SPLATREE_SHARED(float4, appearance, THREADS);  // c, log2 opacity, half size x, half size y
   SPLATREE_SHARED(float4, color, THREADS);       // red, green, blue, depth
@@ -235,3 +236,5 @@ SPLATREE_KERNEL(256) pixels_16(const FrameJob* job, int from_b) { blend<16, Hard
 SPLATREE_KERNEL(256) pixels_taper_16(const FrameJob* job, int from_b) { blend<16, Taper, AndPixels>(job, from_b); }
 SPLATREE_KERNEL(256) pairs_16(const FrameJob* job, int from_b) { blend<16, Hard, AndPairs>(job, from_b); }
 SPLATREE_KERNEL(256) pairs_taper_16(const FrameJob* job, int from_b) { blend<16, Taper, AndPairs>(job, from_b); }
+SPLATREE_KERNEL(256) both_16(const FrameJob* job, int from_b) { blend<16, Hard, AndBoth>(job, from_b); }
+SPLATREE_KERNEL(256) both_taper_16(const FrameJob* job, int from_b) { blend<16, Taper, AndBoth>(job, from_b); }

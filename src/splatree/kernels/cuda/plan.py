@@ -112,7 +112,7 @@ def blend(sizes: Sizes, kernel: Blend, wanted: Wanted = NOTHING) -> list[Launch]
     blocks_per_tile = {"blend_16": 1, "blend_8": 4}[kernel]
     name = kernel.replace("blend", "taper") if sizes.tapers else kernel
     if wanted != NOTHING:
-        kept = "pairs" if wanted.contributions else "pixels"
+        kept = "pixels" if not wanted.contributions else "both" if wanted.of_pixels else "pairs"
         blocks_per_tile, name = 1, f"{kept}_taper_16" if sizes.tapers else f"{kept}_16"
     return [Launch(name, sizes.num_tiles * blocks_per_tile, pair_side(sizes))]
 

@@ -7,7 +7,7 @@ import numpy as np
 from splatree.kernels.cuda import plan
 from splatree.kernels.cuda.workspace import Workspace
 from splatree.scene.cameras import Camera
-from splatree.scene.frame import Splats, TileBins, TileWork, tiles_of
+from splatree.scene.frame import PIXEL_OUTPUTS, Splats, TileBins, TileWork, tiles_of
 from splatree.scene.view import View
 from splatree.shapes import Array, Bool, Int32
 
@@ -16,12 +16,11 @@ __all__ = ["prepare_outputs", "read_bins", "read_outputs", "read_splats", "tile_
 
 def prepare_outputs(work: Workspace, view: View, num_pairs: int) -> None:
     """Make room for what is wanted beside colour, alpha and depth; kernels of pixels write both of their outputs."""
-    if view.wanted == plan.NOTHING:
-        return
     if view.wanted.contributions:
         work.ensure("contributions", num_pairs).clear()
-    for name in ("last_pair", "median_depth"):
-        work.ensure(name, view.camera.width * view.camera.height)
+    if view.wanted.of_pixels:
+        for name in PIXEL_OUTPUTS:
+            work.ensure(name, view.camera.width * view.camera.height)
 
 
 def read_outputs(work: Workspace, view: View, num_pairs: int) -> dict[str, Any]:
@@ -31,15 +30,11 @@ def read_outputs(work: Workspace, view: View, num_pairs: int) -> dict[str, Any]:
     counts = work.arrays["tile_work"].numpy(3 * work.sizes.num_tiles)
     outputs: dict[str, Any] = {"tiles": tile_work_of(counts, is_exact=wanted.last_pair)}
 
-    def of_pixels(name: str, dtype: type) -> Array:
-        return work.arrays[name].numpy(size[0] * size[1]).reshape(size).astype(dtype)
-
     if wanted.contributions:
         outputs["contributions"] = np.ascontiguousarray(work.arrays["contributions"].numpy(num_pairs)[:, 0])
-    if wanted.last_pair:
-        outputs["last_pair"] = of_pixels("last_pair", np.int64)
-    if wanted.median_depth:
-        outputs["median_depth"] = of_pixels("median_depth", np.float32)
+    for name, kind in PIXEL_OUTPUTS.items():
+        if getattr(wanted, name):
+            outputs[name] = work.arrays[name].numpy(size[0] * size[1]).reshape(size).astype(kind)
     return outputs
 
 

@@ -11,7 +11,7 @@ struct Taper {
   static constexpr bool TAPERS = true;
 };
 
-// What is kept beside the picture: nothing; something of each pixel; also the contribution of each pair.
+// What is kept beside the picture: nothing; something of each pixel; the contribution of each pair; both.
 struct PictureAlone {
   static constexpr bool OF_PIXELS = false, OF_PAIRS = false;
 };
@@ -19,6 +19,9 @@ struct AndPixels {
   static constexpr bool OF_PIXELS = true, OF_PAIRS = false;
 };
 struct AndPairs {
+  static constexpr bool OF_PIXELS = false, OF_PAIRS = true;
+};
+struct AndBoth {
   static constexpr bool OF_PIXELS = true, OF_PAIRS = true;
 };
 

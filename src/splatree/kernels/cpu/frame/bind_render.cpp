@@ -13,6 +13,7 @@
 #include "cpu/runtime/arrays.h"
 #include "cpu/runtime/in_order.h"
 #include "cpu/runtime/isa.h"
+#include "cpu/runtime/structs.h"
 
 namespace splatree {
 namespace {
@@ -81,11 +82,11 @@ nb::ndarray<nb::numpy, int32_t, nb::ndim<1>> bin_splats(In<float> records, In<in
   return nb::ndarray<nb::numpy, int32_t, nb::ndim<1>>(pairs.release(), {num_pairs}, owner);
 }
 
+// `outputs` are arrays to fill by the names of Picture and TileWork; those that are not there are not wanted.
 void blend_tiles(In<float> records, In<int64_t> tile_start, In<int32_t> splat_from_pair, int num_tiles_x, int num_tiles_y,
-                 double threshold, std::optional<In<float>> floors, In<double> background, bool whole_tile, Out<float> image,
-                 Out<float> alpha, Out<float> depth, std::optional<Out<float>> contributions,
-                 std::optional<Out<int64_t>> last_pair, std::optional<Out<float>> median_depth, Out<int64_t> num_consumed,
-                 Out<int64_t> num_evaluated, Out<int64_t> num_blended, int threads) {
+                 double threshold, std::optional<In<float>> floors, In<double> background, bool whole_tile, nb::dict outputs,
+                 int threads) {
+  const auto alpha = nb::cast<Out<float>>(outputs["alpha"]);
   const int height = int(alpha.shape(0)), width = int(alpha.shape(1));
   const double* b = background.data();
   const BlendJob job{records.data(),
@@ -100,15 +101,15 @@ void blend_tiles(In<float> records, In<int64_t> tile_start, In<int32_t> splat_fr
                      {float(b[0]), float(b[1]), float(b[2])},
                      whole_tile,
                      threads,
-                     image.data(),
-                     alpha.data(),
-                     depth.data(),
-                     contributions ? contributions->data() : nullptr,
-                     last_pair ? last_pair->data() : nullptr,
-                     median_depth ? median_depth->data() : nullptr,
-                     num_consumed.data(),
-                     num_evaluated.data(),
-                     num_blended.data()};
+                     out_entry<float>(outputs, "image"),
+                     out_entry<float>(outputs, "alpha"),
+                     out_entry<float>(outputs, "depth"),
+                     out_entry<float>(outputs, "contributions"),
+                     out_entry<int64_t>(outputs, "last_pair"),
+                     out_entry<float>(outputs, "median_depth"),
+                     out_entry<int64_t>(outputs, "consumed"),
+                     out_entry<int64_t>(outputs, "evaluated"),
+                     out_entry<int64_t>(outputs, "blended")};
   nb::gil_scoped_release release;
   kernels().blend(job);
 }
@@ -128,9 +129,7 @@ void bind_render(nb::module_& m) {
         "Fill tile_start and return the splats of all tiles.");
   m.def("blend_tiles", &blend_tiles, nb::arg("records"), nb::arg("tile_start"), nb::arg("splat_from_pair"),
         nb::arg("num_tiles_x"), nb::arg("num_tiles_y"), nb::arg("threshold"), nb::arg("floors").none(), nb::arg("background"),
-        nb::arg("whole_tile"), nb::arg("image"), nb::arg("alpha"), nb::arg("depth"), nb::arg("contributions").none(),
-        nb::arg("last_pair").none(), nb::arg("median_depth").none(), nb::arg("num_consumed"), nb::arg("num_evaluated"),
-        nb::arg("num_blended"), nb::arg("threads"), "Blend all tiles and count the work of each.");
+        nb::arg("whole_tile"), nb::arg("outputs"), nb::arg("threads"), "Blend all tiles and count the work of each.");
 }
 
 }  // namespace splatree

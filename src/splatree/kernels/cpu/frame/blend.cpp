@@ -91,14 +91,23 @@ SPLATREE_FN int load_brush(const float* record, float x, float y, float log2_thr
   return touched;
 }
 
+// Notes which pixels an entry finished, or brought below half of the light; both happen once a pixel.
+void note_turns(const float* before, const float* after, int32_t entry, float depth, int block, Pixels& pixels) {
+  for (int l = 0; l < LANES; ++l) {
+    if (before[l] > 0.f && after[l] < 0.f) pixels.finisher[block][l] = entry;
+    if (before[l] >= HALF_TRANSMITTANCE && after[l] < HALF_TRANSMITTANCE && after[l] >= 0.f) pixels.median[block][l] = depth;
+  }
+}
+
 template <class Ends, class Keeps>
 SPLATREE_FN void blend_block(Brush& brush, int block, const Limits& limits, int32_t entry, Tile& tile, Pixels& pixels) {
   const float u_of_block = brush.u_of_block[block], v_of_block = brush.v_of_block[block];
   float* transmittance = tile.transmittance[block];
   float *red = tile.red[block], *green = tile.green[block], *blue = tile.blue[block], *depth = tile.depth[block];
-  int32_t *last = pixels.last[block], *finisher = pixels.finisher[block];
-  float* median = pixels.median[block];
-#pragma omp simd
+  int32_t* last = pixels.last[block];
+  float light[LANES];  // transmittance before the splat
+  int turned = 0;      // whether a pixel was finished, or lost half of its light
+#pragma omp simd reduction(| : turned)
   for (int l = 0; l < LANES; ++l) {
     const float u = u_of_block + brush.u_of_lane[l], v = v_of_block + brush.v_of_lane[l];
     const float log2_alpha = brush.log2_opacity - (u * u + v * v);
@@ -121,10 +130,11 @@ SPLATREE_FN void blend_block(Brush& brush, int block, const Limits& limits, int3
     if (Keeps::OF_PAIRS) brush.contribution[l] += weight;
     if (Keeps::OF_PIXELS) {
       last[l] = drawn ? entry : last[l];
-      finisher[l] = seen & !drawn ? entry : finisher[l];
-      median[l] = drawn & (before >= HALF_TRANSMITTANCE) & (after < HALF_TRANSMITTANCE) ? brush.depth : median[l];
+      light[l] = before;
+      turned |= (seen & !drawn) | ((before >= HALF_TRANSMITTANCE) & (after < HALF_TRANSMITTANCE)) ? 1 : 0;
     }
   }
+  if (Keeps::OF_PIXELS && turned) note_turns(light, transmittance, entry, brush.depth, block, pixels);
 }
 
 int64_t smallest(int64_t a, int64_t b, int64_t c) {
@@ -254,12 +264,11 @@ void blend_all(const BlendJob& job) {
 
 template <class Ends>
 void blend_keeping(const BlendJob& job) {
+  const bool of_pixels = job.last_pair || job.median_depth;
   if (job.contributions)
-    blend_all<Ends, AndPairs>(job);
-  else if (job.last_pair || job.median_depth)
-    blend_all<Ends, AndPixels>(job);
+    of_pixels ? blend_all<Ends, AndBoth>(job) : blend_all<Ends, AndPairs>(job);
   else
-    blend_all<Ends, PictureAlone>(job);
+    of_pixels ? blend_all<Ends, AndPixels>(job) : blend_all<Ends, PictureAlone>(job);
 }
 
 }  // namespace

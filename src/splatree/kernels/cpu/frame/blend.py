@@ -3,7 +3,7 @@
 import numpy as np
 
 from splatree.kernels.cpu import _core
-from splatree.scene.frame import Picture, Splats, TileBins, TileWork
+from splatree.scene.frame import PIXEL_OUTPUTS, Picture, Splats, TileBins, TileWork
 from splatree.scene.view import View
 
 __all__ = ["blend"]
@@ -15,14 +15,13 @@ def blend(splats: Splats, bins: TileBins, view: View, *, threads: int = 0, whole
     ``whole_tile`` evaluates a splat in all blocks of a tile instead of those that its ellipse touches: more work, the same
     picture.
     """
-    size, wanted = (view.camera.height, view.camera.width), view.wanted
-    image = np.empty((*size, 3), np.float32)
-    alpha, depth = (np.empty(size, np.float32) for _ in range(2))
-    consumed, evaluated, blended = (np.empty(bins.num_tiles_x * bins.num_tiles_y, np.int64) for _ in range(3))
-    work = TileWork(consumed, evaluated, blended, is_exact=wanted.last_pair)
-    contributions = np.empty(bins.num_pairs, np.float32) if wanted.contributions else None
-    last_pair = np.empty(size, np.int64) if wanted.last_pair else None
-    median_depth = np.empty(size, np.float32) if wanted.median_depth else None
+    size, wanted, num_tiles = (view.camera.height, view.camera.width), view.wanted, len(bins.tile_start) - 1
+    outputs = {"image": np.empty((*size, 3), np.float32)}
+    outputs |= {name: np.empty(size, np.float32) for name in ("alpha", "depth")}
+    if wanted.contributions:
+        outputs["contributions"] = np.empty(bins.num_pairs, np.float32)
+    outputs |= {name: np.empty(size, kind) for name, kind in PIXEL_OUTPUTS.items() if getattr(wanted, name)}
+    work = {name: np.empty(num_tiles, np.int64) for name in ("consumed", "evaluated", "blended")}
     _core.blend_tiles(
         splats.records,
         bins.tile_start,
@@ -33,15 +32,7 @@ def blend(splats: Splats, bins: TileBins, view: View, *, threads: int = 0, whole
         bins.floors,
         np.asarray(view.background, np.float64),
         whole_tile,
-        image,
-        alpha,
-        depth,
-        contributions,
-        last_pair,
-        median_depth,
-        work.consumed,
-        work.evaluated,
-        work.blended,
+        outputs | work,
         threads,
     )
-    return Picture(image, alpha, depth, work, contributions, last_pair, median_depth)
+    return Picture(**outputs, tiles=TileWork(**work, is_exact=wanted.last_pair))

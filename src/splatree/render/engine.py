@@ -1,0 +1,154 @@
+"""One scene on one device, drawn view by view: what a session does, without its locks and its queue.
+
+A frame is culled, selected and drawn. A device that holds the scene (kernels/contract.py: `HeldScene`) does all of it as one
+piece of work if the rule is `cut` and no budget is to be met; otherwise rows are chosen first and then drawn there. All other
+devices draw stage by stage. `Engine.choose` is the one place where rows come from.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any, TypeGuard, cast
+
+import numpy as np
+
+from splatree.kernels.contract import FrameStages, HeldScene
+from splatree.kernels.devices import DeviceName, feature_of, stages_of
+from splatree.kernels.reference.select import in_runs
+from splatree.lod.blocks import with_blocks
+from splatree.lod.select import Selector, cull_rule, cull_scene, for_levels, notes_on
+from splatree.lod.select import select as select_rows
+from splatree.render.stages import Clock, draw_rows, frame_of, result_of
+from splatree.render.updates import updated_scene
+from splatree.scene.clusters import Culling
+from splatree.scene.frame import Frame, RenderResult, Selection
+from splatree.scene.gaussians import Gaussians
+from splatree.scene.options import SelectOptions
+from splatree.scene.scene import Scene
+from splatree.scene.tree import BlockIndex, GaussianTree
+from splatree.scene.view import View
+from splatree.shapes import Array, Int32
+
+__all__ = ["Engine"]
+
+
+class Engine:
+    """A scene on a device; one call at a time."""
+
+    def __init__(self, scene: Scene, device: DeviceName, columns: Mapping[str, Any], *, threads: int = 0) -> None:
+        """``columns`` of the Gaussians lie on the device already; ``threads`` 0 means all there are."""
+        self.scene = with_blocks(scene, threads=threads)
+        self.stages: FrameStages = stages_of(device)
+        self.held: HeldScene | None = None
+        self._threads = threads
+        hold = feature_of(device, "hold")
+        if hold is not None:
+            parts = (self.scene.gaussians, self.scene.ids, self.scene.tree, self.scene.blocks)
+            self.held = cast(HeldScene, hold(*parts, columns))
+            self.stages = cast(FrameStages, _HeldStages(self.held, self.stages))
+
+    def settled(self, select: SelectOptions | Selector, view: View) -> SelectOptions | Selector:
+        """The options of the selection with what follows from the scene and from how the view is drawn."""
+        if not isinstance(select, SelectOptions):
+            return select
+        select = for_levels(select, self.scene)
+        if select.view_test == "footprint" and view.is_square:
+            # Footprints are ellipses; the projection drops what squares do not show.
+            select = replace(select, view_test="none")
+        return select
+
+    def is_whole(self, select: SelectOptions | Selector) -> TypeGuard[SelectOptions]:
+        """Whether the device selects and draws as one piece of work; it tests blocks, so exact culling adds nothing."""
+        return (
+            self.held is not None
+            and self.scene.blocks is not None
+            and isinstance(select, SelectOptions)
+            and (select.rule, select.budget, select.max_radius) == ("cut", None, None)
+            and cull_rule(self.scene, select) in ("none", "exact")
+        )
+
+    def enqueue(self, view: View, select: SelectOptions) -> Callable[[], RenderResult]:
+        """Let the device select and draw, and return what waits for the picture."""
+        assert self.held is not None
+        clock = Clock()
+        stop = clock.start("frame")
+        queued = self.held.enqueue(view, select)
+
+        def downloaded() -> RenderResult:
+            picture, counts = queued.download()
+            stop()
+            return result_of(picture, (counts["num_selected"], counts["num_visible"], counts["num_pairs"]), clock)
+
+        return downloaded
+
+    def draw(self, view: View, select: SelectOptions | Selector) -> RenderResult:
+        """Draw a view and wait for it."""
+        return self.enqueue(view, select)() if self.is_whole(select) else self.trace(view, select).result
+
+    def trace(self, view: View, select: SelectOptions | Selector) -> Frame:
+        """Draw a view and keep what each stage computed."""
+        clock = Clock()
+        if self.held is None:
+            culling, selection = self.choose(view, select, clock)
+            drawn = draw_rows(self.stages, self.scene, view, selection, clock, threads=self._threads)
+            return frame_of(view, culling, selection, drawn, clock)
+        culling = None
+        if self.is_whole(select):
+            traced = self.held.trace(view, select)
+            notes = notes_on(self.scene, select, select.pixel_error, view)
+            selection = Selection(
+                traced.rows, select.rule, select.resolved_profile, select.pixel_error, traced.num_visited, notes
+            )
+        else:
+            culling, selection = self.choose(view, select, clock)
+            traced = self.held.trace(view, SelectOptions(), rows=selection.rows)
+        clock.milliseconds.update(traced.milliseconds)
+        clock.cpu_milliseconds.update(traced.cpu_milliseconds)
+        return frame_of(view, culling, selection, (traced.splats, traced.bins, traced.picture), clock)
+
+    def choose(self, view: View, select: SelectOptions | Selector, clock: Clock) -> tuple[Culling | None, Selection]:
+        """The rows to draw, and the clusters that were left out before."""
+        if not isinstance(select, SelectOptions):
+            with clock.timed("select"):
+                return None, select(view, threads=self._threads)
+        if self.scene.blocks is None:  # an update kept the old index, which knows nothing of the new columns
+            with clock.timed("select"):
+                rows = np.arange(len(self.scene), dtype=np.int32)
+                return None, Selection(rows, select.rule, select.resolved_profile, select.pixel_error, len(rows))
+        culling = None
+        if cull_rule(self.scene, select) != "none":
+            with clock.timed("cull"):
+                culling = cull_scene(self.scene, view, select, threads=self._threads)
+        with clock.timed("select"):
+            selection = select_rows(
+                self.scene, view, select, culling=culling, stages=self.stages, threads=self._threads
+            )
+        return culling, selection
+
+    def update(self, columns: Gaussians | Mapping[str, Array], *, keep_index: bool) -> None:
+        """Replace columns of the Gaussians, here and on the device (render/updates.py)."""
+        self.scene, names = updated_scene(self.scene, columns, keep_index=keep_index, threads=self._threads)
+        if self.held is not None:
+            self.held.update(self.scene.gaussians, self.scene.blocks, names)
+
+
+class _HeldStages:
+    """The stages of a back end whose selection reads the columns that a session holds on the device."""
+
+    def __init__(self, held: HeldScene, stages: FrameStages) -> None:
+        self._held = held
+        self.project, self.bin, self.blend = stages.project, stages.bin, stages.blend
+
+    def select(
+        self,
+        gaussians: Gaussians,
+        tree: GaussianTree,
+        blocks: BlockIndex | None,
+        view: View,
+        options: SelectOptions,
+        *,
+        runs: Int32[Array, "r 2"] | None = None,
+        threads: int = 0,
+    ) -> tuple[Int32[Array, "v"], int]:
+        """The rows of the cut; the Gaussians, their tree and blocks are those that are held."""
+        rows, num_visited = self._held.select(view, replace(options, budget=None, max_radius=None))
+        return (rows if runs is None else rows[in_runs(rows, runs)]), num_visited
