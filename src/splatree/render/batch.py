@@ -24,7 +24,27 @@ def render_batch(
     device: DeviceName | None = None,
     threads: int = 0,
 ) -> Iterator[RenderResult]:
-    """Yield the picture of each view, in order; arguments as of `render`."""
+    """Draw many views, one at a time and in order.
+
+    Args:
+        scene: what is drawn.
+        cameras: the views.
+        options: how they are drawn.
+        select: which nodes are drawn: options, or a baseline.
+        device: where; as in `render`.
+        threads: threads of the processor; 0 means all there are.
+
+    Yields:
+        The picture of each view.
+
+    Raises:
+        InputError: there is no such device, or a budget of nodes cannot be met.
+        DeviceError: the device is not there, has failed, or has too little memory.
+
+    Example:
+        >>> len(list(st.render_batch(scene, cameras))) == len(cameras)
+        True
+    """
     with open_session(scene, device=device, options=options, select=select, threads=threads) as session:
         for camera in track(list(cameras), "render views"):
             yield session.draw(camera)
@@ -40,7 +60,28 @@ def trace_batch(
     device: DeviceName | None = None,
     threads: int = 0,
 ) -> Iterator[Frame]:
-    """Yield each view, in order, with what each stage computed; arguments as of `trace`."""
+    """Draw many views, one at a time and in order, and keep what each stage computed.
+
+    Args:
+        scene: what is drawn.
+        cameras: the views.
+        options: how they are drawn.
+        select: which nodes are drawn: options, or a baseline.
+        wanted: outputs of the blend beside colour, alpha and depth.
+        device: where; as in `render`.
+        threads: threads of the processor; 0 means all there are.
+
+    Yields:
+        The frame of each view.
+
+    Raises:
+        InputError: there is no such device, or a budget of nodes cannot be met.
+        DeviceError: the device is not there, has failed, or has too little memory.
+
+    Example:
+        >>> sum(frame.bins.num_pairs for frame in st.trace_batch(scene, cameras)) > 0
+        True
+    """
     with open_session(scene, device=device, options=options, select=select, threads=threads) as session:
         for camera in track(list(cameras), "render views"):
             yield session.trace(camera, wanted)

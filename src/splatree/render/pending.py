@@ -10,7 +10,14 @@ __all__ = ["Pending"]
 
 
 class Pending:
-    """A view that a session was asked to draw."""
+    """A view that a session was asked to draw.
+
+    Example:
+        >>> with st.open_session(scene) as session:
+        ...     pending = [session.enqueue(camera) for camera in cameras]
+        >>> pending[0].result().image.shape == (cameras[0].height, cameras[0].width, 3)
+        True
+    """
 
     def __init__(self, draw: Callable[[], RenderResult]) -> None:
         self._draw: Callable[[], RenderResult] | None = draw

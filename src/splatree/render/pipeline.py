@@ -47,9 +47,10 @@ def render(
 
     Source: Kerbl 2023, the rasterizer of 3D Gaussian Splatting.
 
-    Example::
-
-        image = st.render(scene, st.Camera.look_at((0, 0, -4), (0, 0, 0))).image
+    Example:
+        >>> image = st.render(scene, camera).image
+        >>> image.shape == (camera.height, camera.width, 3)
+        True
     """
     with open_session(scene, device=device, options=options, select=select, threads=threads) as session:
         return session.draw(camera)
@@ -83,10 +84,10 @@ def trace(
         InputError: there is no such device, or a budget of nodes cannot be met.
         DeviceError: the device is not there, has failed, or has too little memory.
 
-    Example::
-
-        frame = st.trace(scene, camera, wanted=st.Wanted(contributions=True))
-        pairs, kpc = frame.bins.num_pairs, frame.contributions
+    Example:
+        >>> frame = st.trace(scene, camera, wanted=st.Wanted(contributions=True))
+        >>> len(frame.contributions) == frame.bins.num_pairs
+        True
     """
     with open_session(scene, device=device, options=options, select=select, threads=threads) as session:
         return session.trace(camera, wanted)

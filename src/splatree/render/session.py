@@ -73,10 +73,11 @@ def open_session(
         InputError: there is no such device, or the tensors lie on another one.
         DeviceError: the device is not there, has failed, or has too little memory.
 
-    Example::
-
-        with st.open_session(scene, device="cpu") as session:
-            images = [session.draw(camera).image for camera in cameras]
+    Example:
+        >>> with st.open_session(scene, device="cpu") as session:
+        ...     images = [session.draw(camera).image for camera in cameras]
+        >>> len(images) == len(cameras)
+        True
     """
     columns: Mapping[str, Any] = {}
     if isinstance(scene, TensorScene):
@@ -87,7 +88,17 @@ def open_session(
 
 
 class Session:
-    """Draws views of one scene on one device; `open_session` makes it. Any thread may call; one call works at a time."""
+    """Draws views of one scene on one device. `open_session` makes it.
+
+    Any thread may call; one call works at a time.
+
+    Example:
+        >>> with st.open_session(scene) as session:
+        ...     coarse = session.draw(camera, select=st.SelectOptions(pixel_error=20))
+        ...     fine = session.draw(camera, select=st.SelectOptions(pixel_error=0))
+        >>> coarse.counters.num_selected < fine.counters.num_selected
+        True
+    """
 
     def __init__(
         self,
@@ -147,9 +158,8 @@ class Session:
             InputError: the session is closed, or a budget of nodes cannot be met.
             DeviceError: the device has failed or has too little memory.
 
-        Example::
-
-            coarse = session.draw(camera, select=st.SelectOptions(pixel_error=8)).image
+        Example:
+            >>> coarse = session.draw(camera, select=st.SelectOptions(pixel_error=8)).image
         """
         with self._working():
             view, chosen = self._settled(camera, options, select)
@@ -167,10 +177,9 @@ class Session:
         Raises:
             InputError: the session is closed.
 
-        Example::
-
-            pending = [session.enqueue(camera) for camera in cameras]
-            images = [view.result().image for view in pending]
+        Example:
+            >>> pending = [session.enqueue(camera) for camera in cameras]
+            >>> images = [view.result().image for view in pending]
         """
         with self._working():
             view, chosen = self._settled(camera, options, select)
@@ -208,9 +217,8 @@ class Session:
             InputError: the session is closed, or a budget of nodes cannot be met.
             DeviceError: the device has failed or has too little memory.
 
-        Example::
-
-            last = session.trace(camera, st.Wanted(last_pair=True)).picture.last_pair
+        Example:
+            >>> last = session.trace(camera, st.Wanted(last_pair=True)).picture.last_pair
         """
         with self._working():
             frame = self._engine.trace(*self._settled(camera, options, select, wanted))
@@ -228,9 +236,8 @@ class Session:
         Raises:
             InputError: the session is closed, or a budget of nodes cannot be met.
 
-        Example::
-
-            num_nodes = len(session.select(camera))
+        Example:
+            >>> num_nodes = len(session.select(camera))
         """
         with self._working():
             return self._engine.choose(*self._settled(camera, options, select), Clock())[1]
@@ -251,9 +258,8 @@ class Session:
             InputError: the device has no memory of its own, the options are not of the rule `cut` without a budget, or the
                 camera has a lens.
 
-        Example::
-
-            image = torch.from_dlpack(session.draw_on_device(camera).image)
+        Example:
+            >>> image = torch.from_dlpack(session.draw_on_device(camera).image)
         """
         with self._working():
             view, chosen = self._settled(camera, options, select)
@@ -277,9 +283,8 @@ class Session:
             InputError: the session is closed, a name is unknown, or the index of a tree with levels shall be kept.
             ShapeError: a column has another number of rows or another type.
 
-        Example::
-
-            session.update({"sh": brighter})
+        Example:
+            >>> session.update({"sh": brighter})
         """
         self._wait_for_pending()
         with self._working():

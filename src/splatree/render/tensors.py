@@ -32,7 +32,13 @@ ON_THE_PROCESSOR: DeviceName = "cpu"
 
 @dataclass(frozen=True, eq=False)
 class TensorScene:
-    """A scene whose columns lie in tensors; `open_session` draws it from where they lie."""
+    """A scene whose columns lie in tensors. `open_session` draws it from where they lie.
+
+    Example:
+        >>> g = scene.gaussians
+        >>> st.scene_from_tensors(g.means, g.quats, g.log_scales, g.logit_opacities, g.sh).device
+        'cpu'
+    """
 
     scene: Scene
     """The scene in the memory of the processor: the tensors themselves, or a copy of what lies on a device."""
@@ -68,11 +74,11 @@ def scene_from_tensors(
         InputError: what is not a tensor, lies elsewhere or requires gradients.
         ShapeError: another type or shape, or a layout that kernels cannot read; the message says how to change it.
 
-    Example::
-
-        scene = st.scene_from_tensors(means, quats, log_scales, logit_opacities, sh)
-        with st.open_session(scene) as session:
-            image = torch.from_dlpack(session.draw_on_device(camera).image)
+    Example:
+        >>> g = scene.gaussians
+        >>> tensors = st.scene_from_tensors(g.means, g.quats, g.log_scales, g.logit_opacities, g.sh)
+        >>> with st.open_session(tensors) as session:
+        ...     image = session.draw(camera).image
     """
     tensors = {
         "means": means,

@@ -5,6 +5,7 @@ import numpy as np
 from splatree.kernels.cpu import _core
 from splatree.scene.frame import PIXEL_OUTPUTS, Picture, Splats, TileBins, TileWork
 from splatree.scene.view import View
+from splatree.shapes import Array
 
 __all__ = ["blend"]
 
@@ -16,7 +17,7 @@ def blend(splats: Splats, bins: TileBins, view: View, *, threads: int = 0, whole
     picture.
     """
     size, wanted, num_tiles = (view.camera.height, view.camera.width), view.wanted, len(bins.tile_start) - 1
-    outputs = {"image": np.empty((*size, 3), np.float32)}
+    outputs: dict[str, Array] = {"image": np.empty((*size, 3), np.float32)}
     outputs |= {name: np.empty(size, np.float32) for name in ("alpha", "depth")}
     if wanted.contributions:
         outputs["contributions"] = np.empty(bins.num_pairs, np.float32)
