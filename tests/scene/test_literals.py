@@ -82,7 +82,8 @@ def _example(struct: type) -> object:
     for field in dataclasses.fields(struct):
         if field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
             choices = _choices_from_field(struct).get(field.name)
-            values[field.name] = choices.values[0] if choices else None
+            is_count = get_type_hints(struct)[field.name] is int
+            values[field.name] = choices.values[0] if choices else 0 if is_count else None
     return struct(**values)
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from splatree.constants import TILE_PX
 from splatree.scene.cameras import Camera
 from splatree.scene.clusters import Culling
+from splatree.scene.literals import check_literals
 from splatree.scene.names import Profile
 from splatree.scene.view import View
 from splatree.shapes import Array, Float32, Int32, Int64, check_fields
@@ -43,6 +44,7 @@ class Selection:
     """Warnings about this selection, for instance that the pixel error is too small to choose any level."""
 
     def __post_init__(self) -> None:
+        check_literals(self)
         check_fields(self)
 
     def __len__(self) -> int:

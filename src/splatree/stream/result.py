@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from splatree.scene.literals import check_literals
 from splatree.stream.options import StreamFormat
 
 __all__ = ["LevelWritten", "Streamed"]
@@ -42,3 +43,6 @@ class Streamed:
     """Parts that were there already, from a run that was interrupted or had the same scene and options."""
     bytes: int
     """Size of everything."""
+
+    def __post_init__(self) -> None:
+        check_literals(self)
