@@ -168,7 +168,9 @@ def test_depth_and_alpha_are_pictures_too(page, layer):
 
 def test_a_box_hides_what_lies_outside(page):
     camera = page.exhibit.framing.camera(160, 90)
-    _, chosen = page.exhibit.draw(camera, SelectOptions(pixel_error=0.0), (0, 0, 0), np.array([[-0.5] * 3, [0.5] * 3]))
+    _, chosen = page.exhibit.draw(
+        camera, SelectOptions(pixel_error=0.0), (0, 0, 0), box=np.array([[-0.5] * 3, [0.5] * 3])
+    )
     inside = page.exhibit.scene.gaussians.means[chosen.rows]
     assert len(inside) > 0
     assert np.abs(inside).max() <= 0.5

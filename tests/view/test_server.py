@@ -76,7 +76,7 @@ def test_the_page_and_all_that_it_names_are_there(viewer):
 def test_all_modules_that_are_imported_are_served():
     import re
 
-    files = module._page_files()
+    files = module.page_files()
     for name, (data, _) in files.items():
         for found in re.findall(r"(?:from|URL\()\s*'\./([\w.]+)'", data.decode()):
             assert found in files, f"{name} imports {found}"

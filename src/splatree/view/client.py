@@ -59,6 +59,7 @@ class Client:
         self._is_open = True
         self._slots = Slots(exhibit.scene, exhibit.centre, capacity)
         self._last = FIRST_TAU_PX  # τ_R of the last cut
+        self._last_of_frames = FIRST_TAU_PX
         self._rung = 0
         self.camera: Camera | None = None
         """The newest view of the page."""
@@ -189,7 +190,14 @@ class Client:
 
     def _frame(self, request: Request) -> None:
         start = time.perf_counter()
-        result, chosen = self._exhibit.draw(request.camera, request.select, request.background, request.box)
+        # A budget is searched from the last picture's τ_R; an exact picture names the τ_R of its cut and has no other limit.
+        is_limited = request.select.budget is not None and request.select.budget < self._capacity
+        last = self._last_of_frames if is_limited else None
+        result, chosen = self._exhibit.draw(
+            request.camera, request.select, request.background, box=request.box, last=last
+        )
+        if is_limited:
+            self._last_of_frames = chosen.pixel_error
         drawn = time.perf_counter()
         picture = encode(layer_of(result, request.layer), request.packing, request.quality)
         header = {
@@ -213,7 +221,7 @@ class Client:
         K[0, 2] += POINT_PX / 2 - request.at[0]
         K[1, 2] += POINT_PX / 2 - request.at[1]
         camera = replace(request.camera, K=K, width=POINT_PX, height=POINT_PX)
-        result, _ = self._exhibit.draw(camera, request.select, (0.0, 0.0, 0.0), request.box)
+        result, _ = self._exhibit.draw(camera, request.select, (0.0, 0.0, 0.0), box=request.box)
         covered = result.alpha > 0.3
         point = None
         if covered.any():

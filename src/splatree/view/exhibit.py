@@ -53,13 +53,22 @@ class Exhibit:
             return select(self.scene, camera, options, last=last)
 
     def draw(
-        self, camera: Camera, options: SelectOptions, background: tuple[float, float, float], box: Array | None = None
+        self,
+        camera: Camera,
+        options: SelectOptions,
+        background: tuple[float, float, float],
+        *,
+        box: Array | None = None,
+        last: float | None = None,
     ) -> tuple[RenderResult, Selection]:
-        """The picture of a view and what it drew; of a ``box`` "2 3" only what has its centre inside, world units."""
+        """The picture of a view and what it drew.
+
+        Of a ``box`` "2 3" only what has its centre inside is drawn, world units; the search of a budget begins at ``last``, px.
+        """
         found: list[Selection] = []
 
         def choose(view: View, *, threads: int = 0) -> Selection:
-            chosen = select(self.scene, view, options, threads=threads)
+            chosen = select(self.scene, view, options, last=last, threads=threads)
             if box is not None:
                 means = self.scene.gaussians.means[chosen.rows]
                 chosen = replace(chosen, rows=chosen.rows[((means >= box[0]) & (means <= box[1])).all(axis=1)])

@@ -31,7 +31,7 @@ from splatree.view.guard import Guard
 from splatree.view.messages import TEXT_BYTES
 from splatree.view.options import CAPACITY, ViewOptions
 
-__all__ = ["Server"]
+__all__ = ["Server", "page_files"]
 
 CLIENTS_MAX: Final = 16
 """Pages that are connected at once."""
@@ -60,7 +60,7 @@ class Server:
         self.exhibits, self._options, self._token = exhibits, options, token
         self._cameras, self._photos = cameras, photos
         self._workers = concurrent.futures.ThreadPoolExecutor(CLIENTS_MAX + 1, "splatree view client")
-        self._files = _page_files()
+        self._files = page_files()
         self._lock = threading.Lock()
         self._clients: list[tuple[int, Client]] = []
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -231,7 +231,7 @@ def _send_from_thread(loop: asyncio.AbstractEventLoop, socket: WebSocket, data: 
     asyncio.run_coroutine_threadsafe(socket.send_bytes(data), loop).result(PATIENCE_S)
 
 
-def _page_files() -> dict[str, tuple[bytes, str]]:
+def page_files() -> dict[str, tuple[bytes, str]]:
     """Contents and types of the page's files by name."""
     folder = files("splatree.view") / "page"
     found = {}

@@ -19,8 +19,8 @@ __all__ = ["Change", "Slots"]
 EYE_SHARE = 0.05
 """A node's colour is sent again when the eye has moved by this share of its distance since: an angle of 3° at most."""
 
-TINTS = 50_000
-"""Colours sent again in one message at most; the rest follows: 400 kB."""
+TINTS = 20_000
+"""Colours sent again in one message at most; the rest follows: 160 kB, a third of what the page takes in anyway."""
 
 
 @dataclass(frozen=True, eq=False)

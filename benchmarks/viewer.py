@@ -1,0 +1,123 @@
+"""What the viewer's server takes for a camera that moves: cuts for a browser that draws, and pictures for one that does not.
+
+``python benchmarks/viewer.py SCENE`` needs a scene with levels, such as the shared city built by ``splatree build``. The
+camera turns about the scene in steps of 2°, from the first view and from a third and a tenth of its distance, in a window
+of 960 × 540 px.
+
+- *step*: the selection of at most ``--budget`` nodes, begun at the τ_R of the step before, and what takes the page there.
+- *step, alone*: the same where each budget is searched anew, as for a view alone.
+- *picture*: drawn on the server as for ``--frames``, at the sizes that a page asks for while it moves, and made a JPEG.
+- *first picture*: bytes of the first message with nodes, and of all files of the page.
+"""
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+import splatree
+from harness import measure, save, table
+from splatree.view.client import FIRST_TAU_PX, LADDER, with_guard
+from splatree.view.exhibit import Exhibit, exhibit
+from splatree.view.pictures import encode, layer_of
+from splatree.view.server import page_files
+from splatree.view.slots import Slots
+
+STEP_DEG = 2.0
+GUARD = 0.08
+"""What the page asks for beyond each border."""
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scene", type=Path)
+    parser.add_argument("--budget", type=int, default=300_000)
+    parser.add_argument("--steps", type=int, default=12)
+    arguments = parser.parse_args()
+    shown = exhibit(splatree.read(arguments.scene), arguments.scene.name)
+    rows: list[dict[str, object]] = []
+    for share in (1.0, 0.3, 0.1):
+        cameras = [turned(shown, share, STEP_DEG * i) for i in range(arguments.steps + 1)]
+        options = splatree.SelectOptions(budget=arguments.budget)
+        rows += [
+            {"distance": share, **row} for row in [*steps(shown, cameras, options), *pictures(shown, cameras, options)]
+        ]
+    rows.append({"distance": 1.0, **first_picture(shown)})
+    print(table(rows))
+    save(
+        "viewer",
+        rows,
+        about=f"{shown.scene.tree.num_leaves:,} leaves, {len(shown.scene):,} nodes, a window of 960 × 540 px that turns by "
+        f"{STEP_DEG:g}° a step, at most {arguments.budget:,} nodes: medians of {arguments.steps} steps; ms are processor time "
+        "of all threads, pictures a second are by the clock",
+    )
+
+
+def steps(
+    shown: Exhibit, cameras: list[splatree.Camera], options: splatree.SelectOptions
+) -> Iterator[dict[str, object]]:
+    """A step of a page that draws, with the search begun at the last step's τ_R and anew."""
+    for name, is_alone in (("step", False), ("step, alone", True)):
+        slots = Slots(shown.scene, shown.centre, 1 << 21)
+        last, costs = FIRST_TAU_PX, []
+        for camera in cameras:
+            begin = None if is_alone else last
+            chosen = measure(partial(shown.cut, with_guard(camera, GUARD), options, begin))
+            change = measure(partial(slots.move, chosen.value.rows, camera.position))
+            last = chosen.value.pixel_error
+            new, kilobytes = len(change.value.add), len(change.value.payload) / 1e3
+            costs.append((1e3 * chosen.cpu_s, 1e3 * change.cpu_s, len(chosen.value), new, kilobytes))
+        select_ms, pack_ms, nodes, new, kilobytes = np.median(costs[1:], axis=0)
+        both = {"ms": select_ms + pack_ms, "select ms": select_ms, "pack ms": pack_ms}
+        yield {"what": name, **both, "nodes": int(nodes), "new": int(new), "kB": kilobytes}
+
+
+def pictures(
+    shown: Exhibit, cameras: list[splatree.Camera], options: splatree.SelectOptions
+) -> Iterator[dict[str, object]]:
+    """A picture for a page that does not draw, at three sizes."""
+    for factor in (1.0, 0.5, 0.25):
+        last, costs = FIRST_TAU_PX, []
+        limited = replace(options, budget=max(1000, int(factor * (options.budget or 0))))
+        for camera in cameras:
+            small = camera.scaled(factor)
+            drawn = measure(partial(shown.draw, small, limited, (0.0, 0.0, 0.0), last=last))
+            result, chosen = drawn.value
+            file = measure(lambda result=result: encode(layer_of(result, "color"), "jpeg", 75))
+            last, seconds = chosen.pixel_error, drawn.wall_s + file.wall_s
+            costs.append((1e3 * drawn.cpu_s, 1e3 * file.cpu_s, len(chosen), len(file.value) / 1e3, seconds))
+        draw_ms, file_ms, nodes, kilobytes, seconds = np.median(costs[1:], axis=0)
+        both = {"ms": draw_ms + file_ms, "draw ms": draw_ms, "JPEG ms": file_ms}
+        size = f"picture {cameras[0].scaled(factor).width} × {cameras[0].scaled(factor).height}"
+        yield {"what": size, **both, "nodes": int(nodes), "kB": kilobytes, "a second": 1 / seconds}
+
+
+def first_picture(shown: Exhibit) -> dict[str, object]:
+    """Bytes until there is a picture, and what they take."""
+    camera = turned(shown, 1.0, 0.0)
+    slots = Slots(shown.scene, shown.centre, 1 << 21)
+    options = splatree.SelectOptions(budget=LADDER[0])
+    chosen = measure(lambda: shown.cut(with_guard(camera, GUARD), options, FIRST_TAU_PX))
+    change = measure(lambda: slots.move(chosen.value.rows, camera.position))
+    costs = {"ms": 1e3 * (chosen.cpu_s + change.cpu_s), "select ms": 1e3 * chosen.cpu_s, "pack ms": 1e3 * change.cpu_s}
+    page = sum(len(data) for data, _ in page_files().values()) / 1e3
+    nodes, kilobytes = len(chosen.value), len(change.value.payload) / 1e3
+    return {"what": f"first picture (the page: {page:.0f} kB)", **costs, "nodes": nodes, "new": nodes, "kB": kilobytes}
+
+
+def turned(shown: Exhibit, share: float, degrees: float) -> splatree.Camera:
+    """The first view at a share of its distance, turned about the vertical through its target."""
+    framing, angle = shown.framing, np.radians(degrees)
+    offset, up = (framing.eye - framing.target) * share, framing.up
+    offset = offset * np.cos(angle) + np.cross(up, offset) * np.sin(angle) + up * (up @ offset) * (1 - np.cos(angle))
+    camera = splatree.Camera.look_at(
+        framing.target + offset, framing.target, up=up, width=960, height=540, fov_y_deg=framing.fov_y_deg
+    )
+    return replace(camera, near=framing.camera().near)
+
+
+if __name__ == "__main__":
+    main()
