@@ -1,7 +1,7 @@
 """What the viewer's server takes for a camera that moves: cuts for a browser that draws, and pictures for one that does not.
 
 ``python benchmarks/viewer.py SCENE`` needs a scene with levels, such as the shared city built by ``splatree build``. The
-camera turns about the scene in steps of 2°, from the first view and from a third and a tenth of its distance, in a window
+camera turns about the scene in steps of 2°, from the first view, and from a half and a third of its distance, in a window
 of 960 × 540 px.
 
 - *step*: the selection of at most ``--budget`` nodes, begun at the τ_R of the step before, and what takes the page there.
@@ -39,7 +39,7 @@ def main() -> None:
     arguments = parser.parse_args()
     shown = exhibit(splatree.read(arguments.scene), arguments.scene.name)
     rows: list[dict[str, object]] = []
-    for share in (1.0, 0.3, 0.1):
+    for share in (1.0, 0.5, 0.3):
         cameras = [turned(shown, share, STEP_DEG * i) for i in range(arguments.steps + 1)]
         options = splatree.SelectOptions(budget=arguments.budget)
         rows += [

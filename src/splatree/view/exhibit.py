@@ -1,21 +1,20 @@
 """A scene on show: what the worker of each page asks of it, and what the page is told at first.
 
-Selection and drawing use all threads of the machine, so calls take turns. Coordinates of the page are relative to a centre: a
+A session selects and draws; calls of several pages take turns. Coordinates of the page are relative to a centre: a
 scene in map coordinates keeps its precision in the float32 of a browser.
 """
 
-import threading
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from splatree.errors import InputError
-from splatree.lod.blocks import with_blocks
+from splatree.kernels.devices import DeviceName
 from splatree.lod.build import build_lod
-from splatree.lod.select import select
+from splatree.lod.select import Selector, select
 from splatree.progress import task
 from splatree.render.framing.frame import Framing, frame_scene
-from splatree.render.pipeline import render
+from splatree.render.session import Session, open_session
 from splatree.scene.cameras import Camera
 from splatree.scene.frame import RenderResult, Selection
 from splatree.scene.options import RenderOptions, SelectOptions
@@ -33,14 +32,17 @@ FLAT_MAX = 10_000
 class Exhibit:
     """A scene as it is shown."""
 
-    scene: Scene
-    """The scene with its block index."""
+    session: Session
+    """What selects and draws, one call at a time."""
     name: str
     """What it is called in the page."""
     framing: Framing
     """What is up, how large it is, and the view that is shown first."""
-    lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
-    """Held by the call that is at work."""
+
+    @property
+    def scene(self) -> Scene:
+        """What is shown, with its block index."""
+        return self.session.scene
 
     @property
     def centre(self) -> Float64[Array, "3"]:
@@ -49,8 +51,7 @@ class Exhibit:
 
     def cut(self, camera: Camera, options: SelectOptions, last: float | None) -> Selection:
         """The rows of a view; the search of a budget begins at ``last``."""
-        with self.lock:
-            return select(self.scene, camera, options, last=last)
+        return self.session.select(camera, select=self._selector(options, last))
 
     def draw(
         self,
@@ -66,18 +67,28 @@ class Exhibit:
         Of a ``box`` "2 3" only what has its centre inside is drawn, world units; the search of a budget begins at ``last``, px.
         """
         found: list[Selection] = []
+        choose = self._selector(options, last)
 
-        def choose(view: View, *, threads: int = 0) -> Selection:
-            chosen = select(self.scene, view, options, last=last, threads=threads)
+        def within(view: View, *, threads: int = 0) -> Selection:
+            chosen = choose(view, threads=threads)
             if box is not None:
                 means = self.scene.gaussians.means[chosen.rows]
                 chosen = replace(chosen, rows=chosen.rows[((means >= box[0]) & (means <= box[1])).all(axis=1)])
             found.append(chosen)
             return chosen
 
-        with self.lock:
-            result = render(self.scene, camera, RenderOptions(background=background), choose)
+        result = self.session.draw(camera, options=RenderOptions(background=background), select=within)
         return result, found[-1]
+
+    def _selector(self, options: SelectOptions, last: float | None) -> Selector:
+        """A selection that begins at the τ_R of the view before."""
+
+        def choose(view: View, *, threads: int = 0) -> Selection:
+            # Footprints are ellipses; of squares the projection drops what is not seen.
+            seen = replace(options, view_test="none") if view.is_square else options
+            return select(self.scene, view, seen, last=last, stages=self.session.stages, threads=threads)
+
+        return choose
 
     @property
     def facts(self) -> dict[str, Any]:
@@ -104,7 +115,12 @@ class Exhibit:
 
 
 def exhibit(
-    scene: Scene, name: str = "scene", *, framing: Framing | None = None, up: Sequence[float] | None = None
+    scene: Scene,
+    name: str = "scene",
+    *,
+    framing: Framing | None = None,
+    up: Sequence[float] | None = None,
+    device: DeviceName = "cpu",
 ) -> Exhibit:
     """Make a scene ready to be shown: with levels and a block index, and a first view.
 
@@ -113,17 +129,18 @@ def exhibit(
         name: what it is called in the page.
         framing: how to look at it first; None: decided by the scene.
         up: direction that is up, for a framing that is decided here; None: guessed.
+        device: where views are selected and pictures drawn.
 
     Raises:
         InputError: the scene is empty.
     """
     if len(scene) == 0:
         raise InputError(f"{name}: found no Gaussians, wanted at least one to show")
-    scene = with_blocks(with_levels(scene))
+    session = open_session(with_levels(scene), device=device)
     if framing is None:
         with task(f"frame {name}"):
-            framing = frame_scene(scene, up=up)
-    return Exhibit(scene, name, framing)
+            framing = frame_scene(session.scene, up=up)
+    return Exhibit(session, name, framing)
 
 
 def with_levels(scene: Scene) -> Scene:

@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 from splatree.constants import PIXEL_ERROR
 from splatree.errors import InputError
+from splatree.kernels.devices import DeviceName
+from splatree.scene.literals import check_literals
 from splatree.stream.http import LOOPBACK
 
 CAPACITY = 1 << 21
@@ -22,6 +24,8 @@ class ViewOptions:
     """Nodes drawn at most; a slider of the page changes it."""
     pixel_error: float = PIXEL_ERROR
     """τ_R, px: a node whose projected radius is at most this stands for its subtree; a slider of the page changes it."""
+    device: DeviceName = "cpu"
+    """Where the nodes are chosen and exact pictures drawn: `cuda` is an NVIDIA GPU."""
     up: tuple[float, float, float] | None = None
     """Direction that is up in the scene; None: it is guessed."""
     frames: bool = False
@@ -30,6 +34,7 @@ class ViewOptions:
     """Other addresses whose pages may embed the viewer and talk to it, such as https://hub.example of a notebook server."""
 
     def __post_init__(self) -> None:
+        check_literals(self)
         if not 0 <= self.port <= 65535:
             raise InputError(f"port: found {self.port}, wanted 0 to 65535")
         if not 1_000 <= self.budget <= CAPACITY:

@@ -87,7 +87,9 @@ class Server:
         for _, client in clients:
             client.close()
         self._http.stop()
-        self._workers.shutdown(wait=False)
+        self._workers.shutdown(wait=True)
+        for exhibit in self.exhibits:
+            exhibit.session.close()
 
     def show(self, which: int, exhibit: Exhibit) -> None:
         """Show another scene in the place ``which``."""

@@ -79,9 +79,10 @@ class Viewer:
         photos: Mapping[str, Array] | None = None,
     ) -> None:
         self.options = options or ViewOptions()
-        exhibits = [exhibit(scene, names[0], up=self.options.up)]
+        device = self.options.device
+        exhibits = [exhibit(scene, names[0], up=self.options.up, device=device)]
         if beside is not None:
-            exhibits.append(exhibit(beside, names[1], framing=exhibits[0].framing))
+            exhibits.append(exhibit(beside, names[1], framing=exhibits[0].framing, device=device))
         self._first = exhibits[0].framing.camera()
         self._token = None if self.options.is_local else secrets.token_urlsafe(16)
         self._server = Server(exhibits, self.options, self._token, cameras, photos)
@@ -127,7 +128,8 @@ class Viewer:
         shown = self._server.exhibits
         if which >= len(shown):
             raise InputError("set_scene: found no scene beside the first; name one when the viewer is made")
-        self._server.show(which, exhibit(scene, shown[which].name, framing=shown[which].framing))
+        old = shown[which]
+        self._server.show(which, exhibit(scene, old.name, framing=old.framing, device=self.options.device))
 
     def wait(self) -> None:
         """Wait until `close` is called, or Ctrl-C."""
