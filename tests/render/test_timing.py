@@ -42,7 +42,7 @@ def test_a_selector_takes_the_place_of_options(scene):
     seen = trace(scene, camera).selection
 
     def first_ten(view, *, threads=0):
-        return type(seen)(seen.rows[:10], "first ten", "none", 0.0)
+        return type(seen)(seen.rows[:10], "first ten", None, 0.0)
 
     assert trace(scene, camera, select=first_ten).result.counters.num_selected == 10
 

@@ -78,6 +78,8 @@ def _example(struct: type) -> object:
     """An instance of the struct with plausible values in the fields that have no default."""
     if struct is Scene:
         return Scene.flat(gaussians(3, 0))
+    if struct is splatree.SceneHead:
+        return splatree.SceneHead(3, 0)
     values = {}
     for field in dataclasses.fields(struct):
         if field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:

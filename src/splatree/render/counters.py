@@ -1,7 +1,8 @@
 """What each cluster and each tile of a frame took, as a small file for simulators of hardware.
 
 A frame's work follows from few numbers: a cluster that is kept has its rows read, its survivors are binned, their pairs sorted;
-a tile reads entries of its list until its pixels are finished. `frame_counters` takes them from what `trace` leaves;
+a tile reads entries of its list until its pixels are finished. `frame_counters` takes them from what `trace` leaves
+with ``Wanted(last_pair=True)``, which counts by the definition, the same on every device;
 `write_counters` keeps them as .npz, which any NumPy reads: one array for each field of `FrameCounters`.
 """
 
@@ -33,9 +34,9 @@ class FrameCounters:
     tile_length: Int64[Array, "t"]
     """Entries of each tile's list; tiles of 16 × 16 px row by row."""
     tile_consumed: Int64[Array, "t"]
-    """Entries read before all its pixels were finished, which is looked up every 32 entries."""
+    """Entries that the pixels of each tile read, by the definition of `TileWork` if the frame was traced with `last_pair`."""
     tile_evaluated: Int64[Array, "t"]
-    """Evaluations of a splat's opacity at a pixel."""
+    """Evaluations of a splat's opacity at a pixel, by the same definition: the sum of the entries that each pixel reads."""
     tile_blended: Int64[Array, "t"]
     """Evaluations that were added to a pixel."""
     num_tiles_xy: Int64[Array, "2"]
