@@ -183,3 +183,12 @@ def test_biker_is_the_same_object_as_in_spz(data):
     assert len(packed) == len(spz) == 152_746
     for axis in range(3):
         np.testing.assert_allclose(np.sort(packed.means[:, axis]), np.sort(spz.means[:, axis]), atol=0.02)
+
+
+def test_other_elements_and_properties_are_named_as_lost(tmp_path):
+    path = tmp_path / "a.compressed.ply"
+    splatree.write(Scene.flat(random_gaussians(5, 0)), path)
+    head, _, data = path.read_bytes().partition(b"end_header\n")
+    path.write_bytes(head + b"element camera 2\nproperty float fov\nend_header\n" + data + bytes(8))
+    lost = json.loads(splatree.read(path).source.metadata["lost"])
+    assert lost == ["the elements camera (2 rows): splatree does not know them, and draws without them"]

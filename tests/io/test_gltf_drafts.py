@@ -1,5 +1,7 @@
 """glTF of drafts, and of extensions that are required and not known."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -85,3 +87,15 @@ def test_required_extensions_that_are_not_known_are_refused(tmp_path, name):
 def test_required_extensions_of_what_is_not_drawn_do_not_matter(tmp_path):
     required = ["KHR_gaussian_splatting", "KHR_materials_unlit", "KHR_texture_basisu", "KHR_mesh_quantization"]
     assert len(splatree.read(changed(tmp_path, lambda content: content.update(extensionsRequired=required)))) == 40
+
+
+def test_attributes_that_are_not_known_are_named_as_lost(tmp_path):
+    def change(content):
+        primitive(content)["attributes"]["_FEATURE_ID_0"] = 0
+        primitive(content)["attributes"]["KHR_gaussian_splatting:SH_DEGREE_4_COEF_0"] = 0
+
+    lost = json.loads(splatree.read(changed(tmp_path, change)).source.metadata["lost"])
+    assert lost == [
+        "the attributes _FEATURE_ID_0, KHR_gaussian_splatting:SH_DEGREE_4_COEF_0: splatree does not know them, and draws "
+        "without them"
+    ]

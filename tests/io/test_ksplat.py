@@ -4,7 +4,7 @@ import pytest
 import splatree
 from splatree import FormatError, InputError, Scene, WriteOptions
 from splatree.constants import SH_C0
-from splatree.io.formats.ksplat import format as ksplat
+from splatree.io.formats.ksplat import writer as ksplat_writer
 
 from .conftest import random_gaussians, same_bits
 
@@ -37,7 +37,7 @@ def test_floats_keep_their_bits_at_level_0(tmp_path, degree):
 def test_round_trip_is_within_a_quantum(tmp_path, level):
     g = random_gaussians(3000, 2)
     b, _ = written(tmp_path, g, level)
-    g = g.take(ksplat._buckets(g.means, float(np.exp(np.median(np.sort(g.log_scales)[:, 1])))).rows)
+    g = g.take(ksplat_writer._buckets(g.means, float(np.exp(np.median(np.sort(g.log_scales)[:, 1])))).rows)
     # Half of 1/32767 of half a block of 5, and the rounding of the centre to float32.
     assert np.abs(b.means - g.means).max() <= 2.5 / 32767 / 2 + 4e-6
     np.testing.assert_allclose(np.exp(b.log_scales), np.exp(g.log_scales), rtol=2**-11, atol=2**-25)  # half precision
@@ -104,7 +104,7 @@ def test_small_scenes_get_small_blocks(tmp_path):
     g.means[:] *= 1e-3
     g.log_scales[:] -= np.float32(np.log(1e3))
     b, _ = written(tmp_path, g, 1)
-    g = g.take(ksplat._buckets(g.means, float(np.exp(np.median(np.sort(g.log_scales)[:, 1])))).rows)
+    g = g.take(ksplat_writer._buckets(g.means, float(np.exp(np.median(np.sort(g.log_scales)[:, 1])))).rows)
     sigma = np.exp(np.median(g.log_scales))
     assert np.abs(b.means - g.means).max() < 0.02 * sigma
 

@@ -12,7 +12,7 @@ _PICKLE_PROTOCOLS = tuple(bytes([0x80, protocol]) for protocol in range(2, 6))
 def not_content(head: bytes) -> str | None:
     """What a file is that a download left in the place of its content; None for other files. ``head`` is its first bytes."""
     if not head:
-        return "is empty: a download or a copy that did not finish; fetch it again"
+        return "is empty: found 0 bytes, wanted a scene; a download or a copy was cut off, fetch it again"
     if head.startswith(b"version https://git-lfs.github.com/spec/"):
         number = re.search(rb"\nsize (\d{1,18})\s", head)
         size = f" for {int(number[1]) / 2**20:,.1f} MiB" if number else ""

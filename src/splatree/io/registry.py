@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from splatree.io.formats.glb import writer as glb_writer
     from splatree.io.formats.hier import format as hier
     from splatree.io.formats.ksplat import format as ksplat
+    from splatree.io.formats.ksplat import writer as ksplat_writer
     from splatree.io.formats.ply import format as ply
     from splatree.io.formats.rad import reader as rad
     from splatree.io.formats.rad import writer as rad_writer
@@ -62,6 +63,7 @@ else:
     gltf = _Later("formats.glb.reader")
     hier = _Later("formats.hier.format")
     ksplat = _Later("formats.ksplat.format")
+    ksplat_writer = _Later("formats.ksplat.writer")
     ply = _Later("formats.ply.format")
     rad = _Later("formats.rad.reader")
     rad_writer = _Later("formats.rad.writer")
@@ -229,7 +231,7 @@ FORMATS: tuple[Format, ...] = (
         holds=Holds(sh_degree=2, modes=("classic",)),
         sniff=ksplat.sniff,
         read=ksplat.read,
-        write_chunks=ksplat.write_chunks,
+        write_chunks=ksplat_writer.write_chunks,
         read_chunks=ksplat.read_chunks,
         options=("compression",),
     ),

@@ -195,8 +195,13 @@ def _open(path: Path, options: ReadOptions) -> _Packed:
         bounds[:, : len(names)] = _matrix(records, names, np.float32)
     if text.comments:
         metadata["comments"] = json.dumps(text.comments)
-    if text.are_surfels:
-        metadata["lost"] = json.dumps(["surfels: read as Gaussians with the third scale of the file"])
+    lost = ["surfels: read as Gaussians with the third scale of the file"] if text.are_surfels else []
+    if extra := [name for name, _ in elements["vertex"].properties if name not in _VERTEX]:
+        lost.append(f"the properties {', '.join(extra)}: splatree does not know them, and draws without them")
+    if others := [f"{e.name} ({e.count:,} rows)" for e in text.elements if e.name not in (*_WANTED, "sh") and e.count]:
+        lost.append(f"the elements {', '.join(others)}: splatree does not know them, and draws without them")
+    if lost:
+        metadata["lost"] = json.dumps(lost)
     return _Packed(path, text, elements["vertex"].count, degree, bounds, starts, types, metadata)
 
 

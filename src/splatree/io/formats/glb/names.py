@@ -5,7 +5,7 @@ KHR_gaussian_splatting with KHR_gaussian_splatting_compression_spz_2; attributes
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, Final
 
 from splatree.errors import FormatError
@@ -19,6 +19,7 @@ __all__ = [
     "SPZ_EXTENSION",
     "attribute_names",
     "check_required",
+    "unknown_attributes",
 ]
 
 EXTENSION: Final = "KHR_gaussian_splatting"
@@ -42,11 +43,21 @@ _HARMLESS = re.compile(r"KHR_(materials|texture|lights|xmp|node_visibility)\w*|E
 """Extensions of what is not drawn here."""
 
 
+_KNOWN_ATTRIBUTES = re.compile(
+    rf"POSITION|COLOR_0|NORMAL|({EXTENSION}:|_)?(ROTATION|SCALE|OPACITY|SH_DEGREE_[0-3]_COEF_\d)"
+)
+
+
 def attribute_names(name: str) -> tuple[str, ...]:
     """The names under which a value of a Gaussian may stand, today's first."""
     if name in ("POSITION", "COLOR_0"):
         return (name,)
     return (f"{EXTENSION}:{name}", f"_{name}", name)
+
+
+def unknown_attributes(names: Iterable[str]) -> list[str]:
+    """The attributes of Gaussians that are not read here."""
+    return [name for name in names if not _KNOWN_ATTRIBUTES.fullmatch(name)]
 
 
 def check_required(content: Mapping[str, Any], where: str) -> None:

@@ -42,6 +42,7 @@ from splatree.io.formats.glb.names import (
     SPLAT_EXTENSIONS,
     attribute_names,
     check_required,
+    unknown_attributes,
 )
 from splatree.io.formats.spz import format as spz
 from splatree.io.mirror import mirror
@@ -173,7 +174,12 @@ def _parts(gltf: GltfFile) -> tuple[list[_Part], list[str]]:
             parts.append(_Part(gltf, where, primitive, extension, packed, matrix))
     if not parts:
         raise FormatError(f"{gltf.where}: found no primitive with {EXTENSION}: this glTF shows no Gaussians")
-    return parts, [f"{num_others} primitives without Gaussians"] if num_others else []
+    lost = [f"{num_others} primitives without Gaussians"] if num_others else []
+    attributes = (part.primitive.get("attributes", {}) for part in parts if part.packed is None)
+    extra = dict.fromkeys(name for names in attributes if isinstance(names, dict) for name in unknown_attributes(names))
+    if extra:
+        lost.append(f"the attributes {', '.join(extra)}: splatree does not know them, and draws without them")
+    return parts, lost
 
 
 def _shown_meshes(gltf: GltfFile) -> Iterator[tuple[str, dict[str, Any], Float64[Array, "4 4"]]]:

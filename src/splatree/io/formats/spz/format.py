@@ -31,7 +31,8 @@ from splatree.constants import SH_MAX_DEGREE
 from splatree.errors import InputError
 from splatree.io.check import LOGIT_FROM_BYTE, magnitudes_of, refuse_unusable
 from splatree.io.chunks import Chunks
-from splatree.io.formats.spz.container import GZIP_MAGIC, MAGIC, Header, Planes, PlaneWriter
+from splatree.io.formats.spz.container import GZIP_MAGIC, MAGIC, Header, Planes
+from splatree.io.formats.spz.plane_writer import PlaneWriter
 from splatree.io.mirror import mirror
 from splatree.io.options import ReadOptions, WriteOptions
 from splatree.io.rows import FileRows, Fill
