@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
-from typing import Final
+from typing import Final, Self
 
 from starlette.applications import Starlette
 from starlette.middleware import Middleware
@@ -128,6 +128,12 @@ class StreamServer:
     def wait(self) -> None:
         """Return when the server has stopped."""
         self._http.wait()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
 
     async def _index(self, request: Request) -> Response:
         return HTMLResponse(index_page(self.folder.name, self.streams), headers={"Cache-Control": "no-store"})

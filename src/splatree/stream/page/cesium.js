@@ -1,5 +1,5 @@
 // 3D Tiles in CesiumJS. Tiles have z up; the scene's y down and z forward become z up and −y.
-import { fail, fov, number, position, state, stream, target } from './query.js';
+import { fail, fov, number, position, state, stream, target, up } from './query.js';
 
 const C = window.Cesium;
 C.Ion.defaultAccessToken = '';
@@ -28,9 +28,9 @@ if (tileset) {
   scene.camera.frustum.near = 0.01;
   if (position) {
     const direction = along(target.map((x, i) => x - position[i]));
-    const right = C.Cartesian3.normalize(C.Cartesian3.cross(direction, along([0, -1, 0]), new C.Cartesian3()), new C.Cartesian3());
-    const up = C.Cartesian3.cross(right, direction, new C.Cartesian3());
-    scene.camera.setView({ destination: point(position), orientation: { direction, up } });
+    const right = C.Cartesian3.normalize(C.Cartesian3.cross(direction, along(up), new C.Cartesian3()), new C.Cartesian3());
+    const above = C.Cartesian3.cross(right, direction, new C.Cartesian3());
+    scene.camera.setView({ destination: point(position), orientation: { direction, up: above } });
   } else {
     widget.zoomTo(tileset);
   }

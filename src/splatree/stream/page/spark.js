@@ -2,7 +2,7 @@
 import * as THREE from 'three';
 import { OrbitControls } from 'three/addons/controls/OrbitControls.js';
 import { SparkRenderer, SplatMesh } from '@sparkjsdev/spark';
-import { fail, fov, number, position, state, stream, target } from './query.js';
+import { fail, fov, number, position, state, stream, target, up } from './query.js';
 
 const renderer = new THREE.WebGLRenderer({ antialias: false, preserveDrawingBuffer: true });
 renderer.setPixelRatio(1);
@@ -24,6 +24,7 @@ scene.add(spark, mesh);
 const turned = ([x, y, z]) => new THREE.Vector3(x, -y, -z);
 const controls = position ? null : new OrbitControls(camera, renderer.domElement);
 camera.position.copy(turned(position ?? [target[0], target[1] - 1, target[2] - 3]));
+camera.up.copy(turned(up));
 camera.lookAt(turned(target));
 controls?.target.copy(turned(target));
 state.stop = () => renderer.setAnimationLoop(null);
@@ -37,15 +38,17 @@ mesh.initialized.then(() => {
   camera.position.copy(centre).add(new THREE.Vector3(0, 0.3 * size, size));
 }, fail);
 
-let quiet = 0;
-let before = -1;
+// Spark sorts in the background: what is drawn follows what is chosen some frames later, less what lies outside the view.
+let changed = performance.now();
+let before = '';
 renderer.setAnimationLoop(() => {
   controls?.update();
   renderer.render(scene, camera);
   const drawn = spark.activeSplats;
-  const wanted = mesh.paged ? mesh.paged.numSplats : drawn;
   const loading = spark.pager?.fetchers?.length ?? 0;
-  quiet = drawn > 0 && drawn === before && drawn === wanted && loading === 0 ? quiet + 1 : 0;
-  before = drawn;
-  Object.assign(state, { drawn, loading, ready: quiet > 4 });
+  const now = `${drawn} ${mesh.paged?.numSplats} ${loading}`;
+  if (now !== before || drawn === 0 || loading > 0) changed = performance.now();
+  before = now;
+  const quietMs = performance.now() - changed;
+  Object.assign(state, { drawn, chosen: mesh.paged?.numSplats, loading, quietMs, ready: quietMs > 3000 });
 });

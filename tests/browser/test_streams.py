@@ -1,0 +1,143 @@
+"""Streams in the viewers that they are made for: PlayCanvas and Spark from npm, in Chromium, by the pages of `serve`.
+
+The picture of the viewer is compared with the library's picture of what the viewer's rule chooses, as `splatree.stream.readers`
+repeats it. Viewers cut splats off earlier than we do and sort by other keys: complete scenes come out at 26 to 31 dB.
+"""
+
+import json
+from urllib.parse import urlencode
+
+import numpy as np
+import pytest
+
+import splatree as st
+from splatree.stream.readers.playcanvas import select_playcanvas
+from splatree.stream.readers.sog_stream import open_sog_stream
+from splatree.stream.readers.spark import select_spark
+
+from .chromium import chromium, find_chromium
+from .peers import install
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(find_chromium() is None, reason="tests in a browser need Chromium, which is not installed"),
+]
+
+SIZE = (384, 216)
+BUDGET = 60_000
+EVERY_ROW = st.SelectOptions(pixel_error=0)
+
+
+@pytest.fixture(scope="module")
+def packages(tmp_path_factory):
+    found, reason = install(tmp_path_factory.mktemp("npm"))
+    if found is None:
+        pytest.skip(reason)
+    return found
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    with chromium(tmp_path_factory.mktemp("profile")) as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def tree(city_tree):
+    """The city without its far surroundings' harmonics, which the software GPU is slow with."""
+    return st.Scene(city_tree.gaussians.with_sh_degree(0), city_tree.tree)
+
+
+@pytest.fixture(scope="module")
+def served(tree, packages, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("streams")
+    st.stream(tree, folder / "city")
+    st.stream(tree, folder / "city.rad", "rad")
+    with st.serve(folder, st.ServeOptions(port=0, packages=str(packages))) as server:
+        yield server
+
+
+@pytest.fixture(scope="module")
+def camera(tree):
+    """A view from over the roofs, in which most Gaussians are larger than a pixel."""
+    centre = np.median(tree.gaussians.means, axis=0)
+    radius = float(np.quantile(np.linalg.norm(tree.gaussians.means - centre, axis=1), 0.9))
+    eye = centre + radius * np.array([0.3, -0.5, -0.8])
+    return st.Camera.look_at(eye, centre, width=SIZE[0], height=SIZE[1])
+
+
+def shown(browser, server, viewer, stream, camera, until="window.splatree?.ready", **options):
+    """The picture of a viewer, what its page says, and the size of each file that it loaded."""
+    forward = camera.camera_from_world[2, :3]
+    fov = 2 * np.degrees(np.arctan(0.5 * camera.height / camera.K[1, 1]))
+
+    query = {
+        "stream": stream,
+        "pos": listed(camera.position),
+        "target": listed(camera.position + 10 * forward),
+        "up": listed(-camera.camera_from_world[1, :3]),
+        "fov": fov,
+    }
+    page = browser.new_page()
+    page.open(f"{server.address}open/{viewer}?{urlencode(query | options)}", size=SIZE)
+    page.wait_for(f"{until} || window.splatree?.error", timeout=240)
+    said = json.loads(page.evaluate("JSON.stringify(window.splatree)"))
+    page.evaluate("window.splatree.stop()")  # a software GPU cannot draw and be photographed at once
+    picture = page.screenshot()
+    entries = page.evaluate("performance.getEntriesByType('resource').map((e) => [e.name, e.encodedBodySize])")
+    loaded = [(name, size) for name, size in entries if "/packages/" not in name and "/page/" not in name]
+    assert page.errors == [] and "error" not in said
+    page.close()
+    return picture, said, loaded
+
+
+def listed(vector):
+    return ",".join(f"{x:.9g}" for x in vector)
+
+
+def drawn(gaussians, camera):
+    return np.clip(st.render(st.Scene.flat(gaussians), camera, select=EVERY_ROW).image, 0, 1)
+
+
+def psnr(picture, truth):
+    return st.psnr(picture.astype(np.float32), np.asarray(truth, np.float32))
+
+
+def test_playcanvas_draws_the_levels_of_our_streamed_sog(browser, served, tree, camera):
+    stream = open_sog_stream(served.folder / "city")
+    levels = select_playcanvas(stream.ranges, camera, BUDGET)
+    chosen = stream.gaussians_of(levels)
+    picture, said, loaded = shown(browser, served, "playcanvas", "city/lod-meta.json", camera, budget=BUDGET)
+    # The engine takes the levels that we say it takes, but for chunks whose distance is just at the end of a band.
+    assert abs(said["drawn"] / len(chosen) - 1) <= 0.05 and said["drawn"] <= BUDGET
+    expected = drawn(chosen, camera)
+    assert psnr(picture, expected) >= 26
+    assert abs(picture.mean() / expected.mean() - 1) <= 0.1
+
+    whole = drawn(tree.gaussians.take(tree.tree.is_leaf), camera)
+    assert psnr(picture, whole) >= psnr(expected, whole) - 1
+    # The units that are chosen, those of the coarsest level, which come first, and the manifest.
+    coarsest = np.full(len(levels), len(stream.ranges.counts) - 1)
+    units = np.union1d(stream.files_of(levels), stream.files_of(coarsest))
+    wanted = stream.file_bytes[units].sum() + (stream.folder / "lod-meta.json").stat().st_size
+    assert sum(size for _, size in loaded) <= 1.05 * wanted
+
+
+def test_playcanvas_with_a_tenth_is_not_far_from_the_whole(browser, served, tree, camera):
+    whole = drawn(tree.gaussians.take(tree.tree.is_leaf), camera)
+    quality, brightness = [], []
+    for budget in (tree.tree.num_leaves // 10, tree.tree.num_leaves):
+        picture, _, _ = shown(browser, served, "playcanvas", "city/lod-meta.json", camera, budget=budget)
+        quality.append(psnr(picture, whole))
+        brightness.append(picture.mean())
+    assert quality[1] - quality[0] <= 8, quality
+    assert abs(brightness[0] / brightness[1] - 1) <= 0.1, brightness
+
+
+def test_spark_draws_our_rad_chunk_by_chunk(browser, served, tree, camera):
+    view = select_spark(tree, camera, BUDGET)
+    settled = "window.splatree?.quietMs > 15_000"  # on a software GPU a sort takes seconds
+    picture, said, loaded = shown(browser, served, "spark", "city.rad", camera, settled, budget=BUDGET)
+    assert abs(said["chosen"] / len(view.drawn) - 1) <= 0.01
+    assert psnr(picture, drawn(tree.gaussians.take(view.drawn), camera)) >= 24
+    assert {name.rsplit("/", 1)[1] for name, _ in loaded} == {"city.rad"}
