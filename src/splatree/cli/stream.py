@@ -18,7 +18,8 @@ from splatree.stream.stream import stream
 class Command:
     """Write a stream that viewers on the web load piece by piece, finer where the camera is near.
 
-    `sog` is a folder for PlayCanvas, SuperSplat and Babylon.js, `rad` a file for Spark. A scene without levels of detail gets
+    `sog` is a folder for PlayCanvas, SuperSplat and Babylon.js, `rad` a file for Spark, `3dtiles` a folder for
+    CesiumJS. A scene without levels of detail gets
     them first. A command that was interrupted goes on where it stopped when it is given again.
 
     Example: splatree stream city.splatree city_stream; then splatree serve city_stream
@@ -27,9 +28,9 @@ class Command:
     paths: Positional[tuple[Path, ...]]
     """Inputs, and last the output unless it is named with -o; several inputs are read as one scene."""
     output: Annotated[Path | None, arg(aliases=["-o"])] = None
-    """Folder (sog) or file (rad) to write."""
+    """Folder (sog, 3dtiles) or file (rad) to write."""
     format: StreamFormat = "sog"
-    """Who reads it: sog for PlayCanvas, SuperSplat and Babylon.js; rad for Spark."""
+    """Who reads it: sog for PlayCanvas, SuperSplat and Babylon.js; rad for Spark; 3dtiles for CesiumJS."""
     force: bool = False
     """Replace an older stream."""
     reading: Annotated[Reading, arg(name="", help="")] = Reading()

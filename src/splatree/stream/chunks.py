@@ -17,7 +17,7 @@ from splatree.render.paths import bounds_of
 from splatree.scene.scene import Scene
 from splatree.shapes import Array, Bool, Int32, check_fields
 
-__all__ = ["CHUNK_LEAVES", "TreeChunks", "chunks_of_tree"]
+__all__ = ["CHUNK_LEAVES", "TreeChunks", "chunks_of_tree", "divide"]
 
 CHUNK_LEAVES = 16_384
 """Leaves of a chunk. Chunks four times as large cost 2 dB at equal numbers of nodes in a view."""
@@ -54,13 +54,29 @@ def chunks_of_tree(scene: Scene, chunk_leaves: int = CHUNK_LEAVES) -> TreeChunks
         raise InputError(f"chunk_leaves: found {chunk_leaves}, wanted at least 1")
     if len(scene) == 0:
         raise InputError("stream: found an empty scene, wanted at least one Gaussian")
-    end, means, n = scene.tree.subtree_end, scene.gaussians.means, len(scene)
-    leaves_before = np.concatenate([[0], np.cumsum(scene.tree.is_leaf)])
+    n = len(scene)
     _, radius = bounds_of(scene)
-    usual = 2 * radius * np.sqrt(chunk_leaves / leaves_before[-1])  # leaves lie on surfaces
+    usual = 2 * radius * np.sqrt(chunk_leaves / scene.tree.num_leaves)  # leaves lie on surfaces
+    leaves_before = np.concatenate([[0], np.cumsum(scene.tree.is_leaf)])
+    runs, spine = divide(scene, leaves_before, (0, n), chunk_leaves, usual)
     is_spine = np.zeros(n, bool)
+    is_spine[spine] = True
+    start, end = np.array(runs, np.int32).T.copy()
+    return TreeChunks(start, end, is_spine)
+
+
+def divide(
+    scene: Scene, leaves_before: Array, span: tuple[int, int], most_leaves: int, usual: float = np.inf
+) -> tuple[list[tuple[int, int]], list[int]]:
+    """Divide rows ``span``, whole sibling subtrees, into such runs of at most ``most_leaves`` leaves, and the rows above these.
+
+    ``leaves_before`` counts the leaves before each row "n+1". A group is at most four times as long as its longest member or as
+    ``usual``, world units.
+    """
+    end, means = scene.tree.subtree_end, scene.gaussians.means
     runs: list[tuple[int, int]] = []
-    pending = [(0, n)]
+    spine: list[int] = []
+    pending = [span]
     while pending:
         first, last = pending.pop()
         group = _Group(first)
@@ -68,19 +84,18 @@ def chunks_of_tree(scene: Scene, chunk_leaves: int = CHUNK_LEAVES) -> TreeChunks
             row = group.end
             after = int(end[row])
             num_leaves = int(leaves_before[after] - leaves_before[row])
-            if num_leaves > chunk_leaves and after > row + 1:
-                is_spine[row] = True
+            if num_leaves > most_leaves and after > row + 1:
+                spine.append(row)
                 pending += [(after, last), (row + 1, after)]  # the second is done first
                 break
             low, high = means[row:after].min(axis=0), means[row:after].max(axis=0)
-            if not group.takes(num_leaves, low, high, chunk_leaves, usual):
+            if not group.takes(num_leaves, low, high, most_leaves, usual):
                 runs.append((group.start, row))
                 group = _Group(row)
             group.add(after, num_leaves, low, high)
         if group.end > group.start:
             runs.append((group.start, group.end))
-    start, end = np.array(runs, np.int32).T.copy()
-    return TreeChunks(start, end, is_spine)
+    return runs, spine
 
 
 class _Group:
@@ -92,13 +107,13 @@ class _Group:
         self.low, self.high = np.full(3, np.inf), np.full(3, -np.inf)
         self.longest = 0.0
 
-    def takes(self, num_leaves: int, low: Array, high: Array, chunk_leaves: int, usual: float) -> bool:
+    def takes(self, num_leaves: int, low: Array, high: Array, most_leaves: int, usual: float) -> bool:
         """Whether one more member fits."""
         if self.end == self.start:
             return True
         side = float((np.maximum(self.high, high) - np.minimum(self.low, low)).max())
         longest = max(self.longest, float((high - low).max()), usual)
-        return self.num_leaves + num_leaves <= chunk_leaves and side <= _LONGER_MAX * longest
+        return self.num_leaves + num_leaves <= most_leaves and side <= _LONGER_MAX * longest
 
     def add(self, end: int, num_leaves: int, low: Array, high: Array) -> None:
         """Take a member in."""

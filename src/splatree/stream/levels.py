@@ -21,7 +21,15 @@ from splatree.scene.tree import GaussianTree
 from splatree.shapes import Array, Float32, Int32, Int64, check_fields
 from splatree.stream.chunks import TreeChunks
 
-__all__ = ["COARSEST_SHARE", "Intervals", "Level", "intervals_of", "levels_of_tree"]
+__all__ = [
+    "COARSEST_SHARE",
+    "Intervals",
+    "Level",
+    "cuts_of",
+    "intervals_from",
+    "intervals_of",
+    "levels_of_tree",
+]
 
 COARSEST_SHARE = 1 / 64
 """Nodes of the coarsest level for each leaf: viewers show it first, and all of it. A coarser one is a blur that stays on the
@@ -78,8 +86,13 @@ def intervals_of(tree: GaussianTree, chunks: TreeChunks) -> Intervals:
     """The sizes at which each row of the tree is drawn."""
     from_size = np.where(tree.is_leaf, np.float32(0), tree.extents)
     from_size[chunks.is_spine] = np.inf
-    to_size = np.full(len(tree), np.inf, np.float32)
-    for rows, parents in parents_by_level(tree.depth):
+    return intervals_from(from_size, tree.depth)
+
+
+def intervals_from(from_size: Float32[Array, "n"], depth: Array) -> Intervals:
+    """The intervals of rows in preorder that are drawn from these sizes on; ``depth`` counts from the topmost of them."""
+    to_size = np.full(len(from_size), np.inf, np.float32)
+    for rows, parents in parents_by_level(depth):
         to_size[rows] = np.minimum(to_size[parents], from_size[parents])
     return Intervals(from_size, to_size)
 
@@ -100,7 +113,7 @@ def levels_of_tree(
     if num_levels is not None and num_levels < 1:
         raise InputError(f"levels: found {num_levels}, wanted at least 1")
     intervals = intervals_of(tree, chunks)
-    sizes, counts = _cuts(intervals)
+    sizes, counts = cuts_of(intervals)
     levels = [_level(intervals, chunks, 0.0)]
     fewest = max(COARSEST_SHARE * len(levels[0]) * 0.99, _NODES_PER_CHUNK_MIN * len(chunks))
     target = len(levels[0]) / ratio
@@ -112,7 +125,7 @@ def levels_of_tree(
     return tuple(levels)
 
 
-def _cuts(intervals: Intervals) -> tuple[Array, Array]:
+def cuts_of(intervals: Intervals) -> tuple[Array, Array]:
     """Every size at which the cut changes, above 0, and the number of nodes from there on."""
     is_used = intervals.from_size < intervals.to_size
     begins, ends = np.sort(intervals.from_size[is_used]), np.sort(intervals.to_size[is_used])

@@ -8,8 +8,9 @@ from splatree.stream.chunks import CHUNK_LEAVES
 
 __all__ = ["StreamFormat", "StreamOptions"]
 
-StreamFormat = Literal["sog", "rad"]
-"""What viewers load: `sog`, a folder for PlayCanvas, SuperSplat and Babylon.js; `rad`, a file for Spark."""
+StreamFormat = Literal["sog", "rad", "3dtiles"]
+"""What viewers load: `sog`, a folder for PlayCanvas, SuperSplat and Babylon.js; `rad`, a file for Spark; `3dtiles`, a folder for
+CesiumJS."""
 
 
 @dataclass(frozen=True)
@@ -27,6 +28,11 @@ class StreamOptions:
     node_px: float = 7.5
     """sog: extent, in pixels, at which merged nodes are expected to be drawn. A viewer with a budget draws them larger than the 3
     px that they were made for, and their opacities follow from that; 3 keeps those of the tree."""
+    tile_nodes: int = 32_768
+    """3dtiles: most Gaussians of a tile."""
+    origin: tuple[float, float, float] | None = None
+    """3dtiles: latitude and longitude in degrees and height in metres of the scene's origin; None: 0 0 0. The scene's −y points
+    up and its z south."""
     sh_degree: int | None = None
     """Cut off spherical harmonics above this degree; None: keep all."""
 
@@ -50,5 +56,7 @@ _USED_BY: dict[str, tuple[StreamFormat, ...]] = {
     "chunk_leaves": ("sog",),
     "unit_rows": ("sog",),
     "node_px": ("sog",),
-    "sh_degree": ("sog", "rad"),
+    "tile_nodes": ("3dtiles",),
+    "origin": ("3dtiles",),
+    "sh_degree": ("sog", "rad", "3dtiles"),
 }

@@ -13,6 +13,7 @@ from splatree.stream.options import StreamFormat, StreamOptions
 from splatree.stream.rad import write_rad
 from splatree.stream.result import Streamed
 from splatree.stream.sog import write_sog
+from splatree.stream.tiles import write_tiles
 
 __all__ = ["stream"]
 
@@ -34,8 +35,8 @@ def stream(
 
     Args:
         scene: The scene, with levels or without.
-        output: The folder (`sog`) or the file (`rad`) to write.
-        format: Who reads it: `sog` for PlayCanvas, SuperSplat and Babylon.js, `rad` for Spark.
+        output: The folder (`sog`, `3dtiles`) or the file (`rad`) to write.
+        format: Who reads it: `sog` for PlayCanvas, SuperSplat and Babylon.js, `rad` for Spark, `3dtiles` for CesiumJS.
         options: How it is cut.
         force: Replace an older stream.
         threads: Threads to work on, 0: one for each processor.
@@ -47,7 +48,8 @@ def stream(
         InputError: the scene is empty, or the options contradict the format or each other.
         OutputError: there is something else at ``output``, or the disk fails.
 
-    Source: PlayCanvas, "Streamed SOG" (lod-meta.json, version 1); sparkjsdev/spark, rad.rs and chunk_tree.rs.
+    Source: PlayCanvas, "Streamed SOG" (lod-meta.json, version 1); sparkjsdev/spark, rad.rs and chunk_tree.rs; OGC 22-025r4,
+    3D Tiles 1.1.
 
     Example:
         >>> import splatree as st
@@ -69,4 +71,6 @@ def stream(
         scene = build_lod(scene, BuildOptions(method="pairs"), threads=threads)
     if format == "rad":
         return write_rad(scene, Path(output), force=force)
+    if format == "3dtiles":
+        return write_tiles(scene, Path(output), options, force=force, threads=threads)
     return write_sog(scene, Path(output), options, force=force, threads=threads)

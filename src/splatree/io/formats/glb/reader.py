@@ -48,7 +48,7 @@ from splatree.io.formats.spz import format as spz
 from splatree.io.mirror import mirror
 from splatree.io.options import ReadOptions
 from splatree.io.placing import Placed, placed, settle
-from splatree.maths.axes import signs_between
+from splatree.maths.axes import AXES, signs_between
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.names import Mode
@@ -61,11 +61,25 @@ GLTF_AXES: Final = "LUF"
 SPZ_AXES: Final = "RUB"
 """Axes of an SPZ inside a glTF: those of the format's documents, as the extension demands."""
 
+SPZ_AXES_KEY: Final = "splatree_spz_axes"
+"""Key of our own in ``asset.extras``: other axes of an SPZ inside."""
+
 _ROWS_PER_BYTE = 0.25
 """Rows that a byte of a glTF may stand for: a row takes 17 bytes and more, so a mesh may be shown four times and more often."""
 
 _NODES_MAX = 1 << 16
 """More nodes than this in a scene are refused."""
+
+
+def _spz_axes(gltf: GltfFile) -> str:
+    extras = untrusted.as_object(gltf.json["asset"], f"{gltf.where}: asset").get("extras")
+    named = extras.get(SPZ_AXES_KEY) if isinstance(extras, dict) else None
+    if named is None:
+        return SPZ_AXES
+    if named not in AXES:
+        where = f"{gltf.where}: asset.extras.{SPZ_AXES_KEY}"
+        raise FormatError(f"{where}: found {str(named)[:40]!r}, wanted one of {', '.join(AXES)}")
+    return str(named)
 
 
 def sniff(path: Path, head: bytes) -> bool:
@@ -138,7 +152,8 @@ class _Part:
             file, start, size, _ = self.gltf.view(view, where)
             file.seek(start)
             data = file.read(size)
-            scene = spz.file_rows(lambda: BytesIO(data), size, where, default_axes=SPZ_AXES).unchecked_scene()
+            axes = _spz_axes(self.gltf)
+            scene = spz.file_rows(lambda: BytesIO(data), size, where, default_axes=axes).unchecked_scene()
             return scene.gaussians, scene.mode
         gaussians = _decoded(self.where, _attributes(self), path)
         mirror(gaussians, signs_between(GLTF_AXES, spz.SCENE_AXES))

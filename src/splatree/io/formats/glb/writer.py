@@ -19,7 +19,7 @@ from splatree.io.check import refuse_unusable
 from splatree.io.chunks import Chunks
 from splatree.io.formats.glb.container import GLB_BYTES_MAX, MAGIC
 from splatree.io.formats.glb.names import EXTENSION, SPZ_EXTENSION
-from splatree.io.formats.glb.reader import GLTF_AXES
+from splatree.io.formats.glb.reader import GLTF_AXES, SPZ_AXES, SPZ_AXES_KEY
 from splatree.io.formats.spz import format as spz
 from splatree.io.options import WriteOptions
 from splatree.kernels.cpu.runtime.files import write_at
@@ -55,11 +55,20 @@ def write_chunks(chunks: Chunks, path: Path, options: WriteOptions) -> tuple[str
     """Write a .glb, plain or with ``options.packing`` = spz."""
     with path.open("wb") as file:
         if options.packing == "spz":
-            return _write_spz(chunks, file, path, options)
+            return _write_spz(chunks, file, path, options, SPZ_AXES)
         for name in ("format_version", "sh_bits", "compression"):
             if getattr(options, name) is not None:
                 raise InputError(f"{path}: found the option {name}, which is for a .glb with packing spz only")
         return _write_plain(chunks, file, path)
+
+
+def write_tile(chunks: Chunks, path: Path) -> tuple[str, ...]:
+    """Write a .glb with an SPZ whose numbers are in the axes of glTF, as CesiumJS takes them; `SPZ_AXES_KEY` says so.
+
+    The extension's draft stores them in other axes, which CesiumJS does not turn back.
+    """
+    with path.open("wb") as file:
+        return _write_spz(chunks, file, path, WriteOptions(), GLTF_AXES)
 
 
 def _attributes(degree: int) -> list[_Attribute]:
@@ -81,7 +90,7 @@ def _write_plain(chunks: Chunks, file: BinaryIO, path: Path) -> tuple[str, ...]:
         {"buffer": 0, "byteOffset": s, "byteLength": a.row_bytes * n} for a, s in zip(attributes, starts, strict=False)
     ]
     bounds = np.full((2, 3), _NUMBER)
-    room = len(_json(chunks, attributes, bounds, views, starts[-1], packed=False))
+    room = len(_json(chunks, attributes, bounds, views, starts[-1]))
     room += -room % 4
     at = 12 + 8 + room + 8
     if at + starts[-1] > GLB_BYTES_MAX:
@@ -101,32 +110,32 @@ def _write_plain(chunks: Chunks, file: BinaryIO, path: Path) -> tuple[str, ...]:
             begin += len(g)
             advance(len(g))
     bounds = np.stack([low, high]) if n else np.zeros((2, 3))
-    text = _json(chunks, attributes, bounds, views, starts[-1], packed=False).ljust(room)
+    text = _json(chunks, attributes, bounds, views, starts[-1]).ljust(room)
     write_at(file, 0, _head(text, starts[-1]))
     return ()
 
 
-def _write_spz(chunks: Chunks, file: BinaryIO, path: Path, options: WriteOptions) -> tuple[str, ...]:
+def _write_spz(chunks: Chunks, file: BinaryIO, path: Path, options: WriteOptions, spz_axes: str) -> tuple[str, ...]:
     attributes = _attributes(chunks.sh_degree)
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for g in chunks:
         means = g.means * _SIGNS
         low, high = np.minimum(low, means.min(axis=0)), np.maximum(high, means.max(axis=0))
     bounds = np.stack([low, high]) if len(chunks) else np.zeros((2, 3))
-    room = len(
-        _json(chunks, attributes, bounds, [{"buffer": 0, "byteLength": GLB_BYTES_MAX}], GLB_BYTES_MAX, packed=True)
-    )
+    views = [{"buffer": 0, "byteLength": GLB_BYTES_MAX}]
+    room = len(_json(chunks, attributes, bounds, views, GLB_BYTES_MAX, spz_axes=spz_axes))
     room += -room % 4
     start = 12 + 8 + room + 8
     file.seek(start)
     version = _SPZ_VERSION if options.format_version is None else options.format_version
-    lost = spz.encode(chunks, file, path, version=version, axes=None, options=options)
+    lost = spz.encode(chunks, file, path, version=version, axes=None, options=options, unnamed_axes=spz_axes)
     size = file.tell() - start
     padded = size + -size % 4
     if start + padded > GLB_BYTES_MAX:
         raise InputError(f"{path}: found {start + padded:,} bytes, wanted less than 4 GiB in a .glb; write an .spz")
     file.write(bytes(padded - size))
-    text = _json(chunks, attributes, bounds, [{"buffer": 0, "byteLength": size}], padded, packed=True).ljust(room)
+    views = [{"buffer": 0, "byteLength": size}]
+    text = _json(chunks, attributes, bounds, views, padded, spz_axes=spz_axes).ljust(room)
     file.seek(0)
     file.write(_head(text, padded))
     return lost
@@ -145,9 +154,10 @@ def _json(
     views: list[dict[str, Any]],
     num_bytes: int,
     *,
-    packed: bool,
+    spz_axes: str | None = None,
 ) -> bytes:
-    """The JSON of a file; packed attributes have accessors without a view."""
+    """The JSON of a file; attributes that are packed, in an SPZ in these axes, have accessors without a view."""
+    packed = spz_axes is not None
     accessors: list[dict[str, Any]] = []
     for index, a in enumerate(attributes):
         accessor: dict[str, Any] = {} if packed else {"bufferView": index}
@@ -176,8 +186,9 @@ def _json(
     if chunks.origin != NO_ORIGIN:
         node["translation"] = (np.asarray(chunks.origin) * _SIGNS).tolist()
     used = [EXTENSION, SPZ_EXTENSION] if packed else [EXTENSION]
+    extras = {"extras": {SPZ_AXES_KEY: spz_axes}} if packed and spz_axes != SPZ_AXES else {}
     content = {
-        "asset": {"version": "2.0", "generator": "splatree"},
+        "asset": {"version": "2.0", "generator": "splatree", **extras},
         "extensionsUsed": used,
         **({"extensionsRequired": used} if packed else {}),  # the attributes alone would be zeros
         "scene": 0,

@@ -154,9 +154,16 @@ def write_chunks(chunks: Chunks, path: Path, options: WriteOptions) -> tuple[str
 
 
 def encode(
-    chunks: Chunks, file: BinaryIO, path: Path, *, version: int, axes: str | None, options: WriteOptions
+    chunks: Chunks,
+    file: BinaryIO,
+    path: Path,
+    *,
+    version: int,
+    axes: str | None,
+    options: WriteOptions,
+    unnamed_axes: str = "RUB",
 ) -> tuple[str, ...]:
-    """Write an .spz to an open file; return what was lost. ``axes`` None: RUB, without a record that says so.
+    """Write an .spz to an open file; return what was lost. ``axes`` None: ``unnamed_axes``, without a record that says so.
 
     ``path`` is named in errors and progress, its folder holds temporary files.
     """
@@ -164,7 +171,7 @@ def encode(
     while bits is not None:
         header = Header(version, len(chunks), chunks.sh_degree, bits, chunks.mode == "antialiased", axes)
         with PlaneWriter(header, path.parent, options.compression) as writer:
-            encoder = _Encoder(header, signs_between(SCENE_AXES, axes or "RUB"), options.sh_bits)
+            encoder = _Encoder(header, signs_between(SCENE_AXES, axes or unnamed_axes), options.sh_bits)
             bits = encoder.run(chunks, writer, path)
             if bits is None:
                 writer.finish(file)
