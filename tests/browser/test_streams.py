@@ -1,4 +1,4 @@
-"""Streams in the viewers that they are made for: PlayCanvas and Spark from npm, in Chromium, by the pages of `serve`.
+"""Streams in the viewers that they are made for: PlayCanvas, Spark and Cesium from npm, in Chromium, by the pages of `serve`.
 
 The picture of the viewer is compared with the library's picture of what the viewer's rule chooses, as `splatree.stream.readers`
 repeats it. Viewers cut splats off earlier than we do and sort by other keys: complete scenes come out at 26 to 31 dB.
@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import splatree as st
+from splatree.stream.readers.cesium import open_tileset, select_cesium
 from splatree.stream.readers.playcanvas import select_playcanvas
 from splatree.stream.readers.sog_stream import open_sog_stream
 from splatree.stream.readers.spark import select_spark
@@ -53,6 +54,7 @@ def served(tree, packages, tmp_path_factory):
     folder = tmp_path_factory.mktemp("streams")
     st.stream(tree, folder / "city")
     st.stream(tree, folder / "city.rad", "rad")
+    st.stream(tree, folder / "tiles", "3dtiles", st.StreamOptions(tile_nodes=16_000))
     with st.serve(folder, st.ServeOptions(port=0, packages=str(packages))) as server:
         yield server
 
@@ -141,3 +143,18 @@ def test_spark_draws_our_rad_chunk_by_chunk(browser, served, tree, camera):
     assert abs(said["chosen"] / len(view.drawn) - 1) <= 0.01
     assert psnr(picture, drawn(tree.gaussians.take(view.drawn), camera)) >= 24
     assert {name.rsplit("/", 1)[1] for name, _ in loaded} == {"city.rad"}
+
+
+def test_cesium_draws_our_tiles(browser, served, tree, camera):
+    """Seen from one side, so that a scene turned about its up axis would be found out."""
+    tiles = open_tileset(served.folder / "tiles")
+    chosen = select_cesium(tiles, camera, most_px=100)  # fewer, for the software GPU
+    gaussians = st.Gaussians.concatenate(
+        [st.read(served.folder / "tiles" / tiles.names[tile]).gaussians for tile in chosen.drawn]
+    )
+    picture, said, loaded = shown(browser, served, "cesium", "tiles/tileset.json", camera, sse=100)
+    assert said["drawn"] == len(gaussians)
+    expected = drawn(gaussians, camera)  # Cesium widens small splats less: 19.7 dB
+    assert psnr(picture, expected) >= max(18, psnr(picture, expected[:, ::-1]) + 3)
+    names = {name.rsplit("/", 1)[1] for name, _ in loaded}
+    assert names == {"tileset.json", *(tiles.names[tile] for tile in chosen.loaded)}
