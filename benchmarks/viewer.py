@@ -22,8 +22,8 @@ import splatree
 from harness import measure, save, table
 from splatree.view.client import FIRST_TAU_PX, LADDER, with_guard
 from splatree.view.exhibit import Exhibit, exhibit
+from splatree.view.files import page_files
 from splatree.view.pictures import encode, layer_of
-from splatree.view.server import page_files
 from splatree.view.slots import Slots
 
 STEP_DEG = 2.0

@@ -14,7 +14,10 @@ from websockets.sync.client import connect
 
 from splatree.errors import InputError, OutputError
 from splatree.scene.cameras import Camera, Cameras
+from splatree.view import client as client_module
+from splatree.view import connection
 from splatree.view import server as module
+from splatree.view.files import page_files
 from splatree.view.options import ViewOptions
 from splatree.view.viewer import Viewer
 
@@ -76,7 +79,7 @@ def test_the_page_and_all_that_it_names_are_there(viewer):
 def test_all_modules_that_are_imported_are_served():
     import re
 
-    files = module.page_files()
+    files = page_files()
     for name, (data, _) in files.items():
         for found in re.findall(r"(?:from|URL\()\s*'\./([\w.]+)'", data.decode()):
             assert found in files, f"{name} imports {found}"
@@ -246,11 +249,12 @@ def test_a_page_that_stops_reading_harms_nobody(viewer):
 
 
 def test_a_page_that_says_nothing_is_let_go(viewer, monkeypatch):
-    monkeypatch.setattr(module, "IDLE_S", 0.2)
+    monkeypatch.setattr(connection, "IDLE_S", 0.2)
     with join(viewer) as page:
-        next_of(page, "scene")
         with pytest.raises(ConnectionClosed) as closed:
-            page.recv(timeout=30)
+            while True:
+                page.recv(timeout=30)
+        assert closed.value.rcvd.code == 4000
         assert "idle" in closed.value.rcvd.reason
 
 
@@ -271,6 +275,20 @@ def test_another_scene_and_another_camera_reach_the_page(viewer):
         assert next_of(page, "scene")[0]["degree"] == 0
         viewer.set_scene(scene())
         assert next_of(page, "scene")[0]["degree"] == 3
+
+
+def test_a_worker_that_fails_is_logged_and_closes_the_connection(viewer, monkeypatch, caplog):
+    def fail(*_):
+        raise ZeroDivisionError("a bug")
+
+    monkeypatch.setattr(client_module.Client, "_cut", fail)
+    with join(viewer) as page:
+        next_of(page, "scene")
+        page.send(json.dumps(VIEW))
+        with pytest.raises(ConnectionClosed) as closed:
+            page.recv(timeout=30)
+    assert (closed.value.rcvd.code, closed.value.rcvd.reason) == (1011, "the server failed: a bug")
+    assert "the worker of a page failed" in caplog.text
 
 
 def test_there_is_no_scene_beside_the_first(viewer):

@@ -5,13 +5,9 @@ the connection of a page. Files are served from a list that is made when the ser
 """
 
 import asyncio
-import concurrent.futures
-import contextlib
 import io
-import json
 import threading
-from collections.abc import AsyncIterator, Mapping
-from importlib.resources import files
+from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -19,31 +15,29 @@ from starlette.applications import Starlette
 from starlette.requests import Request as HttpRequest
 from starlette.responses import JSONResponse, PlainTextResponse, Response
 from starlette.routing import Route, WebSocketRoute
-from starlette.websockets import WebSocket, WebSocketDisconnect
+from starlette.websockets import WebSocket
 
-from splatree.errors import InputError
 from splatree.scene.cameras import Camera, Cameras
 from splatree.shapes import Array
 from splatree.stream.http import HttpServer
-from splatree.view.client import PATIENCE_S, Client
+from splatree.view.client import Client
+from splatree.view.connection import carry, send_from_thread
 from splatree.view.exhibit import Exhibit
+from splatree.view.files import index_of, page_files, policy
 from splatree.view.guard import Guard
 from splatree.view.messages import TEXT_BYTES
 from splatree.view.options import CAPACITY, ViewOptions
 
-__all__ = ["Server", "page_files"]
+__all__ = ["Server"]
 
 CLIENTS_MAX: Final = 16
 """Pages that are connected at once."""
 
-IDLE_S: Final = 600.0
-"""A page that says nothing for so long is let go; it connects again when it is looked at."""
-
 PHOTO_PX: Final = 1600
 """Longer side of a photograph as it is sent."""
 
-TYPES: Final = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
-"""Files that the page is made of."""
+SAFE: Final = {"X-Content-Type-Options": "nosniff", "Cross-Origin-Resource-Policy": "same-origin"}
+"""Headers of every file."""
 
 
 class Server:
@@ -59,11 +53,9 @@ class Server:
     ) -> None:
         self.exhibits, self._options, self._token = exhibits, options, token
         self._cameras, self._photos = cameras, photos
-        self._workers = concurrent.futures.ThreadPoolExecutor(CLIENTS_MAX + 1, "splatree view client")
         self._files = page_files()
         self._lock = threading.Lock()
         self._clients: list[tuple[int, Client]] = []
-        self._loop: asyncio.AbstractEventLoop | None = None
         routes = [
             Route("/", self._index),
             Route("/page/{name}", self._file),
@@ -71,7 +63,7 @@ class Server:
             Route("/photo/{number:int}", self._photo),
             WebSocketRoute("/ws", self._connect),
         ]
-        app = Guard(Starlette(routes=routes, lifespan=self._lifespan), options, token)
+        app = Guard(Starlette(routes=routes), options, token)
         self._http = HttpServer(app, options.host, options.port, message_bytes=TEXT_BYTES)
         self.port: int = self._http.port
         """Port that it listens on."""
@@ -87,7 +79,6 @@ class Server:
         for _, client in clients:
             client.close()
         self._http.stop()
-        self._workers.shutdown(wait=True)
         for exhibit in self.exhibits:
             exhibit.session.close()
 
@@ -102,35 +93,7 @@ class Server:
         with self._lock:
             return [client for place, client in self._clients if place == which]
 
-    @contextlib.asynccontextmanager
-    async def _lifespan(self, app: Starlette) -> AsyncIterator[None]:
-        self._loop = asyncio.get_running_loop()
-        yield
-
     async def _index(self, request: HttpRequest) -> Response:
-        host = request.headers.get("host", "")
-        policy = {
-            "default-src": "'none'",
-            "script-src": "'self'",
-            "worker-src": "'self'",
-            "style-src": "'self'",
-            "img-src": "'self' blob: data:",
-            "media-src": "blob:",
-            "connect-src": f"'self' ws://{host} wss://{host}",
-            "base-uri": "'none'",
-            "form-action": "'none'",
-            "frame-ancestors": " ".join(
-                [
-                    "'self'",
-                    "http://localhost:*",
-                    "http://127.0.0.1:*",
-                    "vscode-webview:",
-                    "vscode-file:",
-                    *self._options.allow_origin,
-                ]
-            ),
-        }
-        text = self._files["index.html"][0].decode()
         settings = {
             "budget": self._options.budget,
             "tau": self._options.pixel_error,
@@ -138,20 +101,19 @@ class Server:
             "scenes": [exhibit.name for exhibit in self.exhibits],
             "capacity": CAPACITY,
         }
-        text = text.replace("{{settings}}", json.dumps(settings).replace("&", "&amp;").replace('"', "&quot;"))
         headers = {
-            "Content-Security-Policy": "; ".join(f"{name} {value}" for name, value in policy.items()),
+            "Content-Security-Policy": policy(self._options, request.headers.get("host", "")),
             "Referrer-Policy": "no-referrer",
-            "X-Content-Type-Options": "nosniff",
             "Cache-Control": "no-store",
+            **SAFE,
         }
-        return Response(text, media_type="text/html", headers=headers)
+        return Response(index_of(self._files["index.html"][0], settings), media_type="text/html", headers=headers)
 
     async def _file(self, request: HttpRequest) -> Response:
         found = self._files.get(request.path_params["name"])
         if found is None:
             return PlainTextResponse("not found\n", 404)
-        headers = {"X-Content-Type-Options": "nosniff", "Cache-Control": "no-cache"}
+        headers = {"Cache-Control": "no-cache", **SAFE}
         return Response(found[0], media_type=found[1], headers=headers)
 
     async def _views(self, request: HttpRequest) -> Response:
@@ -168,7 +130,7 @@ class Server:
             return PlainTextResponse("not found\n", 404)
         photos = self._photos
         data = await asyncio.get_running_loop().run_in_executor(None, lambda: _jpeg(photos[name]))
-        return Response(data, media_type="image/jpeg", headers={"Cache-Control": "private, max-age=600"})
+        return Response(data, media_type="image/jpeg", headers={"Cache-Control": "private, max-age=600", **SAFE})
 
     async def _connect(self, socket: WebSocket) -> None:
         try:
@@ -181,7 +143,7 @@ class Server:
             return
         await socket.accept()
         loop = asyncio.get_running_loop()
-        client = Client(self.exhibits[which], lambda data: _send_from_thread(loop, socket, data), capacity)
+        client = Client(self.exhibits[which], lambda data: send_from_thread(loop, socket, data), capacity)
         with self._lock:
             is_full = len(self._clients) >= CLIENTS_MAX
             if not is_full:
@@ -189,59 +151,12 @@ class Server:
         if is_full:
             await socket.close(1013, f"{CLIENTS_MAX} pages are connected already; close one")
             return
-        work = loop.run_in_executor(self._workers, client.run)
-        listening = asyncio.ensure_future(_listen_to(socket, client))
-        code, reason = 1000, ""
         try:
-            await asyncio.wait({work, listening}, return_when=asyncio.FIRST_COMPLETED)
-            if listening.done() and listening.exception() is not None:
-                code, reason = 1008, str(listening.exception())[:120]
+            await carry(socket, client)
         finally:
             client.close()
-            listening.cancel()
             with self._lock:
                 self._clients = [entry for entry in self._clients if entry[1] is not client]
-        with contextlib.suppress(RuntimeError, TimeoutError, WebSocketDisconnect):  # it may be gone already
-            await asyncio.wait_for(socket.close(code, reason), 2)
-        await asyncio.gather(work, listening, return_exceptions=True)
-
-
-async def _listen_to(socket: WebSocket, client: Client) -> None:
-    """Hand on what the page says.
-
-    Raises:
-        InputError: it says what no page says, or nothing for ten minutes.
-    """
-    while True:
-        try:
-            text = await asyncio.wait_for(socket.receive_text(), IDLE_S)
-        except TimeoutError:
-            raise InputError("idle for ten minutes") from None
-        except WebSocketDisconnect:
-            return
-        except KeyError:
-            raise InputError("message: found bytes, wanted a text") from None
-        client.receive(text)
-
-
-def _send_from_thread(loop: asyncio.AbstractEventLoop, socket: WebSocket, data: bytes) -> None:
-    """Send and wait until the connection has taken the data.
-
-    Raises:
-        TimeoutError: it does not within half a minute.
-    """
-    asyncio.run_coroutine_threadsafe(socket.send_bytes(data), loop).result(PATIENCE_S)
-
-
-def page_files() -> dict[str, tuple[bytes, str]]:
-    """Contents and types of the page's files by name."""
-    folder = files("splatree.view") / "page"
-    found = {}
-    for entry in folder.iterdir():
-        suffix = "." + entry.name.rpartition(".")[2]
-        if suffix in TYPES:
-            found[entry.name] = (entry.read_bytes(), TYPES[suffix])
-    return found
 
 
 def _view(camera: Camera, centre: Array, has_photo: bool) -> dict[str, Any]:

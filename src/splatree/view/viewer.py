@@ -56,6 +56,7 @@ def view(
     if block if open_browser is None else open_browser:
         webbrowser.open(viewer.url)
     if block:
+        print(f"look at {viewer.url} (Ctrl-C ends it)", flush=True)
         try:
             viewer.wait()
         except KeyboardInterrupt:

@@ -28,7 +28,7 @@ export class Layer {
       look: (header) => on.look(header),
       error: (header) => on.notice(header.text),
       open: () => on.notice(''),
-      closed: (reason) => on.notice(reason || 'The connection is lost; trying again …'),
+      closed: (reason) => on.notice(reason.startsWith('idle') ? 'The connection rests. Click to go on.' : reason || 'The connection is lost; trying again …'),
     });
   }
 

@@ -1,5 +1,6 @@
 // The connection to the server: texts of JSON go out, binary messages come in (messages.py describes them).
 const RETRY_MS = 1500;
+const REFUSED = 1008, IDLE = 4000; // codes of closing (connection.py)
 
 export class Link {
   /** `handlers` has a function for each kind of message: handler(header, payload as ArrayBuffer and offset). */
@@ -25,7 +26,8 @@ export class Link {
     socket.onclose = (event) => {
       this.socket = null;
       this.handlers.closed?.(event.reason);
-      if (event.code !== 1008) this.retry = setTimeout(() => this.reopen(), RETRY_MS);
+      if (event.code === IDLE) addEventListener('pointerdown', () => this.open(), { once: true });
+      else if (event.code !== REFUSED) setTimeout(() => this.reopen(), RETRY_MS);
     };
     this.socket = socket;
   }
