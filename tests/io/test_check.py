@@ -147,3 +147,50 @@ def test_dropping_takes_the_whole_row_whatever_is_wrong(tmp_path, column, index,
     rest = g.take(np.delete(np.arange(9), 4))
     assert all(same_bits(getattr(scene.gaussians, c), getattr(rest, c)) for c in COLUMNS)
     assert json.loads(scene.source.metadata["repairs"]) == {"dropped_rows": 1}
+
+
+@pytest.mark.parametrize(
+    ("column", "index", "limit"),
+    [
+        ("means", (4, 1), 1e15),
+        ("means", (4, 1), -1e15),
+        ("sh", (4, 2, 0), 1e6),
+        ("sh", (4, 2, 0), -1e6),
+        ("log_scales", (4, 0), 30.0),
+        ("log_scales", (4, 0), -30.0),
+    ],
+)
+def test_the_limits_stand_where_the_table_says(column, index, limit):
+    """One step of float32 beyond a limit is refused; up to it a value is taken."""
+    limit = np.float32(limit)
+    if abs(float(limit)) > {"means": 1e15, "sh": 1e6, "log_scales": 30}[column]:
+        limit = np.nextafter(limit, np.float32(0))  # the last value of float32 within
+    beyond = np.nextafter(limit, np.float32(np.copysign(np.inf, limit)))
+    within = Scene.flat(spoiled(column, index, limit))
+    assert checked(within, "", repair=False) is within
+    with pytest.raises(FormatError, match=f"row 4, {column}"):
+        checked(Scene.flat(spoiled(column, index, beyond)), "", repair=False)
+
+
+@pytest.mark.parametrize("length", [0.99e-12, 1.01e12])
+def test_a_quaternion_a_hundredth_beyond_the_limits_is_refused_and_repaired(length):
+    quat = np.float32(length) * np.float32([0.6, 0, 0.8, 0])
+    scene = Scene.flat(spoiled("quats", 4, quat))
+    with pytest.raises(FormatError, match="row 4, quats"):
+        checked(scene, "", repair=False)
+    fixed = checked(scene, "", repair=True)
+    assert json.loads(fixed.source.metadata["repairs"]) == {"repaired_quaternions": 1}
+    np.testing.assert_allclose(fixed.gaussians.quats[4], [0.6, 0, 0.8, 0], rtol=1e-6)
+    inside = Scene.flat(spoiled("quats", 4, quat * np.float32(1.02 if length < 1 else 0.98)))
+    assert checked(inside, "", repair=False) is inside
+
+
+@pytest.mark.parametrize(
+    ("found", "wanted"), [(35, 30), (80, 30), (np.inf, 30), (-35, -30), (-80, -30), (-np.inf, -30)]
+)
+def test_scales_beyond_the_limits_are_clamped_to_them(found, wanted):
+    bad = spoiled("log_scales", (4, 1), found)
+    fixed = checked(Scene.flat(bad), "", repair=True).gaussians
+    assert fixed.log_scales[4, 1] == wanted
+    bad.log_scales[4, 1] = wanted
+    assert same_bits(fixed.log_scales, bad.log_scales)

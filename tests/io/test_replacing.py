@@ -1,3 +1,6 @@
+import os
+import sys
+
 import pytest
 
 from splatree.errors import OutputError
@@ -23,3 +26,50 @@ def test_a_file_that_windows_holds_open_is_explained(tmp_path, monkeypatch):
     ):
         raise PermissionError(13, "Access is denied")
     assert (tmp_path / "a").read_bytes() == b"old"
+
+
+UNIX = pytest.mark.skipif(sys.platform == "win32", reason="names, files and folders as on Unix")
+
+
+@UNIX
+@pytest.mark.parametrize("way", ["new", "new without hard links", "forced"])
+def test_the_target_becomes_the_file_that_was_written_and_not_a_copy_of_it(tmp_path, monkeypatch, way):
+    """A copy can be seen half written, and an interrupted one leaves half a file."""
+    if way == "new without hard links":
+        monkeypatch.setattr("pathlib.Path.hardlink_to", _no_hard_links)
+    target = tmp_path / "a"
+    if way == "forced":
+        target.write_text("old")
+    with module.replacing(target, force=way == "forced") as path:
+        path.write_text("new")
+        written = path.stat().st_ino
+        reader = target.open() if way == "forced" else None
+    assert target.stat().st_ino == written
+    if reader is not None:
+        with reader:
+            assert reader.read() == "old"  # as whoever has mapped a scene goes on reading it
+
+
+@UNIX
+@pytest.mark.parametrize("force", [False, True])
+def test_the_bytes_are_on_the_disk_before_the_name_and_the_name_before_the_end(tmp_path, monkeypatch, force):
+    target = tmp_path / "a"
+    if force:
+        target.write_text("old")
+    flushed = []
+    real = os.fsync
+
+    def fsync(descriptor):
+        flushed.append((os.fstat(descriptor).st_ino, target.read_text() if target.exists() else None))
+        real(descriptor)
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    with module.replacing(target, force=force) as path:
+        path.write_text("new")
+        assert flushed == []
+    before = "old" if force else None
+    assert flushed == [(target.stat().st_ino, before), (tmp_path.stat().st_ino, "new")]
+
+
+def _no_hard_links(self, target):
+    raise OSError(1, "Operation not permitted")

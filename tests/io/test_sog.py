@@ -255,6 +255,7 @@ def test_the_bytes_of_a_streamed_scene_are_those_of_the_files_it_names(tmp_path)
         (lambda m: m.update(tree=[]), "wanted an object"),
         (lambda m: m["tree"]["children"].append(7), "a node of the tree: found a number"),
         (lambda m: m["tree"]["children"][0]["lods"]["0"].update(offset=5), "overlap"),
+        (lambda m: m["tree"]["children"][0]["lods"]["0"].update(offset=9), "overlap"),  # by one row
         (lambda m: m["tree"]["children"][0]["lods"]["0"].update(offset=11), "wanted at most its 30"),
         (lambda m: m["tree"]["children"][0]["lods"]["0"].update(file=2), "file: found 2"),
     ],
@@ -264,6 +265,21 @@ def test_lying_manifests_are_refused_with_a_reason(tmp_path, change, message):
     change(meta)
     (tmp_path / "lod-meta.json").write_text(json.dumps(meta))
     with pytest.raises(FormatError, match=message):
+        splatree.read(tmp_path)
+
+
+def test_a_tree_may_be_200_deep_and_no_deeper(tmp_path):
+    meta = streamed(tmp_path)
+    whole = splatree.read(tmp_path)
+    children = meta["tree"]["children"]
+    for _ in range(199):  # the leaves are one below
+        children = [{"children": children}]
+    meta["tree"]["children"] = children
+    (tmp_path / "lod-meta.json").write_text(json.dumps(meta))
+    assert same_bits(splatree.read(tmp_path).gaussians.means, whole.gaussians.means)
+    meta["tree"] = {"children": [meta["tree"]]}
+    (tmp_path / "lod-meta.json").write_text(json.dumps(meta))
+    with pytest.raises(FormatError, match="found a tree of more than 200 levels"):
         splatree.read(tmp_path)
 
 

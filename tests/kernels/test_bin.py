@@ -85,3 +85,33 @@ def test_pictures_with_too_many_tiles_are_refused() -> None:
     wide = camera(16 * 2**16, 1)
     with pytest.raises(st.InputError, match="wanted at most 1048560 px a side"):
         cpu.bin.bin(splats_of(st.Scene.flat(st.Gaussians.empty()), wide), seen(wide))
+
+
+@pytest.mark.parametrize("rule", ["ellipse", "box"])
+def test_a_tall_splat_is_listed_in_each_row_of_tiles_from_its_first_to_its_last(isa: str, rule: str) -> None:
+    """Splats of 1 to 16 and of 21 rows: few are listed by the vector loop, more row by row, eight at a time."""
+    n = 500
+    rng = np.random.default_rng(5)
+    g = gaussians(n, 5)
+    g.means[:] = np.stack([rng.choice([-0.11, 0.11], n), rng.uniform(-2, 2, n), np.zeros(n)], axis=1)
+    g.quats[:] = (1, 0, 0, 0)
+    g.log_scales[:] = np.stack([np.full(n, -4), rng.uniform(-5, 0, n), np.full(n, -4)], axis=1)
+    g.logit_opacities[:] = 4
+    seen_by = st.Camera.look_at((0, 0, -5), (0, 0, 0), width=64, height=336)
+    splats = splats_of(st.Scene.flat(g), seen_by)
+    bins = cpu.bin.bin(splats, seen(seen_by), whole_box=rule == "box")
+    row_of_pair = np.repeat(np.arange(len(bins.tile_start) - 1), np.diff(bins.tile_start)) // bins.num_tiles_x
+    # Rows whose pixel centres the box meets; an upright needle in the middle of a column of tiles meets each of them too.
+    top, bottom = (splats.means_px[:, 1] + side * splats.half_sizes_px[:, 1].astype(np.float64) for side in (-1, 1))
+    inside_top, inside_bottom = np.maximum(top, 0.5), np.minimum(bottom, 335.5)
+    first, last = np.ceil((inside_top - 15.5) / 16), np.floor((inside_bottom - 0.5) / 16)
+    # Ends within a hundredth of a pixel of a row's first or last centre may go either way.
+    clear = np.ones(len(splats), bool)
+    for end in (top, bottom):
+        clear &= np.abs((end - 0.5 + 8) % 16 - 8) > 0.01
+        clear &= np.abs((end - 15.5 + 8) % 16 - 8) > 0.01
+    counts = last - first + 1
+    assert set(range(1, 17)) | {21} <= set(counts[clear].astype(int))
+    for splat in np.flatnonzero(clear):
+        rows = np.unique(row_of_pair[bins.splat_from_pair == splat])
+        np.testing.assert_array_equal(rows, np.arange(first[splat], last[splat] + 1))

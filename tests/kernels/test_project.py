@@ -68,6 +68,21 @@ def test_splats_are_those_of_the_reference(view: tuple[st.Scene, st.Camera], isa
     np.testing.assert_allclose(np.exp2(fast.records[:, 6]), fast.opacities, rtol=2e-6)
 
 
+@pytest.mark.parametrize("n", [1, 2, 3, 8, 23, 24, 25, 60, 3000])
+@pytest.mark.parametrize("depths", ["one", "few"])
+def test_splats_of_one_depth_stay_in_the_order_of_rows(isa: str, n: int, depths: str) -> None:
+    """Few are sorted otherwise than many; both keep ties in their order."""
+    g = gaussians(n, 1, spread=0.3)
+    steps = 0 if depths == "one" else 3
+    g.means[:, 2] = np.random.default_rng(n).integers(0, steps + 1, n)
+    g.log_scales[:] = -1
+    g.logit_opacities[:] = 2
+    seen_by = st.Camera.look_at((0, 0, -6), (0, 0, 0), width=40, height=30)
+    splats = cpu.project.project(g, None, np.arange(n, dtype=np.int32), seen(seen_by))
+    assert len(splats) == n
+    np.testing.assert_array_equal(splats.order, np.argsort(splats.depths, kind="stable"))
+
+
 def test_order_is_by_depth_and_then_by_id(isa: str) -> None:
     g = gaussians(200, 1)
     g.means[:, 2] = np.round(g.means[:, 2])  # many of one depth for a camera that looks along z

@@ -1,8 +1,12 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from splatree.errors import InputError
+from splatree.maths.rotations import matrices_from_quats, quat_from_matrix
 from splatree.render.paths import PathOptions, bounds_of, flyout, orbit, through
+from splatree.scene.cameras import Camera
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Scene
 
@@ -143,6 +147,27 @@ def test_a_path_through_one_camera_stands_still(ball):
         assert view.camera_from_world == pytest.approx(camera.camera_from_world, abs=1e-9)
     with pytest.raises(InputError, match="found 0 cameras"):
         through([], 3)
+
+
+def test_a_path_turns_the_shorter_way_whatever_the_signs_of_the_quaternions():
+    """A quaternion and its negative are one direction; the way between them must not depend on which of both is stored."""
+    rng = np.random.default_rng(3)
+    quats = rng.normal(size=(40, 4))
+    poses = np.tile(np.eye(4), (40, 1, 1))
+    poses[:, :3, :3] = matrices_from_quats(quats)
+    cameras = [replace(Camera.look_at((0, 0, -1), (0, 0, 0)), camera_from_world=pose) for pose in poses]
+    stored = np.array([quat_from_matrix(pose[:3, :3]) for pose in poses])
+    assert ((stored[:-1] * stored[1:]).sum(axis=1) < 0).sum() > 5  # pairs for which signs matter
+    quarters = list(through(cameras, 4 * 39 + 1))
+    for i in range(39):
+        whole = angle_between(cameras[i], cameras[i + 1])
+        for k in range(5):
+            # The angle of a rotation comes from a cosine: 1e-16 there is 1e-8 rad where the cosine is flat.
+            assert angle_between(cameras[i], quarters[4 * i + k]) == pytest.approx(k / 4 * whole, abs=1e-6)
+
+
+def angle_between(a, b):
+    return np.arccos(np.clip((np.trace(rotation(a).T @ rotation(b)) - 1) / 2, -1, 1))
 
 
 def rotation(camera):

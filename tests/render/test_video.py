@@ -86,3 +86,21 @@ def test_missing_ffmpeg_names_the_extra(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     with pytest.raises(MissingExtraError, match=r"pip install 'splatree\[video\]'"), open_video(tmp_path / "out.mp4"):
         pass
+
+
+@needs_ffmpeg
+@pytest.mark.parametrize(("height", "width"), [(32, 48), (31, 48), (32, 47), (31, 47)])
+def test_an_odd_edge_is_repeated_and_every_other_pixel_stays_in_its_place(tmp_path, height, width):
+    import imageio_ffmpeg
+
+    down, across = np.mgrid[0:height, 0:width]
+    image = np.repeat((0.1 + down / 80 + across / 120)[..., None], 3, axis=2).astype(np.float32)
+    with open_video(tmp_path / "out.mp4") as add:
+        for _ in range(3):
+            add(image)
+    decode = [imageio_ffmpeg.get_ffmpeg_exe(), "-loglevel", "error", "-i", tmp_path / "out.mp4"]
+    raw = subprocess.run([*decode, "-f", "rawvideo", "-pix_fmt", "rgb24", "-"], capture_output=True, check=True).stdout
+    frames = np.frombuffer(raw, np.uint8).reshape(3, height + height % 2, width + width % 2, 3)
+    wanted = 255 * np.pad(image, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
+    # H.264 at this quality keeps a smooth ramp within a few of 255 steps; rows of a wrong length would shear it by 100.
+    assert np.abs(frames - wanted[None]).max() <= 8

@@ -241,3 +241,23 @@ def test_a_scene_is_thinned_as_it_is_drawn_and_by_its_leaves():
 def test_what_is_no_scene_is_refused_with_what_to_do():
     with pytest.raises(InputError, match=r"found Gaussians, wanted a Scene; make one with Scene.flat\(gaussians"):
         thin(random_gaussians(3))
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("side", [1, -1])
+def test_points_exactly_a_radius_apart_are_found_however_their_cells_are_rounded(axis, side):
+    """Where x / r is a whole number k, x · (1/r) may round to below k, and (x + r) · (1/r) to k + 1: with cells of edge r the
+    two points would be two cells apart."""
+    hard = [
+        (r, k) for r in range(3, 400) for k in range(1, 60) if r * k * (1 / r) < k and r * (k + 1) * (1 / r) >= k + 1
+    ]
+    assert len(hard) > 50
+    for r, k in hard[:: len(hard) // 50]:
+        means = np.zeros((5, 3), np.float32)
+        means[:, axis] = side * np.array(
+            [-20 * r * k, 0, 0, r * k, r * (k + 1)]
+        )  # the middle one is the lattice's origin
+        colors, importance = np.zeros_like(means), np.arange(5, 0, -1, dtype=np.float32)
+        found = fast.thin(means, colors, importance, radius=float(r), color_radius=np.inf)
+        expected = reference.thin(means, colors, importance, radius=float(r), color_radius=np.inf)
+        np.testing.assert_array_equal(found.group_from_row, expected.group_from_row)
