@@ -1,7 +1,7 @@
 """``splatree info``: what a scene holds."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -85,7 +85,9 @@ class Info:
 def run(command: Command) -> Info:
     """Read the scene and describe it."""
     check_inputs(command.paths)
-    return describe(read_scene(command.paths, command.reading, level=command.level))
+    # Nothing is drawn here, so a file that other properties would change is described, and what is lost is said.
+    reading = replace(command.reading, ignore_properties=True)
+    return describe(read_scene(command.paths, reading, level=command.level))
 
 
 def describe(scene: Scene) -> Info:

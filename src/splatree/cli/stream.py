@@ -7,8 +7,9 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from splatree.cli.console import Console, UsageError, size, table
-from splatree.cli.files import Reading, read_scene, repairs_of, told
+from splatree.cli.files import Reading, lost_and_noted, read_scene, repairs_of, told
 from splatree.errors import InputError
+from splatree.io.notes import origin_in_words
 from splatree.stream.options import StreamFormat, StreamOptions
 from splatree.stream.result import Streamed
 from splatree.stream.stream import stream
@@ -48,6 +49,10 @@ class Result:
     """Whether the levels of detail were made first."""
     repairs: dict[str, int]
     """How many values or rows each rule of repair touched."""
+    lost: tuple[str, ...] = ()
+    """What of the inputs the stream does not hold, a sentence each."""
+    notes: tuple[str, ...] = ()
+    """What reading did that the user should know, a sentence each."""
 
 
 def run(command: Command) -> Result:
@@ -59,7 +64,11 @@ def run(command: Command) -> Result:
         raise UsageError(str(error)) from error
     scene = read_scene(inputs, command.reading)
     written = stream(scene, output, command.format, command.options, force=command.force)
-    return Result(written, scene.tree.num_leaves == len(scene), repairs_of(scene))
+    origin = scene.source.origin
+    relative = (
+        [f"the origin {origin_in_words(origin)}: coordinates of the stream are relative to it"] if any(origin) else []
+    )
+    return Result(written, scene.tree.num_leaves == len(scene), repairs_of(scene), *lost_and_noted(scene, relative))
 
 
 def _inputs_and_output(command: Command) -> tuple[tuple[Path, ...], Path]:
@@ -84,7 +93,7 @@ def show(result: Result) -> str:
     lines = [
         *(["levels of detail: built first, as the input has none"] if result.built_levels else []),
         f"wrote {written.output}: {written.num_chunks:,} chunks in {written.num_parts:,} parts{kept}, {size(written.bytes)}",
-        *told(result.repairs, ()),
+        *told(result.repairs, result.lost, result.notes),
     ]
     if len(written.levels) > 1:
         lines = [table([asdict(level) for level in written.levels]), *lines]
