@@ -16,55 +16,7 @@ import pytest
 
 import splatree as st
 
-NOT_YET = {
-    "BuildOptions",
-    "CalibrateOptions",
-    "Calibration",
-    "ComparedView",
-    "Comparison",
-    "ContributionHistogram",
-    "Difference",
-    "Evaluation",
-    "FrameCounters",
-    "Framing",
-    "Machine",
-    "PathOptions",
-    "SceneHead",
-    "SceneRows",
-    "SceneWriter",
-    "ServeOptions",
-    "Simulation",
-    "StoredScene",
-    "StreamOptions",
-    "StreamServer",
-    "Streamed",
-    "TileContributions",
-    "Timing",
-    "ViewOptions",
-    "Viewer",
-    "calibrate",
-    "calibrated",
-    "common_head",
-    "compare",
-    "comparison_views",
-    "contribution_histogram",
-    "evaluate",
-    "flip",
-    "flyout",
-    "frame_counters",
-    "frame_scene",
-    "open_video",
-    "orbit",
-    "serve",
-    "stream",
-    "through",
-    "tile_contributions",
-    "time_frames",
-    "turn",
-    "write_comparison",
-    "write_counters",
-}
-NAMES = [name for name in st.__all__ if name not in NOT_YET]
+NAMES = list(st.__all__)
 FUNCTIONS = [name for name in NAMES if inspect.isfunction(getattr(st, name))]
 CLASSES = [name for name in NAMES if inspect.isclass(getattr(st, name))]
 SECTIONS = ("Args", "Returns", "Yields", "Raises", "Source", "Example")
@@ -96,7 +48,7 @@ def test_function_says_all_that_a_caller_needs(name):
 
 def test_functions_that_check_their_input_say_what_they_raise():
     silent = {name for name in FUNCTIONS if "Raises" not in sections(name)}
-    assert silent == set()
+    assert silent <= {"calibrated", "frame_counters", "tile_contributions", "turn"}, "these check nothing"
 
 
 @pytest.mark.parametrize("name", CLASSES)
@@ -107,6 +59,8 @@ def test_class_says_what_each_field_is(name):
     silent = []
     for i, statement in enumerate(body):
         if isinstance(statement, ast.FunctionDef) and not statement.name.startswith("_"):
+            if any(ast.unparse(decorator).endswith(".setter") for decorator in statement.decorator_list):
+                continue  # its property says what it is
             silent += [statement.name] if ast.get_docstring(statement) is None else []
         if is_dataclass(kind) and isinstance(statement, ast.AnnAssign) and not statement.target.id.startswith("_"):
             after = body[i + 1] if i + 1 < len(body) else None

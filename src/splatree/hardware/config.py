@@ -212,7 +212,13 @@ class Records:
 
 @dataclass(frozen=True)
 class Machine:
-    """An accelerator."""
+    """An accelerator: its clock, memories and engines.
+
+    Example:
+        >>> slow = st.Machine(name="slow", clock_mhz=250)
+        >>> st.simulate(scene, [camera], slow).machine.name
+        'slow'
+    """
 
     name: str = "jo2024"
     """Name in tables."""

@@ -24,7 +24,13 @@ __all__ = ["Simulation", "ablation", "draw_traces", "on_machine", "simulate"]
 
 @dataclass(frozen=True)
 class Simulation:
-    """Frames of one scene on one machine."""
+    """Frames of one scene on one machine.
+
+    Example:
+        >>> found = st.simulate(scene, cameras)
+        >>> len(found.frames) == len(found.energies) == len(cameras)
+        True
+    """
 
     machine: Machine
     """The machine."""

@@ -12,25 +12,33 @@ __all__ = ["BuildOptions"]
 
 @dataclass(frozen=True)
 class BuildOptions:
-    """How the levels grow."""
+    """How levels of detail are built.
+
+    Example:
+        >>> tree = st.build_lod(st.read("city.ply"), st.BuildOptions(method="pairs", max_roots=8))
+        >>> tree.tree.record.rule
+        'pairs'
+    """
 
     method: Method = "radius"
-    """`radius` merges what is close, by ever larger radii; `pairs` what a pixel of ever larger size does not show, for better
-    pictures of fewer nodes in several times the time."""
+    """`radius` merges Gaussians that are close, by ever larger radii. `pairs` merges what an ever wider pixel does not show:
+    better pictures of fewer nodes, in several times the time."""
     radius: float | Literal["auto"] = "auto"
-    """`radius`: r_0, world units: radius of the first level; `auto`: 1.5 × the median distance to the nearest neighbour."""
+    """For `radius`: r_0, radius of the first level, world units. `auto`: 1.5 × the median distance to the nearest neighbour."""
     pixel_size: float | None = None
-    """`pairs`: p_0, world units: width of a pixel for which the first level is made; None: half of the median Gaussian."""
+    """For `pairs`: p_0, width of a pixel for which the first level is made, world units; None: half of the median Gaussian."""
     visibility: bool = True
-    """`pairs`: what others hide counts less."""
+    """For `pairs`: Gaussians that others hide count less."""
     growth: float = 2.0
-    """g: each level's radius, or size of a pixel, is g times the one before."""
+    """g: factor from the radius, or the pixel width, of one level to that of the next."""
     max_roots: int = 64
-    """Levels end when at most this many nodes are left."""
+    """Construction ends when at most this many nodes are left."""
     importance: Importance = "opacity-scale"
-    """`radius`: which of two close Gaussians a group forms around: the larger `opacity`, times mean scale, or times area."""
+    """For `radius`: which of two close Gaussians a group forms around: that of larger `opacity`, opacity times mean scale, or
+    opacity times area."""
     color_radius: float | None = 0.5
-    """`radius`: ρ, the distance in linear RGB (DC colour) that counts as much as r in space; None: colour keeps nothing apart."""
+    """For `radius`: ρ, the distance in linear RGB (DC colour) that counts as much as the radius in space; None: colour does not
+    count."""
     merge: MergeOptions = field(default_factory=MergeOptions)
     """How a group becomes one Gaussian."""
 

@@ -59,11 +59,14 @@ WHITE: Final = XYZ_FROM_RGB.sum(axis=1)
 
 
 def flip(image: Float32[Array, "h w 3"], reference: Float32[Array, "h w 3"]) -> float:
-    """Return the mean FLIP error of two sRGB pictures, 0 for equal ones, at most 1.
+    """Mean FLIP error of two sRGB pictures: how different they look when they are shown in turn.
 
     Args:
-        image: colours from 0 to 1; what lies outside is clipped.
-        reference: the same, of the same size.
+        image: a picture, (h w 3), colours 0 to 1; values outside are clipped.
+        reference: the picture to compare it with, of the same shape.
+
+    Returns:
+        The mean over the pixels: 0 for equal pictures, at most 1.
 
     Raises:
         InputError: the pictures differ in shape, are no RGB, or hold NaN or infinity.
@@ -71,13 +74,10 @@ def flip(image: Float32[Array, "h w 3"], reference: Float32[Array, "h w 3"]) -> 
     Source:
         Andersson 2020, "FLIP: A Difference Evaluator for Alternating Images".
 
-    Example::
-
-        import numpy as np
-        import splatree as st
-
-        grey = np.full((64, 64, 3), 0.5, np.float32)
-        st.flip(grey, grey)  # 0.0
+    Example:
+        >>> grey = np.full((64, 64, 3), 0.5, np.float32)
+        >>> st.flip(grey, grey)
+        0.0
     """
     return float(flip_map(image, reference).mean(dtype=np.float64))
 

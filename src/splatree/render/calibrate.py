@@ -64,22 +64,27 @@ STORED_AS: Final = {"tile_rule": "extent"}
 
 @dataclass(frozen=True)
 class CalibrateOptions:
-    """How τ is chosen."""
+    """How τ is chosen.
+
+    Example:
+        >>> st.calibrate(scene, cameras, st.CalibrateOptions(policy="paper")).policy
+        'paper'
+    """
 
     policy: Policy = "target"
-    """`target` meets a loss of PSNR; `paper` is λ_G / G, `release` λ_G · G; `fixed` is --threshold, or 1/255."""
+    """`target` meets a loss of PSNR; `paper` is λ_G / G, and `release` λ_G · G; `fixed` is --threshold, or 1/255."""
     loss_db: float = 0.1
-    """`target`: mean loss of PSNR over the views that is allowed, dB."""
+    """For `target`: mean loss of PSNR over the views that is allowed, dB."""
     scene_psnr: float = 30.0
-    """Without photographs: PSNR that the scene's lossless pictures are taken to have against the truth, dB."""
+    """Without photographs: PSNR that the lossless pictures are assumed to have against the truth, dB."""
     lambda_g: float = 0.2
-    """λ_G of `paper` and `release`."""
+    """For `paper` and `release`: λ_G."""
     lists: TileRule = "ellipse"
-    """`paper` and `release`: the tile lists that G is the mean over; `3sigma` as in the code of FilterGS."""
+    """For `paper` and `release`: tile rule of the lists over which G is the mean; `3sigma` as in the code of FilterGS."""
     tiles: Tiles = "all"
-    """The same: whether tiles without splats count, as 0."""
+    """For `paper` and `release`: whether tiles without splats count, as 0."""
     unit: Unit = "pixels"
-    """The same: whether G is in pixels, 0 to 256, or in shares of a tile, 0 to 1."""
+    """For `paper` and `release`: whether G is in pixels, 0 to 256, or in shares of a tile, 0 to 1."""
     max_views: int = 24
     """Draw at most this many of the views, spread evenly over them."""
 
@@ -108,20 +113,27 @@ class Trial:
 
 @dataclass(frozen=True)
 class Calibration:
-    """A τ and where it comes from."""
+    """A τ, and where it comes from.
+
+    Example:
+        >>> found = st.calibrate(scene, cameras)
+        >>> found.threshold >= 1 / 255, found.num_pairs <= found.num_pairs_lossless
+        (True, True)
+    """
 
     policy: Policy
-    """How it was chosen."""
+    """Policy by which τ was chosen."""
     threshold: float
-    """τ."""
+    """τ: opacity at which a splat ends."""
     loss_db: float
     """Mean loss of PSNR at this τ, dB."""
     psnr: float | None
-    """PSNR of the mean squared error against the lossless pictures, dB; None if they are equal or photographs are judged by."""
+    """PSNR of the mean squared error against the lossless pictures, dB; None if the pictures are identical, or if the loss was
+    measured against photographs."""
     num_pairs: int
     """N_P over all views at this τ."""
     num_pairs_lossless: int
-    """The same at 1/255."""
+    """N_P over all views at τ = 1/255."""
     contribution: float
     """G of the views, in the unit and over the lists and tiles that the options name."""
     photographs: bool
@@ -131,11 +143,12 @@ class Calibration:
     size_px: tuple[int, int]
     """Width and height of the first view."""
     options: CalibrateOptions
-    """How it was asked for."""
+    """The options that were given."""
     tile_rule: TileRule
-    """Rule for the tiles of a splat; `target` takes `balanced` unless another is asked for, the other policies `ellipse`."""
+    """Tile rule that τ was chosen for. `target` takes `balanced` unless another one is asked for, the other policies
+    `ellipse`."""
     pixels: str
-    """Treatment of the pixels."""
+    """What splats drew in their tiles: `hard` or `taper`."""
     pixel_error: float | None
     """τ_R of the selection, px; None if it was another selector."""
     trials: tuple[Trial, ...]
@@ -156,13 +169,34 @@ def calibrate(
     device: DeviceName | None = None,
     threads: int = 0,
 ) -> Calibration:
-    """Choose τ from the views given, which should be those that the scene was trained on.
+    """Choose τ, the opacity at which splats end, for a scene.
 
-    ``photos`` are pictures, float32 (h w 3), by the camera's name; if there are any, only views that have one are drawn. τ
-    depends on the size of the pictures and on the level of detail: calibrate with what will be drawn.
+    τ depends on the size of the pictures and on the level of detail: calibrate with what will be drawn.
+
+    Args:
+        scene: any scene.
+        cameras: views like those that will be drawn; those of the training if there are photographs. Keep views apart that
+            will be scored.
+        options: policy and its parameters; None: a loss of 0.1 dB.
+        render: how the views are drawn, beside τ.
+        select: which nodes are drawn.
+        photos: photographs by the camera's name, float32 (h w 3). If there are any, only views that have one are drawn.
+        device: where: `cpu`, `cuda` or `reference`; None: `cpu`.
+        threads: threads of the processor; 0: all.
+
+    Returns:
+        τ with its loss, pairs, views and options; `calibrated` stores it in the scene.
 
     Raises:
-        InputError: there is no view, or the tile rule is `3sigma`, which takes no notice of τ.
+        InputError: there is no view, or the tile rule is `3sigma`, which does not depend on τ.
+
+    Source:
+        FilterGS 2026, §3.3, Eq. 8, for the policies `paper` and `release`; docs/explanation/shrinking.md.
+
+    Example:
+        >>> found = st.calibrate(scene, cameras)
+        >>> found.loss_db <= 0.1
+        True
     """
     options, render, select = options or CalibrateOptions(), render or RenderOptions(), select or SelectOptions()
     if render.tile_rule == "3sigma":
@@ -200,7 +234,21 @@ def calibrate(
 
 
 def calibrated(scene: Scene, calibration: Calibration, **provenance: str) -> Scene:
-    """The scene with the τ of a calibration, and in its metadata how it was chosen; ``provenance`` is added to that."""
+    """Store a calibration in a scene.
+
+    Args:
+        scene: the scene that was calibrated.
+        calibration: what `calibrate` found.
+        provenance: more entries, text by name, for the record in the metadata.
+
+    Returns:
+        The scene with τ as its ``threshold``, the tile rule, and in its metadata how τ was chosen.
+
+    Example:
+        >>> found = st.calibrate(scene, cameras)
+        >>> st.calibrated(scene, found).threshold == found.threshold
+        True
+    """
     record = {STORED_AS.get(name, name): value for name, value in asdict(calibration).items() if name != "trials"}
     record |= provenance
     metadata = {**scene.source.metadata, METADATA_KEY: json.dumps(record)}

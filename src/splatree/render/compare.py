@@ -43,31 +43,43 @@ COVERED: Final = 0.5
 
 @dataclass(frozen=True)
 class Difference:
-    """How far pictures are from those of the reference."""
+    """How far pictures are from those of the reference.
+
+    Example:
+        >>> view = next(st.compare(scene, st.read("city.ply"), cameras))
+        >>> view.difference.name == view.camera.name
+        True
+    """
 
     name: str
     """Name of the view, or "all"."""
     psnr: float
-    """Peak signal-to-noise ratio, dB, of the mean squared error; infinity for equal pictures."""
+    """Peak signal-to-noise ratio, dB, of the mean squared error; infinity if the pictures are equal."""
     psnr_covered: float | None
-    """The same over the pixels that the reference covers; None if there are none."""
+    """PSNR over the pixels that the reference covers; None if there are none."""
     ssim: float | None
     """Structural similarity (Wang 2004); None for pictures smaller than its window of 11 px."""
     flip: float
     """FLIP (Andersson 2020): 0 for pictures that look equal, at most 1."""
     num_drawn: int
-    """Nodes drawn."""
+    """Number of nodes drawn."""
     num_drawn_reference: int
-    """Nodes of the reference drawn."""
+    """Number of nodes of the reference drawn."""
     num_pixels: int
-    """Pixels compared."""
+    """Number of pixels compared."""
     covered: float
     """Share of the pixels that the reference covers at least half."""
 
 
 @dataclass(frozen=True, eq=False)
 class ComparedView:
-    """One view of both scenes."""
+    """One view of two scenes.
+
+    Example:
+        >>> view = next(st.compare(scene, st.read("city.ply"), [camera.scaled(2)]))
+        >>> view.image.shape == view.reference.shape
+        True
+    """
 
     camera: Camera
     """The view."""
@@ -93,26 +105,27 @@ def compare(
     select: SelectOptions | None = None,
     device: DeviceName | None = None,
 ) -> Iterator[ComparedView]:
-    """Yield the comparison of each view of a scene with a reference.
+    """Compare a scene with the one that it was made from, view by view.
 
     Args:
         scene: what became of the reference: converted, thinned, built into levels.
         reference: what it was made from, in the same coordinates.
         cameras: views to draw; None: eight that are made for the reference (`comparison_views`).
         options: how both are drawn.
-        select: how the nodes of ``scene`` are chosen, if it has levels; None: by the defaults.
+        select: how the nodes of ``scene`` are chosen, if it has levels; None: the defaults.
         device: where both are drawn; None: `cpu`.
+
+    Yields:
+        Both pictures and their difference, for each view in order.
 
     Raises:
         InputError: one of the scenes is empty, or there is no view.
 
-    Example::
-
-        import splatree as st
-
-        old, new = st.read("old.ply"), st.read("new.sog")
-        for view in st.compare(new, old):
-            print(view.camera.name, view.difference.psnr, view.difference.flip)
+    Example:
+        >>> thinned = st.thin(st.read("city.ply"), st.ThinOptions(keep=0.5)).scene
+        >>> views = list(st.compare(thinned, st.read("city.ply"), cameras))
+        >>> views[0].difference.psnr > 10
+        True
     """
     if not len(scene) or not len(reference):
         raise InputError(
@@ -152,7 +165,22 @@ def _compared(camera: Camera, drawn: RenderResult, whole: RenderResult) -> Compa
 
 
 def comparison_views(reference: Scene, options: PathOptions | None = None) -> Cameras:
-    """Views that are made for a scene, to compare others with it: all round, and from outside every second from nearer."""
+    """Make views of a scene, to compare others with it: all round; from outside, every second view is from nearer.
+
+    Args:
+        reference: the scene.
+        options: number of views, size, elevation and field of view; None: the defaults.
+
+    Returns:
+        The views.
+
+    Raises:
+        InputError: the scene is empty.
+
+    Example:
+        >>> len(st.comparison_views(scene))
+        8
+    """
     options = options or MADE
     framing = frame_scene(reference, up=options.up, aspect=options.width / options.height)
     around = turn(framing, options)

@@ -42,7 +42,13 @@ RAMP: Final = (
 
 @dataclass(frozen=True)
 class Comparison:
-    """What a comparison of two scenes found."""
+    """What a comparison of two scenes found.
+
+    Example:
+        >>> found = st.write_comparison(st.compare(scene, st.read("city.ply"), cameras))
+        >>> found.all.num_pixels == 10 * 64 * 36
+        True
+    """
 
     all: Difference
     """All views together."""
@@ -62,25 +68,28 @@ def write_comparison(
     about: str = "",
     force: bool = False,
 ) -> Comparison:
-    """Take views as they are compared, write pictures and a page into a folder, and return what they say together.
+    """Write the pictures and the page of a comparison into a folder.
 
     For each view NAME_side_by_side.png (reference, scene, errors) and NAME_error.png are written, and a page report.html.
 
     Args:
-        views: from `compare`; each is let go once its pictures are written.
+        views: from `compare`. Each view is let go once its pictures are written.
         folder: where to write, made if it is not there; None: nothing is written.
         title: headline of the page.
-        about: a sentence below it, such as the names of both files.
+        about: a sentence below the headline, such as the names of both files.
         force: replace a page that is there.
+
+    Returns:
+        All views together, and each view.
 
     Raises:
         InputError: there is no view.
         OutputError: the page exists and ``force`` is not set, or the folder cannot be written.
 
-    Example::
-
-        views = st.compare(st.read("new.sog"), st.read("old.ply"))
-        print(st.write_comparison(views, "lost/").all.flip)
+    Example:
+        >>> views = st.compare(scene, st.read("city.ply"), [camera.scaled(2)])
+        >>> st.write_comparison(views, "lost").report.name
+        'report.html'
     """
     place = None if folder is None else Path(folder)
     if place is not None:

@@ -57,14 +57,20 @@ EDGES_PX = (0.0, 0.01, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 
 
 @dataclass(frozen=True, eq=False)
 class TileContributions:
-    """What the pairs of each tile of a view contribute together; tiles row by row."""
+    """What the pairs of each tile of a view contribute together; tiles row by row.
+
+    Example:
+        >>> tiles = st.tile_contributions(st.trace(scene, camera))
+        >>> 0 <= tiles.mean() <= 256
+        True
+    """
 
     sums_px: Float64[Array, "t"]
     """Σ K over the pairs of the tile, px."""
     num_pairs: Int64[Array, "t"]
-    """Pairs in the tile's list."""
+    """Number of pairs in the tile's list."""
     num_pixels: Int64[Array, "t"]
-    """Pixels of the picture in the tile, at most 256."""
+    """Number of pixels of the picture in the tile, at most 256."""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -86,7 +92,21 @@ class TileContributions:
 
 
 def tile_contributions(frame: Frame) -> TileContributions:
-    """Sum what the pairs of each tile contribute: the alpha of its pixels."""
+    """Sum what the pairs of each tile contribute to a picture: the alpha of its pixels.
+
+    Args:
+        frame: a traced frame.
+
+    Returns:
+        Sums and counts of each tile, from which GTC follows.
+
+    Source:
+        FilterGS 2026, §3.3, Eq. 6 and 7; docs/explanation/contribution.md.
+
+    Example:
+        >>> st.tile_contributions(st.trace(scene, camera)).each().shape
+        (12,)
+    """
     alpha = frame.result.alpha
     starts = [np.arange(0, size, TILE_PX) for size in alpha.shape]
     rows = np.add.reduceat(alpha, starts[0], axis=0, dtype=np.float64)
@@ -100,18 +120,25 @@ def tile_contributions(frame: Frame) -> TileContributions:
 
 @dataclass(frozen=True, eq=False)
 class ContributionHistogram:
-    """How many pairs contribute how much."""
+    """How many pairs contribute how much.
+
+    Example:
+        >>> frame = st.trace(scene, camera, wanted=st.Wanted(contributions=True))
+        >>> found = st.contribution_histogram([frame.contributions])
+        >>> found.num_pairs == frame.bins.num_pairs
+        True
+    """
 
     edges_px: Float64[Array, "e+1"]
-    """Borders of the bins, px, ascending; a bin holds its lower border, the last one also its upper."""
+    """Borders of the bins, px, ascending. A bin holds its lower border, the last bin also its upper one."""
     counts: Int64[Array, "e"]
-    """Pairs in each bin."""
+    """Number of pairs in each bin."""
     num_pairs: int
-    """All pairs, in a bin or not."""
+    """Number of all pairs, in a bin or not."""
     num_used: int
-    """Pairs that added light to a pixel."""
+    """Number of pairs that added light to a pixel."""
     num_redundant: int
-    """Pairs that contribute less than 0.01 px, those without any included."""
+    """Number of pairs that contribute less than 0.01 px, those without any contribution included."""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -130,9 +157,27 @@ class ContributionHistogram:
 def contribution_histogram(
     contributions: Iterable[Float32[Array, "m"] | None], edges_px: Iterable[float] = EDGES_PX
 ) -> ContributionHistogram:
-    """Count the pairs of one or more frames, traced with ``Wanted(contributions=True)``, by what they contribute.
+    """Count the pairs of one or more frames by what they contribute.
 
-    Every pair counts, in ``num_used`` too, whatever its contribution.
+    Every pair counts, in ``num_used`` too, however large its contribution.
+
+    Args:
+        contributions: `Frame.contributions` of frames that were traced with ``Wanted(contributions=True)``, px.
+        edges_px: borders of the bins, px, ascending.
+
+    Returns:
+        Pairs in each bin, and how many were used or redundant.
+
+    Raises:
+        InputError: a frame was traced without contributions, or the borders do not ascend.
+
+    Source:
+        FilterGS 2026, Eq. 5 and Figure 6b; docs/explanation/contribution.md.
+
+    Example:
+        >>> frame = st.trace(scene, camera, wanted=st.Wanted(contributions=True))
+        >>> st.contribution_histogram([frame.contributions]).used_ratio <= 1
+        True
     """
     edges = np.array(list(edges_px), np.float64)
     if len(edges) < 2 or not (np.diff(edges) > 0).all():

@@ -21,33 +21,52 @@ __all__ = ["FrameCounters", "frame_counters", "write_counters"]
 
 @dataclass(frozen=True, eq=False)
 class FrameCounters:
-    """Work of one view; arrays by cluster are empty for a scene without clusters."""
+    """Work of one view. Arrays by cluster are empty for a scene without clusters.
+
+    Example:
+        >>> counters = st.frame_counters(scene, st.trace(scene, camera))
+        >>> int(counters.num_tiles_xy.prod()) == len(counters.tile_length)
+        True
+    """
 
     cluster_rows: Int32[Array, "c"]
-    """Gaussians of each cluster."""
+    """Number of Gaussians of each cluster."""
     cluster_kept: Bool[Array, "c"]
-    """Whether step 0 kept it."""
+    """Whether step 0 kept the cluster."""
     cluster_survivors: Int64[Array, "c"]
-    """Its Gaussians that touch the image, of those that were drawn."""
+    """Number of its drawn Gaussians that touch the image."""
     cluster_pairs: Int64[Array, "c"]
-    """Pairs of these with tiles."""
+    """Number of their pairs with tiles."""
     tile_length: Int64[Array, "t"]
-    """Entries of each tile's list; tiles of 16 × 16 px row by row."""
+    """Number of entries of each tile's list; tiles of 16 × 16 px, row by row."""
     tile_consumed: Int64[Array, "t"]
-    """Entries that the pixels of each tile read, by the definition of `TileWork` if the frame was traced with `last_pair`."""
+    """Number of entries that were read before all pixels of the tile were finished, which is checked every 32 entries."""
     tile_evaluated: Int64[Array, "t"]
-    """Evaluations of a splat's opacity at a pixel, by the same definition: the sum of the entries that each pixel reads."""
+    """Number of evaluations of a splat's opacity at a pixel."""
     tile_blended: Int64[Array, "t"]
-    """Evaluations that were added to a pixel."""
+    """Number of evaluations that were added to a pixel."""
     num_tiles_xy: Int64[Array, "2"]
-    """Tiles across and down."""
+    """Number of tiles across and down."""
 
     def __post_init__(self) -> None:
         check_fields(self)
 
 
 def frame_counters(scene: Scene, frame: Frame) -> FrameCounters:
-    """Count a traced frame by cluster and by tile."""
+    """Count the work of a traced frame by cluster and by tile.
+
+    Args:
+        scene: the scene that was drawn.
+        frame: the traced frame.
+
+    Returns:
+        The counters.
+
+    Example:
+        >>> counters = st.frame_counters(scene, st.trace(scene, camera))
+        >>> len(counters.cluster_rows) == len(scene.clusters)
+        True
+    """
     start = np.zeros(1, np.int32) if scene.clusters is None else scene.clusters.start
     count = len(start) - 1
     kept = np.ones(count, bool) if frame.culling is None else frame.culling.kept
@@ -68,10 +87,21 @@ def frame_counters(scene: Scene, frame: Frame) -> FrameCounters:
 
 
 def write_counters(counters: FrameCounters, path: Path, *, force: bool = False) -> None:
-    """Write them as .npz, whole or not at all.
+    """Write counters as .npz, whole or not at all.
+
+    Args:
+        counters: the counters of a view.
+        path: the new file, .npz.
+        force: replace the file if it exists.
 
     Raises:
         OutputError: the file exists and ``force`` is not set, or cannot be written.
+
+    Example:
+        >>> from pathlib import Path
+        >>> st.write_counters(st.frame_counters(scene, st.trace(scene, camera)), Path("view.npz"))
+        >>> "tile_length" in np.load("view.npz")
+        True
     """
     with replacing(path, force=force) as temporary, temporary.open("wb") as file:
         np.savez_compressed(file, **{f.name: getattr(counters, f.name) for f in fields(counters)})

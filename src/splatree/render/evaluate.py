@@ -38,20 +38,26 @@ class Score:
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """One view, drawn from the cut and from all leaves."""
+    """One view, drawn from the cut and from all leaves.
+
+    Example:
+        >>> found = next(iter(st.evaluate(scene, cameras)))
+        >>> len(found.cut.selection) <= len(found.leaves.selection)
+        True
+    """
 
     camera: Camera
     """The view."""
     cut: Frame
-    """What the options draw."""
+    """Frame of the nodes that the options select."""
     leaves: Frame
-    """What all leaves draw without loss."""
+    """Frame of all leaves, without loss."""
     cut_vs_leaves: Score
     """The loss that levels of detail and shrinking cause."""
     cut_vs_photo: Score | None = None
-    """Against the photograph, if there is one."""
+    """Score of the cut against the photograph; None if there is no photograph."""
     leaves_vs_photo: Score | None = None
-    """The same for all leaves: what the scene itself reaches."""
+    """Score of all leaves against the photograph: what the scene itself reaches; None if there is no photograph."""
 
 
 def evaluate(
@@ -64,10 +70,27 @@ def evaluate(
     lpips: Callable[[Array, Array], float] | None = None,
     device: DeviceName | None = None,
 ) -> Iterator[Evaluation]:
-    """Yield the comparison of each view.
+    """Compare the cut with all leaves, and both with photographs, view by view.
 
-    ``select`` may be a baseline (lod/baselines.py). ``photos`` are pictures, float32 (h w 3), by the camera's name. ``lpips`` is
-    a loaded `splatree.metrics.lpips.Lpips`. Both pictures of a view are drawn in one session on ``device``.
+    Args:
+        scene: any scene.
+        cameras: the views.
+        options: how the cut is drawn; all leaves are drawn without loss.
+        select: which nodes are drawn: options, or a baseline (lod/baselines.py).
+        photos: photographs by the camera's name, float32 (h w 3).
+        lpips: a loaded `splatree.metrics.lpips.Lpips`; None: LPIPS is not computed.
+        device: where: `cpu`, `cuda` or `reference`; None: `cpu`. Both pictures of a view are drawn in one session.
+
+    Yields:
+        Frames and scores of each view, in order.
+
+    Raises:
+        InputError: a budget of nodes cannot be met, or a photograph has another size than its camera.
+        DeviceError: the device is not there, has failed, or has too little memory.
+
+    Example:
+        >>> for found in st.evaluate(scene, cameras, select=st.SelectOptions(pixel_error=0)):
+        ...     assert found.cut_vs_leaves.psnr > 40
     """
     lossless = replace(options or RenderOptions(), tile_rule="ellipse", pixels="hard", threshold=ALPHA_THRESHOLD)
     all_leaves = SelectOptions(pixel_error=0.0, cull="none")

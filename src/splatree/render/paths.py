@@ -46,7 +46,12 @@ FOV_Y_DEG: Final = 50.0
 
 @dataclass(frozen=True)
 class PathOptions:
-    """Views made for a scene."""
+    """Views that are made for a scene.
+
+    Example:
+        >>> len(st.orbit(scene, st.PathOptions(views=3, width=64, height=36)))
+        3
+    """
 
     views: int = 60
     """Number of views."""
@@ -76,9 +81,24 @@ class PathOptions:
 
 
 def orbit(scene: Scene, options: PathOptions | None = None) -> Cameras:
-    """Views on a circle around the scene that look at its centre, with 99 % of its opacity in the picture.
+    """Views on a circle around a scene that look at its centre, with 99 % of its opacity in the picture.
 
-    What lies beyond 1.25 radii may be outside of it.
+    Gaussians beyond 1.25 radii may be outside of the picture.
+
+    Args:
+        scene: any scene.
+        options: number of views, size, elevation and field of view; None: the defaults.
+
+    Returns:
+        The views, at equal angles.
+
+    Raises:
+        InputError: the scene is empty.
+
+    Example:
+        >>> first, second = st.orbit(scene, st.PathOptions(views=2))
+        >>> bool(np.linalg.norm(first.position - second.position) > 0)
+        True
     """
     options = options or PathOptions()
     centre, radius = bounds_of(scene)
@@ -94,9 +114,26 @@ def orbit(scene: Scene, options: PathOptions | None = None) -> Cameras:
 
 
 def flyout(scene: Scene, options: PathOptions | None = None, *, nearest: float = 0.3, farthest: float = 8.0) -> Cameras:
-    """Views that move away from the centre, each farther by the same factor, so that the scene runs through its levels.
+    """Views that move away from a scene, so that it runs through its levels.
 
-    ``nearest`` and ``farthest`` are distances in radii of the scene; the direction stays the same.
+    Each view is farther from the centre by the same factor.
+
+    Args:
+        scene: any scene.
+        options: number of views, size, elevation and field of view; None: the defaults.
+        nearest: distance of the first view, in radii of the scene.
+        farthest: distance of the last view, in radii of the scene.
+
+    Returns:
+        The views, all in the same direction.
+
+    Raises:
+        InputError: the scene is empty, or the distances are not positive.
+
+    Example:
+        >>> drawn = [len(st.select(scene, view)) for view in st.flyout(scene, st.PathOptions(views=4))]
+        >>> drawn[-1] <= len(scene)
+        True
     """
     options = options or PathOptions()
     if not 0 < nearest <= farthest:
@@ -107,9 +144,24 @@ def flyout(scene: Scene, options: PathOptions | None = None, *, nearest: float =
 
 
 def through(cameras: Sequence[Camera], views: int) -> Cameras:
-    """A path of ``views`` cameras through the given ones in their order: centres along straight lines, directions turned evenly.
+    """A path of cameras through given ones, in their order.
 
-    Size, focal lengths and the near plane of a view are those of the last given camera that it has passed.
+    Centres move along straight lines, and directions turn evenly. Size, focal lengths and the near plane of a view are those of
+    the last given camera that it has passed.
+
+    Args:
+        cameras: the cameras to pass.
+        views: number of cameras of the path.
+
+    Returns:
+        The path; it begins at the first given camera and ends at the last one.
+
+    Raises:
+        InputError: there is no camera, or no view is asked for.
+
+    Example:
+        >>> len(st.through(cameras, 25))
+        25
     """
     if not cameras or views < 1:
         raise InputError(f"through: found {len(cameras)} cameras and {views} views, wanted at least 1 of each")
@@ -163,16 +215,18 @@ def _weighted_quantile(values: Array, weights: Array, share: float) -> float:
 
 
 def turn(framing: Framing, options: PathOptions | None = None) -> Cameras:
-    """Views all round, the first is the framing's: about the target of a scene seen from outside, about the eye from within.
+    """Views all round: about the target if the scene is seen from outside, about the eye if it is seen from within.
 
-    The vertical is that of the framing; ``options.up`` is not looked at.
+    Args:
+        framing: how to look at the scene; its first view is the first one. The vertical is that of the framing.
+        options: number of views, size, elevation and field of view; ``up`` is not used. None: the defaults.
 
-    Example::
+    Returns:
+        The views, at equal angles.
 
-        framing = st.frame_scene(scene)
-        with st.open_video("turntable.mp4") as add:
-            for camera in st.turn(framing, st.PathOptions(views=120)):
-                add(st.render(scene, camera).image)
+    Example:
+        >>> len(st.turn(st.frame_scene(scene), st.PathOptions(views=12)))
+        12
     """
     options = options or PathOptions()
     if options.elevation_deg is not None:

@@ -17,15 +17,28 @@ CRF = 18
 
 @contextmanager
 def open_video(path: str | Path, *, fps: float = 30.0, force: bool = False) -> Iterator[Callable[[Array], None]]:
-    """Write the pictures given to the yielded function, float32 (h w 3) of one size, as a video.
+    """Write pictures as a video: H.264 in an MP4.
 
-    The file appears when all is written. Values outside 0 to 1 are clipped. The last line or column of an odd size is
-    repeated, since the format stores colour for 2 × 2 px.
+    The file appears when all is written. Values outside 0 to 1 are clipped. The last line or column of an odd size is repeated,
+    because the format stores colour for 2 × 2 px.
+
+    Args:
+        path: the new file, .mp4.
+        fps: pictures a second.
+        force: replace the file if it exists.
+
+    Yields:
+        A function that takes the next picture, float32 (h w 3); all pictures have one size.
 
     Raises:
         MissingExtraError: imageio-ffmpeg is not installed.
         InputError: the name does not end in .mp4, or pictures differ in size, or there are none.
         OutputError: the file exists and ``force`` is not set, or it could not be written; an old file is then whole.
+
+    Example:
+        >>> with st.open_video("flight.mp4") as add:
+        ...     for result in st.render_batch(scene, cameras):
+        ...         add(result.image)
     """
     path = Path(path)
     check_video(path, fps)

@@ -15,26 +15,32 @@ CesiumJS."""
 
 @dataclass(frozen=True)
 class StreamOptions:
-    """Chunks, levels and what is kept of the scene."""
+    """How a stream is cut, and what is kept of the scene.
+
+    Example:
+        >>> written = st.stream(scene, "city_stream", options=st.StreamOptions(levels=2))
+        >>> len(written.levels)
+        2
+    """
 
     ratio: float = 2.0
-    """sog: nodes of a level for each node of the next coarser one."""
+    """For `sog`: nodes of a level for each node of the next coarser one."""
     levels: int | None = None
-    """sog: number of levels; None: as many as it takes until a level has 1/64 of the Gaussians."""
+    """For `sog`: number of levels; None: as many as it takes until a level has 1/64 of the Gaussians."""
     chunk_leaves: int = CHUNK_LEAVES
-    """sog: Gaussians of a chunk, for which a viewer chooses one level."""
+    """For `sog`: Gaussians of a chunk, for which a viewer chooses one level."""
     unit_rows: int = 65_536
-    """sog: Gaussians of a file of the two finest levels; files of coarser levels have twice as many."""
+    """For `sog`: Gaussians of a file of the two finest levels; files of coarser levels have twice as many."""
     node_px: float = 7.5
-    """sog: extent, in pixels, at which merged nodes are expected to be drawn. A viewer with a budget draws them larger than the 3
-    px that they were made for, and their opacities follow from that; 3 keeps those of the tree."""
+    """For `sog`: extent, px, at which merged nodes are expected to be drawn. A viewer with a budget draws them larger than the 3
+    px that they were made for, and their opacities follow from that; 3 keeps the opacities of the tree."""
     tile_nodes: int = 32_768
-    """3dtiles: most Gaussians of a tile."""
+    """For `3dtiles`: largest number of Gaussians of a tile."""
     origin: tuple[float, float, float] | None = None
-    """3dtiles: latitude and longitude in degrees and height in metres of the scene's origin; None: 0 0 0. The scene's −y points
-    up and its z south."""
+    """For `3dtiles`: latitude and longitude, degrees, and height, metres, of the scene's origin; None: 0 0 0. The scene's −y
+    points up and its z south."""
     sh_degree: int | None = None
-    """Cut off spherical harmonics above this degree; None: keep all."""
+    """Remove the harmonics above this degree; None: keep all."""
 
     def check_used(self, format: StreamFormat) -> None:
         """Refuse options that the format does not use.

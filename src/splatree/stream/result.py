@@ -27,22 +27,28 @@ class LevelWritten:
 
 @dataclass(frozen=True)
 class Streamed:
-    """A stream."""
+    """What `stream` wrote.
+
+    Example:
+        >>> written = st.stream(scene, "city.rad", "rad")
+        >>> written.format, written.bytes > 0
+        ('rad', True)
+    """
 
     output: Path
     """The folder or the file."""
     format: StreamFormat
-    """Who reads it."""
+    """Format, which says who reads it."""
     num_chunks: int
-    """Pieces for which a viewer chooses how fine to draw them."""
+    """Number of pieces for which a viewer chooses how fine to draw them."""
     levels: tuple[LevelWritten, ...]
     """The levels, finest first."""
     num_parts: int
-    """Parts, each of them a folder of pictures or a file."""
+    """Number of parts; each is a folder of pictures or a file."""
     num_parts_kept: int
-    """Parts that were there already, from a run that was interrupted or had the same scene and options."""
+    """Number of parts that were there already, from a run that was interrupted or had the same scene and options."""
     bytes: int
-    """Size of everything."""
+    """Size of all files, bytes."""
 
     def __post_init__(self) -> None:
         check_literals(self)

@@ -52,12 +52,17 @@ _FOR_EVER = "public, max-age=31536000, immutable"
 
 @dataclass(frozen=True)
 class ServeOptions:
-    """Where streams are served, and where viewers come from."""
+    """Where streams are served, and where viewers come from.
+
+    Example:
+        >>> st.ServeOptions(host="0.0.0.0").is_local
+        False
+    """
 
     host: str = "127.0.0.1"
-    """Address to listen on; any but this machine's own makes a token part of the printed address."""
+    """Address to listen on. For any address but this machine's own, the printed address has a token."""
     port: int = 8080
-    """Port to listen on; 0: any that is free."""
+    """Port to listen on; 0: any port that is free."""
     packages: str = "https://cdn.jsdelivr.net/npm"
     """Where the browser loads PlayCanvas, Spark and Cesium from: an address with npm packages, or a folder node_modules."""
 
@@ -68,7 +73,15 @@ class ServeOptions:
 
 
 class StreamServer:
-    """A server of one folder."""
+    """A server of the streams in one folder; `serve` starts one.
+
+    Example:
+        >>> written = st.stream(scene, "city_stream")
+        >>> server = st.serve("city_stream", st.ServeOptions(port=0))
+        >>> server.address.endswith("/")
+        True
+        >>> server.stop()
+    """
 
     def __init__(self, folder: Path, options: ServeOptions) -> None:
         """Take the port.
@@ -166,20 +179,19 @@ def serve(folder: str | os.PathLike[str], options: ServeOptions | None = None) -
     """Serve the streams of a folder to viewers on the web, in a thread of its own.
 
     Args:
-        folder: The folder that `stream` wrote, or one that holds such folders or ``.rad`` files.
-        options: Address, port, and where viewers come from.
+        folder: the folder that `stream` wrote, or one that holds such folders or ``.rad`` files.
+        options: address, port, and where viewers come from; None: the defaults.
 
     Returns:
-        The running server; its ``address`` lists the streams and the viewers that open them.
+        The running server. Its ``address`` lists the streams and the viewers that open them.
 
     Raises:
         InputError: the folder holds no stream.
         OutputError: the port cannot be listened on.
 
     Example:
-        >>> import splatree as st
-        >>> written = st.stream(st.read("semarang_5_9.sog"), "city")
-        >>> server = st.serve("city", st.ServeOptions(port=0))
+        >>> written = st.stream(scene, "city_stream")
+        >>> server = st.serve("city_stream", st.ServeOptions(port=0))
         >>> server.address.startswith("http://127.0.0.1:")
         True
         >>> server.stop()

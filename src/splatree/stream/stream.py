@@ -29,17 +29,16 @@ def stream(
 ) -> Streamed:
     """Write a scene as a stream that viewers on the web load piece by piece, finer where the camera is near.
 
-    All formats are cut from the scene's one tree. A scene without levels gets them first, by pairs. A
-    stream that was interrupted goes on where it stopped when the same call is made again. The files are the same for any
-    number of threads.
+    All formats are cut from the scene's one tree. A scene without levels gets them first, by pairs. A stream that was interrupted
+    goes on where it stopped when the same call is made again.
 
     Args:
-        scene: The scene, with levels or without.
-        output: The folder (`sog`, `3dtiles`) or the file (`rad`) to write.
-        format: Who reads it: `sog` for PlayCanvas, SuperSplat and Babylon.js, `rad` for Spark, `3dtiles` for CesiumJS.
-        options: How it is cut.
-        force: Replace an older stream.
-        threads: Threads to work on, 0: one for each processor.
+        scene: the scene, with levels or without.
+        output: the folder (`sog`, `3dtiles`) or the file (`rad`) to write.
+        format: who reads it: `sog` for PlayCanvas, SuperSplat and Babylon.js, `rad` for Spark, `3dtiles` for CesiumJS.
+        options: how the stream is cut; None: the defaults.
+        force: replace an older stream.
+        threads: threads to use; 0: all. The files are the same for any number.
 
     Returns:
         What was written.
@@ -48,14 +47,13 @@ def stream(
         InputError: the scene is empty, or the options contradict the format or each other.
         OutputError: there is something else at ``output``, or the disk fails.
 
-    Source: PlayCanvas, "Streamed SOG" (lod-meta.json, version 1); sparkjsdev/spark, rad.rs and chunk_tree.rs; OGC 22-025r4,
-    3D Tiles 1.1.
+    Source:
+        PlayCanvas, "Streamed SOG" (lod-meta.json, version 1); sparkjsdev/spark, rad.rs and chunk_tree.rs; OGC 22-025r4, 3D Tiles
+        1.1.
 
     Example:
-        >>> import splatree as st
-        >>> scene = st.read("semarang_5_9.sog")
-        >>> written = st.stream(scene, "city")
-        >>> len(st.read("city", level=0)) == len(scene)
+        >>> written = st.stream(scene, "city_stream")
+        >>> len(st.read("city_stream", level=0)) == scene.tree.num_leaves
         True
     """
     options = options or StreamOptions()

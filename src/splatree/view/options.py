@@ -14,16 +14,21 @@ CAPACITY = 1 << 21
 
 @dataclass(frozen=True)
 class ViewOptions:
-    """Where and how a scene is shown."""
+    """Where and how a scene is shown.
+
+    Example:
+        >>> st.ViewOptions(budget=100_000).is_local
+        True
+    """
 
     port: int = 0
-    """Port to listen on; 0: any that is free."""
+    """Port to listen on; 0: any port that is free."""
     host: str = "127.0.0.1"
     """Address to listen on. Any address but this machine's own needs the token that is part of the printed address."""
     budget: int = 300_000
-    """Nodes drawn at most; a slider of the page changes it."""
+    """Largest number of nodes drawn; a slider of the page changes it."""
     pixel_error: float = PIXEL_ERROR
-    """τ_R, px: a node whose projected radius is at most this stands for its subtree; a slider of the page changes it."""
+    """τ_R, px: a node stands for its subtree if its radius on the screen is at most this; a slider of the page changes it."""
     device: DeviceName = "cpu"
     """Where the nodes are chosen and exact pictures drawn: `cuda` is an NVIDIA GPU."""
     up: tuple[float, float, float] | None = None

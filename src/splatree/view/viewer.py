@@ -67,7 +67,13 @@ def view(
 
 
 class Viewer:
-    """A scene on show in browsers; `view` makes it."""
+    """A scene on show in browsers; `view` makes it.
+
+    Example:
+        >>> with st.view(scene, block=False) as viewer:
+        ...     viewer.num_nodes == len(scene)
+        True
+    """
 
     def __init__(
         self,

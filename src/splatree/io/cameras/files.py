@@ -34,11 +34,8 @@ def read_cameras(path: str | os.PathLike[str], *, origin: Origin = NO_ORIGIN) ->
     - A COLMAP sparse model, binary or text, or a folder with one in ``sparse/0``. Views are in the order of the pictures' names,
       because the 3DGS code holds out every eighth of them for tests in that order.
     - ``transforms.json`` of nerfstudio or instant-ngp, with the axes of OpenGL. Views are in the order of the file.
-    - ``transforms_train.json``, ``_val`` and ``_test`` of a synthetic scene, one after the other.
-    - ``camera_path.json`` of nerfstudio's viewer, and ``poses_bounds.npy`` of LLFF.
 
-    A folder is searched for these in the order COLMAP, transforms.json, transforms_*.json, cameras.json, poses_bounds.npy and
-    camera_path.json. A ``dataparser_transforms.json`` of nerfstudio beside them moves the cameras into the frame of its training.
+    A folder is searched for a COLMAP model, then transforms.json, then cameras.json.
 
     Args:
         path: the file or folder.

@@ -45,7 +45,13 @@ NEAR_SHARE: Final = 0.01
 
 @dataclass(frozen=True, eq=False)
 class Framing:
-    """How to look at a scene at first."""
+    """How to look at a scene at first: which way is up, where to stand, and at what to look.
+
+    Example:
+        >>> framing = st.frame_scene(scene)
+        >>> framing.camera(64, 36).width, framing.inside
+        (64, False)
+    """
 
     up: Float64[Array, "3"]
     """Unit vector that points up."""
@@ -54,17 +60,17 @@ class Framing:
     radius: float
     """Radius of the dense part, world units."""
     inside: bool
-    """Whether to look around from within (a room, a street, a garden under a sky) or at it from outside."""
+    """Whether to look around from within (a room, a street, a garden under a sky) or at the scene from outside."""
     eye: Float64[Array, "3"]
-    """Where the first picture is taken from."""
+    """Place from which the first picture is taken, world units."""
     target: Float64[Array, "3"]
-    """What it looks at."""
+    """Point that the first picture looks at, world units."""
     fov_y_deg: float
     """Vertical field of view, degrees."""
     reasons: tuple[str, ...]
-    """Why, a sentence each."""
+    """Reasons for these choices, a sentence each."""
     is_sure: bool
-    """Whether the hints for the vertical agree; if not, ask for --up."""
+    """Whether the hints for the vertical agree. If they do not, ask the user for --up."""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -118,24 +124,24 @@ class Framing:
 def frame_scene(
     scene: Scene, *, up: Sequence[float] | None = None, inside: bool | None = None, aspect: float = 16 / 9
 ) -> Framing:
-    """Decide how to look at a scene at first.
+    """Decide how to look at a scene at first, from the scene alone.
 
     Args:
-        scene: any scene; its leaves are looked at.
-        up: direction that is up, world units of any length; None: it is guessed.
+        scene: any scene; only its leaves count.
+        up: direction that is up, of any length; None: it is guessed.
         inside: look from within (True) or from outside (False); None: decided by the scene.
         aspect: width over height of the picture to come, for the distance from outside.
+
+    Returns:
+        The framing, with the reasons for it.
 
     Raises:
         InputError: the scene is empty, or ``up`` is no direction.
 
-    Example::
-
-        import splatree as st
-
-        scene = st.read("city.ply")
-        framing = st.frame_scene(scene)
-        picture = st.render(scene, framing.camera(640, 360)).image
+    Example:
+        >>> framing = st.frame_scene(scene, up=(0, -1, 0))
+        >>> framing.up.tolist()
+        [0.0, -1.0, 0.0]
     """
     survey = survey_of(scene)
     reasons = []

@@ -16,20 +16,26 @@ __all__ = ["SceneHead", "common_head"]
 
 @dataclass(frozen=True)
 class SceneHead:
-    """A scene without its rows: how many there are, and how they are drawn."""
+    """A scene without its rows: how many there are, and how they are drawn.
+
+    Example:
+        >>> head = st.SceneHead.of(scene)
+        >>> head.num_rows == len(scene)
+        True
+    """
 
     num_rows: int
-    """All rows, leaves and merged nodes."""
+    """Number of rows, leaves and merged nodes."""
     sh_degree: int
     """Degree of the spherical harmonics, 0 to 3."""
     mode: Mode = "classic"
-    """How the scene is drawn."""
+    """How the scene must be drawn."""
     threshold: float = ALPHA_THRESHOLD
-    """τ: a splat ends where its opacity falls below this."""
+    """τ: opacity at which a splat ends."""
     tile_rule: TileRule | None = None
-    """Rule for the tiles of a splat that τ was chosen for; None: `ellipse`."""
+    """Tile rule that τ was chosen for; None: `ellipse`."""
     record: LevelRecord | None = None
-    """How the levels were made and are to be drawn; None: there are no levels, or nothing is known of them."""
+    """How the levels were made and must be drawn; None: there are no levels, or nothing is known about them."""
     has_ids: bool = False
     """Whether each row has an identity."""
     source: Source = field(default_factory=Source)
@@ -60,10 +66,21 @@ class SceneHead:
 
 
 def common_head(heads: Sequence[SceneHead]) -> SceneHead:
-    """The head of scenes that stand side by side in one: rows are added up, records of levels are joined.
+    """Make the head of scenes that will stand side by side in one file.
+
+    Args:
+        heads: heads of the scenes.
+
+    Returns:
+        A head with the sum of the rows and the joined records of levels.
 
     Raises:
         InputError: there are none, or they differ in how they are drawn.
+
+    Example:
+        >>> head = st.SceneHead.of(scene)
+        >>> st.common_head([head, head]).num_rows == 2 * len(scene)
+        True
     """
     if not heads:
         raise InputError("common_head: found no heads, wanted at least one")

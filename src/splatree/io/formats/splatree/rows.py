@@ -29,10 +29,16 @@ __all__ = ["SceneRows", "StoredScene", "open_scene"]
 
 @dataclass(frozen=True, eq=False)
 class SceneRows:
-    """A run of rows of a scene with levels or without."""
+    """A run of rows of a scene, with or without levels.
+
+    Example:
+        >>> rows = st.SceneRows.of(scene)
+        >>> rows.begin, len(rows) == len(scene)
+        (0, True)
+    """
 
     begin: int
-    """The first row, in the scene."""
+    """First row, counted in the scene."""
     gaussians: Gaussians
     """The Gaussians of the rows."""
     subtree_end: Int32[Array, "n"]
@@ -79,7 +85,13 @@ class SceneRows:
 
 @dataclass(frozen=True, eq=False)
 class StoredScene:
-    """A ``.splatree`` whose rows are read when they are asked for."""
+    """A ``.splatree`` whose rows are read when they are asked for; `open_scene` opens one.
+
+    Example:
+        >>> stored = st.open_scene("city.splatree")
+        >>> len(stored.rows(0, 10))
+        10
+    """
 
     head: SceneHead
     """How many rows there are, and how they are drawn."""

@@ -28,7 +28,14 @@ __all__ = ["SceneWriter", "create_scene"]
 
 
 class SceneWriter:
-    """A ``.splatree`` that is being written, part by part; `create_scene` makes one."""
+    """A ``.splatree`` that is being written, part by part; `create_scene` makes one.
+
+    Example:
+        >>> with st.create_scene("copy.splatree", st.SceneHead.of(scene)) as writer:
+        ...     writer.append(scene)
+        >>> len(st.read("copy.splatree")) == len(scene)
+        True
+    """
 
     def __init__(self, file: BinaryIO, head: SceneHead) -> None:
         self.head = head
