@@ -13,6 +13,7 @@ from splatree.cli.console import Console, UsageError
 from splatree.cli.files import Reading, check_inputs, read_scene
 from splatree.io.cameras.files import read_cameras
 from splatree.io.photos import Photos
+from splatree.view.exhibit import has_levels
 from splatree.view.options import ViewOptions
 from splatree.view.viewer import Viewer
 
@@ -58,6 +59,9 @@ def run(command: Command) -> Viewed:
     scene = read_scene(command.paths, command.reading)
     cameras = None if cameras is None else cameras.relative_to(scene.source.origin)
     beside = None if command.beside is None else read_scene((command.beside,), command.reading)
+    for path, shown in ((command.paths[0], scene), (command.beside, beside)):
+        if shown is not None and not has_levels(shown):
+            _say(command, f"{path}: has no levels of detail; building them (splatree build keeps them in a file)")
     names = (command.paths[0].name or str(command.paths[0]), "" if command.beside is None else command.beside.name)
     viewer = Viewer(scene, command.options, beside=beside, names=names, cameras=cameras, photos=photos)
     with viewer:
@@ -71,14 +75,16 @@ def run(command: Command) -> Viewed:
 
 def _announce(viewer: Viewer, command: Command) -> None:
     """Say where to look, at once: the result comes only at the end."""
-    if command.console.quiet:
-        return
-    lines = [f"look at {viewer.url}"]
+    _say(command, f"look at {viewer.url}")
     if command.options.is_local:
-        lines.append(
-            f"from another machine: ssh -L {viewer.port}:localhost:{viewer.port} this-machine, then open the same address"
-        )
-    print("\n".join([*lines, "Ctrl-C ends it"]), file=sys.stderr, flush=True)
+        forward = f"ssh -L {viewer.port}:localhost:{viewer.port} this-machine"
+        _say(command, f"from another machine: {forward}, then open the same address there")
+    _say(command, "Ctrl-C ends it")
+
+
+def _say(command: Command, line: str) -> None:
+    if not command.console.quiet:
+        print(line, file=sys.stderr, flush=True)
 
 
 def show(viewed: Viewed) -> str:

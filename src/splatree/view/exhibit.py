@@ -22,7 +22,7 @@ from splatree.scene.scene import Scene
 from splatree.scene.view import View
 from splatree.shapes import Array, Float64
 
-__all__ = ["Exhibit", "exhibit", "with_levels"]
+__all__ = ["Exhibit", "exhibit", "has_levels", "with_levels"]
 
 FLAT_MAX = 10_000
 """Scenes of more Gaussians get levels before they are shown: fewer fit into any budget as they are."""
@@ -143,8 +143,11 @@ def exhibit(
     return Exhibit(session, name, framing)
 
 
+def has_levels(scene: Scene) -> bool:
+    """Whether a scene can be shown as it is: it has levels of detail, or is small enough to do without."""
+    return bool(scene.tree.depth.any()) or len(scene) <= FLAT_MAX
+
+
 def with_levels(scene: Scene) -> Scene:
-    """The scene with levels of detail: built now if it has none and is too large to be shown whole."""
-    if scene.tree.depth.any() or len(scene) <= FLAT_MAX:
-        return scene
-    return build_lod(scene)
+    """The scene with levels of detail: built now if it needs them."""
+    return scene if has_levels(scene) else build_lod(scene)

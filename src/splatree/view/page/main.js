@@ -88,6 +88,7 @@ class App {
       this.camera.fov = layer.facts.fov;
       this.camera.set(this.home.eye, this.home.target);
       this.controls.speed = layer.facts.radius * (layer.facts.inside ? 0.3 : 0.6);
+      if (layer.facts.inside) this.page.fly.click(); // from within, one looks round
       readAddress(this.camera, this.state);
     }
     this.page.sceneCame(layer);

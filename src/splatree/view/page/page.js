@@ -120,6 +120,7 @@ export class Page {
     this.facts.replaceChildren(...Object.entries(rows).flatMap(([name, value]) => [make('dt', {}, name), make('dd', {}, String(value))]));
     this.budget.setValue(this.app.state.budget);
     this.tau.setValue(Math.max(0.5, this.app.state.tau));
+    if (!facts.sure) this.notice('Which way is up is a guess. “Up” under Scene in the settings changes it.', 6000);
     this.views.sceneCame();
   }
 

@@ -69,8 +69,8 @@ export class Store {
       const change = this.pending.shift();
       applied.push(change.header);
       for (let i = 0; i < change.add.length; i++) {
-        const slot = change.add[i];
-        this.words.set(change.nodes.subarray(WORDS * i, WORDS * i + WORDS), WORDS * slot);
+        const slot = change.add[i], from = WORDS * i, to = WORDS * slot;
+        for (let k = 0; k < WORDS; k++) this.words[to + k] = change.nodes[from + k];
         rows.add((slot / ROW) | 0);
       }
       for (let i = 0; i < change.tint.length; i++) {

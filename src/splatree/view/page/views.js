@@ -2,6 +2,7 @@
 import { button, make, share, tick } from './panel.js';
 
 const RECORD_MS = 100; // between two cameras of a recorded path
+const LAST_MS = 400;
 
 export class Views {
   constructor(app, page) {
@@ -126,7 +127,7 @@ export class Views {
 
   recorder() {
     const stream = document.getElementById('stage').captureStream(30), parts = [];
-    const type = ['video/mp4', 'video/webm'].find((name) => MediaRecorder.isTypeSupported(name));
+    const type = ['video/webm', 'video/mp4'].find((name) => MediaRecorder.isTypeSupported(name));
     const recorder = new MediaRecorder(stream, { mimeType: type, videoBitsPerSecond: 12e6 });
     recorder.ondataavailable = (event) => parts.push(event.data);
     recorder.onstop = () => save(new Blob(parts, { type }), `splatree.${type.split('/')[1]}`);
@@ -143,7 +144,8 @@ export class Views {
     const m = blend(views[i].c2w, views[i + 1].c2w), fovOf = (v) => (2 * Math.atan((0.5 * v.h) / v.f) * 180) / Math.PI;
     this.app.camera.setPose(orthonormal(m), (1 - eased) * fovOf(views[i]) + eased * fovOf(views[i + 1]));
     if (place >= views.length - 1) {
-      this.flight.recorder?.stop();
+      const { recorder } = this.flight;
+      setTimeout(() => recorder?.stop(), LAST_MS); // the last picture stays for a moment
       this.flight = null;
     }
   }
