@@ -29,9 +29,7 @@ def test_each_verb_explains_its_options(splatree, verb):
     assert "--json" in out and "--verbose" in out and "--quiet" in out
 
 
-@pytest.mark.parametrize(
-    "words", [(), ("bild",), ("info", "--no-such-option"), ("render", "x.ply", "--pixel-error", "-1")]
-)
+@pytest.mark.parametrize("words", [("bild",), ("info", "--no-such-option"), ("render", "x.ply", "--pixel-error", "-1")])
 def test_wrong_command_line_is_code_2(splatree, words):
     code, out, err = splatree(*words)
     assert code == 2

@@ -14,6 +14,7 @@ Exit codes: 0 done, 1 an error while working, 2 a wrong command line, 130 interr
 """
 
 import dataclasses
+import difflib
 import gc
 import importlib
 import inspect
@@ -53,9 +54,6 @@ VERBS = {
 GROUPS = ("bench",)
 """Verbs whose next word names one of several commands."""
 
-ALIASES = {"--fov": "--fov-y-deg"}
-"""Short names of options."""
-
 USAGE = """usage: splatree <verb> [options]
 
 {verbs}
@@ -93,17 +91,20 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _main(words: list[str]) -> int:
     usage = USAGE.format(verbs="\n".join(f"  {verb:11}{purpose}" for verb, purpose in VERBS.items()))
-    if words[:1] in (["-h"], ["--help"]):
+    if words[:1] == ["help"] and len(words) > 1 and words[1] != "help":  # splatree help render
+        words = [*words[1:], "--help"]
+    if not words or words[0] in ("-h", "--help", "help"):
         _say(usage)
         return 0
-    if words[:1] == ["--version"]:
+    if words[0] in ("-V", "--version", "version"):
         from splatree.cli.console import program_version
 
         _say(f"splatree {program_version()}")
         return 0
-    if not words or words[0] not in VERBS:
-        found = f"found {words[0]!r}, wanted one of {', '.join(VERBS)}" if words else "wanted a verb"
-        _complain(f"splatree: error: {found}\n\n{usage}")
+    if words[0] not in VERBS:
+        near = difflib.get_close_matches(words[0], VERBS, n=1)
+        meant = f"; did you mean {near[0]}?" if near else ""
+        _complain(f"splatree: error: found {words[0]!r}, wanted one of {', '.join(VERBS)}{meant}")
         return 2
     module = importlib.import_module(f"splatree.cli.{words[0]}")
     if words[0] in GROUPS:
@@ -141,8 +142,18 @@ def _run(verb: str, words: list[str], module: Any, command_type: Any, descriptio
     import tyro
 
     from splatree.cli.console import UsageError, progress_shown
+    from splatree.cli.words import options_of, sorted_words
 
-    words = [ALIASES.get(word, word) for word in words]
+    try:
+        words = sorted_words(words, options_of(command_type))
+    except UsageError as error:
+        _complain(f"splatree {verb}: error: {error}")
+        return 2
+    if words == ["--help"]:
+        from splatree.cli.help import help_of
+
+        _say(help_of(verb, command_type, description))
+        return 0
     try:
         with _defaults_trusted():
             command = tyro.cli(

@@ -45,7 +45,10 @@ def replacing(path: str | os.PathLike[str], *, force: bool = False) -> Iterator[
     temporary: Path | None = None
     lock: int | None = None
     try:
-        temporary, lock = _locked_temporary(target)
+        while lock is None:
+            temporary = target.parent / f".{target.name[:100]}.{os.urandom(4).hex()}.splatree.tmp"
+            lock = _lock_of_new(temporary)
+        assert temporary is not None
         with renamed(temporary.name, Path(path).name):
             yield temporary
         _flush(temporary, os.O_RDWR)
@@ -97,16 +100,14 @@ def remove_abandoned(folder: Path) -> None:
                 os.close(lock)
 
 
-def _locked_temporary(target: Path) -> tuple[Path, int]:
-    """A new, empty file beside the target and a lock on it."""
-    while True:
-        temporary = target.parent / f".{target.name[:100]}.{os.urandom(4).hex()}.splatree.tmp"
-        lock = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
-        # Between both calls another writer may have taken the file for an abandoned one.
-        if _locked(lock) and temporary.exists():
-            return temporary, lock
-        os.close(lock)
-        temporary.unlink(missing_ok=True)
+def _lock_of_new(temporary: Path) -> int | None:
+    """Make an empty file and lock it; None if another writer took it for an abandoned one between both."""
+    lock = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
+    if _locked(lock) and temporary.exists():
+        return lock
+    os.close(lock)
+    temporary.unlink(missing_ok=True)
+    return None
 
 
 def _locked(descriptor: int) -> bool:

@@ -1,0 +1,119 @@
+"""The words of a command line: options between paths, forms that people try, hints, help with examples."""
+
+import json
+import re
+import shlex
+from importlib import import_module
+
+import numpy as np
+import pytest
+
+from splatree import read
+from splatree.cli.examples import BASIC
+from splatree.cli.help import examples_of
+from splatree.cli.main import GROUPS, VERBS, commands_of
+from splatree.cli.words import options_of, sorted_words
+
+COMMANDS = [*(v for v in VERBS if v not in GROUPS), *(f"{g} {c}" for g in GROUPS for c in commands_of(g))]
+
+
+def command_of(name):
+    verb, *rest = name.split()
+    module = import_module(f"splatree.cli.{verb}")
+    return module.COMMANDS[rest[0]] if rest else module.Command
+
+
+def sort(verb, line):
+    return sorted_words(shlex.split(line), options_of(command_of(verb)))
+
+
+def test_options_may_stand_between_paths(splatree, small_ply, tmp_path):
+    code, out, err = splatree("thin", small_ply, "--keep", "0.5", tmp_path / "a.ply", "--json")
+    assert code == 0, err
+    assert json.loads(out)["output"].endswith("a.ply")
+    assert sort("convert", "a.ply --scale 2 b.ply --force") == ["a.ply", "b.ply", "--scale", "2", "--force"]
+    assert sort("convert", "--scale 2 -o b.ply -- -odd-name.ply") == ["-odd-name.ply", "--scale", "2", "-o", "b.ply"]
+
+
+def test_shares_may_be_written_in_percent(splatree, small_ply, tmp_path):
+    code, out, _ = splatree("thin", small_ply, tmp_path / "a.ply", "--keep", "25%", "--json")
+    assert code == 0
+    assert json.loads(out)["num_gaussians"] == pytest.approx(3161 / 4, rel=0.02)
+    assert sort("convert", "a b --min-opacity 2.5%") == ["a", "b", "--min-opacity", "0.025"]
+    assert sort("thin", "50%.ply b.ply") == ["50%.ply", "b.ply"]
+
+
+def test_numbers_below_zero_and_commas_are_values(splatree, small_ply, tmp_path):
+    forms = (("--rotate", "-90,0,0"), ("--rotate=-90,0,0",), ("--rotate", "-90", "0", "0"))
+    for i, words in enumerate(forms):
+        code, _, err = splatree("convert", small_ply, *words, tmp_path / f"{i}.ply")
+        assert code == 0, err
+    turned = [read(tmp_path / f"{i}.ply").gaussians.means for i in range(3)]
+    assert np.array_equal(turned[0], turned[1]) and np.array_equal(turned[0], turned[2])
+    before = read(small_ply).gaussians.means
+    assert np.allclose(turned[0][:, 1], before[:, 2], atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("convert a b --overwrite", "found --overwrite, wanted --force"),
+        ("convert a b -y", "found -y, wanted --force"),
+        ("convert a b -w", "found -w, wanted --force"),
+        ("thin a b --ratio 0.5", "found --ratio, wanted --keep"),
+        ("thin a b --kep 0.5", "did you mean --keep?"),
+        ("thin a b --zebra", "which is no option of this verb"),
+        ("convert a b --rotate 1 2", "wanted 3 numbers, such as --rotate 0 1 2"),
+        ("convert a b --output", "--output: found nothing after it, wanted a value"),
+        ("convert a b --scale --force", "--scale: found '--force' after it, wanted a value"),
+        ("rendr a", "did you mean render?"),
+    ],
+)
+def test_wrong_words_are_one_line_with_a_hint(splatree, line, said):
+    code, out, err = splatree(*line.split())
+    assert (code, out, err.count("\n")) == (2, "", 1), err
+    assert said in err
+
+
+@pytest.mark.parametrize("words", [(), ("help",), ("--help",), ("-h",)])
+def test_help_needs_no_dashes(splatree, words):
+    code, out, err = splatree(*words)
+    assert (code, err) == (0, "")
+    assert all(verb in out for verb in VERBS)
+
+
+def test_help_of_a_verb_may_be_asked_for_both_ways(splatree):
+    assert splatree("help", "thin") == splatree("thin", "--help")
+    assert splatree("thin", "a.ply", "--keep", "0.5", "-h") == splatree("thin", "--help")
+    assert splatree("help", "bench", "fig5") == splatree("bench", "fig5", "--help")
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_has_two_examples_groups_and_no_jargon_of_the_parser(splatree, name):
+    code, out, _ = splatree(*name.split(), "--help")
+    assert code == 0
+    assert len(re.findall(rf"^  splatree {name}\b", out, flags=re.MULTILINE)) == 2
+    assert "basic options:" in out
+    assert not re.search(r"\(default: None\)|\{None\}|\bNone: |\(default: False\)", out)
+    assert max(map(len, out.splitlines())) <= 110
+    for option in options_of(command_of(name)):
+        assert option.name.upper() in out if option.is_positional else option.name in out
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_examples_are_command_lines(name):
+    for example in examples_of(name, command_of(name)):
+        words = shlex.split(example)[1 + len(name.split()) :]
+        sorted_words(words, options_of(command_of(name)))
+
+
+def test_basic_options_exist():
+    for name, chosen in BASIC.items():
+        known = {option.name.removeprefix("--").removeprefix("no-") for option in options_of(command_of(name))}
+        assert set(chosen) <= known, name
+
+
+def test_the_help_shows_what_the_docstrings_say(splatree):
+    out = " ".join(splatree("thin", "--help")[1].split())
+    assert "--keep X Share of the Gaussians to keep" in out
+    assert "--no-visibility" in out and "(default: 0.5)" in out
