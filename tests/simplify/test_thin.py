@@ -261,3 +261,36 @@ def test_points_exactly_a_radius_apart_are_found_however_their_cells_are_rounded
         found = fast.thin(means, colors, importance, radius=float(r), color_radius=np.inf)
         expected = reference.thin(means, colors, importance, radius=float(r), color_radius=np.inf)
         np.testing.assert_array_equal(found.group_from_row, expected.group_from_row)
+
+
+@given(points(), st.sampled_from([0.0, 0.25, 0.5, 1.0]), st.sampled_from([0.35, np.inf]), st.integers(1, 3), st.data())
+def test_certain_answers_are_those_of_the_reference_and_never_contradict_the_whole(
+    data, radius, color_radius, threads, draw
+):
+    n, rule = len(data[0]), {"radius": radius, "color_radius": color_radius}
+    rng = np.random.default_rng(draw.draw(st.integers(0, 2**32 - 1)))
+    is_open = rng.random(n) < draw.draw(st.sampled_from([0.0, 0.1, 0.5, 1.0]))
+    found = fast.certain(*data, is_open, **rule, threads=threads)
+    np.testing.assert_array_equal(found, reference.certain(*data, is_open, **rule))
+    groups = fast.thin(*data, **rule)
+    whole = groups.representatives[groups.group_from_row]
+    assert (found[is_open] == -1).all()
+    assert (found[found >= 0] == whole[found >= 0]).all()
+    if not is_open.any():
+        np.testing.assert_array_equal(found, whole)
+    more_open = is_open | (rng.random(n) < 0.2)
+    less = fast.certain(*data, more_open, **rule)
+    assert ((less == found) | (less == -1)).all()
+
+
+@given(points(), st.sampled_from([0.25, 0.5, 1.0]), st.floats(-2, 2))
+def test_what_is_certain_in_a_part_is_so_in_the_whole(data, radius, border):
+    """Rows beyond a plane are left out; those nearer to it than r are open."""
+    x = data[0][:, 0].astype(np.float64)
+    here = np.flatnonzero(x <= border)
+    part = [column[here] for column in data]
+    found = fast.certain(*part, x[here] > border - radius, radius=radius, color_radius=np.inf)
+    groups = fast.thin(*data, radius=radius, color_radius=np.inf)
+    whole = groups.representatives[groups.group_from_row]
+    is_known = found >= 0
+    np.testing.assert_array_equal(here[found[is_known]], whole[here[is_known]])

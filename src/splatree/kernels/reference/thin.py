@@ -9,15 +9,20 @@ a ball in position and colour, so that Gaussians of different colour stay apart 
 representatives are the lexicographically first maximal independent set of the graph of neighbours: unique, whatever order or
 number of threads finds it.
 
+`certain` decides the same for a part of a scene, of whose *open* rows neighbours may be missing. A row is unknown if it is open,
+or if no earlier neighbour is a representative and one is unknown. A member's representative is certain if it is nearer than
+each unknown earlier neighbour. The whole scene decides what is certain in the same way, whatever lies outside of the part: a row
+that is not open has all of its neighbours here, and the rules are those above.
+
 Cost: O(n · g).
 """
 
 import numpy as np
 
 from splatree.scene.thinning import Groups
-from splatree.shapes import Array, Float32
+from splatree.shapes import Array, Bool, Float32, Int32
 
-__all__ = ["group", "thin"]
+__all__ = ["certain", "group", "thin"]
 
 
 def thin(
@@ -29,23 +34,41 @@ def thin(
     color_radius: float,
 ) -> Groups:
     """Groups of rows within ``radius`` of their representative."""
+    whole = np.zeros(len(means), bool)
+    return group(certain(means, colors, importance, whole, radius=radius, color_radius=color_radius))
+
+
+def certain(
+    means: Float32[Array, "n 3"],
+    colors: Float32[Array, "n 3"],
+    importance: Float32[Array, "n"],
+    is_open: Bool[Array, "n"],
+    *,
+    radius: float,
+    color_radius: float,
+) -> Int32[Array, "n"]:
+    """The representative of each row of a part of a scene, −1 where it depends on rows that the part may lack."""
     x, c = means.astype(np.float64), colors.astype(np.float64)
     radius2 = radius * radius
     factor = 0.0 if np.isinf(color_radius) else radius2 / (color_radius * color_radius)
     n = len(x)
     representative_from_row = np.arange(n, dtype=np.int32)
-    kept: list[int] = []
+    is_unknown = np.zeros(n, bool)
+    kept: list[int] = []  # representatives and unknown rows, the earliest first
     for i in np.lexsort((np.arange(n), -importance.astype(np.float64))):
         dx, dc = x[kept] - x[i], c[kept] - c[i]
         # Summed in this order, which the fast kernel keeps: both round alike.
         distances2 = (dx[:, 0] * dx[:, 0] + dx[:, 1] * dx[:, 1] + dx[:, 2] * dx[:, 2]) + factor * (
             dc[:, 0] * dc[:, 0] + dc[:, 1] * dc[:, 1] + dc[:, 2] * dc[:, 2]
         )
-        if not np.any(distances2 <= radius2):
+        within = distances2 <= radius2
+        if is_open[i] or not np.any(within & ~is_unknown[kept]):
+            is_unknown[i] = is_open[i] or np.any(within)
             kept.append(int(i))
         else:
             representative_from_row[i] = kept[int(np.argmin(distances2))]  # the first of equals is the earliest
-    return group(representative_from_row)
+    representative_from_row[is_unknown | is_unknown[representative_from_row]] = -1
+    return representative_from_row
 
 
 def group(representative_from_row: Array, *, rounds: int = 0, num_visited: int = 0) -> Groups:

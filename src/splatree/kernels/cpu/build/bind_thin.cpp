@@ -16,13 +16,15 @@ namespace splatree {
 namespace {
 
 std::tuple<int, int64_t> thin_rows(In<float> means, In<float> colors, In<float> importance, double radius, double color_radius,
-                                   bool assign, Out<int32_t> representative_from_row, int threads) {
+                                   std::optional<In<uint8_t>> is_open, bool assign, Out<int32_t> representative_from_row,
+                                   int threads) {
   ThinJob job{static_cast<int64_t>(means.shape(0)),
               means.data(),
               colors.data(),
               importance.data(),
               radius,
               color_radius,
+              is_open ? is_open->data() : nullptr,
               representative_from_row.data(),
               assign,
               0,
@@ -86,7 +88,8 @@ void merge_groups(nb::handle gaussians, nb::handle groups, In<float> weights, nb
 }  // namespace
 
 void bind_thin(nb::module_& m) {
-  m.def("thin", &thin_rows);
+  m.def("thin", &thin_rows, nb::arg("means"), nb::arg("colors"), nb::arg("importance"), nb::arg("radius"), nb::arg("color_radius"),
+        nb::arg("is_open").none(), nb::arg("assign"), nb::arg("representative_from_row"), nb::arg("threads"));
   m.def("merge", &merge_groups, nb::arg("gaussians"), nb::arg("groups"), nb::arg("weights"), nb::arg("options"), nb::arg("added"),
         nb::arg("opacities").none(), nb::arg("out"), nb::arg("threads"), "Fill `out` with one Gaussian for each group.");
   m.def("nearest_distances", [](In<float> means, In<int32_t> queries, double edge, Out<double> distances, int threads) {

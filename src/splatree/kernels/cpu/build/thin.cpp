@@ -7,6 +7,9 @@
 // on where it stopped once that neighbour is decided, so each candidate is looked at about once in all rounds together. A
 // round reads only what earlier rounds decided: the result and the number of rounds do not depend on the threads.
 //
+// For a part of a scene, rows near its edge are *open*: neighbours of theirs may be missing, so nothing is known of them. A third
+// status, unknown, spreads from them only as far as it has to. What is decided is what the whole scene would decide.
+//
 // Cost: one radix sort, then O(n · points in 27 cells); 16 + 16 bytes a point while sorting, 32 + 10 after.
 // Not vectorised: the scans are short (a few dozen candidates), branchy and bound by memory.
 #include "cpu/build/thin.h"
@@ -26,14 +29,15 @@ namespace {
 
 using namespace thinning;
 
-enum Status : uint8_t { UNDECIDED, MEMBER, REPRESENTATIVE };
+enum Status : uint8_t { UNDECIDED, MEMBER, REPRESENTATIVE, UNKNOWN };
 
 // Where an undecided point goes on scanning: at sorted position `position` in column `column`.
 struct Waiting {
   uint32_t point;
   uint32_t cell;
   uint32_t position;
-  int32_t column;
+  int16_t column;
+  bool saw_unknown;  // an unknown neighbour, which may be a representative
 };
 
 // The earlier points of p's neighbourhood from `waiting` on; returns its status as far as known.
@@ -49,11 +53,15 @@ Status scan(const Cells& cells, Columns& columns, const Metric& metric, const ui
         ++visited;
         if (status[j] == MEMBER || !(metric.distance2(p, q) <= metric.radius2)) continue;
         if (status[j] == REPRESENTATIVE) return MEMBER;
+        if (status[j] == UNKNOWN) {
+          waiting.saw_unknown = true;
+          continue;
+        }
         waiting.position = j;
-        waiting.column = k;
+        waiting.column = static_cast<int16_t>(k);
         return UNDECIDED;
       }
-  return REPRESENTATIVE;
+  return waiting.saw_unknown ? UNKNOWN : REPRESENTATIVE;
 }
 
 Scratch<uint8_t> decide(const Lattice& lattice, const Cells& cells, const Metric& metric, ThinJob& job) {
@@ -66,8 +74,11 @@ Scratch<uint8_t> decide(const Lattice& lattice, const Cells& cells, const Metric
   Scratch<Waiting> waiting = allocate<Waiting>(n);
   parallel_ranges(cells.num_cells, GRAIN, job.threads, [&](int64_t first, int64_t last) {
     for (int64_t c = first; c < last; ++c)
-      for (uint32_t i = cells.start[c]; i < cells.start[c + 1]; ++i) waiting[i] = {i, static_cast<uint32_t>(c), 0, 0};
+      for (uint32_t i = cells.start[c]; i < cells.start[c + 1]; ++i) waiting[i] = {i, static_cast<uint32_t>(c), 0, 0, false};
   });
+  if (job.is_open)
+    for (int64_t i = 0; i < n; ++i)
+      if (job.is_open[row_of(cells.points[i])]) status[i] = next[i] = UNKNOWN;
   job.rounds = 0;
   for (int64_t size = n; size > 0;) {
     ++job.rounds;
@@ -76,6 +87,7 @@ Scratch<uint8_t> decide(const Lattice& lattice, const Cells& cells, const Metric
       int64_t cell = -1, count = 0;
       for (int64_t w = begin; w < end; ++w) {
         Waiting& waits = waiting[w];
+        if (next[waits.point] == UNKNOWN) continue;  // open
         // The neighbour it waits for is still undecided (position 0 may also mean: not begun; then it scans).
         if (job.rounds > 1) {
           const uint8_t seen = status[waits.position];
@@ -113,7 +125,8 @@ Scratch<uint8_t> decide(const Lattice& lattice, const Cells& cells, const Metric
   return status;
 }
 
-Cells representatives_of(const Cells& cells, const uint8_t* status) {
+// The points that may be representatives: those that are, and those of which nothing is known.
+Cells candidates_of(const Cells& cells, const uint8_t* status) {
   Cells kept;
   kept.keys = allocate<uint64_t>(cells.num_cells);
   kept.start = allocate<uint32_t>(cells.num_cells + 1);
@@ -121,7 +134,7 @@ Cells representatives_of(const Cells& cells, const uint8_t* status) {
   for (int64_t c = 0; c < cells.num_cells; ++c) {
     const int64_t begin = kept.num_points;
     for (uint32_t i = cells.start[c]; i < cells.start[c + 1]; ++i)
-      if (status[i] == REPRESENTATIVE) kept.points[kept.num_points++] = cells.points[i];
+      if (status[i] == REPRESENTATIVE || status[i] == UNKNOWN) kept.points[kept.num_points++] = cells.points[i];
     if (kept.num_points > begin) {
       kept.keys[kept.num_cells] = cells.keys[c];
       kept.start[kept.num_cells++] = static_cast<uint32_t>(begin);
@@ -148,7 +161,10 @@ void thin(ThinJob& job) {
     }
     return;
   }
-  const Cells kept = representatives_of(cells, status.get());
+  const Cells kept = candidates_of(cells, status.get());
+  Scratch<uint8_t> is_unknown = allocate<uint8_t>(job.is_open ? job.n : 0);  // by row
+  if (job.is_open)
+    for (int64_t i = 0; i < job.n; ++i) is_unknown[row_of(cells.points[i])] = status[i] == UNKNOWN;
   std::atomic<int64_t> visited{0};
   parallel_ranges(cells.num_cells, 1 << 12, job.threads, [&](int64_t first, int64_t last) {
     Columns columns(lattice, kept);
@@ -158,7 +174,7 @@ void thin(ThinJob& job) {
       for (uint32_t i = cells.start[c]; i < cells.start[c + 1]; ++i) {
         const Point& p = cells.points[i];
         const int32_t row = static_cast<int32_t>(row_of(p));
-        int32_t nearest = row;
+        int32_t nearest = status[i] == UNKNOWN ? -1 : row;
         if (status[i] == MEMBER) {
           double best = std::numeric_limits<double>::infinity();
           uint64_t best_priority = 0;
@@ -177,6 +193,7 @@ void thin(ThinJob& job) {
                 }
               }
         }
+        if (job.is_open && nearest >= 0 && is_unknown[nearest]) nearest = -1;  // which may be the nearest, or none
         job.representative_from_row[row] = nearest;
       }
     }

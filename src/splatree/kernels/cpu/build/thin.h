@@ -11,7 +11,8 @@ struct ThinJob {
   const float* importance;           // n
   double radius;                     // r, world units
   double color_radius;               // ρ; infinity leaves colour out
-  int32_t* representative_from_row;  // n, out; -1 for members unless `assign`
+  const uint8_t* is_open;            // n: rows of which nothing is known; null: none, the scene is whole
+  int32_t* representative_from_row;  // n, out; -1 for members unless `assign`, and where it is not certain
   bool assign;                       // whether members look for their nearest representative
   int32_t rounds;                    // out
   int64_t num_visited;               // out: candidates looked at

@@ -4,9 +4,9 @@ import numpy as np
 
 from splatree.kernels.cpu import _core
 from splatree.scene.thinning import Groups
-from splatree.shapes import Array, Float32, Float64, Int32, Int64
+from splatree.shapes import Array, Bool, Float32, Float64, Int32, Int64
 
-__all__ = ["count_representatives", "group", "nearest_distances", "rows_by_group", "thin"]
+__all__ = ["certain", "count_representatives", "group", "nearest_distances", "rows_by_group", "thin"]
 
 
 def thin(
@@ -21,9 +21,32 @@ def thin(
     """Groups of rows within ``radius`` of their representative."""
     representative_from_row = np.empty(len(means), np.int32)
     rounds, visited = _core.thin(
-        means, colors, importance, radius, color_radius, True, representative_from_row, threads
+        means, colors, importance, radius, color_radius, None, True, representative_from_row, threads
     )
     return group(representative_from_row, rounds=rounds, num_visited=visited)
+
+
+def certain(
+    means: Float32[Array, "n 3"],
+    colors: Float32[Array, "n 3"],
+    importance: Float32[Array, "n"],
+    is_open: Bool[Array, "n"],
+    *,
+    radius: float,
+    color_radius: float,
+    threads: int = 0,
+) -> Int32[Array, "n"]:
+    """The representative of each row of a part of a scene, −1 where it depends on rows that the part may lack.
+
+    ``is_open`` rows may have neighbours within ``radius`` that are not here.
+    """
+    representative_from_row = np.empty(len(means), np.int32)
+    _core.thin(
+        *(means, colors, importance, radius, color_radius, is_open.view(np.uint8), True),
+        representative_from_row,
+        threads,
+    )
+    return representative_from_row
 
 
 def count_representatives(
@@ -37,7 +60,7 @@ def count_representatives(
 ) -> int:
     """Number of groups that `thin` would find, without looking for the members'."""
     representative_from_row = np.empty(len(means), np.int32)
-    _core.thin(means, colors, importance, radius, color_radius, False, representative_from_row, threads)
+    _core.thin(means, colors, importance, radius, color_radius, None, False, representative_from_row, threads)
     return int(np.count_nonzero(representative_from_row >= 0))
 
 

@@ -1,0 +1,81 @@
+"""A box that grows by itself, with some space around it, has the nodes of a build at once, bit for bit."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as hs
+
+import splatree as st
+from splatree.lod.assemble import assemble
+from splatree.lod.cells import halve
+from splatree.lod.forest import forest_of_leaves, forest_of_roots
+from splatree.lod.graft import graft
+from splatree.lod.grow import grow
+from splatree.lod.grow_region import TooNarrowError, grow_region
+from splatree.lod.region import EVERYWHERE, Region
+
+from .hard_scenes import hard_scene, hard_scenes
+from .test_parts import MODES, check_same_tree, resolved_for
+
+
+def built_by_boxes(scene, options, cell_rows, num_levels, widths):
+    resolved = resolved_for(scene, options)
+    radii = list(resolved.sizes_from(0, num_levels))
+    parts, counts = [], []
+    for box in halve(scene.gaussians.means, cell_rows).boxes:
+        far = box.distances(scene.gaussians.means)
+        reach = widths * sum(radii) + 1e-3
+        while True:
+            inputs = np.flatnonzero(far <= reach)
+            part = st.Scene.flat(scene.gaussians.take(inputs), mode=scene.mode)
+            try:
+                owned = grow_region(
+                    forest_of_leaves(part, resolved, inputs=inputs), resolved, Region(box, reach), num_levels=num_levels
+                )
+                break
+            except TooNarrowError:
+                reach = 1.5 * reach
+        counts.append(owned.counts)
+        if len(owned.rows):
+            flat = st.Scene.flat(part.gaussians.take(owned.rows), mode=scene.mode)
+            parts.append(assemble(owned.forest, flat, resolved))
+    top = grow(forest_of_roots(parts, resolved), resolved)
+    return graft(top, parts, resolved), np.sum(counts, axis=0)
+
+
+@settings(max_examples=60)
+@given(
+    hard_scenes(degree=1), hs.sampled_from([16, 50, 200]), hs.integers(0, 4), hs.sampled_from([0.5, 3.0, 7.0]), MODES
+)
+def test_boxes_give_the_tree_of_a_build_at_once(gaussians, cell_rows, num_levels, widths, mode):
+    scene = st.Scene.flat(gaussians, mode=mode)
+    options = st.BuildOptions(radius=0.15, max_roots=1)
+    whole = st.build_lod(scene, options)
+    found, counts = built_by_boxes(scene, options, cell_rows, num_levels, widths)
+    # A build at once ends when one node is left, so there may be no more levels than that takes.
+    if (counts[:-1] > 1).all():
+        check_same_tree(found, whole)
+
+
+def test_everywhere_is_a_region_that_owns_all():
+    scene = st.Scene.flat(hard_scene(300, "surface", 4, degree=1))
+    options = st.BuildOptions(radius=0.2, max_roots=1)
+    resolved = resolved_for(scene, options)
+    owned = grow_region(forest_of_leaves(scene, resolved), resolved, Region(EVERYWHERE, np.inf), num_levels=4)
+    grown = grow(forest_of_leaves(scene, resolved), resolved, num_levels=4)
+    part = st.Scene.flat(scene.gaussians.take(owned.rows))
+    check_same_tree(assemble(owned.forest, part, resolved), assemble(grown, scene, resolved))
+    assert owned.counts[-1] == len(grown.roots)
+
+
+def test_a_region_that_is_too_small_is_told():
+    scene = st.Scene.flat(hard_scene(100, "surface", 1))
+    resolved = resolved_for(scene, st.BuildOptions(radius=0.2))
+    box = halve(scene.gaussians.means, 30).boxes[0]
+    inputs = np.flatnonzero(box.distances(scene.gaussians.means) <= 0.5)
+    part = st.Scene.flat(scene.gaussians.take(inputs))
+    with pytest.raises(TooNarrowError, match=r"found 0\.5 world units known around the box"):
+        grow_region(forest_of_leaves(part, resolved, inputs=inputs), resolved, Region(box, 0.5), num_levels=2)
+    with pytest.raises(st.InputError, match="found method 'pairs'"):
+        pairs = resolved_for(scene, st.BuildOptions(method="pairs"))
+        grow_region(forest_of_leaves(scene, pairs), pairs, Region(EVERYWHERE, np.inf), num_levels=1)
