@@ -12,8 +12,8 @@ import numpy as np
 
 from splatree.errors import InputError
 from splatree.kernels.cpu import _core
-from splatree.kernels.cpu.frame.select import is_culled, pack_rule, view_planes
-from splatree.kernels.cpu.frame.view import pack_square, pack_view
+from splatree.kernels.cpu.frame.question import pack_question, pack_sides
+from splatree.kernels.cpu.frame.view import pack_square
 from splatree.kernels.cuda.sources import headers
 from splatree.scene.options import SelectOptions
 from splatree.scene.view import View
@@ -79,25 +79,7 @@ def pack_numbers(view: View, select: SelectOptions, *, degree: int, whole_box: b
         raise InputError(
             f"device 'cuda': found {found}, wanted rule 'cut' without max_radius; use device 'cpu' for others"
         )
-    camera, packed = view.camera, pack_view(view)
-    return bytes(
-        _core.frame_numbers(
-            packed,
-            view.threshold,
-            view.area_power,
-            view.least_threshold,
-            view.least_opacity,
-            view.pixel_threshold,
-            view.mode == "antialiased",
-            pack_rule(view, select),
-            select.view_test,
-            is_culled(select),
-            *view_planes(view, select, packed),
-            min(view.sh_degree, degree),
-            camera.width,
-            camera.height,
-            np.asarray(view.background, np.float64),
-            pack_square(view),
-            whole_box,
-        )
-    )
+    question = pack_question(view, select)
+    sides = pack_sides(view, select, question.view)
+    numbers = _core.frame_numbers(question, sides, view, min(view.sh_degree, degree), pack_square(view), whole_box)
+    return bytes(numbers)

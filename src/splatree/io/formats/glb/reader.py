@@ -87,9 +87,13 @@ def sniff(path: Path, head: bytes) -> bool:
     return head[:4] == MAGIC or (path.suffix.lower() == ".gltf" and head.lstrip()[:1] == b"{")
 
 
-@np.errstate(all="ignore")  # whatever comes of absurd values is found by the check of values
 def read(path: Path, options: ReadOptions) -> Scene:
     """Read all Gaussians that the file's scene shows, moved by its nodes in float64; far from zero relative to an origin."""
+    with np.errstate(all="ignore"):  # whatever comes of absurd values is found by the check of values
+        return _read(path, options)
+
+
+def _read(path: Path, options: ReadOptions) -> Scene:
     with path.open("rb") as file:
         gltf = GltfFile(path, file)
         try:

@@ -29,19 +29,6 @@ def bin(splats: Splats, view: View, *, threads: int = 0, whole_box: bool = False
         )
     floors = np.empty(len(splats), np.float32) if view.tapers else None
     tile_start = np.empty(num_x * num_y + 1, np.int64)
-    splat_from_pair = _core.bin_splats(
-        splats.records,
-        splats.order,
-        view.threshold,
-        view.area_power,
-        camera.width,
-        camera.height,
-        tile_start,
-        num_x,
-        num_y,
-        pack_square(view),
-        whole_box,
-        floors,
-        threads,
-    )
+    square = pack_square(view)
+    splat_from_pair = _core.bin_splats(splats, view, square, whole_box, tile_start, floors, threads)
     return TileBins(tile_start, splat_from_pair, num_x, num_y, floors)

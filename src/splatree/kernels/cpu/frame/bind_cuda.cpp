@@ -1,10 +1,12 @@
 // The numbers of a frame as kernels on a GPU take them, laid out here, where the compiler knows the structs; and arrays in the
 // memory of a GPU as other libraries give and take them (DLPack).
+#include <nanobind/stl/array.h>
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
+#include <array>
 #include <cmath>
 #include <optional>
 #include <string>
@@ -12,34 +14,30 @@
 #include <vector>
 
 #include "cpu/frame/view.h"
-#include "cpu/runtime/arrays.h"
 #include "cuda/job.h"
+#include "shared/constants.h"
 
 namespace splatree {
 namespace {
 
-nb::bytes frame_numbers(nb::handle view, double threshold, double area_power, double least_threshold, double least_opacity,
-                        double pixel_threshold, bool antialiased, nb::handle rule, const std::string& view_test, bool cull,
-                        In<double> planes, In<double> reach, int degree, int width, int height, In<double> background,
-                        nb::handle square, bool whole_box) {
+nb::bytes frame_numbers(py::PackedQuestion question, py::PackedSides sides, py::View view, int degree,
+                        std::optional<py::SquareRule> square, bool whole_box) {
   FrameNumbers n{};
-  n.view = view_of(view, least_threshold, antialiased);
-  n.view.least_opacity = float(least_opacity);
-  n.rule = rule_of(rule);
-  n.planes = planes_of(planes.data(), int(planes.shape(0)));
-  for (int i = 0; i < NUM_SIDES; ++i) n.reach[i] = reach.data()[i];
-  for (int i = 0; i < 3; ++i) n.eye[i] = column<double>(view, "center")[i];
-  n.view_test = chosen(view_test, "view_test", VIEW_TESTS);
-  n.all_small = std::isinf(n.rule.pixel_error);
-  n.cull = cull;
+  ask(question, n);
+  bound(sides, n);
+  n.view.antialiased = number<std::string>(view, "mode") == "antialiased";
+  n.view.least_opacity = number_of(view, "least_opacity");
   n.degree = degree;
-  n.width = width, n.height = height;
-  n.num_tiles_x = (width + 15) / 16, n.num_tiles_y = (height + 15) / 16;
-  for (int i = 0; i < 3; ++i) n.background[i] = float(background.data()[i]);
-  n.log2_threshold = float(std::log2(threshold)), n.area_power = float(area_power);
-  n.log2_pixel_threshold = float(std::log2(pixel_threshold));
-  n.tile_rule = int(!square.is_none() ? TileRule::SQUARE : whole_box ? TileRule::BOX : TileRule::ELLIPSE);
-  if (!square.is_none()) n.square = square_of(square);
+  const nb::object camera = view.attr("camera");
+  n.width = number<int>(camera, "width"), n.height = number<int>(camera, "height");
+  n.num_tiles_x = (n.width + constants::TILE_PX - 1) / constants::TILE_PX;
+  n.num_tiles_y = (n.height + constants::TILE_PX - 1) / constants::TILE_PX;
+  const auto background = number<std::array<double, 3>>(view, "background");
+  for (int i = 0; i < 3; ++i) n.background[i] = float(background[i]);
+  n.log2_threshold = float(std::log2(number<double>(view, "threshold"))), n.area_power = number_of(view, "area_power");
+  n.log2_pixel_threshold = float(std::log2(number<double>(view, "pixel_threshold")));
+  n.tile_rule = int(square ? TileRule::SQUARE : whole_box ? TileRule::BOX : TileRule::ELLIPSE);
+  if (square) n.square = square_of(*square);
   return nb::bytes(reinterpret_cast<const char*>(&n), sizeof n);
 }
 
@@ -77,11 +75,8 @@ Tensor import_tensor(nb::ndarray<nb::ro> tensor) {
 }  // namespace
 
 void bind_cuda(nb::module_& m) {
-  m.def("frame_numbers", &frame_numbers, nb::arg("view"), nb::arg("threshold"), nb::arg("area_power"), nb::arg("least_threshold"),
-        nb::arg("least_opacity"), nb::arg("pixel_threshold"), nb::arg("antialiased"), nb::arg("rule"), nb::arg("view_test"),
-        nb::arg("cull"), nb::arg("planes"), nb::arg("reach"), nb::arg("degree"), nb::arg("width"), nb::arg("height"),
-        nb::arg("background"), nb::arg("square").none(), nb::arg("whole_box"),
-        "The struct FrameNumbers of kernels/cuda/job.h as bytes.");
+  m.def("frame_numbers", &frame_numbers, nb::arg("question"), nb::arg("sides"), nb::arg("view"), nb::arg("degree"),
+        nb::arg("square").none(), nb::arg("whole_box"), "The struct FrameNumbers of kernels/cuda/job.h as bytes.");
   m.def("export_tensor", &export_tensor, nb::arg("pointer"), nb::arg("shape"), nb::arg("type"), nb::arg("device"),
         nb::arg("owner"), "A DLPack capsule of an array at an address; the device as DLPack has it.");
   m.def("import_tensor", &import_tensor, nb::arg("capsule"),

@@ -1,19 +1,18 @@
 // Glue of the frame's stages: project, order, bin, blend. Sizes are checked by the callers in kernels/cpu/*.py.
+#include <nanobind/stl/array.h>
 #include <nanobind/stl/optional.h>
 
-#include <algorithm>
+#include <array>
 #include <cmath>
 #include <optional>
-#include <vector>
 
 #include "cpu/frame/blend.h"
 #include "cpu/frame/project.h"
 #include "cpu/frame/scatter.h"
 #include "cpu/frame/view.h"
-#include "cpu/runtime/arrays.h"
 #include "cpu/runtime/in_order.h"
 #include "cpu/runtime/isa.h"
-#include "cpu/runtime/structs.h"
+#include "shared/constants.h"
 
 namespace splatree {
 namespace {
@@ -34,7 +33,7 @@ int64_t project_rows(In<float> means, In<float> quats, In<float> log_scales, In<
                        degree,
                        seen,
                        !square.is_none(),
-                       square.is_none() ? Square{} : square_of(square),
+                       square.is_none() ? Square{} : square_of(nb::borrow<py::SquareRule>(square)),
                        rows.data(),
                        num_rows,
                        threads,
@@ -53,23 +52,25 @@ void order_splats(In<float> depths, In<int32_t> rows, std::optional<In<uint32_t>
   order_by_depth(depths.data(), rows.data(), id, int64_t(order.shape(0)), threads, order.data());
 }
 
-nb::ndarray<nb::numpy, int32_t, nb::ndim<1>> bin_splats(In<float> records, In<int32_t> order, double threshold, double area_power,
-                                                        int width, int height, Out<int64_t> tile_start, int num_tiles_x,
-                                                        int num_tiles_y, nb::handle square, bool whole_box,
-                                                        std::optional<Out<float>> floors, int threads) {
-  const BinJob job{records.data(),
+nb::ndarray<nb::numpy, int32_t, nb::ndim<1>> bin_splats(py::Splats splats, py::View view, std::optional<py::SquareRule> square,
+                                                        bool whole_box, Out<int64_t> tile_start, std::optional<Out<float>> floors,
+                                                        int threads) {
+  const nb::object camera = view.attr("camera");
+  const int width = number<int>(camera, "width"), height = number<int>(camera, "height");
+  const auto order = number<In<int32_t>>(splats, "order");
+  const BinJob job{column<float>(splats, "records"),
                    order.data(),
                    int64_t(order.shape(0)),
-                   float(std::log2(threshold)),
-                   float(area_power),
+                   float(std::log2(number<double>(view, "threshold"))),
+                   number_of(view, "area_power"),
                    width,
                    height,
-                   num_tiles_x,
-                   num_tiles_y,
-                   !square.is_none() ? TileRule::SQUARE
-                   : whole_box       ? TileRule::BOX
-                                     : TileRule::ELLIPSE,
-                   square.is_none() ? Square{} : square_of(square),
+                   (width + constants::TILE_PX - 1) / constants::TILE_PX,
+                   (height + constants::TILE_PX - 1) / constants::TILE_PX,
+                   square      ? TileRule::SQUARE
+                   : whole_box ? TileRule::BOX
+                               : TileRule::ELLIPSE,
+                   square ? square_of(*square) : Square{},
                    threads,
                    floors ? floors->data() : nullptr};
   Scratch<int32_t> pairs;
@@ -78,27 +79,24 @@ nb::ndarray<nb::numpy, int32_t, nb::ndim<1>> bin_splats(In<float> records, In<in
     pairs = bin(job, tile_start.data());
   }
   const nb::capsule owner(pairs.get(), [](void* p) noexcept { Free()(p); });
-  const size_t num_pairs = size_t(tile_start.data()[num_tiles_x * num_tiles_y]);
+  const size_t num_pairs = size_t(tile_start.data()[job.num_tiles_x * job.num_tiles_y]);
   return nb::ndarray<nb::numpy, int32_t, nb::ndim<1>>(pairs.release(), {num_pairs}, owner);
 }
 
 // `outputs` are arrays to fill by the names of Picture and TileWork; those that are not there are not wanted.
-void blend_tiles(In<float> records, In<int64_t> tile_start, In<int32_t> splat_from_pair, int num_tiles_x, int num_tiles_y,
-                 double threshold, std::optional<In<float>> floors, In<double> background, bool whole_tile, nb::dict outputs,
-                 int threads) {
-  const auto alpha = nb::cast<Out<float>>(outputs["alpha"]);
-  const int height = int(alpha.shape(0)), width = int(alpha.shape(1));
-  const double* b = background.data();
-  const BlendJob job{records.data(),
-                     tile_start.data(),
-                     splat_from_pair.data(),
-                     num_tiles_x,
-                     num_tiles_y,
-                     width,
-                     height,
-                     float(std::log2(threshold)),
-                     floors ? floors->data() : nullptr,
-                     {float(b[0]), float(b[1]), float(b[2])},
+void blend_tiles(py::Splats splats, py::TileBins bins, py::View view, bool whole_tile, nb::dict outputs, int threads) {
+  const nb::object camera = view.attr("camera");
+  const auto background = number<std::array<double, 3>>(view, "background");
+  const BlendJob job{column<float>(splats, "records"),
+                     column<int64_t>(bins, "tile_start"),
+                     column<int32_t>(bins, "splat_from_pair"),
+                     number<int>(bins, "num_tiles_x"),
+                     number<int>(bins, "num_tiles_y"),
+                     number<int>(camera, "width"),
+                     number<int>(camera, "height"),
+                     float(std::log2(number<double>(view, "pixel_threshold"))),
+                     optional_column<float>(bins, "floors"),
+                     {float(background[0]), float(background[1]), float(background[2])},
                      whole_tile,
                      threads,
                      out_entry<float>(outputs, "image"),
@@ -123,13 +121,11 @@ void bind_render(nb::module_& m) {
         nb::arg("threads"), "Project rows; returns the number of records written.");
   m.def("order_splats", &order_splats, nb::arg("depths"), nb::arg("rows"), nb::arg("ids").none(), nb::arg("order"),
         nb::arg("threads"), "Indices of the splats by depth, equal depths by id.");
-  m.def("bin_splats", &bin_splats, nb::arg("records"), nb::arg("order"), nb::arg("threshold"), nb::arg("area_power"),
-        nb::arg("width"), nb::arg("height"), nb::arg("tile_start"), nb::arg("num_tiles_x"), nb::arg("num_tiles_y"),
-        nb::arg("square").none(), nb::arg("whole_box"), nb::arg("floors").none(), nb::arg("threads"),
+  m.def("bin_splats", &bin_splats, nb::arg("splats"), nb::arg("view"), nb::arg("square").none(), nb::arg("whole_box"),
+        nb::arg("tile_start"), nb::arg("floors").none(), nb::arg("threads"),
         "Fill tile_start and return the splats of all tiles.");
-  m.def("blend_tiles", &blend_tiles, nb::arg("records"), nb::arg("tile_start"), nb::arg("splat_from_pair"),
-        nb::arg("num_tiles_x"), nb::arg("num_tiles_y"), nb::arg("threshold"), nb::arg("floors").none(), nb::arg("background"),
-        nb::arg("whole_tile"), nb::arg("outputs"), nb::arg("threads"), "Blend all tiles and count the work of each.");
+  m.def("blend_tiles", &blend_tiles, nb::arg("splats"), nb::arg("bins"), nb::arg("view"), nb::arg("whole_tile"),
+        nb::arg("outputs"), nb::arg("threads"), "Blend all tiles and count the work of each.");
 }
 
 }  // namespace splatree

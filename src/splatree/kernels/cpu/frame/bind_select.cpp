@@ -32,8 +32,7 @@ Vector32 copied(const std::vector<int32_t>& values) {
   return to_numpy(data, values.size());
 }
 
-SelectJob job_of(nb::handle gaussians, nb::handle tree, nb::handle view, double threshold, nb::handle rule,
-                 const std::string& view_test) {
+SelectJob job_of(const py::Gaussians& gaussians, const py::GaussianTree& tree, const py::PackedQuestion& question) {
   SelectJob job{};
   job.means = column<float>(gaussians, "means");
   job.quats = column<float>(gaussians, "quats");
@@ -42,18 +41,13 @@ SelectJob job_of(nb::handle gaussians, nb::handle tree, nb::handle view, double 
   job.extents = column<float>(tree, "extents");
   job.subtree_end = column<int32_t>(tree, "subtree_end");
   job.num_rows = int64_t(nb::len(tree));
-  job.view = view_of(view, threshold, false);
-  job.rule = rule_of(rule);
-  job.view_test = chosen(view_test, "view_test", VIEW_TESTS);
-  job.all_small = std::isinf(job.rule.pixel_error);
-  const double* center = column<double>(view, "center");
-  for (int i = 0; i < 3; ++i) job.eye[i] = center[i];
+  ask(question, job);
   return job;
 }
 
-BlockColumns blocks_of(nb::handle blocks) {
+BlockColumns blocks_of(const py::BlockIndex& blocks) {
   return {
-      nb::cast<int>(blocks.attr("rows_per_block")),
+      number<int>(blocks, "rows_per_block"),
       {column<float>(blocks, "lower"), column<float>(blocks, "upper"), column<float>(blocks, "leaf_scales")},
       {column<float>(blocks, "group_lower"), column<float>(blocks, "group_upper"), column<float>(blocks, "group_leaf_scales")},
       column<float>(blocks, "min_logits"),
@@ -62,16 +56,14 @@ BlockColumns blocks_of(nb::handle blocks) {
       column<int32_t>(blocks, "ancestors")};
 }
 
-std::pair<Vector32, int64_t> select_cut(nb::handle gaussians, nb::handle tree, nb::handle blocks, nb::handle view,
-                                        double threshold, nb::handle rule, const std::string& view_test, bool cull,
-                                        std::optional<In<int32_t>> runs, In<double> planes, In<double> reach, int threads) {
-  SelectJob job = job_of(gaussians, tree, view, threshold, rule, view_test);
+std::pair<Vector32, int64_t> select_cut(py::Gaussians gaussians, py::GaussianTree tree, py::BlockIndex blocks,
+                                        py::PackedQuestion question, py::PackedSides sides, std::optional<In<int32_t>> runs,
+                                        int threads) {
+  SelectJob job = job_of(gaussians, tree, question);
   job.index = blocks_of(blocks);
-  job.cull = cull;
   job.runs = runs ? runs->data() : nullptr;
   job.num_runs = runs ? int64_t(runs->shape(0)) : 0;
-  job.planes = planes_of(planes.data(), int(planes.shape(0)));
-  for (int i = 0; i < NUM_SIDES; ++i) job.reach[i] = reach.data()[i];
+  bound(sides, job);
 
   const int64_t rows_per_group = int64_t(job.index.rows_per_block) * BLOCKS_PER_GROUP;
   const int64_t num_groups = (job.num_rows + rows_per_group - 1) / rows_per_group;
@@ -98,9 +90,9 @@ std::pair<Vector32, int64_t> select_cut(nb::handle gaussians, nb::handle tree, n
   return {to_numpy(rows, size_t(num_selected)), num_visited};
 }
 
-Vector32 select_ancestors(nb::handle gaussians, nb::handle tree, In<int32_t> ancestors, nb::handle view, double threshold,
-                          nb::handle rule, const std::string& view_test, bool unseen_shadow, bool only_leaves_ask, int threads) {
-  const SelectJob job = job_of(gaussians, tree, view, threshold, rule, view_test);
+Vector32 select_ancestors(py::Gaussians gaussians, py::GaussianTree tree, In<int32_t> ancestors, py::PackedQuestion question,
+                          bool unseen_shadow, bool only_leaves_ask, int threads) {
+  const SelectJob job = job_of(gaussians, tree, question);
   const AncestorTable table{ancestors.data(), int(ancestors.shape(1))};
   std::vector<int32_t> found;
   {
@@ -121,14 +113,14 @@ void ask_rows(const SelectJob& job, const In<int32_t>& rows, Out<bool>& answers,
                   [&](int64_t begin, int64_t end) { ask(job, row + begin, end - begin, answer + begin); });
 }
 
-void small_of(nb::handle gaussians, nb::handle tree, In<int32_t> rows, nb::handle view, double threshold, nb::handle rule,
-              Out<bool> answers, int threads) {
-  ask_rows(job_of(gaussians, tree, view, threshold, rule, "none"), rows, answers, threads, kernels().small_rows);
+void small_of(py::Gaussians gaussians, py::GaussianTree tree, In<int32_t> rows, py::PackedQuestion question, Out<bool> answers,
+              int threads) {
+  ask_rows(job_of(gaussians, tree, question), rows, answers, threads, kernels().small_rows);
 }
 
-void visible_of(nb::handle gaussians, nb::handle tree, In<int32_t> rows, nb::handle view, double threshold, nb::handle rule,
-                const std::string& view_test, Out<bool> answers, int threads) {
-  ask_rows(job_of(gaussians, tree, view, threshold, rule, view_test), rows, answers, threads, kernels().visible_rows);
+void visible_of(py::Gaussians gaussians, py::GaussianTree tree, In<int32_t> rows, py::PackedQuestion question, Out<bool> answers,
+                int threads) {
+  ask_rows(job_of(gaussians, tree, question), rows, answers, threads, kernels().visible_rows);
 }
 
 std::pair<Vector32, Vector32> block_ancestors(In<int32_t> subtree_end, int rows_per_block) {
@@ -155,25 +147,23 @@ void ancestor_table(In<uint8_t> depth, Out<int32_t> table) {
   list_ancestors(depth.data(), int64_t(depth.shape(0)), int(table.shape(1)), table.data());
 }
 
-void block_bounds(nb::handle gaussians, nb::handle tree, int rows_per_block, Out<float> lower, Out<float> upper,
-                  Out<float> leaf_scales, Out<float> min_logits, Out<float> group_lower, Out<float> group_upper,
-                  Out<float> group_leaf_scales, Out<uint8_t> size_classes, int threads) {
+void block_bounds(py::Gaussians gaussians, py::GaussianTree tree, py::BlockIndex blocks, int threads) {
   const BoundsJob job{column<float>(gaussians, "means"),
                       column<float>(gaussians, "log_scales"),
                       column<float>(gaussians, "logit_opacities"),
                       column<int32_t>(tree, "subtree_end"),
                       column<float>(tree, "extents"),
                       int64_t(nb::len(tree)),
-                      rows_per_block,
+                      number<int>(blocks, "rows_per_block"),
                       threads,
-                      lower.data(),
-                      upper.data(),
-                      leaf_scales.data(),
-                      min_logits.data(),
-                      group_lower.data(),
-                      group_upper.data(),
-                      group_leaf_scales.data(),
-                      size_classes.data()};
+                      out_column<float>(blocks, "lower"),
+                      out_column<float>(blocks, "upper"),
+                      out_column<float>(blocks, "leaf_scales"),
+                      out_column<float>(blocks, "min_logits"),
+                      out_column<float>(blocks, "group_lower"),
+                      out_column<float>(blocks, "group_upper"),
+                      out_column<float>(blocks, "group_leaf_scales"),
+                      out_column<uint8_t>(blocks, "size_classes")};
   nb::gil_scoped_release release;
   bound_blocks(job);
 }
@@ -183,15 +173,21 @@ void block_bounds(nb::handle gaussians, nb::handle tree, int rows_per_block, Out
 void bind_select(nb::module_& m) {
   m.attr("BLOCKS_PER_GROUP") = BLOCKS_PER_GROUP;
   m.attr("MAX_BLOCK_ROWS") = MAX_BLOCK_ROWS;
-  m.def("select_cut", &select_cut, nb::arg("gaussians"), nb::arg("tree"), nb::arg("blocks"), nb::arg("view"),
-        nb::arg("threshold"), nb::arg("rule"), nb::arg("view_test"), nb::arg("cull"), nb::arg("runs").none(), nb::arg("planes"),
-        nb::arg("reach"), nb::arg("threads"), "Rows of the visible cut, ascending, and the number of rows visited.");
-  m.def("select_ancestors", &select_ancestors, "Rows drawn by FilterGS's ancestor table, ascending.");
-  m.def("ancestor_table", &ancestor_table, "Fill the table of ancestors, parent first.");
-  m.def("small_rows", &small_of, "Whether each of the given rows is small.");
-  m.def("visible_rows", &visible_of, "Whether each of the given rows can be seen.");
-  m.def("block_ancestors", &block_ancestors, "Ancestors of the first row of each block, as starts and one list.");
-  m.def("block_bounds", &block_bounds, "Fill the bounds of blocks and groups.");
+  m.def("select_cut", &select_cut, nb::arg("gaussians"), nb::arg("tree"), nb::arg("blocks"), nb::arg("question"),
+        nb::arg("sides"), nb::arg("runs").none(), nb::arg("threads"),
+        "Rows of the visible cut, ascending, and the number of rows visited.");
+  m.def("select_ancestors", &select_ancestors, nb::arg("gaussians"), nb::arg("tree"), nb::arg("ancestors"), nb::arg("question"),
+        nb::arg("unseen_shadow"), nb::arg("only_leaves_ask"), nb::arg("threads"),
+        "Rows drawn by FilterGS's ancestor table, ascending.");
+  m.def("ancestor_table", &ancestor_table, nb::arg("depth"), nb::arg("table"), "Fill the table of ancestors, parent first.");
+  m.def("small_rows", &small_of, nb::arg("gaussians"), nb::arg("tree"), nb::arg("rows"), nb::arg("question"), nb::arg("answers"),
+        nb::arg("threads"), "Whether each of the given rows is small.");
+  m.def("visible_rows", &visible_of, nb::arg("gaussians"), nb::arg("tree"), nb::arg("rows"), nb::arg("question"),
+        nb::arg("answers"), nb::arg("threads"), "Whether each of the given rows can be seen.");
+  m.def("block_ancestors", &block_ancestors, nb::arg("subtree_end"), nb::arg("rows_per_block"),
+        "Ancestors of the first row of each block, as starts and one list.");
+  m.def("block_bounds", &block_bounds, nb::arg("gaussians"), nb::arg("tree"), nb::arg("blocks"), nb::arg("threads"),
+        "Fill the bounds of blocks and groups.");
 }
 
 }  // namespace splatree

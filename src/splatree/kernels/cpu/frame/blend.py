@@ -23,17 +23,5 @@ def blend(splats: Splats, bins: TileBins, view: View, *, threads: int = 0, whole
         outputs["contributions"] = np.empty(bins.num_pairs, np.float32)
     outputs |= {name: np.empty(size, kind) for name, kind in PIXEL_OUTPUTS.items() if getattr(wanted, name)}
     work = {name: np.empty(num_tiles, np.int64) for name in ("consumed", "evaluated", "blended")}
-    _core.blend_tiles(
-        splats.records,
-        bins.tile_start,
-        bins.splat_from_pair,
-        bins.num_tiles_x,
-        bins.num_tiles_y,
-        view.pixel_threshold,
-        bins.floors,
-        np.asarray(view.background, np.float64),
-        whole_tile,
-        outputs | work,
-        threads,
-    )
+    _core.blend_tiles(splats, bins, view, whole_tile, outputs | work, threads)
     return Picture(**outputs, tiles=TileWork(**work, is_exact=wanted.last_pair))

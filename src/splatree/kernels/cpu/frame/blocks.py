@@ -6,6 +6,7 @@ from splatree.constants import BLOCK_ROWS, BLOCKS_PER_GROUP
 from splatree.kernels.cpu import _core
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.tree import BlockIndex, GaussianTree
+from splatree.shapes import Array
 
 __all__ = ["index_blocks"]
 
@@ -16,13 +17,25 @@ def index_blocks(
     """Bounds and ancestors of all blocks; one pass over the rows."""
     num_blocks = -(-len(tree) // rows_per_block)
     num_groups = -(-num_blocks // BLOCKS_PER_GROUP)
-    lower, upper = (np.empty((num_blocks, 3), np.float32) for _ in range(2))
-    leaf_scales, min_logits = (np.empty(num_blocks, np.float32) for _ in range(2))
-    group_lower, group_upper = (np.empty((num_groups, 3), np.float32) for _ in range(2))
-    group_leaf_scales = np.empty(num_groups, np.float32)
-    size_classes = np.empty(len(tree), np.uint8)
-    of_blocks = (lower, upper, leaf_scales, min_logits)
-    of_groups = (group_lower, group_upper, group_leaf_scales)
-    _core.block_bounds(gaussians, tree, rows_per_block, *of_blocks, *of_groups, size_classes, threads)
     start, ancestors = _core.block_ancestors(tree.subtree_end, rows_per_block)
-    return BlockIndex(rows_per_block, *of_blocks, start, ancestors, *of_groups, size_classes)
+    # The kernel fills the arrays of the struct, before anyone else has it.
+    blocks = BlockIndex(
+        rows_per_block,
+        lower=_floats(num_blocks, 3),
+        upper=_floats(num_blocks, 3),
+        leaf_scales=_floats(num_blocks),
+        min_logits=_floats(num_blocks),
+        ancestor_start=start,
+        ancestors=ancestors,
+        group_lower=_floats(num_groups, 3),
+        group_upper=_floats(num_groups, 3),
+        group_leaf_scales=_floats(num_groups),
+        size_classes=np.empty(len(tree), np.uint8),
+    )
+    _core.block_bounds(gaussians, tree, blocks, threads)
+    return blocks
+
+
+def _floats(*shape: int) -> Array:
+    """Space that the kernel fills."""
+    return np.empty(shape, np.float32)

@@ -19,8 +19,7 @@ def cull(
 ) -> Bool[Array, "c"]:
     """Whether each sphere is on none of the outer sides; the near side, the last, takes ``near_radii``."""
     kept = np.empty(len(centers), bool)
-    margins = np.array([sides.scale, sides.slack, sides.margin, sides.guard], np.float64)
-    _core.cull_spheres(centers, radii, near_radii, sides.planes, sides.reaches, sides.eye, margins, kept, threads)
+    _core.cull_spheres(centers, radii, near_radii, sides, kept, threads)
     return kept
 
 
@@ -30,6 +29,5 @@ def cull_boxes(
     """Whether each box is on none of the outer sides."""
     assert sides.box_reaches is not None
     kept = np.empty(len(low), bool)
-    margins = np.array([sides.slack, sides.margin], np.float64)
-    _core.cull_boxes(low, high, sides.planes, sides.reaches, sides.box_reaches, sides.eye, margins, kept, threads)
+    _core.cull_boxes(low, high, sides, kept, threads)
     return kept

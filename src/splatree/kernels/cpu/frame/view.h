@@ -2,16 +2,16 @@
 #pragma once
 #include <cmath>
 
-#include "cpu/runtime/structs.h"
+#include "cpu/runtime/scene.h"
 #include "shared/select.h"
 
 namespace splatree {
 
 // The number `name` of a struct, as a float.
-inline float number_of(nb::handle owner, const char* name) { return float(nb::cast<double>(owner.attr(name))); }
+inline float number_of(nb::handle owner, const char* name) { return float(number<double>(owner, name)); }
 
 // The rule of the squares from SquareRule of Python.
-inline Square square_of(nb::handle rule) {
+inline Square square_of(const py::SquareRule& rule) {
   return {float(std::log2(nb::cast<double>(rule.attr("threshold")))), number_of(rule, "energy_min"), number_of(rule, "ratio_min"),
           number_of(rule, "pad_px"), number_of(rule, "eigenvalue_floor_px4")};
 }
@@ -46,7 +46,7 @@ inline View view_of(nb::handle packed, double threshold, bool antialiased) {
 
 constexpr Choice<ViewTest> VIEW_TESTS[] = {{"footprint", FOOTPRINT}, {"centre", CENTRE}, {"none", UNSEEN_TOO}};
 
-// The rule from PackedRule of kernels/cpu/frame/select.py.
+// The rule from PackedRule of kernels/cpu/frame/question.py.
 inline SelectRule rule_of(nb::handle packed) {
   SelectRule rule{};
   rule.limit = number_of(packed, "limit");
@@ -68,6 +68,28 @@ inline ViewPlanes planes_of(const double* rows, int count) {
   for (int i = 0; i < count; ++i, rows += 4)
     planes.x[i] = rows[0], planes.y[i] = rows[1], planes.z[i] = rows[2], planes.d[i] = rows[3];
   return planes;
+}
+
+// What is asked of each row, from PackedQuestion of kernels/cpu/frame/question.py, to a job of the processor or of a GPU.
+template <class Job>
+void ask(const py::PackedQuestion& question, Job& job) {
+  const nb::object view = question.attr("view");
+  job.view = view_of(view, number<double>(question, "threshold"), false);
+  job.rule = rule_of(question.attr("rule"));
+  job.view_test = chosen(number<std::string>(question, "view_test"), "view_test", VIEW_TESTS);
+  job.all_small = std::isinf(job.rule.pixel_error);
+  const double* center = column<double>(view, "center");
+  for (int i = 0; i < 3; ++i) job.eye[i] = center[i];
+}
+
+// What is asked of each block, from PackedSides.
+template <class Job>
+void bound(const py::PackedSides& sides, Job& job) {
+  job.cull = number<bool>(sides, "is_culled");
+  const auto planes = number<In<double>>(sides, "planes");
+  job.planes = planes_of(planes.data(), int(planes.shape(0)));
+  const double* reaches = column<double>(sides, "reaches");
+  for (int i = 0; i < NUM_SIDES; ++i) job.reach[i] = reaches[i];
 }
 
 }  // namespace splatree
