@@ -1,6 +1,7 @@
 """The viewer in a browser: its picture is that of the library."""
 
 import base64
+from dataclasses import replace
 from io import BytesIO
 
 import numpy as np
@@ -80,6 +81,14 @@ def test_the_browser_draws_the_cut_as_the_library_does(browser, viewer):
     assert page.evaluate("splatree.layers[0].firstBytes") <= 700_000
     assert page.errors == []
     page.close()
+
+
+def test_an_antialiased_scene_is_drawn_as_one(browser, city_tree):
+    with Viewer(replace(city_tree, mode="antialiased"), ViewOptions(budget=60_000)) as made:
+        page = opened(browser, made, "&renderer=webgl&exact=0")
+        tau = page.evaluate("splatree.layers[0].header.tau")
+        assert psnr(page.screenshot(), picture(made, page, pixel_error=tau)) >= 40
+        page.close()
 
 
 def test_moving_and_the_slider_change_the_cut(browser, viewer):
@@ -298,8 +307,9 @@ def test_touch_turns_and_pinches(browser, viewer):
     page.touch([[(150, 300), (210, 300)], [(130, 300), (230, 300)], [(90, 300), (270, 300)]])
     settled(page)
     assert page.evaluate("splatree.camera.distance()") == pytest.approx(distance / 3, rel=0.05)
-    wide = page.evaluate("document.documentElement.scrollWidth")
-    assert wide <= 360  # nothing sticks out
+    assert page.evaluate("document.documentElement.scrollWidth") <= 360  # nothing sticks out …
+    boxes = "['title', 'status'].map((id) => document.getElementById(id).getBoundingClientRect())"
+    assert page.evaluate(f"{boxes}.reduce((a, b) => a.right <= b.left || a.bottom <= b.top)")  # … or overlaps
     page.close()
 
 

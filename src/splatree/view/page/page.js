@@ -136,7 +136,8 @@ export class Page {
     ];
     at('status').replaceChildren(
       make('span', { class: 'lamp', 'data-on': String(isExact), title: isExact ? 'This is the picture of splatree itself' : 'Drawn by the browser' }),
-      make('span', { class: 'exact' }, isExact ? (app.frames || app.state.leaves ? 'exact' : app.stats.psnr ? `exact, browser ${app.stats.psnr.toFixed(1)} dB` : 'exact') : app.frames ? 'moving' : 'live'),
+      make('span', { class: 'exact' }, isExact ? 'exact' : app.frames ? 'moving' : 'live'),
+      ...(isExact && app.stats.psnr && !app.frames ? [make('span', { class: 'stat psnr', title: 'How near the picture of the browser was' }, make('em', {}, 'browser'), `${app.stats.psnr.toFixed(1)} dB`)] : []),
       ...parts.map(([name, value]) => make('span', { class: `stat ${name}` }, make('em', {}, name), value)),
     );
     if (header.levels) this.showLevels(header.levels);
