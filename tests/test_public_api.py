@@ -18,17 +18,16 @@ def test_public_names_are_sorted_and_can_be_loaded():
 
 
 def test_type_checkers_see_the_names_that_are_loaded():
-    tree = ast.parse(Path(splatree.__file__).read_text())
-    seen = {
-        alias.name: statement.module
-        for block in tree.body
-        if isinstance(block, ast.If)
-        for statement in block.body
-        if isinstance(statement, ast.ImportFrom)
-        for alias in statement.names
-    }
-    assert seen == splatree._HOME
-    assert sorted(seen) == splatree.__all__
+    tree = ast.parse(Path(splatree.__file__).with_suffix(".pyi").read_text())
+    imports = [statement for statement in tree.body if isinstance(statement, ast.ImportFrom)]
+    seen = {alias.asname: statement.module for statement in imports for alias in statement.names}
+    assert seen == splatree._HOME, "run scripts/names"
+
+
+def test_a_name_is_listed_once():
+    listed = [name for names in splatree._NAMES.values() for name in names]
+    assert sorted(listed) == splatree.__all__
+    assert list(splatree._NAMES) == sorted(splatree._NAMES)
 
 
 def test_an_unknown_name_is_an_attribute_error():

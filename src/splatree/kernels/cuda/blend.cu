@@ -1,9 +1,11 @@
 // Blending of the tiles' lists front to back; kernels/reference/blend.py is the definition.
 //
-// Both kernels draw the same picture, a thread a pixel; which is faster depends on the device (kernels/cuda/frame.py measures):
+// Both kernels draw the same picture, a thread a pixel; which is faster depends on the device (kernels/cuda/renderer.py
+// measures):
 //
 // blend_16   256 threads a tile of 16 × 16 px. A warp has 8 × 4 px.
-// blend_8    64 threads a quarter of a tile, 8 × 8 px: more, smaller blocks that end sooner; a splat of the list that misses the
+// blend_8    64 threads a quarter of a tile, 8 × 8 px: more, smaller thread blocks that end sooner; a splat of the list that
+// misses the
 //            quarter is left out while it is loaded.
 //
 // Each is there once more for splats that are tapered off, and blend_16 for what is wanted beside the picture: pixels_16 for
@@ -93,7 +95,7 @@ SPLATREE_FN float draw(Pixel& pixel, Kept& kept, int entry, float log2_alpha, fl
   return weight;
 }
 
-// SIDE px a block and side, which is the tile's or half of it.
+// SIDE px a thread block and side, which is the tile's or half of it.
 template <int SIDE, class Ends, class Keeps>
 SPLATREE_FN void blend(const FrameJob* job, int from_b) {
   constexpr int THREADS = SIDE * SIDE, PARTS = int(TILE_PX) / SIDE;
@@ -110,10 +112,10 @@ SPLATREE_FN void blend(const FrameJob* job, int from_b) {
   const FrameNumbers& n = job->numbers;
   const Global<const unsigned> pairs = from_b ? job->values_b : job->values_a;
   const int tile = blockIdx.x / (PARTS * PARTS), part = blockIdx.x % (PARTS * PARTS);
-  const float block_x = TILE_PX * (tile % n.num_tiles_x) + SIDE * (part % PARTS);
-  const float block_y = TILE_PX * (tile / n.num_tiles_x) + SIDE * (part / PARTS);
-  const float warp_x = block_x + WARP_WIDTH * (warp_of() % (SIDE / WARP_WIDTH));
-  const float warp_y = block_y + WARP_HEIGHT * (warp_of() / (SIDE / WARP_WIDTH));
+  const float part_x = TILE_PX * (tile % n.num_tiles_x) + SIDE * (part % PARTS);
+  const float part_y = TILE_PX * (tile / n.num_tiles_x) + SIDE * (part / PARTS);
+  const float warp_x = part_x + WARP_WIDTH * (warp_of() % (SIDE / WARP_WIDTH));
+  const float warp_y = part_y + WARP_HEIGHT * (warp_of() / (SIDE / WARP_WIDTH));
   const int x = int(warp_x) + lane_of() % WARP_WIDTH, y = int(warp_y) + lane_of() / WARP_WIDTH;
   const bool in_image = x < n.width && y < n.height;
   const float threshold = n.log2_pixel_threshold;
@@ -138,7 +140,7 @@ SPLATREE_FN void blend(const FrameJob* job, int from_b) {
       p.z *= SQRT_HALF_LOG2E, p.w *= SQRT_HALF_LOG2E, q.x *= SQRT_HALF_LOG2E;
       const float half = 0.5f * (SIDE - 1);
       if (PARTS > 1)
-        taken = may_touch({p.x, p.y, p.z, p.w, q.x, q.z}, block_x + 0.5f * SIDE, block_y + 0.5f * SIDE, half, half, ends, r.w,
+        taken = may_touch({p.x, p.y, p.z, p.w, q.x, q.z}, part_x + 0.5f * SIDE, part_y + 0.5f * SIDE, half, half, ends, r.w,
                           half_size_y);
     }
     const unsigned lanes = __ballot_sync(ALL_LANES, taken);

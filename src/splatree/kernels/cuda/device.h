@@ -1,4 +1,4 @@
-// What all kernels use: their arrays, their threads, and sums over a warp or a block.
+// What all kernels use: their arrays, their threads, and sums over a warp or a thread block.
 //
 // Device code is compiled by NVRTC, which has no C++ library, and for tests by a C++ compiler with an emulation of the thread
 // model (tests/kernels/simt/simt.h), which checks every access to the arrays and to shared memory.
@@ -17,12 +17,12 @@ using Global = T*;
 
 }  // namespace splatree
 
-// An array that the threads of a block share.
+// An array that the threads of a thread block share.
 #define SPLATREE_SHARED(type, name, size) __shared__ type name[size]
-// One block a multiprocessor is all that is demanded: the assembler then has no reason to spill registers for a second.
+// One thread block a multiprocessor is all that is demanded: the assembler then has no reason to spill registers for a second.
 #define SPLATREE_KERNEL(threads) extern "C" __global__ void __launch_bounds__(threads, 1)
 
-// A word that other blocks wait for: written and read past the first-level cache.
+// A word that other thread blocks wait for: written and read past the first-level cache.
 static __device__ __forceinline__ void publish(unsigned long long* word, unsigned long long value) {
   __threadfence();
   atomicExch(word, value);

@@ -279,12 +279,12 @@ class Device:
         code = self.call("cuPointerGetAttribute", ctypes.byref(found), attribute, address, allowed=allowed)
         return code == 0 and found.value == self.ordinal
 
-    def launch(self, kernel: str, num_blocks: int, job: DeviceArray, argument: int = 0) -> None:
+    def launch(self, kernel: str, num_thread_blocks: int, job: DeviceArray, argument: int = 0) -> None:
         """Enqueue a kernel; each takes the address of a job and a number."""
         function, threads = self._kernel(kernel)
         pointer, number = Address(job.pointer), ctypes.c_int(argument)
         arguments = (ctypes.c_void_p * 2)(ctypes.addressof(pointer), ctypes.addressof(number))
-        sizes = (max(num_blocks, 1), 1, 1, threads, 1, 1, 0)
+        sizes = (max(num_thread_blocks, 1), 1, 1, threads, 1, 1, 0)
         self.call("cuLaunchKernel", function, *sizes, self.stream, arguments, None)
 
     def prepare(self, kernels: Sequence[str]) -> None:

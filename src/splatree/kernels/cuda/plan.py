@@ -1,7 +1,7 @@
-"""The launches of a frame, stage by stage: which kernel, how many blocks, which number.
+"""The launches of a frame, stage by stage: which kernel, how many thread blocks, which number.
 
 Grids cover what the arrays hold, not what a view needs: kernels read how much there is from counters on the device and
-the rest of their blocks end at once. So nothing has to be asked in between, and a frame can be recorded once and replayed.
+the rest of their thread blocks end at once. So nothing has to be asked in between, and a frame can be recorded once and replayed.
 """
 
 from dataclasses import dataclass
@@ -31,8 +31,8 @@ class Launch(NamedTuple):
 
     kernel: str
     """Its name."""
-    num_blocks: int
-    """Blocks of the grid."""
+    num_thread_blocks: int
+    """Thread blocks of the grid."""
     argument: int = 0
     """What it takes beside the job."""
 
@@ -108,7 +108,7 @@ def bin_pairs(sizes: Sizes) -> list[Launch]:
 
 
 def blend(sizes: Sizes, kernel: Blend, wanted: Wanted = NOTHING) -> list[Launch]:
-    """The picture; with what else is wanted by kernels of a block a tile."""
+    """The picture; with what else is wanted by kernels of a thread block a tile."""
     blocks_per_tile = {"blend_16": 1, "blend_8": 4}[kernel]
     name = kernel.replace("blend", "taper") if sizes.tapers else kernel
     if wanted != NOTHING:
@@ -132,6 +132,8 @@ def _passes(capacity: int, num_bits: int, first_scan: int, *, from_b: bool, pair
     launches = []
     for i in range(_over(num_bits, DIGIT_BITS)):
         side = (from_b + i) % 2
+        # A launch has one number beside the job, and these kernels need four. The number is packed here and unpacked by `pass_of`
+        # in order.cu, because a frame's launches are recorded once and replayed, so the job cannot change between them.
         packed = DIGIT_BITS * i | pairs << 5 | side << 6 | (first_scan + i) << 7
         launches += [
             Launch("count_digits", tiles, packed),

@@ -1,8 +1,8 @@
 // Exclusive sums over an array in one pass (Merrill 2016, decoupled look-back).
 //
-// A block takes the next chunk by a ticket, sums it, publishes its sum, and adds up what the chunks before have published,
+// A thread block takes the next chunk by a ticket, sums it, publishes its sum, and adds up what the chunks before have published,
 // from the nearest back to the first that knows the sum of everything before it. As chunks are taken in order, those before are
-// done or at work: nobody waits for a block that has not started.
+// done or at work: nobody waits for a thread block that has not started.
 #pragma once
 #include "cuda/device.h"
 
@@ -34,15 +34,15 @@ SPLATREE_FN unsigned long long sum_of_chunks_before(const FrameJob* job, long lo
 }
 
 // Calls store(i, sum of load(j) over j < i) for each i < count, and leaves the sum of all in a counter, if one is named. Run by
-// blocks of SCAN_THREADS, at least one for each SCAN_CHUNK of count.
+// thread blocks of SCAN_THREADS, at least one for each SCAN_CHUNK of count.
 template <class Load, class Store>
 SPLATREE_FN void scan(const FrameJob* job, int which, long long count, int counter, const Load& load, const Store& store) {
-  SPLATREE_SHARED(long long, chunk_of_block, 1);
+  SPLATREE_SHARED(long long, chunk_of_thread_block, 1);
   SPLATREE_SHARED(unsigned, warp_sums, SCAN_THREADS / WARP);
   SPLATREE_SHARED(unsigned long long, sum_before_chunk, 1);
-  if (threadIdx.x == 0) chunk_of_block[0] = atomicAdd(&job->tickets[which], 1u);
+  if (threadIdx.x == 0) chunk_of_thread_block[0] = atomicAdd(&job->tickets[which], 1u);
   __syncthreads();
-  const long long chunk = chunk_of_block[0], chain = which * job->chain_stride;
+  const long long chunk = chunk_of_thread_block[0], chain = which * job->chain_stride;
   if (chunk * SCAN_CHUNK >= count) return;
 
   // Warp by warp, so that neighbours read neighbours: lane l takes items l, l + 32, ... of its warp's part.

@@ -1,9 +1,14 @@
-// The visible cut by blocks of consecutive rows; kernels/reference/select.py is the definition, kernels/cpu/frame/select.cpp the
-// same on the processor.
+// The visible cut by blocks of consecutive rows (a block of threads is always called a thread block); kernels/reference/select.py
+// is the definition, kernels/cpu/frame/select.cpp the same on the processor.
 //
 // select_blocks   a warp a block: is it in the image, and does the shadow of an ancestor of its first row cover it?
-// select_rows     256 threads a block that is left, a thread a row: radius, prefix maximum of subtree_end, the view test; one bit
-// a row scan_kept       where the rows of each block go list_rows       a warp a block: bits to rows
+//
+// select_rows     256 threads a block that is left, a thread a row: radius, prefix maximum of subtree_end, the view test;
+//                 one bit a row
+//
+// scan_kept       where the rows of each block go
+//
+// list_rows       a warp a block: bits to rows
 //
 // Which blocks are left is listed in no order, but each writes its bits to its own place: the rows come out ascending, whatever
 // the schedule. No list of ancestors a row, no host in between.

@@ -1,4 +1,8 @@
-"""The device code of this package: its files, and which kernel lies in which."""
+"""The device code of this package: its files, and which kernel lies in which.
+
+Kernels and their threads are read from the lines that begin with SPLATREE_KERNEL, since the sources are compiled at run time, one
+file at a time, and only when a kernel of the file is asked for.
+"""
 
 import re
 from functools import cache
@@ -26,7 +30,7 @@ def source(stage: str) -> str:
 
 @cache
 def kernels_of(stage: str) -> dict[str, int]:
-    """Kernels of a file, with the threads of a block."""
+    """Kernels of a file, with the threads of a thread block."""
     return {
         name: int(threads) for threads, name in re.findall(r"^SPLATREE_KERNEL\((\d+)\) (\w+)\(", source(stage), re.M)
     }
@@ -38,5 +42,5 @@ def stage_of(kernel: str) -> str:
 
 
 def threads_of(kernel: str) -> int:
-    """Threads of a block of a kernel."""
+    """Threads of a thread block of a kernel."""
     return kernels_of(stage_of(kernel))[kernel]

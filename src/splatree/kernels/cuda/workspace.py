@@ -165,7 +165,7 @@ class Workspace:
         """Enqueue kernels."""
         assert self._job is not None
         for launch in launches:
-            self.device.launch(launch.kernel, launch.num_blocks, self._job, launch.argument)
+            self.device.launch(launch.kernel, launch.num_thread_blocks, self._job, launch.argument)
 
     def counts(self) -> dict[str, int]:
         """The counters; waits for the device."""

@@ -1,5 +1,5 @@
-// Blending of a tile: splats outside, 16 lanes inside. A tile of 16 × 16 px is 16 blocks of 4 × 4 px; a lane is a pixel
-// of a block. A splat first finds the blocks that it touches (16 lanes, one a block), then is evaluated in these. A block
+// Blending of a tile: splats outside, 16 lanes inside. A tile of 16 × 16 px is 16 cells of 4 × 4 px; a lane is a pixel
+// of a cell. A splat first finds the cells that it touches (16 lanes, one a cell), then is evaluated in these. A cell
 // is finished when all its pixels are; that is looked up every 32 splats.
 //
 // The transmittance of a finished pixel is kept with a minus sign, so one comparison tells that it takes no more light.
@@ -17,35 +17,35 @@
 namespace splatree::SPLATREE_ISA {
 namespace {
 
-constexpr int TILE = 16, BLOCKS = 16, LANES = 16;
-constexpr int GROUP = 8;    // pairs whose blocks are found before the first of them is blended
+constexpr int TILE = 16, CELLS = 16, LANES = 16;
+constexpr int GROUP = 8;    // pairs whose cells are found before the first of them is blended
 constexpr int AHEAD = 8;    // pairs between the fetch of a record and its use
-constexpr int PERIOD = 32;  // pairs between looks for finished blocks
+constexpr int PERIOD = 32;  // pairs between looks for finished cells
 constexpr float ALPHA_MAX = float(constants::ALPHA_MAX), ALPHA_THRESHOLD = float(constants::ALPHA_THRESHOLD);
 constexpr float TRANSMITTANCE_MIN = float(constants::TRANSMITTANCE_MIN), TAPER_SLOPE = float(constants::TAPER_SLOPE);
 constexpr float SQRT_HALF_LOG2E = 0.849321800f;  // √(½ log2 e): exp(-½ q²) = 2^-(this q)²
 
 struct alignas(64) Tile {
-  float transmittance[BLOCKS][LANES];
-  float red[BLOCKS][LANES], green[BLOCKS][LANES], blue[BLOCKS][LANES], depth[BLOCKS][LANES];
+  float transmittance[CELLS][LANES];
+  float red[CELLS][LANES], green[CELLS][LANES], blue[CELLS][LANES], depth[CELLS][LANES];
   int32_t blended[LANES];
 };
 
 // What is kept of each pixel beside the picture; entries count from 1 at the start of the tile's list.
 struct alignas(64) Pixels {
-  int32_t last[BLOCKS][LANES];      // last entry that was blended, 0 if none
-  int32_t finisher[BLOCKS][LANES];  // entry that finished the pixel, 0 if none did
-  float median[BLOCKS][LANES];      // depth at which T fell below ½
+  int32_t last[CELLS][LANES];      // last entry that was blended, 0 if none
+  int32_t finisher[CELLS][LANES];  // entry that finished the pixel, 0 if none did
+  float median[CELLS][LANES];      // depth at which T fell below ½
 };
 
 // What one splat needs, in units in which the exponent is a power of 2.
 struct alignas(64) Brush {
-  float u_of_lane[LANES], v_of_lane[LANES];      // from the centre of a block
-  float u_of_block[BLOCKS], v_of_block[BLOCKS];  // of the centre of each block
+  float u_of_lane[LANES], v_of_lane[LANES];  // from the centre of a cell
+  float u_of_cell[CELLS], v_of_cell[CELLS];  // of the centre of each cell
   float log2_opacity, log2_threshold;
   float red, green, blue, depth;
   float floor;                // opacity that is tapered to 1/255
-  float contribution[LANES];  // Σ α T over the blocks
+  float contribution[LANES];  // Σ α T over the cells
 };
 
 // A number that the compiler does not know. Of a minimum with a constant GCC makes a comparison and a blend.
@@ -58,7 +58,7 @@ struct Limits {
   float alpha_max, zero;
 };
 
-// Sets up the brush for a tile at (x, y) and returns a bit for each block that the splat may touch.
+// Sets up the brush for a tile at (x, y) and returns a bit for each cell that the splat may touch.
 SPLATREE_FN int load_brush(const float* record, float x, float y, float log2_threshold, const Limits& limits, Brush& brush) {
   const float a = SQRT_HALF_LOG2E * record[FACTOR_A], b = SQRT_HALF_LOG2E * record[FACTOR_B];
   const float c = SQRT_HALF_LOG2E * record[FACTOR_C];
@@ -67,7 +67,7 @@ SPLATREE_FN int load_brush(const float* record, float x, float y, float log2_thr
   brush.red = record[RED], brush.green = record[GREEN], brush.blue = record[BLUE], brush.depth = record[DEPTH];
 
   const float abs_b = __builtin_fabsf(b);
-  // |u| and |v| are at least those of the block's centre less these; the second terms are what float32 may lose.
+  // |u| and |v| are at least those of the cell's centre less these; the second terms are what float32 may lose.
   const float u_reach = 1.5f * (a + abs_b) + 2e-6f * (a * (record[HALF_SIZE_X] + 16) + abs_b * (record[HALF_SIZE_Y] + 16));
   const float v_reach = 1.5f * c + 2e-6f * c * (record[HALF_SIZE_Y] + 16);
   const float limit = (record[LOG2_OPACITY] - log2_threshold) * (1 + 1e-5f) + 1e-5f;
@@ -81,8 +81,8 @@ SPLATREE_FN int load_brush(const float* record, float x, float y, float log2_thr
     brush.v_of_lane[l] = c * (row - 1.5f);
     const float dx = 4 * column + offset_x, dy = 4 * row + offset_y;
     const float u = a * dx + b * dy, v = c * dy;
-    brush.u_of_block[l] = u;
-    brush.v_of_block[l] = v;
+    brush.u_of_cell[l] = u;
+    brush.v_of_cell[l] = v;
     const float u_least = greatest(__builtin_fabsf(u) - u_reach, limits.zero);
     const float v_least = greatest(__builtin_fabsf(v) - v_reach, limits.zero);
     const bool touches = (u_least * u_least + v_least * v_least <= limit) & (__builtin_fabsf(dx) <= x_reach);
@@ -92,24 +92,24 @@ SPLATREE_FN int load_brush(const float* record, float x, float y, float log2_thr
 }
 
 // Notes which pixels an entry finished, or brought below half of the light; both happen once a pixel.
-void note_turns(const float* before, const float* after, int32_t entry, float depth, int block, Pixels& pixels) {
+void note_turns(const float* before, const float* after, int32_t entry, float depth, int cell, Pixels& pixels) {
   for (int l = 0; l < LANES; ++l) {
-    if (before[l] > 0.f && after[l] < 0.f) pixels.finisher[block][l] = entry;
-    if (before[l] >= HALF_TRANSMITTANCE && after[l] < HALF_TRANSMITTANCE && after[l] >= 0.f) pixels.median[block][l] = depth;
+    if (before[l] > 0.f && after[l] < 0.f) pixels.finisher[cell][l] = entry;
+    if (before[l] >= HALF_TRANSMITTANCE && after[l] < HALF_TRANSMITTANCE && after[l] >= 0.f) pixels.median[cell][l] = depth;
   }
 }
 
 template <class Ends, class Keeps>
-SPLATREE_FN void blend_block(Brush& brush, int block, const Limits& limits, int32_t entry, Tile& tile, Pixels& pixels) {
-  const float u_of_block = brush.u_of_block[block], v_of_block = brush.v_of_block[block];
-  float* transmittance = tile.transmittance[block];
-  float *red = tile.red[block], *green = tile.green[block], *blue = tile.blue[block], *depth = tile.depth[block];
-  int32_t* last = pixels.last[block];
+SPLATREE_FN void blend_cell(Brush& brush, int cell, const Limits& limits, int32_t entry, Tile& tile, Pixels& pixels) {
+  const float u_of_cell = brush.u_of_cell[cell], v_of_cell = brush.v_of_cell[cell];
+  float* transmittance = tile.transmittance[cell];
+  float *red = tile.red[cell], *green = tile.green[cell], *blue = tile.blue[cell], *depth = tile.depth[cell];
+  int32_t* last = pixels.last[cell];
   float light[LANES];  // transmittance before the splat
   int turned = 0;      // whether a pixel was finished, or lost half of its light
 #pragma omp simd reduction(| : turned)
   for (int l = 0; l < LANES; ++l) {
-    const float u = u_of_block + brush.u_of_lane[l], v = v_of_block + brush.v_of_lane[l];
+    const float u = u_of_cell + brush.u_of_lane[l], v = v_of_cell + brush.v_of_lane[l];
     const float log2_alpha = brush.log2_opacity - (u * u + v * v);
     // Where it is not exact, far outside, the splat does not pass.
     const float whole = Ends::TAPERS ? exp2_of(log2_alpha) : exp2_within(log2_alpha);
@@ -134,7 +134,7 @@ SPLATREE_FN void blend_block(Brush& brush, int block, const Limits& limits, int3
       turned |= (seen & !drawn) | ((before >= HALF_TRANSMITTANCE) & (after < HALF_TRANSMITTANCE)) ? 1 : 0;
     }
   }
-  if (Keeps::OF_PIXELS && turned) note_turns(light, transmittance, entry, brush.depth, block, pixels);
+  if (Keeps::OF_PIXELS && turned) note_turns(light, transmittance, entry, brush.depth, cell, pixels);
 }
 
 int64_t smallest(int64_t a, int64_t b, int64_t c) {
@@ -150,14 +150,14 @@ float sum_of(const float (&lanes)[LANES]) {
   return sum;
 }
 
-// The blocks in which a pixel can still take light.
-int open_blocks(const Tile& tile) {
+// The cells in which a pixel can still take light.
+int open_cells(const Tile& tile) {
   int open = 0;
-  for (int block = 0; block < BLOCKS; ++block) {
+  for (int cell = 0; cell < CELLS; ++cell) {
     int any = 0;
 #pragma omp simd reduction(| : any)
-    for (int l = 0; l < LANES; ++l) any |= tile.transmittance[block][l] > 0.f ? 1 : 0;
-    open |= any << block;
+    for (int l = 0; l < LANES; ++l) any |= tile.transmittance[cell][l] > 0.f ? 1 : 0;
+    open |= any << cell;
   }
   return open;
 }
@@ -167,14 +167,14 @@ void keep_pixels(const BlendJob& job, int64_t index, int x0, int y0, const Pixel
   const int64_t begin = job.tile_start[index];
   const int32_t length = int32_t(job.tile_start[index + 1] - begin);
   int64_t num_evaluated = 0, num_consumed = 0;
-  for (int block = 0; block < BLOCKS; ++block)
+  for (int cell = 0; cell < CELLS; ++cell)
     for (int l = 0; l < LANES; ++l) {
-      const int x = x0 + 4 * (block & 3) + (l & 3), y = y0 + 4 * (block >> 2) + (l >> 2);
+      const int x = x0 + 4 * (cell & 3) + (l & 3), y = y0 + 4 * (cell >> 2) + (l >> 2);
       if (x >= job.width || y >= job.height) continue;
       const int64_t pixel = int64_t(y) * job.width + x;
-      const int32_t last = pixels.last[block][l], finisher = pixels.finisher[block][l];
+      const int32_t last = pixels.last[cell][l], finisher = pixels.finisher[cell][l];
       if (job.last_pair) job.last_pair[pixel] = last ? begin + last - 1 : -1;
-      if (job.median_depth) job.median_depth[pixel] = pixels.median[block][l];
+      if (job.median_depth) job.median_depth[pixel] = pixels.median[cell][l];
       const int32_t read = finisher ? finisher : length;
       num_evaluated += read;
       num_consumed = num_consumed < read ? read : num_consumed;
@@ -191,42 +191,42 @@ void blend_tile(const BlendJob& job, int64_t index) {
   Pixels pixels;
   memset(&tile, 0, sizeof tile);
   if (Keeps::OF_PIXELS) memset(&pixels, 0, sizeof pixels);
-  for (int block = 0; block < BLOCKS; ++block)
+  for (int cell = 0; cell < CELLS; ++cell)
     for (int l = 0; l < LANES; ++l) {
-      const int x = x0 + 4 * (block & 3) + (l & 3), y = y0 + 4 * (block >> 2) + (l >> 2);
-      tile.transmittance[block][l] = x < job.width && y < job.height ? 1.f : -1.f;  // outside: finished
+      const int x = x0 + 4 * (cell & 3) + (l & 3), y = y0 + 4 * (cell >> 2) + (l >> 2);
+      tile.transmittance[cell][l] = x < job.width && y < job.height ? 1.f : -1.f;  // outside: finished
     }
 
   const int64_t begin = job.tile_start[index], end = job.tile_start[index + 1];
   int64_t num_evaluated = 0;
-  int open = open_blocks(tile);
+  int open = open_cells(tile);
   Brush brushes[GROUP];
   const Limits limits = {unknown(ALPHA_MAX), unknown(0.f)};
-  int blocks[GROUP];
+  int cells[GROUP];
   if (Keeps::OF_PAIRS && begin < end) memset(job.contributions + begin, 0, (end - begin) * sizeof(float));
   int64_t i = begin;
   while (i < end) {
     const int since_look = int((i - begin + 1) % PERIOD);
     if (since_look == 0) {
-      open = open_blocks(tile);
+      open = open_cells(tile);
       if (!open) break;
     }
     const int count = int(smallest(GROUP, PERIOD - since_look, end - i));
-    // How many blocks a pair has decides a branch that is mostly guessed wrongly; it costs less if they are known by then.
+    // How many cells a pair has decides a branch that is mostly guessed wrongly; it costs less if they are known by then.
     for (int j = 0; j < count; ++j) {
       const int32_t splat = job.splat_from_pair[i + j];
       if (i + j + AHEAD < end) __builtin_prefetch(job.records + int64_t(job.splat_from_pair[i + j + AHEAD]) * NUM_COLUMNS);
       const float* record = job.records + int64_t(splat) * NUM_COLUMNS;
       Brush& brush = brushes[j];
       if (Ends::TAPERS) brush.floor = job.floors[splat];
-      blocks[j] = load_brush(record, x0, y0, Ends::TAPERS ? log2_of(brush.floor) : job.log2_threshold, limits, brush);
-      if (job.whole_tile) blocks[j] = (1 << BLOCKS) - 1;
+      cells[j] = load_brush(record, x0, y0, Ends::TAPERS ? log2_of(brush.floor) : job.log2_threshold, limits, brush);
+      if (job.whole_tile) cells[j] = (1 << CELLS) - 1;
     }
     for (int j = 0; j < count; ++j) {
       Brush& brush = brushes[j];
       if (Keeps::OF_PAIRS) memset(brush.contribution, 0, sizeof brush.contribution);
-      for (int left = blocks[j] & open; left; left &= left - 1) {
-        blend_block<Ends, Keeps>(brush, __builtin_ctz(left), limits, int32_t(i + j - begin) + 1, tile, pixels);
+      for (int left = cells[j] & open; left; left &= left - 1) {
+        blend_cell<Ends, Keeps>(brush, __builtin_ctz(left), limits, int32_t(i + j - begin) + 1, tile, pixels);
         num_evaluated += LANES;
       }
       if (Keeps::OF_PAIRS) job.contributions[i + j] = sum_of(brush.contribution);
@@ -239,19 +239,19 @@ void blend_tile(const BlendJob& job, int64_t index) {
   int64_t num_blended = 0;
   for (int l = 0; l < LANES; ++l) num_blended += tile.blended[l];
   job.num_blended[index] = num_blended;
-  for (int block = 0; block < BLOCKS; ++block)
+  for (int cell = 0; cell < CELLS; ++cell)
     for (int l = 0; l < LANES; ++l) {
-      const int x = x0 + 4 * (block & 3) + (l & 3), y = y0 + 4 * (block >> 2) + (l >> 2);
+      const int x = x0 + 4 * (cell & 3) + (l & 3), y = y0 + 4 * (cell >> 2) + (l >> 2);
       if (x >= job.width || y >= job.height) continue;
       const int64_t pixel = int64_t(y) * job.width + x;
-      const float signed_left = tile.transmittance[block][l];
+      const float signed_left = tile.transmittance[cell][l];
       const float left = signed_left < 0 ? -signed_left : signed_left;
       const float alpha = 1.f - left;
-      job.image[3 * pixel] = tile.red[block][l] + left * job.background[0];
-      job.image[3 * pixel + 1] = tile.green[block][l] + left * job.background[1];
-      job.image[3 * pixel + 2] = tile.blue[block][l] + left * job.background[2];
+      job.image[3 * pixel] = tile.red[cell][l] + left * job.background[0];
+      job.image[3 * pixel + 1] = tile.green[cell][l] + left * job.background[1];
+      job.image[3 * pixel + 2] = tile.blue[cell][l] + left * job.background[2];
       job.alpha[pixel] = alpha;
-      job.depth[pixel] = alpha > 0.f ? tile.depth[block][l] / alpha : 0.f;
+      job.depth[pixel] = alpha > 0.f ? tile.depth[cell][l] / alpha : 0.f;
     }
   if (Keeps::OF_PIXELS) keep_pixels(job, index, x0, y0, pixels);
 }

@@ -13,7 +13,7 @@ struct BlendJob {
   float log2_threshold;  // smallest opacity drawn at a pixel
   const float* floors;   // v, opacity at which each splat is tapered off; null: none is
   float background[3];
-  bool whole_tile;  // evaluate all 4 × 4 blocks of a tile instead of those that the ellipse touches
+  bool whole_tile;  // evaluate all 4 × 4 px cells of a tile instead of those that the ellipse touches
   int threads;
   float* image;          // h w 3
   float *alpha, *depth;  // h w

@@ -13,8 +13,8 @@ __all__ = ["blend"]
 def blend(splats: Splats, bins: TileBins, view: View, *, threads: int = 0, whole_tile: bool = False) -> Picture:
     """The picture of the tiles' lists, with the outputs that are wanted.
 
-    ``whole_tile`` evaluates a splat in all blocks of a tile instead of those that its ellipse touches: more work, the same
-    picture.
+    ``whole_tile`` evaluates a splat in all cells of a tile, of 4 × 4 px each, instead of those that its ellipse touches: more
+    work, the same picture.
     """
     size, wanted, num_tiles = (view.camera.height, view.camera.width), view.wanted, len(bins.tile_start) - 1
     outputs: dict[str, Array] = {"image": np.empty((*size, 3), np.float32)}
