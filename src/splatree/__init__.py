@@ -178,6 +178,7 @@ _NAMES = {
         "thin",
     ),
     "stream.options": ("StreamOptions",),
+    "stream.report": ("StreamReport", "report_stream"),
     "stream.result": ("Streamed",),
     "stream.serve": (
         "ServeOptions",

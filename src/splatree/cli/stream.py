@@ -1,6 +1,6 @@
 """``splatree stream``: a scene as viewers on the web load it, piece by piece."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -9,10 +9,13 @@ from tyro.conf import Positional, arg
 from splatree.cli.console import Console, UsageError, size, table
 from splatree.cli.files import Reading, lost_and_noted, read_scene, repairs_of, told
 from splatree.errors import InputError
+from splatree.io.cameras.files import read_cameras
 from splatree.io.notes import origin_in_words
+from splatree.io.replacing import check_target, replacing
 from splatree.stream.options import StreamFormat, StreamOptions
+from splatree.stream.report import StreamReport, ViewQuality, report_stream
 from splatree.stream.result import Streamed
-from splatree.stream.stream import stream
+from splatree.stream.stream import stream, with_levels
 
 
 @dataclass(frozen=True)
@@ -34,6 +37,10 @@ class Command:
     """Who reads it: sog for PlayCanvas, SuperSplat and Babylon.js; rad for Spark; 3dtiles for CesiumJS."""
     force: bool = False
     """Replace an older stream."""
+    report: Path | None = None
+    """Write a report as JSON: the quality of the picture against the bytes that a viewer loads for it, near, middle and far."""
+    cameras: Path | None = None
+    """Views of the report, in place of near, middle and far: a file of cameras."""
     reading: Annotated[Reading, arg(name="", help="")] = Reading()
     options: Annotated[StreamOptions, arg(name="", help="")] = StreamOptions()
     console: Annotated[Console, arg(name="", help="")] = Console()
@@ -53,6 +60,8 @@ class Result:
     """What of the inputs the stream does not hold, a sentence each."""
     notes: tuple[str, ...] = ()
     """What reading did that the user should know, a sentence each."""
+    report: StreamReport | None = None
+    """The quality of the stream, if it was asked for."""
 
 
 def run(command: Command) -> Result:
@@ -62,13 +71,28 @@ def run(command: Command) -> Result:
         command.options.check_used(command.format)
     except InputError as error:
         raise UsageError(str(error)) from error
-    scene = read_scene(inputs, command.reading)
+    if command.cameras is not None and command.report is None:
+        raise UsageError("--cameras: are the views of a report; name its file with --report")
+    if command.report is not None:
+        check_target(command.report)
+    read = read_scene(inputs, command.reading)
+    degree = command.options.sh_degree
+    if degree is not None and degree < read.gaussians.sh_degree:
+        read = replace(read, gaussians=read.gaussians.with_sh_degree(degree), clusters=None)
+    scene = with_levels(read)
     written = stream(scene, output, command.format, command.options, force=command.force)
+    report = None
+    if command.report is not None:
+        cameras = None if command.cameras is None else list(read_cameras(command.cameras, origin=scene.source.origin))
+        report = report_stream(scene, written, cameras)
+        with replacing(command.report, force=True) as temporary:
+            temporary.write_text(report.to_json())
     origin = scene.source.origin
     relative = (
         [f"the origin {origin_in_words(origin)}: coordinates of the stream are relative to it"] if any(origin) else []
     )
-    return Result(written, scene.tree.num_leaves == len(scene), repairs_of(scene), *lost_and_noted(scene, relative))
+    built_levels = read.tree.num_leaves == len(read)
+    return Result(written, built_levels, repairs_of(read), *lost_and_noted(read, relative), report)
 
 
 def _inputs_and_output(command: Command) -> tuple[tuple[Path, ...], Path]:
@@ -97,4 +121,19 @@ def show(result: Result) -> str:
     ]
     if len(written.levels) > 1:
         lines = [table([asdict(level) for level in written.levels]), *lines]
+    if result.report is not None:
+        lines.append(table([_in_words(view) for view in result.report.views]))
     return "\n".join(lines)
+
+
+def _in_words(view: ViewQuality) -> dict[str, str | int | float | None]:
+    setting = f"{view.setting:g} px" if view.viewer == "cesium" else f"{view.setting:,.0f}"
+    return {
+        "view": view.view,
+        "viewer": view.viewer,
+        "setting": setting,
+        "nodes": view.num_nodes,
+        "loaded": size(view.bytes),
+        "PSNR, dB": view.psnr_db,
+        "exact cut, dB": view.exact_psnr_db,
+    }

@@ -65,10 +65,16 @@ def stream(
     degree = scene.gaussians.sh_degree if options.sh_degree is None else options.sh_degree
     if degree < scene.gaussians.sh_degree:
         scene = replace(scene, gaussians=scene.gaussians.with_sh_degree(degree), clusters=None)
-    if scene.tree.num_leaves == len(scene):
-        scene = build_lod(scene, BuildOptions(method="pairs"), threads=threads)
+    scene = with_levels(scene, threads=threads)
     if format == "rad":
         return write_rad(scene, Path(output), force=force)
     if format == "3dtiles":
         return write_tiles(scene, Path(output), options, force=force, threads=threads)
     return write_sog(scene, Path(output), options, force=force, threads=threads)
+
+
+def with_levels(scene: Scene, *, threads: int = 0) -> Scene:
+    """The scene, with levels by pairs if it has none."""
+    if scene.tree.num_leaves < len(scene):
+        return scene
+    return build_lod(scene, BuildOptions(method="pairs"), threads=threads)

@@ -1,0 +1,229 @@
+"""How good a written stream is: the quality of the picture against the bytes that a viewer loads for it.
+
+A view is near, middle or far: 0.3, 1 and 3 radii of the scene from its centre, or one of given cameras. In each view the viewer's
+own choice is repeated (`splatree.stream.readers`) for several budgets. What it chooses is decoded from the files, drawn by the
+library, and compared with the picture of all leaves of the scene. Bytes are those of whole files (sog, 3dtiles) or chunks (rad)
+that hold what is drawn. Beside it stands the exact cut of the tree with as many nodes, which no chunks bind.
+"""
+
+import json
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from splatree.io.formats.rad.container import open_rad
+from splatree.io.formats.rad.nodes import nodes_of
+from splatree.io.registry import read
+from splatree.lod.select import select
+from splatree.metrics.psnr import psnr
+from splatree.metrics.ssim import ssim
+from splatree.progress import track
+from splatree.render.paths import bounds_of
+from splatree.render.pipeline import render
+from splatree.scene.cameras import Camera
+from splatree.scene.gaussians import Gaussians
+from splatree.scene.options import SelectOptions
+from splatree.scene.scene import Scene
+from splatree.shapes import Array
+from splatree.stream.readers.cesium import open_tileset, select_cesium
+from splatree.stream.readers.playcanvas import select_playcanvas
+from splatree.stream.readers.sog_stream import open_sog_stream
+from splatree.stream.readers.spark import chunks_loaded, select_spark
+from splatree.stream.result import Streamed
+
+__all__ = ["LevelQuality", "StreamReport", "ViewQuality", "report_stream", "views_of"]
+
+BUDGETS = (100_000, 300_000, 1_000_000, 3_000_000)
+"""Gaussians that PlayCanvas and Spark may draw."""
+
+ERRORS_PX = (256.0, 64.0, 16.0)
+"""maximumScreenSpaceError of CesiumJS."""
+
+_DISTANCES = {"near": 0.3, "middle": 1.0, "far": 3.0}
+_ELEVATION_DEG = 25.0
+_EVERY_ROW = SelectOptions(pixel_error=0)
+
+
+@dataclass(frozen=True)
+class ViewQuality:
+    """One view at one setting of the viewer."""
+
+    view: str
+    """`near`, `middle`, `far`, or the name of a camera."""
+    viewer: str
+    """`playcanvas`, `spark` or `cesium`."""
+    setting: float
+    """The budget, Gaussians; of Cesium the error that it allows, px."""
+    num_nodes: int
+    """Gaussians that are drawn."""
+    bytes: int
+    """What is loaded for them."""
+    psnr_db: float
+    """Against all leaves of the scene; infinite if every bit is the same."""
+    exact_psnr_db: float | None
+    """The same of the exact cut of at most as many nodes; None if the roots in view are more."""
+
+
+@dataclass(frozen=True)
+class LevelQuality:
+    """One level of a streamed SOG, drawn everywhere."""
+
+    level: int
+    """0 is the finest."""
+    view: str
+    """The view that it is looked at in."""
+    num_nodes: int
+    """Gaussians."""
+    bytes: int
+    """Size of its units."""
+    psnr_db: float
+    """Against all leaves of the scene."""
+    ssim: float
+    """The same, 0 to 1."""
+
+
+@dataclass(frozen=True)
+class StreamReport:
+    """The quality of a stream."""
+
+    views: tuple[ViewQuality, ...]
+    """Views by settings, coarse to fine."""
+    levels: tuple[LevelQuality, ...]
+    """Levels, finest first; none of other formats than sog."""
+    nodes_per_chunk: tuple[tuple[int, ...], ...]
+    """Gaussians of each level in each chunk, chunk by chunk; none of other formats than sog."""
+
+    def to_json(self) -> str:
+        """The report as JSON; the PSNR of equal pictures, which is infinite, becomes null."""
+
+        def finite(rows: Sequence[ViewQuality] | Sequence[LevelQuality]) -> list[dict[str, object]]:
+            return [
+                {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in asdict(row).items()}
+                for row in rows
+            ]
+
+        content = {"views": finite(self.views), "levels": finite(self.levels), "nodes_per_chunk": self.nodes_per_chunk}
+        return json.dumps(content, indent=1)
+
+
+@dataclass(frozen=True, eq=False)
+class _Loaded:
+    gaussians: Gaussians
+    num_bytes: int
+
+
+Choose = Callable[[Camera, float], _Loaded]
+
+
+def report_stream(
+    scene: Scene, written: Streamed, cameras: Sequence[Camera] | None = None, *, budgets: Sequence[int] = BUDGETS
+) -> StreamReport:
+    """Judge a stream by views of the scene that it was written from.
+
+    Args:
+        scene: The scene with the levels that the stream was cut from.
+        written: What `stream` returned.
+        cameras: Views; None: near, middle and far.
+        budgets: Gaussians that PlayCanvas and Spark may draw; larger ones than the scene has are left out.
+
+    Returns:
+        The quality of each view at each budget, and of each level.
+
+    Example:
+        >>> import splatree as st
+        >>> scene = st.build_lod(st.read("semarang_5_9.sog"))
+        >>> report = st.report_stream(scene, st.stream(scene, "city"), budgets=[50_000])
+        >>> [view.view for view in report.views]
+        ['near', 'middle', 'far']
+    """
+    views = (
+        dict(views_of(scene)) if cameras is None else {view.name or f"view {i}": view for i, view in enumerate(cameras)}
+    )
+    viewer, choose = _chooser(scene, written)
+    settings: Sequence[float] = budgets if viewer != "cesium" else ERRORS_PX
+    if viewer != "cesium":
+        settings = [b for b in budgets if b < scene.tree.num_leaves] or [scene.tree.num_leaves]
+    found: list[ViewQuality] = []
+    levels: list[LevelQuality] = []
+    for name, camera in track(list(views.items()), f"judge {written.output.name}"):
+        truth = _picture(scene, camera)
+        for setting in settings:
+            loaded = choose(camera, setting)
+            count = len(loaded.gaussians)
+            image = _picture(Scene.flat(loaded.gaussians, mode=scene.mode), camera)
+            quality = psnr(image, truth), _exact_quality(scene, camera, count, truth)
+            found.append(ViewQuality(name, viewer, setting, count, loaded.num_bytes, *quality))
+        if written.format == "sog" and not levels:
+            levels = list(_levels(scene, written, name, camera, truth))
+    chunks = open_sog_stream(written.output).ranges.counts.T.tolist() if written.format == "sog" else []
+    return StreamReport(tuple(found), tuple(levels), tuple(tuple(counts) for counts in chunks))
+
+
+def views_of(scene: Scene) -> Iterator[tuple[str, Camera]]:
+    """The views near, middle and far of a scene."""
+    centre, radius = bounds_of(scene)
+    elevation = np.radians(_ELEVATION_DEG)
+    direction = np.array([0.3, -np.sin(elevation), -np.cos(elevation)])
+    for name, distance in _DISTANCES.items():
+        yield name, Camera.look_at(centre + distance * radius * direction, centre)
+
+
+def _chooser(scene: Scene, written: Streamed) -> tuple[str, Choose]:
+    """Which viewer reads the stream, and what it draws and loads in a view."""
+    if written.format == "sog":
+        stream = open_sog_stream(written.output)
+
+        def of_playcanvas(camera: Camera, budget: float) -> _Loaded:
+            levels = select_playcanvas(stream.ranges, camera, int(budget))
+            return _Loaded(stream.gaussians_of(levels), int(stream.file_bytes[stream.files_of(levels)].sum()))
+
+        return "playcanvas", of_playcanvas
+    if written.format == "rad":
+        back, nodes = read(written.output), nodes_of(scene, written.output)
+        starts = [chunk.payload for chunk in open_rad(written.output).chunks]
+        sizes = np.diff([*starts, written.output.stat().st_size])
+
+        def of_spark(camera: Camera, budget: float) -> _Loaded:
+            view = select_spark(scene, camera, int(budget))
+            return _Loaded(back.gaussians.take(view.drawn), int(sizes[chunks_loaded(nodes, view)].sum()))
+
+        return "spark", of_spark
+    tiles = open_tileset(written.output)
+    decoded: dict[int, Gaussians] = {}
+
+    def of_cesium(camera: Camera, most_px: float) -> _Loaded:
+        chosen = select_cesium(tiles, camera, most_px=most_px)
+        for tile in chosen.drawn.tolist():
+            if tile not in decoded:
+                decoded[tile] = read(written.output / tiles.names[tile]).gaussians
+        parts = [decoded[tile] for tile in chosen.drawn.tolist()]
+        drawn = Gaussians.concatenate(parts) if parts else Gaussians.empty(scene.gaussians.sh_degree)
+        return _Loaded(drawn, int(tiles.bytes[chosen.loaded].sum()))
+
+    return "cesium", of_cesium
+
+
+def _exact_quality(scene: Scene, camera: Camera, budget: int, truth: Array) -> float | None:
+    """PSNR of the exact cut within a budget."""
+    fewest = len(select(scene, camera, SelectOptions(pixel_error=np.inf)).rows)
+    if budget < max(fewest, 1):
+        return None
+    exact = render(scene, camera, select=SelectOptions(pixel_error=0, budget=budget)).image
+    return psnr(np.clip(exact, 0, 1), truth)
+
+
+def _levels(scene: Scene, written: Streamed, view: str, camera: Camera, truth: Array) -> Iterator[LevelQuality]:
+    stream = open_sog_stream(written.output)
+    num_levels, num_chunks = stream.ranges.counts.shape
+    for level in range(num_levels):
+        everywhere = np.full(num_chunks, level)
+        gaussians = stream.gaussians_of(everywhere)
+        image = _picture(Scene.flat(gaussians, mode=scene.mode), camera)
+        num_bytes = int(stream.file_bytes[stream.files_of(everywhere)].sum())
+        yield LevelQuality(level, view, len(gaussians), num_bytes, psnr(image, truth), ssim(image, truth))
+
+
+def _picture(scene: Scene, camera: Camera) -> Array:
+    return np.clip(render(scene, camera, select=_EVERY_ROW).image, 0, 1)
