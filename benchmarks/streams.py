@@ -1,10 +1,10 @@
 """Streams: the quality of the picture against the bytes that viewers load, and what writing them takes.
 
 ``python benchmarks/streams.py [--chunk 5_1] [--peer "npx splat-transform"]`` needs the shared city; ``--city`` adds the chunks of
-a `.rad` of all of it. The scene is one chunk of the city without harmonics, which the peer's processor path cannot write. The peer,
-splat-transform, makes each level by halving the one before and writes them as its streamed SOG. Both streams are read as PlayCanvas
-reads them (`splatree.stream.readers.playcanvas`), drawn by the library at 960 × 540, and compared with the picture of all
-Gaussians: PSNR, dB, with MB of whole files. The exact cut is that of the tree for as many nodes as our stream draws.
+a `.rad` of all of it. The scene is one chunk of the city without harmonics, which the peer's processor path cannot write.
+The peer, splat-transform, makes each level by halving the one before and writes them as its streamed SOG. Both streams are read
+as PlayCanvas reads them (`splatree.stream.readers.playcanvas`), drawn by the library at 960 × 540, and compared with that of
+all Gaussians: PSNR, dB, with MB of whole files. The exact cut is that of the tree for as many nodes as our stream draws.
 
 The table of a `.rad` counts the chunks of 65,536 nodes that Spark loads, in our order and in breadth-first order.
 """
