@@ -103,6 +103,8 @@ from splatree.simplify.merge import merge as merge
 from splatree.simplify.thin import Thinned as Thinned
 from splatree.simplify.thin import thin as thin
 from splatree.stream.options import StreamOptions as StreamOptions
+from splatree.stream.report import StreamReport as StreamReport
+from splatree.stream.report import report_stream as report_stream
 from splatree.stream.result import Streamed as Streamed
 from splatree.stream.serve import ServeOptions as ServeOptions
 from splatree.stream.serve import StreamServer as StreamServer
