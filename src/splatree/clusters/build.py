@@ -172,7 +172,12 @@ def _permuted(scene: Scene, rows: Array) -> Scene:
     """A flat scene with its rows in another order."""
     n = len(scene)
     ids = np.arange(n, dtype=np.uint32) if scene.ids is None else scene.ids
-    tree = replace(scene.tree, extents=scene.tree.extents[rows], roots=None)
+    tree = replace(
+        scene.tree,
+        extents=scene.tree.extents[rows],
+        curves=None if scene.tree.curves is None else scene.tree.curves[rows],
+        roots=None,
+    )
     return replace(scene, gaussians=scene.gaussians.take(rows), tree=tree, ids=ids[rows], blocks=None, clusters=None)
 
 

@@ -63,7 +63,9 @@ def edit(scene: Scene, options: EditOptions) -> Scene:
         extents = similarity.extents(scene.tree.extents, moved)
         record = None if scene.tree.record is None else scene.tree.record.scaled(similarity.scale)
         kept_clusters = scene.clusters if similarity.is_identity else None  # harmonics alone move nothing
-        tree = replace(scene.tree, extents=extents, record=record, roots=None)
+        tree = replace(
+            scene.tree, extents=extents, curves=similarity.curves(scene.tree.curves), record=record, roots=None
+        )
         blocks = None if scene.blocks is None else index_blocks(gaussians, tree)
         scene = replace(scene, gaussians=gaussians, tree=tree, blocks=blocks, clusters=kept_clusters)
     scene = replace(scene, source=replace(scene.source, origin=move.origin))

@@ -37,6 +37,7 @@ def keep_leaves(scene: Scene, is_kept: Bool[Array, "n"]) -> Scene:
         subtree_end=row_from_old[ends].astype(np.int32),
         depth=(depth - depth[roots]).astype(np.uint8),
         extents=tree.extents[rows],
+        curves=None if tree.curves is None else tree.curves[rows],
         record=tree.record,
     )
     return _with_rows(scene, rows, kept_tree)
@@ -53,7 +54,12 @@ def in_morton_order(scene: Scene) -> Scene:
             "order morton: found a scene with levels, whose rows are in the order of its tree; wanted a flat one"
         )
     order = np.argsort(morton_codes(scene.gaussians.means), kind="stable")
-    tree = replace(scene.tree, extents=scene.tree.extents[order], roots=None)
+    tree = replace(
+        scene.tree,
+        extents=scene.tree.extents[order],
+        curves=None if scene.tree.curves is None else scene.tree.curves[order],
+        roots=None,
+    )
     return _with_rows(scene, order, tree)
 
 

@@ -61,6 +61,12 @@ class Similarity:
         sh = rotate_harmonics(g.sh, matrices) if matrices else g.sh
         return Gaussians(means, _products(quat_from_matrix(self.rotation), g.quats), log_scales, g.logit_opacities, sh)
 
+    def curves(self, curves: Float32[Array, "n 4"] | None) -> Float32[Array, "n 4"] | None:
+        """Curves of nodes (`GaussianTree.curves`): the first and the last are areas."""
+        if curves is None or self.scale == 1:
+            return curves
+        return np.asarray(curves * np.array([self.scale**2, 1, 1, self.scale**2], np.float32))
+
     def extents(self, extents: Float32[Array, "n"], means: Float32[Array, "n 3"]) -> Float32[Array, "n"]:
         """Radii of the balls around the moved ``means``, raised by what their rounding may have moved a descendant away."""
         # Two means, each rounded by at most half an ulp a coordinate, and the product: 2⁻²⁴ of the coordinates and 2⁻²³ of the

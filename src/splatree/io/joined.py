@@ -40,6 +40,7 @@ def joined(scenes: Iterable[Scene]) -> Scene:
     tree = _empty(GaussianTree(np.zeros(0, np.int32), np.zeros(0, np.uint8), np.zeros(0, np.float32)))
     drawn = {name: getattr(first, name) for name in ("mode", "threshold", "tile_rule")}
     origin = first.source.origin
+    curves, follows = list[Array](), False
     has_ids, sources, records, start = False, list[Source](), list[LevelRecord](), 0
     for scene in chain((first, second), remaining):
         first = second = None  # type: ignore[assignment]  # let go of what is appended
@@ -57,6 +58,8 @@ def joined(scenes: Iterable[Scene]) -> Scene:
             gaussians["sh"] = Gaussians(**gaussians).with_sh_degree(degree).sh
         _append(gaussians, vars(part.with_sh_degree(degree)))
         _append(tree, {**vars(scene.tree), "subtree_end": scene.tree.subtree_end + np.int32(start)})
+        curves.append(scene.tree.curves if scene.tree.curves is not None else np.zeros((len(scene), 4), np.float32))
+        follows |= scene.tree.curves is not None
         if scene.tree.depth.any():
             records.append(scene.tree.record or UNKNOWN_LEVELS)
         has_ids |= scene.ids is not None
@@ -64,7 +67,13 @@ def joined(scenes: Iterable[Scene]) -> Scene:
         start = end
     return Scene(
         Gaussians(**gaussians),
-        GaussianTree(tree["subtree_end"], tree["depth"], tree["extents"], common_record(records)),
+        GaussianTree(
+            tree["subtree_end"],
+            tree["depth"],
+            tree["extents"],
+            np.concatenate(curves) if follows else None,
+            common_record(records),
+        ),
         ids=np.arange(start, dtype=np.uint32) if has_ids else None,
         **drawn,
         source=with_notes(joined_source(sources), [f"{len(sources)} inputs were joined as one scene"]),

@@ -63,7 +63,7 @@ def scene_with_levels(
     if not levels.depth.any():
         return checked(Scene.flat(gaussians, mode=mode, source=source), where, repair=repair)
     given = np.zeros(len(gaussians), np.float32) if levels.extents is None else levels.extents
-    unbounded = GaussianTree(levels.subtree_end, levels.depth, given, levels.record)
+    unbounded = GaussianTree(levels.subtree_end, levels.depth, given, record=levels.record)
     scene = checked(Scene(gaussians, unbounded, mode=mode, source=source), where, repair=repair)
     if levels.extents is None:
         extents = subtree_radii(gaussians.means, gaussians.reach(), levels.depth)

@@ -27,7 +27,7 @@ from splatree.scene.gradients import GaussianGradients, PictureGradients, SplatG
 from splatree.scene.options import SelectOptions
 from splatree.scene.tree import BlockIndex, GaussianTree
 from splatree.scene.view import View
-from splatree.shapes import Array, Int32, UInt32
+from splatree.shapes import Array, Float32, Int32, UInt32
 
 __all__ = ["BackwardStages", "FrameStages", "HeldScene", "QueuedFrame", "TracedFrame"]
 
@@ -59,9 +59,10 @@ class FrameStages(Protocol):
         rows: Int32[Array, "v"],
         view: View,
         *,
+        curves: Float32[Array, "n 4"] | None = None,
         threads: int = 0,
     ) -> Splats:
-        """Splats of the rows that touch the image, and their order by depth."""
+        """Splats of the rows that touch the image, and their order by depth; ``curves`` are those of the tree."""
         ...
 
     def bin(self, splats: Splats, view: View, *, threads: int = 0) -> TileBins:

@@ -15,6 +15,8 @@ import dataclasses
 import numpy as np
 
 from splatree.lod.assemble import assemble
+from splatree.lod.blocks import with_blocks
+from splatree.lod.follow import with_curves
 from splatree.lod.forest import forest_of_leaves
 from splatree.lod.grow import grow
 from splatree.lod.options import BuildOptions
@@ -53,7 +55,10 @@ def build_lod(scene: Scene, options: BuildOptions | None = None, *, threads: int
     check_finite(flat.gaussians)
     resolved = resolve(options, measure(flat.gaussians, options, flat.mode, threads=threads), flat.mode)
     forest = grow(forest_of_leaves(flat, resolved, threads=threads), resolved, threads=threads)
-    return assemble(forest, flat, resolved, threads=threads)
+    tree = assemble(forest, flat, resolved, threads=threads)
+    if not options.follow or flat.mode != "classic" or tree.tree.num_levels < 2:
+        return tree
+    return with_blocks(with_curves(tree, visibility=options.visibility, threads=threads), threads=threads)
 
 
 def _leaves_of(scene: Scene) -> Scene:

@@ -29,6 +29,9 @@ class BuildOptions:
     """For `pairs`: p_0, width of a pixel for which the first level is made, world units; None: half of the median Gaussian."""
     visibility: bool = True
     """For `pairs`: Gaussians that others hide count less."""
+    follow: bool = True
+    """For scenes of mode `classic`: merged Gaussians follow the pixel that they are drawn at. Nearer than their level was made
+    for, they become smaller and more transparent, as their leaves are there."""
     growth: float = 2.0
     """g: factor from the radius, or the pixel width, of one level to that of the next."""
     max_roots: int = 64

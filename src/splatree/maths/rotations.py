@@ -38,6 +38,19 @@ def matrices_from_quats(quats: Array) -> Float64[Array, "n 3 3"]:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
+def quats_from_matrices(rotations: Float64[Array, "n 3 3"]) -> Float64[Array, "n 4"]:
+    """Unit quaternions wxyz of exact rotation matrices, by the largest of the four components (Shepperd 1978)."""
+    m = np.asarray(rotations, np.float64)
+    xx, yy, zz = m[:, 0, 0], m[:, 1, 1], m[:, 2, 2]
+    squares = np.stack([1 + xx + yy + zz, 1 + xx - yy - zz, 1 - xx + yy - zz, 1 - xx - yy + zz], axis=1)  # 4 q_i²
+    wx, wy, wz = m[:, 2, 1] - m[:, 1, 2], m[:, 0, 2] - m[:, 2, 0], m[:, 1, 0] - m[:, 0, 1]  # 4 q_0 q_i
+    xy, xz, yz = m[:, 1, 0] + m[:, 0, 1], m[:, 0, 2] + m[:, 2, 0], m[:, 2, 1] + m[:, 1, 2]
+    w, x, y, z = squares.T
+    products = np.stack([w, wx, wy, wz, wx, x, xy, xz, wy, xy, y, yz, wz, xz, yz, z], axis=1).reshape(-1, 4, 4)
+    rows = np.take_along_axis(products, squares.argmax(axis=1)[:, None, None], axis=1)[:, 0]
+    return np.asarray(rows / np.linalg.norm(rows, axis=1, keepdims=True))
+
+
 def quat_from_matrix(rotation: Array) -> Float64[Array, "4"]:
     """The unit quaternion wxyz, w ≥ 0, of a rotation matrix; of one that is slightly off, the nearest (Bar-Itzhack 2000).
 

@@ -50,7 +50,9 @@ def draw_rows(
 ) -> tuple[Splats, TileBins, Picture]:
     """Draw the rows that were selected."""
     with clock.timed("project"):
-        splats = stages.project(scene.gaussians, scene.ids, selection.rows, view, threads=threads)
+        splats = stages.project(
+            scene.gaussians, scene.ids, selection.rows, view, curves=scene.tree.curves, threads=threads
+        )
     with clock.timed("bin"):
         bins = stages.bin(splats, view, threads=threads)
     with clock.timed("blend"):

@@ -50,6 +50,7 @@ struct FrameJob {
   Global<const float> log_scales;            // n 3
   Global<const float> logit_opacities;       // n
   Global<const float> sh;                    // n k 3
+  Global<const float4> curves;               // n; of length 0 where all rows are drawn as stored
   Global<const float> extents;               // n
   Global<const int> subtree_end;             // n
   Global<const unsigned> ids;                // n; of length 0 where rows are their own
@@ -107,6 +108,7 @@ struct FrameJob {
   long long row_capacity;
   long long pair_capacity;
   long long num_coefficients;  // of sh, a channel
+  long long follows;           // whether there are curves
   long long chain_stride;
   long long num_levels;
   long long num_roots;

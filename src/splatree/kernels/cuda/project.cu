@@ -61,9 +61,15 @@ SPLATREE_KERNEL(128) project(const FrameJob* job) {
     const Point p = load_point(job, row);
     const Image image = image_of(n.view, p.x, p.y, p.z);
     const float4 quat = job->quats[row];
-    const Vector scale = scale_of(n.view, p.z, load_vector(job->log_scales, row));
+    Vector scale = scale_of(n.view, p.z, load_vector(job->log_scales, row));
+    float sigmoid = sigmoid_of(job->logit_opacities[row]);
+    if (job->follows && !n.view.antialiased) {
+      const float4 c = job->curves[row];
+      const float dilation = n.view.dilation / (n.view.fx * n.view.fy) * p.z * p.z;
+      const Followed f = followed_of({c.x, c.y, c.z, c.w}, dilation, scale, sigmoid);
+      scale = f.scale, sigmoid = f.opacity;
+    }
     const Factor m = factor_of(image.tx, image.ty, quat.x, quat.y, quat.z, quat.w, scale);
-    const float sigmoid = sigmoid_of(job->logit_opacities[row]);
     View view = n.view;
     view.log2_threshold = n.log2_pixel_threshold;  // the box holds every pixel that is drawn, the tiles those above τ
     const bool is_square = n.tile_rule == int(TileRule::SQUARE);

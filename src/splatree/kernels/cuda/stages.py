@@ -21,7 +21,7 @@ from splatree.scene.gaussians import Gaussians
 from splatree.scene.options import SelectOptions
 from splatree.scene.tree import BlockIndex, GaussianTree
 from splatree.scene.view import View
-from splatree.shapes import Array, Int32, UInt32
+from splatree.shapes import Array, Float32, Int32, UInt32
 
 __all__ = ["Stages"]
 
@@ -55,12 +55,13 @@ class Stages:
         rows: Int32[Array, "v"],
         view: View,
         *,
+        curves: Float32[Array, "n 4"] | None = None,
         threads: int = 0,
     ) -> Splats:
         """Splats of the rows that touch the image; ``threads`` is not used."""
         if len(rows) and not (rows.min() >= 0 and rows.max() < len(gaussians)):
             raise InputError(f"rows: found {rows.min()} to {rows.max()}, wanted 0 to {len(gaussians) - 1}")
-        scene = DeviceScene(self._device, gaussians, ids)
+        scene = DeviceScene(self._device, gaussians, ids, curves=curves)
         work = self._workspace(scene, view, num_rows=len(rows), degree=scene.sh_degree)
         work.fill("rows", rows[:, None])
         work.run(plan.project(_sizes(work)) + plan.order(_sizes(work)))

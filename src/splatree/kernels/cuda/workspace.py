@@ -15,7 +15,7 @@ from splatree.kernels.cuda.job import COUNTERS, array_dtypes, pack_job
 from splatree.kernels.cuda.plan import DIGITS, NUM_SCANS, SORT_TILE, Launch, Sizes
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.tree import BlockIndex, GaussianTree
-from splatree.shapes import Array, UInt32
+from splatree.shapes import Array, Float32, UInt32
 
 __all__ = ["DeviceScene", "Workspace"]
 
@@ -34,8 +34,12 @@ class DeviceScene:
         tree: GaussianTree | None = None,
         blocks: BlockIndex | None = None,
         on_device: Mapping[str, DeviceArray] = MappingProxyType({}),
+        curves: Float32[Array, "n 4"] | None = None,
     ) -> None:
-        """Without a tree the rows can be projected but not selected; columns that are ``on_device`` are not copied."""
+        """Without a tree the rows can be projected but not selected; columns that are ``on_device`` are not copied.
+
+        ``curves`` are those of the tree, which is asked for them if there is one.
+        """
         self.num_rows, self.sh_degree = len(gaussians), gaussians.sh_degree
         self.num_blocks = len(blocks) if blocks else 0
         self.id_bits = int(ids.max(initial=0)).bit_length() if ids is not None else 0
@@ -43,7 +47,9 @@ class DeviceScene:
             name: getattr(gaussians, name) for name in GAUSSIAN_COLUMNS if name not in on_device
         }
         columns["ids"] = ids
+        columns["curves"] = tree.curves if tree is not None else curves
         self.sizes = {"num_rows": self.num_rows, "num_coefficients": gaussians.sh.shape[1]}
+        self.sizes["follows"] = int(columns["curves"] is not None)
         if tree is not None and blocks is not None:
             columns |= {"extents": tree.extents, "subtree_end": tree.subtree_end}
             columns |= {"block_lower": blocks.lower, "block_upper": blocks.upper}

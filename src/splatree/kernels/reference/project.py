@@ -17,16 +17,16 @@ o < θ), or if the box holds no pixel centre's row or column; under a square til
 
 import numpy as np
 
-from splatree.constants import DILATION_MIN_PX2, FRUSTUM_CLAMP, SIGMA_MAX_PX
+from splatree.constants import ALPHA_MAX, DILATION_MIN_PX2, FRUSTUM_CLAMP, SIGMA_MAX_PX
 from splatree.kernels.reference.square import half_sides, rule_of, tile_range
 from splatree.maths.harmonics import colors_from_harmonics
 from splatree.maths.rotations import matrices_from_quats
 from splatree.scene.frame import Splats
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.view import View
-from splatree.shapes import Array, Int32, UInt32
+from splatree.shapes import Array, Float32, Int32, UInt32
 
-__all__ = ["project"]
+__all__ = ["follow", "project"]
 
 
 def project(
@@ -35,16 +35,18 @@ def project(
     rows: Int32[Array, "v"],
     view: View,
     *,
+    curves: Float32[Array, "n 4"] | None = None,
     threads: int = 0,
 ) -> Splats:
     """Splats of the rows that touch the image; ``threads`` is not used."""
     camera = view.camera
     g = gaussians.take(rows)
+    g_curves = np.zeros((len(g), 4)) if curves is None else curves[rows].astype(np.float64)
     W, t = camera.camera_from_world[:3, :3], camera.camera_from_world[:3, 3]
     fx, fy, cx, cy = camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2]
     points = g.means.astype(np.float64) @ W.T + t  # [v 3]
     kept = points[:, 2] > camera.near
-    g, points, rows = g.take(kept), points[kept], rows[kept]
+    g, points, rows, g_curves = g.take(kept), points[kept], rows[kept], g_curves[kept]
     x, y, z = points.T
     means_px = np.stack([fx * x / z + cx, fy * y / z + cy], axis=1)
 
@@ -57,6 +59,9 @@ def project(
     )  # [v 2 3]
     largest = SIGMA_MAX_PX * z / max(fx, fy)
     scales = np.exp(np.minimum(g.log_scales, np.log(largest)[:, None], dtype=np.float64))
+    opacities = g.opacities()
+    if view.mode == "classic":
+        scales, opacities = follow(g_curves, view.dilation_px2 * z**2 / (fx * fy), scales, opacities)
     M = J @ W @ matrices_from_quats(g.quats) * scales[:, None, :]  # [v 2 3]
 
     # The determinant as a sum of positive terms: A C − B² would cancel for long thin splats.
@@ -66,7 +71,6 @@ def project(
     det = undilated_det + dilation * (xx + yy) + dilation**2
     xx, yy = xx + dilation, yy + dilation
 
-    opacities = g.opacities()
     if view.mode == "antialiased":
         opacities = opacities * np.sqrt(undilated_det / det)
     threshold = view.pixel_threshold
@@ -96,6 +100,35 @@ def project(
     rows = np.ascontiguousarray(rows[visible])
     order = np.lexsort((rows if ids is None else ids[rows], records[:, 10])).astype(np.int32)
     return Splats(rows, records, order)
+
+
+def follow(curves: Array, dilations: Array, scales: Array, opacities: Array) -> tuple[Array, Array]:
+    """Scales and opacities with which rows are drawn at a dilation h, world units² (lod/follow.py).
+
+    A curve is (m, n, g, h_l). With w(x) = max(x / 0.99, 1)^0.3 the variances without widening are
+    v = (σ² − (w(g) − 1) h_l) / w(g).
+    Beyond h_l a node is drawn as at h_l. The mass G = √(m² + b h + (n h)²) / A(v, h), b such that G(h_l) = g, at most g, gives
+    the opacity min(0.99, G) and the variances w(G) v + (w(G) − 1) h. Rows with g = 0 are drawn as stored.
+    """
+    bare, far, peak, level = curves.T
+    follows = peak > 0
+    stored = _widening(peak)
+    v = np.maximum(scales.T**2 - (stored - 1) * level, 0) / stored
+    h = np.minimum(dilations, level)
+    slope = np.maximum((peak * _area(v, level)) ** 2 - bare**2 - (far * level) ** 2, 0) / np.where(follows, level, 1)
+    mass = np.minimum(np.sqrt(bare**2 + slope * h + (far * h) ** 2) / _area(v, h), peak)
+    wide = _widening(mass)
+    drawn = np.sqrt(wide * v + (wide - 1) * h).T
+    return np.where(follows[:, None], drawn, scales), np.where(follows, np.minimum(mass, ALPHA_MAX), opacities)
+
+
+def _widening(mass: Array) -> Array:
+    return np.asarray(np.maximum(mass / ALPHA_MAX, 1) ** 0.3)
+
+
+def _area(variances: Array, dilations: Array) -> Array:
+    x, y, z = np.sqrt(variances + dilations)
+    return np.asarray(np.maximum((x * y + y * z + x * z) / 3, 1e-37))
 
 
 def _clamp_to_image(slope: Array, before: float, after: float) -> Array:

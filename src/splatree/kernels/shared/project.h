@@ -1,5 +1,6 @@
 // The projection of one Gaussian; kernels/reference/project.py is the definition.
 #pragma once
+#include "shared/constants.h"
 #include "shared/elementary.h"
 #include "shared/square.h"
 
@@ -46,6 +47,42 @@ SPLATREE_FN float dot(Vector p, Vector q) { return p.x * q.x + p.y * q.y + p.z *
 SPLATREE_FN Vector scale_of(const View& view, float z, Vector log_scale) {
   const float largest = view.sigma_max * z;
   return {least(exp_of(log_scale.x), largest), least(exp_of(log_scale.y), largest), least(exp_of(log_scale.z), largest)};
+}
+
+// How an inner node follows the pixel that it is drawn at; kernels/reference/project.py: follow.
+struct Curve {
+  float bare, far, peak, dilation;  // peak 0: a row that is drawn as stored
+};
+
+struct Followed {
+  Vector scale;
+  float opacity;
+};
+
+SPLATREE_FN float area_of(Vector variance, float dilation) {
+  const float x = __builtin_sqrtf(variance.x + dilation), y = __builtin_sqrtf(variance.y + dilation);
+  const float z = __builtin_sqrtf(variance.z + dilation);
+  return greatest((x * y + y * z + x * z) * 0.333333333f, 1e-37f);
+}
+
+// How much wider variances are for a mass beyond one Gaussian.
+SPLATREE_FN float widening_of(float mass) {
+  return exp2_of(0.3f * log2_of(greatest(mass * float(1 / constants::ALPHA_MAX), 1.f)));
+}
+
+SPLATREE_FN Followed followed_of(const Curve& c, float dilation, Vector scale, float sigmoid) {
+  const float stored = widening_of(c.peak), added = (stored - 1.f) * c.dilation;
+  const Vector v = {greatest((scale.x * scale.x - added) / stored, 0.f), greatest((scale.y * scale.y - added) / stored, 0.f),
+                    greatest((scale.z * scale.z - added) / stored, 0.f)};
+  const float h = least(dilation, c.dilation), far = c.far * h, at_level = c.far * c.dilation;
+  const float most = c.peak * area_of(v, c.dilation);
+  const float slope = greatest(most * most - c.bare * c.bare - at_level * at_level, 0.f) / greatest(c.dilation, 1e-37f);
+  const float mass = least(__builtin_sqrtf(c.bare * c.bare + slope * h + far * far) / area_of(v, h), c.peak);
+  const float wide = widening_of(mass), more = (wide - 1.f) * h;
+  const bool follows = c.peak > 0.f;
+  return {{follows ? __builtin_sqrtf(wide * v.x + more) : scale.x, follows ? __builtin_sqrtf(wide * v.y + more) : scale.y,
+           follows ? __builtin_sqrtf(wide * v.z + more) : scale.z},
+          follows ? least(mass, float(constants::ALPHA_MAX)) : sigmoid};
 }
 
 // The centre in the picture, px, and the rows of J W: f/z (w_axis - u w_depth), px per world unit.

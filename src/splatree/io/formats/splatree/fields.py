@@ -65,9 +65,12 @@ def values_of(struct: Any, prefix: str) -> Iterator[tuple[str, str]]:
             yield prefix + STORED_AS.get(f.name, f.name), json.dumps(value)
 
 
-def column_types(n: int, k: int, *, has_ids: bool) -> dict[str, tuple[np.dtype[Any], tuple[int, ...]]]:
+def column_types(
+    n: int, k: int, *, has_ids: bool, has_curves: bool
+) -> dict[str, tuple[np.dtype[Any], tuple[int, ...]]]:
     """Type and shape of the columns of every scene, by their names: ``n`` rows with ``k`` coefficients of harmonics."""
     floats, ids = np.dtype("<f4"), {"ids": (np.dtype("<u4"), (n,))} if has_ids else {}
+    curves: dict[str, tuple[np.dtype[Any], tuple[int, ...]]] = {"tree.curves": (floats, (n, 4))} if has_curves else {}
     return {
         "gaussians.means": (floats, (n, 3)),
         "gaussians.quats": (floats, (n, 4)),
@@ -77,6 +80,7 @@ def column_types(n: int, k: int, *, has_ids: bool) -> dict[str, tuple[np.dtype[A
         "tree.subtree_end": (np.dtype("<i4"), (n,)),
         "tree.depth": (np.dtype("u1"), (n,)),
         "tree.extents": (floats, (n,)),
+        **curves,
         **ids,
     }
 

@@ -38,6 +38,8 @@ class SceneHead:
     """How the levels were made and must be drawn; None: there are no levels, or nothing is known about them."""
     has_ids: bool = False
     """Whether each row has an identity."""
+    has_curves: bool = False
+    """Whether inner nodes follow the pixel that they are drawn at (`GaussianTree.curves`)."""
     source: Source = field(default_factory=Source)
     """Where the scene came from."""
 
@@ -61,6 +63,7 @@ class SceneHead:
             tile_rule=scene.tile_rule,
             record=scene.tree.record,
             has_ids=scene.ids is not None,
+            has_curves=scene.tree.curves is not None,
             source=scene.source,
         )
 
@@ -98,5 +101,6 @@ def common_head(heads: Sequence[SceneHead]) -> SceneHead:
         sh_degree=max(head.sh_degree for head in heads),
         record=common_record([head.record for head in heads if head.record is not None]),
         has_ids=any(head.has_ids for head in heads),
+        has_curves=any(head.has_curves for head in heads),
         source=joined_source([head.source for head in heads]),
     )

@@ -49,6 +49,8 @@ class SceneRows:
     """Extent of each row, world units (`GaussianTree.extents`)."""
     ids: UInt32[Array, "n"] | None
     """Identity of each row; None: the row number."""
+    curves: Float32[Array, "n 4"] | None = None
+    """How each row follows the pixel that it is drawn at (`GaussianTree.curves`)."""
 
     def __post_init__(self) -> None:
         check_fields(self, n=len(self.gaussians))
@@ -60,7 +62,7 @@ class SceneRows:
     def of(scene: Scene) -> "SceneRows":
         """All rows of a scene in memory."""
         tree = scene.tree
-        return SceneRows(0, scene.gaussians, tree.subtree_end, tree.depth, tree.extents, scene.ids)
+        return SceneRows(0, scene.gaussians, tree.subtree_end, tree.depth, tree.extents, scene.ids, tree.curves)
 
     def scene(self, head: SceneHead) -> Scene:
         """The rows as a scene of their own, drawn as ``head`` says.
@@ -75,7 +77,7 @@ class SceneRows:
                 "whole subtrees of siblings"
             )
         tree = GaussianTree(
-            self.subtree_end - np.int32(self.begin), self.depth - np.uint8(top), self.extents, head.record
+            self.subtree_end - np.int32(self.begin), self.depth - np.uint8(top), self.extents, self.curves, head.record
         )
         ids = self.ids if self.ids is not None else np.arange(self.begin, self.begin + n, dtype=np.uint32)
         scene = Scene(self.gaussians, tree, ids, mode=head.mode, threshold=head.threshold, tile_rule=head.tile_rule)
@@ -124,7 +126,8 @@ class StoredScene:
         gaussians, _ = checked_rows(Gaussians(**columns), where, repair=False, first_row=begin)
         tree = {name: file.rows(f"tree.{name}", begin, end) for name in ("subtree_end", "depth", "extents")}
         ids = file.rows("ids", begin, end) if self.head.has_ids else None
-        rows = SceneRows(begin, gaussians, tree["subtree_end"], tree["depth"], tree["extents"], ids)
+        curves = file.rows("tree.curves", begin, end) if self.head.has_curves else None
+        rows = SceneRows(begin, gaussians, tree["subtree_end"], tree["depth"], tree["extents"], ids, curves)
         check_extents(rows.extents, where, first_row=begin)
         wrong = (rows.subtree_end <= np.arange(begin, end)) | (rows.subtree_end > len(self))
         if wrong.any():
@@ -173,8 +176,8 @@ def _head_of(file: Container) -> SceneHead:
         raise FormatError(
             f"{where}: gaussians.sh: found {sh and sh.shape}, wanted rows of 1, 4, 9 or 16 coefficients of RGB"
         )
-    n, has_ids = sh.shape[0], "ids" in columns
-    for name, (dtype, shape) in column_types(n, sh.shape[1], has_ids=has_ids).items():
+    n, has_ids, has_curves = sh.shape[0], "ids" in columns, "tree.curves" in columns
+    for name, (dtype, shape) in column_types(n, sh.shape[1], has_ids=has_ids, has_curves=has_curves).items():
         found = columns.get(name)
         if found is None or found.shape != shape or found.dtype != dtype:
             said = "no such column" if found is None else f"{found.dtype.name} of shape {found.shape}"
@@ -196,6 +199,7 @@ def _head_of(file: Container) -> SceneHead:
             tile_rule=value_of(values, "extent", where) if "extent" in values else None,
             record=record,
             has_ids=has_ids,
+            has_curves=has_curves,
             source=replace(source, paths=(where,), format="splatree"),
         )
     except TypeError as error:

@@ -44,7 +44,7 @@ class SceneWriter:
         """Rows written so far."""
         self._file = file
         k = (head.sh_degree + 1) ** 2
-        self._places = placed(column_types(head.num_rows, k, has_ids=head.has_ids))
+        self._places = placed(column_types(head.num_rows, k, has_ids=head.has_ids, has_curves=head.has_curves))
         text = header_bytes(_values(head), self._places)
         self._start = len(text)
         file.write(text)
@@ -79,6 +79,8 @@ class SceneWriter:
         self._write("tree.subtree_end", begin, rows.subtree_end + np.int32(begin - rows.begin))
         self._write("tree.depth", begin, rows.depth)
         self._write("tree.extents", begin, rows.extents)
+        if self.head.has_curves:
+            self._write("tree.curves", begin, np.zeros((len(rows), 4)) if rows.curves is None else rows.curves)
         if self.head.has_ids:
             self._write("ids", begin, np.arange(begin, end, dtype=np.uint32) if rows.ids is None else rows.ids)
         self.num_written = end

@@ -18,7 +18,7 @@ namespace splatree {
 namespace {
 
 int64_t project_rows(In<float> means, In<float> quats, In<float> log_scales, In<float> logit_opacities, In<float> sh,
-                     In<int32_t> rows, nb::handle view, double threshold, double least_opacity, nb::handle square,
+                     std::optional<In<float>> curves, In<int32_t> rows, nb::handle view, double threshold, double least_opacity, nb::handle square,
                      bool antialiased, int degree, Out<int32_t> out_rows, Out<float> out_records, Out<float> out_depths,
                      int threads) {
   const int64_t num_rows = int64_t(rows.shape(0));
@@ -29,6 +29,7 @@ int64_t project_rows(In<float> means, In<float> quats, In<float> log_scales, In<
                        log_scales.data(),
                        logit_opacities.data(),
                        sh.data(),
+                       curves ? curves->data() : nullptr,
                        int(sh.shape(1)),
                        degree,
                        seen,
@@ -116,9 +117,9 @@ void blend_tiles(py::Splats splats, py::TileBins bins, py::View view, bool whole
 
 void bind_render(nb::module_& m) {
   m.def("project_rows", &project_rows, nb::arg("means"), nb::arg("quats"), nb::arg("log_scales"), nb::arg("logit_opacities"),
-        nb::arg("sh"), nb::arg("rows"), nb::arg("view"), nb::arg("threshold"), nb::arg("least_opacity"), nb::arg("square").none(),
-        nb::arg("antialiased"), nb::arg("degree"), nb::arg("out_rows"), nb::arg("out_records"), nb::arg("out_depths"),
-        nb::arg("threads"), "Project rows; returns the number of records written.");
+        nb::arg("sh"), nb::arg("curves").none(), nb::arg("rows"), nb::arg("view"), nb::arg("threshold"), nb::arg("least_opacity"),
+        nb::arg("square").none(), nb::arg("antialiased"), nb::arg("degree"), nb::arg("out_rows"), nb::arg("out_records"),
+        nb::arg("out_depths"), nb::arg("threads"), "Project rows; returns the number of records written.");
   m.def("order_splats", &order_splats, nb::arg("depths"), nb::arg("rows"), nb::arg("ids").none(), nb::arg("order"),
         nb::arg("threads"), "Indices of the splats by depth, equal depths by id.");
   m.def("bin_splats", &bin_splats, nb::arg("splats"), nb::arg("view"), nb::arg("square").none(), nb::arg("whole_box"),

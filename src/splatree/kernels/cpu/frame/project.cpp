@@ -37,6 +37,7 @@ struct alignas(64) Planes {
   float mean[3][BATCH], quat[4][BATCH], log_scale[3][BATCH], logit_opacity[BATCH];
   float dx[BATCH], dy[BATCH], dz[BATCH];
   float tx[3][BATCH], ty[3][BATCH], scale[3][BATCH], sigmoid[BATCH], mx[3][BATCH], my[3][BATCH];
+  float curve[4][BATCH];
   int32_t kept[BATCH];
   float out[NUM_COLUMNS][BATCH];
   float basis[MAX_COEFFICIENTS][BATCH];
@@ -126,6 +127,24 @@ void shape_batch(const ProjectJob& job, int num_blocks, Planes& p) {
   });
 }
 
+// Inner nodes are drawn by the pixel at their depth.
+void follow_batch(const ProjectJob& job, const Batch& batch, Planes& p) {
+  const int64_t num_lanes = batch.num_blocks * LANES;
+  if (batch.is_run) {
+    load_run<4>(job.curves + 4 * int64_t(batch.row[0]), num_lanes, p.curve);
+  } else {
+    for (int i = 0; i < num_lanes; i += 4) load_four<4>(job.curves, four_of(batch.row + i), 4, i, p.curve);
+  }
+  const float per_square = job.view.dilation / (job.view.fx * job.view.fy);
+  for_lanes(batch.num_blocks, [&](int i) {
+    const Curve curve = {p.curve[0][i], p.curve[1][i], p.curve[2][i], p.curve[3][i]};
+    const Vector scale = load(p.scale, i);
+    const Followed f = followed_of(curve, per_square * p.out[DEPTH][i] * p.out[DEPTH][i], scale, p.sigmoid[i]);
+    store(f.scale, p.scale, i);
+    p.sigmoid[i] = f.opacity;
+  });
+}
+
 void project_batch(const ProjectJob& job, const Batch& batch, Planes& p) {
   const int num_blocks = batch.num_blocks;
   load_places(job, batch, p);
@@ -142,6 +161,7 @@ void project_batch(const ProjectJob& job, const Batch& batch, Planes& p) {
     store(scale_of(job.view, p.out[DEPTH][i], load(p.log_scale, i)), p.scale, i);
     p.sigmoid[i] = sigmoid_of(p.logit_opacity[i]);
   });
+  if (job.curves) follow_batch(job, batch, p);
   for_lanes(num_blocks, [&](int i) {
     const Factor m =
         factor_of(load(p.tx, i), load(p.ty, i), p.quat[0][i], p.quat[1][i], p.quat[2][i], p.quat[3][i], load(p.scale, i));

@@ -9,6 +9,7 @@ namespace splatree {
 struct ProjectJob {
   // n rows of Gaussians, as stored
   const float *means, *quats, *log_scales, *logit_opacities, *sh;
+  const float* curves;   // n 4, how rows follow the pixel; null: all are drawn as stored
   int num_coefficients;  // of sh, a channel
   int degree;            // evaluated
   View view;

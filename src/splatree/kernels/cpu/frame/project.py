@@ -19,6 +19,7 @@ def project(
     rows: Int32[Array, "v"],
     view: View,
     *,
+    curves: Float32[Array, "n 4"] | None = None,
     threads: int = 0,
 ) -> Splats:
     """Splats of the rows that touch the image."""
@@ -35,6 +36,7 @@ def project(
         gaussians.log_scales,
         gaussians.logit_opacities,
         gaussians.sh,
+        curves if view.mode == "classic" else None,
         rows,
         pack_view(view),
         view.pixel_threshold,
