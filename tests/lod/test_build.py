@@ -96,7 +96,7 @@ def test_extents_hold_the_subtree_and_grow_upwards(gaussians):
 
 def test_an_inner_node_has_the_mean_and_covariance_of_its_leaves():
     merge = MergeOptions(opacity="union", weight="opacity")
-    options = BuildOptions(max_roots=4, color_radius=None, merge=merge)
+    options = BuildOptions(max_roots=4, color_radius=None, merge=merge, follow=False)
     check_moments(build_lod(Scene.flat(surface(400, degree=1)), options), num_merges=10)
 
 

@@ -96,7 +96,9 @@ def test_a_large_node_waits_for_large_pixels_however_little_it_changes():
 
 
 def test_an_inner_node_has_the_mean_and_covariance_of_its_leaves():
-    options = replace(PAIRS, max_roots=4, merge=MergeOptions(opacity="union", weight="opacity"), visibility=False)
+    options = replace(
+        PAIRS, max_roots=4, merge=MergeOptions(opacity="union", weight="opacity"), visibility=False, follow=False
+    )
     check_moments(build_lod(Scene.flat(surface(300, degree=1)), options), num_merges=30)
 
 

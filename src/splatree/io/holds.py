@@ -30,6 +30,8 @@ class Holds:
     """Whether it names τ, the opacity below which a splat ends."""
     record: bool = False
     """Whether it keeps how levels were made and are to be drawn (`LevelRecord`, and the extents that belong to it)."""
+    curves: bool = False
+    """Whether it keeps how merged nodes follow the pixel that they are drawn at (`GaussianTree.curves`)."""
     clusters: bool = False
     """Whether it keeps clusters."""
     origin: bool = False
@@ -54,11 +56,13 @@ def losses(
     num_merged: int = 0,
     num_clusters: int = 0,
     record: LevelRecord | None = None,
+    has_curves: bool = False,
 ) -> Iterator[str]:
     """What of a scene the format ``name`` cannot hold, a sentence each; what follows from the values says its writer.
 
     ``num_merged`` counts the nodes of a tree that are left out because its leaves are written, ``num_clusters`` the clusters that
-    are not written. ``record`` says how the levels were made that are written.
+    are not written. ``record`` says how the levels were made that are written, ``has_curves`` whether their nodes follow the
+    pixel that they are drawn at.
     """
     if num_merged:
         yield f"the levels of detail, {num_merged:,} merged nodes: {name} gets the leaves"
@@ -69,6 +73,8 @@ def losses(
             f"how levels are drawn: they were made by the rule {record.rule} for the profile {record.profile}; {name} cannot say "
             "it, and what reads the file has to choose"
         )
+    if has_curves and not holds.curves:
+        yield f"how merged nodes look nearer than their level was made for: {name} holds them as they are at their level"
     if sh_degree > holds.sh_degree:
         above = (
             f"degree {sh_degree}"

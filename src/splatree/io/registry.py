@@ -127,7 +127,7 @@ FORMATS: tuple[Format, ...] = (
         description="native, with levels",
         suffixes=(".splatree",),
         versions="1",
-        holds=Holds(origin=True, lossless=True, levels="tree", threshold=True, record=True, clusters=True),
+        holds=Holds(origin=True, lossless=True, levels="tree", threshold=True, record=True, curves=True, clusters=True),
         sniff=store.sniff,
         read=store.read,
         write=store.write,
@@ -401,6 +401,7 @@ def write(
         num_merged=num_merged,
         num_clusters=0 if clusters is None or keeps_clusters else len(clusters),
         record=scene.tree.record if scene.tree.depth.any() else None,
+        has_curves=scene.tree.curves is not None and bool(scene.tree.depth.any()),
     )
     lost = (*lost, *origin_lost(chosen.holds, chosen.name, scene.source.origin))
     if chosen.write is None:

@@ -13,7 +13,8 @@ with its dilation: its variance becomes w (v + h), w = max(1, G / 0.99)^0.3, so 
 
 A node is *stored* as it is drawn at the pixel that its level was made for, h_l. Viewers that know nothing of the rest draw this,
 and every file format holds it. Nearer than that it is drawn with less: `GaussianTree.curves` keeps m = M(0), n = M'(∞),
-g = G(h_l) and h_l, from which G follows at any h by a closed form that is exact at 0, at h_l and far away (kernels/reference/project.py):
+g = G(h_l) and h_l, from which G follows at any h by a closed form. It is exact at 0, at h_l and far away
+(kernels/reference/project.py):
 
     G(h) = √(m² + b h + (n h)²) / A_node(h),     b such that G(h_l) = g
 
@@ -29,6 +30,7 @@ import numpy as np
 
 from splatree.constants import ALPHA_MAX, DILATION_PX2, MERGED_LOG_SCALE_MAX, PIXEL_ERROR, SIGMAS
 from splatree.maths.covariance import covariances_from_gaussians
+from splatree.maths.forests import subtree_radii
 from splatree.maths.rotations import quats_from_matrices
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Scene
@@ -39,6 +41,8 @@ __all__ = ["with_curves"]
 
 LEAST_VARIANCE = 1e-24
 """Variances below this, world units², are taken for it: a logarithm is taken of them."""
+LARGEST = 1e15
+"""Areas beyond this, world units², are no longer told apart in float32, whose squares end at 1e38."""
 STEPS_PER_OCTAVE = 2
 """h_l is taken in steps of √2, so that masses are summed for a few of its values and not for each node's own."""
 
@@ -80,8 +84,10 @@ def with_curves(scene: Scene, *, visibility: bool = True, threads: int = 0) -> S
     peak = shown / _areas(variances, dilations)  # G(h_l)
     wide = np.maximum(peak / ALPHA_MAX, 1) ** 0.3
     stored = wide[:, None] * variances + ((wide - 1) * dilations)[:, None]
+    numbers = np.stack([bare, far, peak, dilations], axis=1)
+    numbers[~(numbers < LARGEST).all(axis=1)] = 0  # nodes of absurd sizes are drawn as stored
     new = np.zeros((len(g), 4), np.float32)
-    new[inner] = np.stack([bare, far, peak, dilations], axis=1)
+    new[inner] = numbers
 
     opacities = np.clip(peak, 1e-6, ALPHA_MAX)
     columns = {name: getattr(g, name).copy() for name in ("means", "quats", "log_scales", "logit_opacities")}
@@ -90,9 +96,11 @@ def with_curves(scene: Scene, *, visibility: bool = True, threads: int = 0) -> S
     columns["log_scales"][inner] = np.minimum(0.5 * np.log(stored), MERGED_LOG_SCALE_MAX)
     columns["logit_opacities"][inner] = np.log(opacities) - np.log1p(-opacities)
     gaussians = Gaussians(**columns, sh=g.sh)
-    return dataclasses.replace(
-        scene, gaussians=gaussians, tree=dataclasses.replace(tree, curves=new), blocks=None, clusters=None
-    )
+    extents = tree.extents
+    if tree.record is None or tree.record.profile != "sphere":  # balls that hold all that is below
+        extents = subtree_radii(gaussians.means, gaussians.reach(), tree.depth)
+    followed = dataclasses.replace(tree, curves=new, extents=extents)
+    return dataclasses.replace(scene, gaussians=gaussians, tree=followed, blocks=None, clusters=None)
 
 
 def _level_dilations(scene: Scene, inner: Array, variances: Array) -> Float64[Array, "i"]:
@@ -143,7 +151,7 @@ class _Sums:
         self, inner: Array, weights: Array, leaves: Gaussians, steps: Int64[Array, "i"]
     ) -> tuple[Float64[Array, "i"], Float64[Array, "i"], Float64[Array, "i"]]:
         """Σ w, Σ w A(0) and Σ w A(h) of the leaves below inner nodes, h that of the node's step."""
-        variances = leaves.scales() ** 2
+        variances = np.exp(2 * np.minimum(leaves.log_scales, MERGED_LOG_SCALE_MAX).astype(np.float64))
         shown = np.empty(len(inner))
         for step in np.unique(steps):
             chosen = np.flatnonzero(steps == step)

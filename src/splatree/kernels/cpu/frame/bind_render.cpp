@@ -18,9 +18,9 @@ namespace splatree {
 namespace {
 
 int64_t project_rows(In<float> means, In<float> quats, In<float> log_scales, In<float> logit_opacities, In<float> sh,
-                     std::optional<In<float>> curves, In<int32_t> rows, nb::handle view, double threshold, double least_opacity, nb::handle square,
-                     bool antialiased, int degree, Out<int32_t> out_rows, Out<float> out_records, Out<float> out_depths,
-                     int threads) {
+                     std::optional<In<float>> curves, In<int32_t> rows, nb::handle view, double threshold, double least_opacity,
+                     nb::handle square, bool antialiased, int degree, Out<int32_t> out_rows, Out<float> out_records,
+                     Out<float> out_depths, int threads) {
   const int64_t num_rows = int64_t(rows.shape(0));
   View seen = view_of(view, threshold, antialiased);
   seen.least_opacity = float(least_opacity);
