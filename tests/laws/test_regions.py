@@ -49,7 +49,7 @@ def built_by_boxes(scene, options, cell_rows, num_levels, widths):
 )
 def test_boxes_give_the_tree_of_a_build_at_once(gaussians, cell_rows, num_levels, widths, mode):
     scene = st.Scene.flat(gaussians, mode=mode)
-    options = st.BuildOptions(radius=0.15, max_roots=1)
+    options = st.BuildOptions(follow=False, radius=0.15, max_roots=1)
     whole = st.build_lod(scene, options)
     found, counts = built_by_boxes(scene, options, cell_rows, num_levels, widths)
     # A build at once ends when one node is left, so there may be no more levels than that takes.
@@ -59,7 +59,7 @@ def test_boxes_give_the_tree_of_a_build_at_once(gaussians, cell_rows, num_levels
 
 def test_everywhere_is_a_region_that_owns_all():
     scene = st.Scene.flat(hard_scene(300, "surface", 4, degree=1))
-    options = st.BuildOptions(radius=0.2, max_roots=1)
+    options = st.BuildOptions(follow=False, radius=0.2, max_roots=1)
     resolved = resolved_for(scene, options)
     owned = grow_region(forest_of_leaves(scene, resolved), resolved, Region(EVERYWHERE, np.inf), num_levels=4)
     grown = grow(forest_of_leaves(scene, resolved), resolved, num_levels=4)
@@ -70,12 +70,12 @@ def test_everywhere_is_a_region_that_owns_all():
 
 def test_a_region_that_is_too_small_is_told():
     scene = st.Scene.flat(hard_scene(100, "surface", 1))
-    resolved = resolved_for(scene, st.BuildOptions(radius=0.2))
+    resolved = resolved_for(scene, st.BuildOptions(follow=False, radius=0.2))
     box = halve(scene.gaussians.means, 30).boxes[0]
     inputs = np.flatnonzero(box.distances(scene.gaussians.means) <= 0.5)
     part = st.Scene.flat(scene.gaussians.take(inputs))
     with pytest.raises(TooNarrowError, match=r"found 0\.5 world units known around the box"):
         grow_region(forest_of_leaves(part, resolved, inputs=inputs), resolved, Region(box, 0.5), num_levels=2)
     with pytest.raises(st.InputError, match="found method 'pairs'"):
-        pairs = resolved_for(scene, st.BuildOptions(method="pairs"))
+        pairs = resolved_for(scene, st.BuildOptions(follow=False, method="pairs"))
         grow_region(forest_of_leaves(scene, pairs), pairs, Region(EVERYWHERE, np.inf), num_levels=1)
