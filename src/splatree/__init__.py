@@ -15,6 +15,11 @@ _NAMES = {
         "build_clusters",
     ),
     "clusters.cull": ("cull",),
+    "edit.clean": (
+        "CleanOptions",
+        "Cleaned",
+        "clean",
+    ),
     "edit.edit": ("edit",),
     "edit.options": ("EditOptions",),
     "errors": (

@@ -2,6 +2,9 @@
 from splatree.clusters.build import ClusterOptions as ClusterOptions
 from splatree.clusters.build import build_clusters as build_clusters
 from splatree.clusters.cull import cull as cull
+from splatree.edit.clean import CleanOptions as CleanOptions
+from splatree.edit.clean import Cleaned as Cleaned
+from splatree.edit.clean import clean as clean
 from splatree.edit.edit import edit as edit
 from splatree.edit.options import EditOptions as EditOptions
 from splatree.errors import DeviceError as DeviceError

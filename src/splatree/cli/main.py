@@ -36,6 +36,7 @@ VERBS = {
     "demo": "build, draw and judge a bundled piece of a real city",
     "info": "say what a scene holds",
     "convert": "write a scene in another format",
+    "clean": "drop floaters and outliers",
     "thin": "merge Gaussians that are close, to a radius, a share or a count",
     "build": "build the levels of detail of a scene",
     "calibrate": "choose the opacity at which splats end, by a loss of quality that is allowed",

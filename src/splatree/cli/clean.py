@@ -1,0 +1,105 @@
+"""``splatree clean``: a scene without floaters and outliers."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from tyro.conf import arg
+
+from splatree.cli.console import Console, UsageError, size
+from splatree.cli.files import Files, inputs_and_output, lost_and_noted, read_scene, repairs_of, told
+from splatree.edit.clean import CleanOptions, clean
+from splatree.io.cameras.files import read_cameras
+from splatree.io.registry import stored_bytes, write
+
+
+@dataclass(frozen=True)
+class Command:
+    """Drop what does not belong into a scene: Gaussians by size, by distance, and floaters that touch nothing.
+
+    --dry-run says what each filter would drop, and writes nothing.
+
+    splatree clean city.ply --floaters --max-distance 5 --dry-run
+    splatree clean city.ply clean.ply --floaters
+    """
+
+    files: Annotated[Files, arg(name="", help="")]
+    dry_run: bool = False
+    """Say what each filter would drop; write nothing, and ask for no output."""
+    cameras: Path | None = None
+    """For --max-distance: cameras.json, transforms.json or a COLMAP model; distances are those to the nearest camera."""
+    options: Annotated[CleanOptions, arg(name="", help="")] = CleanOptions()
+    console: Annotated[Console, arg(name="", help="")] = Console()
+
+
+@dataclass(frozen=True)
+class Result:
+    """What was dropped."""
+
+    output: Path | None
+    """The file; None for a dry run."""
+    num_read: int
+    """Gaussians read, without merged ones."""
+    num_gaussians: int
+    """Gaussians left."""
+    dropped: dict[str, int]
+    """Gaussians that each filter drops; one that several drop counts for each."""
+    bytes: int
+    """Size of the file; 0 for a dry run."""
+    repairs: dict[str, int]
+    """How many values or rows each rule of repair touched."""
+    lost: tuple[str, ...]
+    """What of the inputs the file does not hold, a sentence each."""
+    notes: tuple[str, ...] = ()
+    """What reading did that the user should know, a sentence each."""
+
+
+def run(command: Command) -> Result:
+    """Read, filter, write."""
+    if command.options == replace(
+        CleanOptions(), cell=command.options.cell, smallest_piece=command.options.smallest_piece
+    ):
+        raise UsageError("found no filter, wanted --floaters, --max-distance, --max-size or --min-size")
+    if command.cameras is not None and command.options.max_distance is None:
+        raise UsageError("cameras: found no --max-distance, wanted it: distances to the cameras are what they are for")
+    if command.dry_run:
+        inputs, output = command.files.paths, None
+        if not inputs:
+            raise UsageError("found no path, wanted a scene")
+    else:
+        inputs, output = inputs_and_output(command.files)
+    cameras = None
+    if command.cameras is not None:
+        cameras = np.array([camera.position for camera in read_cameras(command.cameras)])
+    scene = read_scene(inputs, command.files.reading)
+    cleaned = clean(scene, command.options, cameras=cameras)
+    lost = () if output is None else write(cleaned.scene, output, force=command.files.force)
+    lost, notes = lost_and_noted(scene, lost)
+    return Result(
+        output=output,
+        num_read=scene.tree.num_leaves,
+        num_gaussians=scene.tree.num_leaves - cleaned.num_dropped,
+        dropped=cleaned.dropped,
+        bytes=0 if output is None else stored_bytes(output),
+        repairs=repairs_of(scene),
+        lost=() if output is None else lost,
+        notes=notes,
+    )
+
+
+def show(result: Result) -> str:
+    """The result in words."""
+    of = max(1, result.num_read)
+    would = "would drop" if result.output is None else "dropped"
+    lines = [f"{name}: {would} {count:,} ({100 * count / of:.2f} %)" for name, count in result.dropped.items()]
+    left = f"{result.num_gaussians:,} of {result.num_read:,} Gaussians"
+    if result.output is None:
+        return "\n".join([*lines, f"{left} would be left"])
+    return "\n".join(
+        [
+            *lines,
+            f"wrote {result.output}: {left}, {size(result.bytes)}",
+            *told(result.repairs, result.lost, result.notes),
+        ]
+    )
