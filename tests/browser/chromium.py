@@ -100,7 +100,7 @@ class Page:
             raise RuntimeError(found["exceptionDetails"].get("exception", {}).get("description", str(found)))
         return found["result"].get("value")
 
-    def wait_for(self, expression: str, timeout: float = 120) -> None:
+    def wait_for(self, expression: str, timeout: float = 300) -> None:
         """Wait until an expression is true; an error says what the page complained about."""
         deadline = time.monotonic() + timeout
         while not self.evaluate(f"Boolean({expression})"):
