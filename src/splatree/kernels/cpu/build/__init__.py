@@ -1,0 +1,1 @@
+"""What builds levels and clusters: thinning, pairs, merging, visibility, K-means."""
