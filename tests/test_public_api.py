@@ -1,4 +1,5 @@
 import ast
+import dataclasses
 import inspect
 import subprocess
 import sys
@@ -15,6 +16,13 @@ def test_public_names_are_sorted_and_can_be_loaded():
     for name in splatree.__all__:
         assert not inspect.ismodule(getattr(splatree, name))
         assert getattr(splatree, name).__name__ == name
+
+
+def test_public_structs_are_frozen():
+    """Shapes are checked once, when a struct is made; they hold because nothing is replaced in it afterwards."""
+    structs = [value for name in splatree.__all__ if dataclasses.is_dataclass(value := getattr(splatree, name))]
+    assert len(structs) > 20
+    assert [struct.__name__ for struct in structs if not struct.__dataclass_params__.frozen] == []
 
 
 def test_type_checkers_see_the_names_that_are_loaded():

@@ -194,3 +194,8 @@ def test_scales_beyond_the_limits_are_clamped_to_them(found, wanted):
     assert fixed.log_scales[4, 1] == wanted
     bad.log_scales[4, 1] = wanted
     assert same_bits(fixed.log_scales, bad.log_scales)
+
+
+def test_each_byte_of_opacity_has_the_logit_of_its_share():
+    assert len(LOGIT_FROM_BYTE) == 256
+    np.testing.assert_allclose(1 / (1 + np.exp(-LOGIT_FROM_BYTE.astype(np.float64))), np.arange(256) / 255, atol=1.1e-6)

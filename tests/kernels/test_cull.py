@@ -6,6 +6,7 @@ from splatree.clusters.cull import sides_of
 from splatree.kernels import reference
 from splatree.kernels.cpu import frame as cpu
 from splatree.kernels.cpu.build import spheres
+from splatree.scene.clusters import Sides
 from splatree.scene.options import Cull
 from splatree.scene.view import View
 
@@ -135,3 +136,22 @@ def test_a_scene_of_spheres_is_checked_against_its_gaussians() -> None:
     assert not clusters.fits(moved)
     with pytest.raises(st.ShapeError, match="clusters of other Gaussians"):
         st.Scene(moved, scene.tree, clusters=clusters)
+
+
+@pytest.mark.parametrize("shape", ["sphere", "box"])
+def test_slack_and_margin_widen_by_what_the_formula_says(isa: str, shape: str) -> None:
+    """At x = 100 from the eye at y = 8, one unit beyond the plane x = 99 and as large as 1/4: 3/4 have to be added."""
+    planes = np.zeros((5, 4))
+    planes[:, 3] = -1e9  # nothing is beyond these
+    planes[0] = 1, 0, 0, -99
+    center, quarter = np.float32([[100, 10, 5]]), np.float32([0.25])
+    distance = 100 + 2 + 5  # |c − eye|₁
+    box_reaches = np.tile([1.0, 0, 0], (5, 1)) if shape == "box" else None
+    for slack, margin in ((0.76 / distance, 0), (0.74 / distance, 0), (0, 0.76), (0, 0.74), (0.5 / distance, 0.26)):
+        sides = Sides(planes, np.ones(5), np.array([0.0, 8, 0]), slack=slack, margin=margin, box_reaches=box_reaches)
+        for stage in (cpu.cull, reference.cull):
+            if shape == "sphere":
+                kept = stage.cull(center, quarter, quarter, sides)
+            else:
+                kept = stage.cull_boxes(center - quarter, center + quarter, sides)
+            assert kept.tolist() == [slack * distance + margin > 0.75]

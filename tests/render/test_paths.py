@@ -5,7 +5,8 @@ import pytest
 
 from splatree.errors import InputError
 from splatree.maths.rotations import matrices_from_quats, quat_from_matrix
-from splatree.render.paths import PathOptions, bounds_of, flyout, orbit, through
+from splatree.render.framing.frame import frame_scene
+from splatree.render.paths import PathOptions, bounds_of, flyout, orbit, through, turn
 from splatree.scene.cameras import Camera
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Scene
@@ -164,6 +165,29 @@ def test_a_path_turns_the_shorter_way_whatever_the_signs_of_the_quaternions():
         for k in range(5):
             # The angle of a rotation comes from a cosine: 1e-16 there is 1e-8 rad where the cosine is flat.
             assert angle_between(cameras[i], quarters[4 * i + k]) == pytest.approx(k / 4 * whole, abs=1e-6)
+
+
+@pytest.mark.parametrize("inside", [False, True])
+def test_a_turn_goes_all_round_in_even_steps(ball, inside):
+    """About the target from outside, about the eye from within; the vertical and the distance stay."""
+    up = np.array([0.0, 0.6, 0.8])
+    eye, target = np.array([10.0, 16, 30]), np.array([10.0, 20, 30])
+    framing = replace(frame_scene(scene_of(ball)), up=up, inside=inside, eye=eye, target=target)
+    views = list(turn(framing, PathOptions(views=8, width=64, height=36)))
+    first = framing.camera(64, 36)
+    assert views[0].camera_from_world == pytest.approx(first.camera_from_world, abs=1e-9)
+    angle = np.pi / 4
+    for before, after in zip(views, [*views[1:], views[0]], strict=True):
+        a, b = before.camera_from_world[2, :3], after.camera_from_world[2, :3]
+        assert b @ up == pytest.approx(a @ up)
+        flat_a, flat_b = a - (a @ up) * up, b - (b @ up) * up
+        assert flat_a @ flat_b == pytest.approx(np.cos(angle) * (flat_a @ flat_a))
+        if inside:
+            assert after.position == pytest.approx(eye)
+        else:
+            assert np.linalg.norm(after.position - target) == pytest.approx(4)
+            assert after.position @ up == pytest.approx(eye @ up)
+            assert after.position - target == pytest.approx(-4 * b)
 
 
 def angle_between(a, b):
