@@ -31,13 +31,13 @@ from splatree.constants import (
     ALPHA_THRESHOLD,
     DILATION_MIN_PX2,
     EIGENVALUE_FLOOR_PX4,
-    FRUSTUM_CLAMP,
     SHRINK_PAD_PX,
     SIGMAS,
     TILE_PX,
 )
 from splatree.errors import InputError
 from splatree.kernels.cpu.frame import cull as kernel
+from splatree.maths.slopes import held_slopes
 from splatree.scene.cameras import Camera
 from splatree.scene.clusters import ClusterIndex, Culling, Sides
 from splatree.scene.options import Cull
@@ -175,16 +175,15 @@ def _margins_of_square(axes: Axes, size: int, dilation_px2: float, pad_px: float
     sigma_of_dot = math.sqrt(max(dilation_px2, DILATION_MIN_PX2) + math.sqrt(EIGENVALUE_FLOOR_PX4))
     extra = SIGMAS * sigma_of_dot + 1 + 0.5 + pad_px  # ⌈·⌉, and pixel centres at whole numbers
     # The Jacobian's slopes end at 1.3 half fields of view, as if the principal point were in the middle.
-    slopes = (
-        max(FRUSTUM_CLAMP * pixels / (2 * focal), _slope(focal, centre, pixels)) for focal, centre, pixels in axes
-    )
+    slopes = (max(_slope(focal, pixels / 2, pixels), _slope(focal, centre, pixels)) for focal, centre, pixels in axes)
     widest = max(focal for focal, _, _ in axes)
     return Margins(0, TILE_PX * math.ceil(size / TILE_PX), extra, widest * math.hypot(1, *slopes))
 
 
 def _slope(focal: float, centre: float, size: int) -> float:
-    """Largest |x/z| in the Jacobian: the image's borders and 0.3 half fields of view."""
-    return max(centre, size - centre) / focal + (FRUSTUM_CLAMP - 1) * size / (2 * focal)
+    """Largest |x/z| in the Jacobian."""
+    least, largest = held_slopes(focal, centre, size)
+    return max(-least, largest)
 
 
 def _sides(
@@ -218,9 +217,9 @@ def _box_reaches(camera: Camera, axes: Axes, planes: Array, reaches: Array) -> F
     x_and_y, depth = camera.camera_from_world[:2, :3], camera.camera_from_world[2, :3]
     focal, slope = np.array(
         [
-            (sign * focal, to_border / focal + (FRUSTUM_CLAMP - 1) * size / (2 * focal))
+            (sign * focal, sign * slope)
             for focal, centre, size in axes
-            for sign, to_border in ((1, size - centre), (-1, centre))
+            for sign, slope in zip((1, -1), held_slopes(focal, centre, size)[::-1], strict=True)
         ]
     ).T[:, :, None]  # [4 1] each
     last = focal * x_and_y[[0, 0, 1, 1]] - np.abs(focal) * slope * depth  # [4 3]

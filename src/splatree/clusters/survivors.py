@@ -13,10 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splatree.constants import ALPHA_THRESHOLD, DILATION_PX2, EIGENVALUE_FLOOR_PX4, FRUSTUM_CLAMP, SIGMAS, TILE_PX
+from splatree.constants import ALPHA_THRESHOLD, DILATION_PX2, EIGENVALUE_FLOOR_PX4, SIGMAS, TILE_PX
 from splatree.errors import InputError
 from splatree.kernels.cpu.frame.project import project
 from splatree.maths.rotations import matrices_from_quats
+from splatree.maths.slopes import held_slopes
 from splatree.scene.cameras import Camera
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.options import Cull
@@ -60,13 +61,8 @@ def _project(gaussians: Gaussians, camera: Camera, *, symmetric: bool) -> _Splat
     (fx, _, cx), (_, fy, cy), _ = camera.K.astype(np.float32)
     held = []
     for slope, focal, centre, size in ((x / z, fx, cx, camera.width), (y / z, fy, cy, camera.height)):
-        half = np.float32(size) / (2 * focal)
-        if symmetric:
-            low, high = -np.float32(FRUSTUM_CLAMP) * half, np.float32(FRUSTUM_CLAMP) * half
-        else:
-            margin = np.float32(FRUSTUM_CLAMP - 1) * half
-            low, high = -centre / focal - margin, (size - centre) / focal + margin
-        held.append(np.clip(slope, low, high))
+        low, high = held_slopes(float(focal), size / 2 if symmetric else float(centre), size)
+        held.append(np.clip(slope, np.float32(low), np.float32(high)))
     axes = matrices_from_quats(gaussians.quats).astype(np.float32) * np.exp(gaussians.log_scales)[:, None, :]
     seen = [sum(view[i, j] * axes[:, j] for j in range(3)) for i in range(3)]  # rows of W R S, [n 3] each
     first = (fx / z)[:, None] * (seen[0] - held[0][:, None] * seen[2])

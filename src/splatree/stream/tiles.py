@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from splatree.constants import SIGMAS
 from splatree.io.chunks import ROWS_PER_CHUNK, Chunks
 from splatree.io.formats.glb.names import EXTENSION, SPZ_EXTENSION
 from splatree.io.formats.glb.writer import write_tile
@@ -44,9 +45,6 @@ _ERROR_PER_EXTENT = 16 / 3
 
 _CHILDREN = 4
 """A tile is divided into groups of this share of its leaves."""
-
-_SIGMAS = 3.0
-"""Boxes hold so many standard deviations: Cesium draws √8."""
 
 
 @dataclass(eq=False)
@@ -132,7 +130,7 @@ def _write_tile(scene: Scene, folder: Folder, numbered: tuple[int, Tile]) -> tup
 
         with replacing(folder.path / name, force=True) as temporary:
             write_tile(Chunks(len(g), g.sh_degree, scene.mode, make), temporary)
-    return name, was_there, box_around(g, np.zeros(1, np.int64), sigmas=_SIGMAS)[0]
+    return name, was_there, box_around(g, np.zeros(1, np.int64), sigmas=SIGMAS)[0]
 
 
 def _manifest(tiles: list[Tile], names: list[str], boxes: Array, options: StreamOptions) -> dict[str, Any]:

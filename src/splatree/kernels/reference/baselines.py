@@ -7,6 +7,7 @@ depth    the distance of v's mean from the eye lies in a band, and the band asks
 
 import numpy as np
 
+from splatree.constants import SIGMAS
 from splatree.kernels.reference.select import shadowed
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.tree import GaussianTree
@@ -17,7 +18,7 @@ __all__ = ["depth_flags", "first_stops", "nested_boxes", "small_boxes"]
 
 def nested_boxes(gaussians: Gaussians, tree: GaussianTree) -> tuple[Float32[Array, "n 3"], Float32[Array, "n 3"]]:
     """Lower and upper corners of the boxes around means ± 3 σ of each row and all below it, σ the row's largest."""
-    reach = 3 * np.exp(gaussians.log_scales.max(axis=1, keepdims=True))
+    reach = SIGMAS * np.exp(gaussians.log_scales.max(axis=1, keepdims=True))
     lower, upper = gaussians.means - reach, gaussians.means + reach
     subtrees = [slice(i, end) for i, end in enumerate(tree.subtree_end)]
     nested = [lower[s].min(axis=0) for s in subtrees], [upper[s].max(axis=0) for s in subtrees]

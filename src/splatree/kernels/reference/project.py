@@ -17,10 +17,11 @@ o < θ), or if the box holds no pixel centre's row or column; under a square til
 
 import numpy as np
 
-from splatree.constants import ALPHA_MAX, DILATION_MIN_PX2, FRUSTUM_CLAMP, SIGMA_MAX_PX
+from splatree.constants import ALPHA_MAX, DILATION_MIN_PX2, SIGMA_MAX_PX
 from splatree.kernels.reference.square import half_sides, rule_of, tile_range
 from splatree.maths.harmonics import colors_from_harmonics
 from splatree.maths.rotations import matrices_from_quats
+from splatree.maths.slopes import held_slopes
 from splatree.scene.frame import Splats
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.view import View
@@ -51,8 +52,8 @@ def project(
     means_px = np.stack([fx * x / z + cx, fy * y / z + cy], axis=1)
 
     # The Jacobian at the clamped direction, and the factor M = J W R S with Σ' = M Mᵀ + dilation I.
-    ux = _clamp_to_image(x / z, cx / fx, (camera.width - cx) / fx)
-    uy = _clamp_to_image(y / z, cy / fy, (camera.height - cy) / fy)
+    ux = np.clip(x / z, *held_slopes(fx, cx, camera.width))
+    uy = np.clip(y / z, *held_slopes(fy, cy, camera.height))
     zero = np.zeros_like(z)
     J = np.stack(
         [np.stack([fx / z, zero, -fx * ux / z], -1), np.stack([zero, fy / z, -fy * uy / z], -1)], -2
@@ -129,9 +130,3 @@ def _widening(mass: Array) -> Array:
 def _area(variances: Array, dilations: Array) -> Array:
     x, y, z = np.sqrt(variances + dilations)
     return np.asarray(np.maximum((x * y + y * z + x * z) / 3, 1e-37))
-
-
-def _clamp_to_image(slope: Array, before: float, after: float) -> Array:
-    """Hold a direction x/z within the image's borders −before … after and a margin of 0.3 half fields of view."""
-    margin = (FRUSTUM_CLAMP - 1.0) * (before + after) / 2
-    return np.asarray(np.clip(slope, -before - margin, after + margin))

@@ -28,8 +28,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from splatree.constants import CENTRE_PAD, DILATION_PX2, EIGENVALUE_FLOOR_PX4, FRUSTUM_CLAMP, SIGMAS
+from splatree.constants import CENTRE_PAD, DILATION_PX2, EIGENVALUE_FLOOR_PX4, SIGMAS
 from splatree.maths.covariance import axes_from_gaussians
+from splatree.maths.slopes import held_slopes
 from splatree.scene.cameras import Camera
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.names import Profile
@@ -143,9 +144,10 @@ def project(gaussians: Gaussians, camera: Camera) -> Footprints:
     depths = view[:, 2]
     safe = np.where(depths > camera.near, depths, 1.0)
     slopes = view[:, :2] / safe[:, None]
-    size = np.array([camera.width, camera.height])
-    margin = (FRUSTUM_CLAMP - 1.0) * size / (2 * focal)
-    clamped = np.clip(slopes, -centre / focal - margin, (size - centre) / focal + margin)
+    least, largest = np.transpose(
+        [held_slopes(*axis) for axis in zip(focal, centre, (camera.width, camera.height), strict=True)]
+    )
+    clamped = np.clip(slopes, least, largest)
     J = np.zeros((len(view), 2, 3))
     J[:, 0, 0] = J[:, 1, 1] = 1.0
     J[:, :, 2] = -clamped

@@ -24,8 +24,8 @@ __all__ = ["measure_visibilities"]
 FILTER = 0.3
 """Variance that a cell adds, cells²."""
 
-SIGMAS = 2.0
-"""Where a splat ends."""
+END_SIGMAS = 2.0
+"""Standard deviations at which a splat ends here."""
 
 MOST = 15.5
 """Half the box that a splat is looked at in, at most: cells."""
@@ -61,12 +61,12 @@ def measure_visibilities(
         for rows in (order, order[::-1]):
             passing, depths = np.ones((width, width)), np.zeros((width, width))
             for i in rows:
-                half = np.minimum(SIGMAS * np.sqrt(np.diag(wide[i])), MOST)
+                half = np.minimum(END_SIGMAS * np.sqrt(np.diag(wide[i])), MOST)
                 first, last = (np.floor(places[i, :2] + side * half).astype(int) for side in (-1, 1))
                 u, v = np.meshgrid(*(np.arange(a, b + 1) for a, b in zip(first, last, strict=True)), indexing="ij")
                 apart = np.stack([u, v], axis=-1) + 0.5 - places[i, :2]
                 powers = np.einsum("uvi,ij,uvj->uv", apart, np.linalg.inv(wide[i]), apart)
-                inside = powers <= SIGMAS**2
+                inside = powers <= END_SIGMAS**2
                 u, v, g = u[inside] % width, v[inside] % width, np.exp(-powers[inside] / 2)
                 hidden = (1 - passing[u, v]) * np.exp(-np.abs(places[i, 2] - depths[u, v]) * cell / reach)
                 passing[u, v] = (1 - hidden) * (1 - opacities[i] * g)

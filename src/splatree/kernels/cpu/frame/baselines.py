@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from splatree.constants import SIGMAS
 from splatree.kernels.cpu import _core
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.tree import GaussianTree
@@ -12,7 +13,7 @@ __all__ = ["depth_flags", "first_stops", "nested_boxes", "small_boxes"]
 
 def nested_boxes(gaussians: Gaussians, tree: GaussianTree) -> tuple[Float32[Array, "n 3"], Float32[Array, "n 3"]]:
     """Lower and upper corners of the boxes around means ± 3 σ of each row and all below it, σ the row's largest."""
-    reach = 3 * np.exp(gaussians.log_scales.max(axis=1, keepdims=True))
+    reach = SIGMAS * np.exp(gaussians.log_scales.max(axis=1, keepdims=True))
     lower, upper = gaussians.means - reach, gaussians.means + reach
     _core.nest_boxes(tree.depth, lower, upper)
     return lower, upper

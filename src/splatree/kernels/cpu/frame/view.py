@@ -4,9 +4,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from splatree.constants import DILATION_MIN_PX2, FRUSTUM_CLAMP, SIGMA_MAX_PX
+from splatree.constants import DILATION_MIN_PX2, SIGMA_MAX_PX
 from splatree.errors import InputError
 from splatree.kernels.reference.square import SquareRule, rule_of
+from splatree.maths.slopes import held_slopes
 from splatree.scene.view import View
 from splatree.shapes import Array, Float64
 
@@ -65,18 +66,11 @@ def pack_view(view: View) -> PackedView:
         np.ascontiguousarray(center, np.float64),
         *(fx, fy, cx, cy),
         *(camera.width, camera.height, camera.near),
-        *_slopes(fx, cx, camera.width),
-        *_slopes(fy, cy, camera.height),
+        *held_slopes(fx, cx, camera.width),
+        *held_slopes(fy, cy, camera.height),
         max(dilation_px2, DILATION_MIN_PX2),
         SIGMA_MAX_PX / max(fx, fy),
     )
-
-
-def _slopes(focal: float, centre: float, size: int) -> tuple[float, float]:
-    """The least and the largest slope x / z to which the Jacobian is clamped."""
-    before, after = centre / focal, (size - centre) / focal
-    margin = (FRUSTUM_CLAMP - 1.0) * (before + after) / 2
-    return -before - margin, after + margin
 
 
 def pack_square(view: View) -> SquareRule | None:
