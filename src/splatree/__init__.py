@@ -10,10 +10,7 @@ from types import ModuleType
 from typing import Any
 
 _NAMES = {
-    "clusters.build": (
-        "ClusterOptions",
-        "build_clusters",
-    ),
+    "clusters.build": ("ClusterOptions", "build_clusters"),
     "clusters.cull": ("cull",),
     "edit.clean": (
         "CleanOptions",
@@ -32,50 +29,17 @@ _NAMES = {
         "SplatreeError",
     ),
     "hardware.config": ("Machine",),
-    "hardware.study": (
-        "Simulation",
-        "simulate",
-    ),
-    "io.cameras.files": (
-        "read_cameras",
-        "write_cameras",
-    ),
-    "io.convert": (
-        "ConvertOptions",
-        "Converted",
-        "convert",
-    ),
-    "io.formats.splatree.head": (
-        "SceneHead",
-        "common_head",
-    ),
-    "io.formats.splatree.rows": (
-        "SceneRows",
-        "StoredScene",
-        "open_scene",
-    ),
-    "io.formats.splatree.writer": (
-        "SceneWriter",
-        "create_scene",
-    ),
-    "io.images": (
-        "read_image",
-        "write_image",
-    ),
-    "io.options": (
-        "ReadOptions",
-        "WriteOptions",
-    ),
-    "io.registry": (
-        "read",
-        "read_levels",
-        "write",
-    ),
-    "lod.baselines": (
-        "Baseline",
-        "BaselineOptions",
-        "baseline",
-    ),
+    "hardware.study": ("Simulation", "simulate"),
+    "io.cameras.files": ("read_cameras", "write_cameras"),
+    "io.convert": ("ConvertOptions", "Converted", "convert"),
+    "io.formats.splatree.head": ("SceneHead", "common_head"),
+    "io.formats.splatree.rows": ("SceneRows", "StoredScene", "open_scene"),
+    "io.formats.splatree.writer": ("SceneWriter", "create_scene"),
+    "io.images": ("read_image", "write_image"),
+    "io.options": ("ReadOptions", "WriteOptions"),
+    "io.reading": ("read", "read_levels"),
+    "io.writing": ("write",),
+    "lod.baselines": ("Baseline", "BaselineOptions", "baseline"),
     "lod.build": ("build_lod",),
     "lod.link": ("link_levels",),
     "lod.options": ("BuildOptions",),
@@ -83,119 +47,45 @@ _NAMES = {
     "metrics.flip": ("flip",),
     "metrics.psnr": ("psnr",),
     "metrics.ssim": ("ssim",),
-    "render.batch": (
-        "render_batch",
-        "trace_batch",
-    ),
-    "render.calibrate": (
-        "CalibrateOptions",
-        "Calibration",
-        "calibrate",
-        "calibrated",
-    ),
-    "render.compare": (
-        "ComparedView",
-        "Difference",
-        "compare",
-        "comparison_views",
-    ),
-    "render.compare_page": (
-        "Comparison",
-        "write_comparison",
-    ),
+    "render.batch": ("render_batch", "trace_batch"),
+    "render.calibrate": ("CalibrateOptions", "Calibration", "calibrate", "calibrated"),
+    "render.compare": ("ComparedView", "Difference", "compare", "comparison_views"),
+    "render.compare_page": ("Comparison", "write_comparison"),
     "render.contribution": (
         "ContributionHistogram",
         "TileContributions",
         "contribution_histogram",
         "tile_contributions",
     ),
-    "render.counters": (
-        "FrameCounters",
-        "frame_counters",
-        "write_counters",
-    ),
-    "render.evaluate": (
-        "Evaluation",
-        "evaluate",
-    ),
-    "render.framing.frame": (
-        "Framing",
-        "frame_scene",
-    ),
-    "render.paths": (
-        "PathOptions",
-        "flyout",
-        "orbit",
-        "through",
-        "turn",
-    ),
+    "render.counters": ("FrameCounters", "frame_counters", "write_counters"),
+    "render.evaluate": ("Evaluation", "evaluate"),
+    "render.framing.frame": ("Framing", "frame_scene"),
+    "render.paths": ("PathOptions", "flyout", "orbit", "through", "turn"),
     "render.pending": ("Pending",),
-    "render.pipeline": (
-        "render",
-        "trace",
-    ),
-    "render.session": (
-        "Session",
-        "open_session",
-    ),
-    "render.tensors": (
-        "TensorScene",
-        "scene_from_tensors",
-    ),
-    "render.timing": (
-        "Timing",
-        "time_frames",
-    ),
+    "render.pipeline": ("render", "trace"),
+    "render.session": ("Session", "open_session"),
+    "render.tensors": ("TensorScene", "scene_from_tensors"),
+    "render.timing": ("Timing", "time_frames"),
     "render.video": ("open_video",),
-    "scene.cameras": (
-        "Camera",
-        "Cameras",
-    ),
-    "scene.clusters": (
-        "ClusterIndex",
-        "Culling",
-    ),
-    "scene.frame": (
-        "Frame",
-        "RenderResult",
-        "Selection",
-    ),
+    "scene.cameras": ("Camera", "Cameras"),
+    "scene.clusters": ("ClusterIndex", "Culling"),
+    "scene.frame": ("Frame", "RenderResult", "Selection"),
     "scene.gaussians": ("Gaussians",),
     "scene.levels": ("LevelRecord",),
-    "scene.options": (
-        "RenderOptions",
-        "SelectOptions",
-    ),
+    "scene.options": ("RenderOptions", "SelectOptions"),
     "scene.scene": ("Scene",),
-    "scene.thinning": (
-        "Groups",
-        "MergeOptions",
-        "ThinOptions",
-    ),
+    "scene.thinning": ("Groups", "MergeOptions", "ThinOptions"),
     "scene.tree": ("GaussianTree",),
-    "scene.view": (
-        "View",
-        "Wanted",
-    ),
+    "scene.view": ("View", "Wanted"),
     "simplify.merge": ("merge",),
-    "simplify.thin": (
-        "Thinned",
-        "thin",
-    ),
+    "simplify.thin": ("Thinned", "thin"),
     "stream.options": ("StreamOptions",),
     "stream.report": ("StreamReport", "report_stream"),
     "stream.result": ("Streamed",),
-    "stream.serve": (
-        "ServeOptions",
-        "StreamServer",
-        "serve",
-    ),
+    "stream.serve": ("ServeOptions", "StreamServer", "serve"),
     "stream.stream": ("stream",),
     "view.options": ("ViewOptions",),
-    "view.viewer": (
-        "Viewer",
-        "view",
-    ),
+    "view.viewer": ("Viewer", "view"),
 }
 """The public names by their modules, without `splatree.` before these."""
 

@@ -33,9 +33,9 @@ from splatree.io.images import read_image as read_image
 from splatree.io.images import write_image as write_image
 from splatree.io.options import ReadOptions as ReadOptions
 from splatree.io.options import WriteOptions as WriteOptions
-from splatree.io.registry import read as read
-from splatree.io.registry import read_levels as read_levels
-from splatree.io.registry import write as write
+from splatree.io.reading import read as read
+from splatree.io.reading import read_levels as read_levels
+from splatree.io.writing import write as write
 from splatree.lod.baselines import Baseline as Baseline
 from splatree.lod.baselines import BaselineOptions as BaselineOptions
 from splatree.lod.baselines import baseline as baseline

@@ -2,7 +2,7 @@ from importlib.resources import as_file, files
 
 import pytest
 
-from splatree.io.registry import read
+from splatree.io.reading import read
 from splatree.lod.build import build_lod
 
 

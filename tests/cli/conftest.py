@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from splatree.cli.main import main
-from splatree.io.registry import read, write
+from splatree.io.reading import read
+from splatree.io.writing import write
 from splatree.lod.build import build_lod
 from splatree.scene.scene import Scene
 

@@ -10,7 +10,7 @@ from splatree.bench.subject import SubjectOptions, subject_of
 from splatree.cli.main import commands_of
 from splatree.io.cameras.files import write_cameras
 from splatree.io.images import write_image
-from splatree.io.registry import read
+from splatree.io.reading import read
 from splatree.render.paths import PathOptions, flyout
 from splatree.render.pipeline import render
 from splatree.scene.options import SelectOptions

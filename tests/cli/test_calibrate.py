@@ -6,7 +6,7 @@ import shutil
 import pytest
 
 from splatree.io.cameras.files import write_cameras
-from splatree.io.registry import read
+from splatree.io.reading import read
 from splatree.render.paths import PathOptions, orbit
 
 from .test_commands import SIZE, result_of

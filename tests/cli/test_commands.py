@@ -13,7 +13,8 @@ from splatree.cli.pictures import file_names
 from splatree.io.cameras.files import write_cameras
 from splatree.io.images import read_image, write_image
 from splatree.io.options import WriteOptions
-from splatree.io.registry import read, write
+from splatree.io.reading import read
+from splatree.io.writing import write
 from splatree.render.calibrate import METADATA_KEY
 from splatree.render.paths import PathOptions, flyout
 from splatree.render.pipeline import render

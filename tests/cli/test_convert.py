@@ -3,7 +3,8 @@ import json
 import numpy as np
 import pytest
 
-from splatree.io.registry import read, write
+from splatree.io.reading import read
+from splatree.io.writing import write
 from splatree.scene.scene import Scene
 
 NUM_GAUSSIANS = 3161

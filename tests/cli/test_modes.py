@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from splatree.io.registry import read
+from splatree.io.reading import read
 
 from .test_commands import result_of
 

@@ -9,7 +9,7 @@ from PIL import Image
 
 from splatree.io.cameras.files import write_cameras
 from splatree.io.images import write_image
-from splatree.io.registry import read
+from splatree.io.reading import read
 from splatree.render.paths import PathOptions, flyout
 from splatree.render.pipeline import render
 from splatree.scene.options import SelectOptions

@@ -2,7 +2,7 @@ import json
 
 import pytest
 
-from splatree.io.registry import read
+from splatree.io.reading import read
 
 
 def test_stream_writes_a_folder_that_reads_back(splatree, small_tree, tmp_path):

@@ -138,7 +138,7 @@ LIMITED = """
 import json, resource, sys
 import splatree
 from splatree.io.convert import convert
-import splatree.io.registry
+import splatree.io.reading
 source, target, small, limit = sys.argv[1:]
 convert(small, target, force=True)  # what is loaded and kept from a first run is not counted
 with open("/proc/self/statm") as file:

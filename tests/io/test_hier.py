@@ -1,4 +1,5 @@
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -196,7 +197,7 @@ def test_half_precision_refuses_what_16_bits_cannot_hold(tmp_path):
 
 def test_a_real_tree_gives_the_same_cut(tmp_path):
     """Half a percent of the bundled city: the same tree, the same rows of the cut, and the same picture but for the logits."""
-    whole = splatree.read(splatree.io.registry.Path(splatree.__file__).parent / "data/semarang_5_9.sog")
+    whole = splatree.read(Path(splatree.__file__).parent / "data/semarang_5_9.sog")
     leaves = Scene.flat(whole.gaussians.take(np.arange(0, len(whole), 200)))
     scene = splatree.build_lod(
         leaves, splatree.BuildOptions(follow=False)

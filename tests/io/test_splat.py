@@ -7,7 +7,7 @@ import splatree
 from splatree import FormatError, Gaussians, Scene
 from splatree.constants import SH_C0
 from splatree.io.chunks import chunks_of
-from splatree.io.registry import write_chunks
+from splatree.io.writing import write_chunks
 from splatree.maths.rotations import matrices_from_quats
 
 from .conftest import random_gaussians

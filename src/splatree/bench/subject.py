@@ -12,7 +12,7 @@ from splatree.errors import InputError
 from splatree.io.cameras.files import read_cameras
 from splatree.io.cameras.split import split_views
 from splatree.io.photos import Photos, photographed
-from splatree.io.registry import read
+from splatree.io.reading import read
 from splatree.lod.blocks import with_blocks
 from splatree.lod.build import build_lod
 from splatree.render.overlap import overlap_hint

@@ -15,7 +15,9 @@ from splatree.cli.console import Console, UsageError, size, table
 from splatree.cli.files import Files, inputs_and_output, lost_and_noted, read_scene, repairs_of, told
 from splatree.clusters.build import ClusterOptions, build_clusters
 from splatree.io.photos import PhotosUsed
-from splatree.io.registry import read_levels, stored_bytes, write
+from splatree.io.reading import read_levels
+from splatree.io.registry import stored_bytes
+from splatree.io.writing import write
 from splatree.lod.build import build_lod
 from splatree.lod.link import link_levels
 from splatree.lod.options import BuildOptions

@@ -13,7 +13,7 @@ from splatree.errors import InputError
 from splatree.io.cameras.files import read_cameras
 from splatree.io.cameras.split import split_views
 from splatree.io.photos import Photos, PhotosUsed, photographed
-from splatree.io.registry import write
+from splatree.io.writing import write
 from splatree.render.calibrate import CalibrateOptions, Calibration, calibrate, calibrated
 from splatree.render.overlap import overlap_hint
 from splatree.render.paths import PathOptions, flyout, orbit

@@ -11,7 +11,8 @@ from splatree.cli.console import Console, UsageError, size
 from splatree.cli.files import Files, inputs_and_output, lost_and_noted, read_scene, repairs_of, told
 from splatree.edit.clean import CleanOptions, clean
 from splatree.io.cameras.files import read_cameras
-from splatree.io.registry import stored_bytes, write
+from splatree.io.registry import stored_bytes
+from splatree.io.writing import write
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from typing import Any
 
 from splatree.cli.console import UsageError, table
 from splatree.errors import InputError
-from splatree.io.registry import read
+from splatree.io.reading import read
 from splatree.kernels.devices import DeviceName
 from splatree.render.compare import compare
 from splatree.render.compare_page import Comparison, check_comparison_folder, decibels, write_comparison

@@ -20,7 +20,7 @@ from splatree.cli.eval import row_of, view_of
 from splatree.cli.flight import Demo, DemoView
 from splatree.cli.report import write_report
 from splatree.errors import OutputError
-from splatree.io.registry import read
+from splatree.io.reading import read
 from splatree.lod.build import build_lod
 from splatree.metrics.psnr import psnr
 from splatree.progress import task

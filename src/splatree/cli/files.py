@@ -12,7 +12,8 @@ from splatree.cli.console import UsageError
 from splatree.errors import InputError, OutputError
 from splatree.io.notes import notes_in, sentences_in
 from splatree.io.options import WriteOptions
-from splatree.io.registry import FOLDER_FILE, format_to_write, formats, read
+from splatree.io.reading import read
+from splatree.io.registry import FOLDER_FILE, format_to_write, formats
 from splatree.io.replacing import check_target
 from splatree.maths.axes import AxesName
 from splatree.scene.scene import Scene

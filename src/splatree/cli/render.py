@@ -21,7 +21,8 @@ from splatree.cli.pictures import (
 )
 from splatree.cli.viewpoint import Viewpoint, Views, named_views, relative_to, views_of
 from splatree.errors import InputError
-from splatree.io.registry import detect, level_of
+from splatree.io.cut import level_of
+from splatree.io.registry import detect
 from splatree.kernels.devices import DeviceName
 from splatree.render.batch import trace_batch
 from splatree.render.counters import frame_counters, write_counters

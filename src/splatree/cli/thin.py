@@ -9,7 +9,8 @@ from tyro.conf import arg
 from splatree.cli.comparison import Reporting, in_words, read_back
 from splatree.cli.console import Console, size
 from splatree.cli.files import Files, inputs_and_output, lost_and_noted, read_scene, repairs_of, told
-from splatree.io.registry import stored_bytes, write
+from splatree.io.registry import stored_bytes
+from splatree.io.writing import write
 from splatree.render.compare_page import Comparison
 from splatree.scene.names import Mode
 from splatree.scene.thinning import ThinOptions

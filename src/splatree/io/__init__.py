@@ -1,1 +1,1 @@
-"""Files ↔ scenes, cameras and pictures: one module a format, one registry (`splatree.io.registry`) of all."""
+"""Files ↔ scenes, cameras and pictures: a folder a format, the registry of all, and what reads and writes by it."""

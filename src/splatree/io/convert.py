@@ -23,7 +23,9 @@ from splatree.io.joined import joined, joined_source, relative_to
 from splatree.io.local import local_inputs
 from splatree.io.notes import notes_in, sentences_in, with_notes
 from splatree.io.options import ReadOptions, WriteOptions
-from splatree.io.registry import detect, files_of, format_to_write, read_one, write, write_chunks
+from splatree.io.reading import read_one
+from splatree.io.registry import detect, files_of, format_to_write
+from splatree.io.writing import write, write_chunks
 from splatree.progress import track
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.literals import check_literals

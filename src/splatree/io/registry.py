@@ -1,33 +1,21 @@
-"""The formats, one line each, and the functions that read and write by them.
+"""The formats, one line each, and how the format of a path is found (reading.py and writing.py use it).
 
 A format is recognised by its content first (`sniff`) and by its suffix second. A new one is a module with ``sniff``, ``read``
 and, if it is written, ``write`` or ``write_chunks``, and an entry in `FORMATS`; order matters only where two would claim the
 same file. What a format cannot hold follows from its `Holds`; a writer returns what else it had to change, in plain words.
 """
 
-import json
-import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from splatree.errors import FormatError, InputError, OutputError, SplatreeError
-from splatree.io.budget import RowBudget
-from splatree.io.chunks import Chunks, chunks_of
+from splatree.errors import FormatError, InputError, SplatreeError
+from splatree.io.chunks import Chunks
 from splatree.io.foreign import not_content
-from splatree.io.holds import Holds, losses, origin_lost
-from splatree.io.inputs import find_inputs
-from splatree.io.joined import joined
-from splatree.io.local import local_inputs
-from splatree.io.notes import with_notes
-from splatree.io.options import ReadOptions, Repair, WriteOptions
-from splatree.io.replacing import replacing
-from splatree.maths.axes import AxesName
+from splatree.io.holds import Holds
+from splatree.io.options import ReadOptions, WriteOptions
 from splatree.scene.scene import Scene
 
 if TYPE_CHECKING:
@@ -267,189 +255,6 @@ def formats() -> tuple[Format, ...]:
     return FORMATS
 
 
-def read(
-    path: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
-    *,
-    level: int | None = None,
-    repair: Repair = False,
-    axes: AxesName | None = None,
-    ignore_properties: bool = False,
-) -> Scene:
-    """Read one scene from a file, a folder, or several of them.
-
-    A folder may be a format of its own (SOG, streamed SOG), the output of a training (its newest ``point_cloud/iteration_*`` is
-    taken), or hold pieces of one scene: then every scene file and folder in it is read. Several inputs are joined in their order.
-    If a single path matches no file but holds ``* ? [``, it is expanded as a pattern. Addresses (``https://…``), standard input
-    (``-``), ``.gz`` and ``.zip`` of one file are read too.
-
-    Args:
-        path: one path or several.
-        level: level of detail to take from a format that has several; 0, the default, is the finest.
-        repair: repair or drop values that cannot be used, and count them in ``source.metadata["repairs"]``, instead of
-            raising; "drop" drops every row that has one.
-        axes: where x, y and z point in an .spz that does not say so; None: RDF, as in a .ply.
-        ignore_properties: read a .ply although it has properties that would change the picture (motion, other kernels);
-            ``source.metadata["lost"]`` says which.
-
-    Returns:
-        The scene, with its levels if the format keeps them.
-
-    Raises:
-        FormatError: a file does not hold what it promises; the message says where and what to do.
-        InputError: nothing is there, it is of no known format, or the inputs cannot be joined.
-
-    Example:
-        >>> st.read("city.ply").tree.num_levels
-        1
-        >>> len(st.read("chunk_*"))  # chunk_0, chunk_1
-        253
-    """
-    options = ReadOptions(level, repair, axes, ignore_properties)
-    paths = [path] if isinstance(path, str | os.PathLike) else list(path)
-    with local_inputs([Path(p) for p in paths]) as local:
-        inputs = find_inputs(local.paths, lambda p: detect(p) is not None)
-        scene = joined(_within_budget(inputs.paths, options))
-    source = replace(scene.source, paths=tuple(map(local.named, scene.source.paths)))
-    return replace(scene, source=with_notes(source, inputs.notes))
-
-
-def _within_budget(paths: Sequence[Path], options: ReadOptions) -> Iterator[Scene]:
-    """The scenes of several files, as long as they are not more than the files can hold."""
-    budget = RowBudget(f"{paths[0]} and {len(paths) - 1} more")
-    for path in paths:
-        scene = read_one(path, options)
-        if len(paths) > 1:
-            for file in files_of(path):
-                budget.add_file(file)
-            budget.take(len(scene))
-        yield scene
-
-
-def read_levels(path: str | os.PathLike[str], *, repair: bool = False) -> tuple[Scene, ...]:
-    """Read all levels of a format that has several.
-
-    Args:
-        path: a file or folder, for instance a streamed SOG.
-        repair: repair or drop values that cannot be used, and count them, instead of raising.
-
-    Returns:
-        The levels as flat scenes, the finest first. `link_levels` makes one tree of them.
-
-    Raises:
-        FormatError: a file does not hold what it promises.
-        InputError: the format has no levels to choose from.
-
-    Example:
-        >>> fine, coarse = st.read_levels("playbot")
-        >>> len(coarse) < len(fine)
-        True
-    """
-    found = detect(Path(path))
-    if found is None or found.holds.levels != "one of":
-        name = "no known format" if found is None else f"format {found.name}"
-        raise InputError(f"{path}: of {name}, which has no levels to choose from; wanted a folder with lod-meta.json")
-    finest = read(path, repair=repair)
-    num_levels = len(json.loads(finest.source.metadata["level_counts"]))
-    return (finest, *(read(path, level=i, repair=repair) for i in range(1, num_levels)))
-
-
-def write(
-    scene: Scene,
-    path: str | os.PathLike[str],
-    *,
-    force: bool = False,
-    depth: int | None = None,
-    options: WriteOptions | None = None,
-) -> tuple[str, ...]:
-    """Write a scene in the format of the path's suffix, whole or not at all.
-
-    A format without levels gets one cut of the tree: the leaves, or with ``depth`` the nodes at that depth and the leaves above
-    it (0: the roots, the coarsest picture).
-
-    Args:
-        scene: what to write.
-        path: the new file.
-        force: replace the file if it exists.
-        depth: which cut to write; None: the leaves, or the whole tree if the format keeps it.
-        options: how to write; None: as the format does by default.
-
-    Returns:
-        What the file does not hold, a sentence each; none if reading gives the same scene.
-
-    Raises:
-        InputError: no format that is written has this suffix, it does not take an option, or ``depth`` is negative.
-        OutputError: the file exists, or could not be written; an old file is then whole.
-
-    Example:
-        >>> st.write(scene, "copy.splatree", force=True)
-        ()
-    """
-    target, options = Path(path), options or WriteOptions()
-    chosen = format_to_write(target)
-    options.check_taken(chosen.options, f"{target} ({chosen.name})")
-    num_merged, clusters = 0, scene.clusters
-    if depth is not None or chosen.holds.levels != "tree":
-        num_merged = len(scene) - scene.tree.num_leaves if depth is None else 0
-        scene = _cut(scene, depth)
-    keeps_clusters = chosen.holds.clusters and scene.clusters is clusters
-    lost: Iterable[str] = losses(
-        chosen.holds,
-        chosen.name,
-        sh_degree=scene.gaussians.sh_degree,
-        mode=scene.mode,
-        threshold=scene.threshold,
-        num_merged=num_merged,
-        num_clusters=0 if clusters is None or keeps_clusters else len(clusters),
-        record=scene.tree.record if scene.tree.depth.any() else None,
-        has_curves=scene.tree.curves is not None and bool(scene.tree.depth.any()),
-    )
-    lost = (*lost, *origin_lost(chosen.holds, chosen.name, scene.source.origin))
-    if chosen.write is None:
-        return (*lost, *_written(chosen, chunks_of(scene), target, force, options))
-    with replacing(target, force=force) as temporary:
-        return (*lost, *chosen.write(scene, temporary, options))
-
-
-@contextmanager
-def _folder_of(target: Path) -> Iterator[None]:
-    """The folder is the scene: make it, if it is not there, and take it away if it stays empty."""
-    folder = target.parent
-    made = not folder.exists() and folder.parent.is_dir()
-    try:
-        if made:
-            folder.mkdir()
-        yield
-    except OSError as error:
-        if isinstance(error, SplatreeError):
-            raise
-        raise OutputError(f"{folder}: cannot be made a folder ({error.strerror or error})") from error
-    finally:
-        if made and folder.is_dir() and not any(folder.iterdir()):
-            folder.rmdir()
-
-
-def write_chunks(
-    chunks: Chunks, path: str | os.PathLike[str], *, force: bool = False, options: WriteOptions | None = None
-) -> tuple[str, ...]:
-    """As `write`, of Gaussians in chunks, in a format that is written so."""
-    target, options = Path(path), options or WriteOptions()
-    chosen = format_to_write(target)
-    options.check_taken(chosen.options, f"{target} ({chosen.name})")
-    lost: Iterable[str] = losses(chosen.holds, chosen.name, sh_degree=chunks.sh_degree, mode=chunks.mode)
-    lost = (*lost, *origin_lost(chosen.holds, chosen.name, chunks.origin))
-    return (*lost, *_written(chosen, chunks, target, force, options))
-
-
-def _written(chosen: Format, chunks: Chunks, target: Path, force: bool, options: WriteOptions) -> tuple[str, ...]:
-    if chosen.write_chunks is None:
-        raise InputError(f"{target}: format {chosen.name} is not written in chunks; wanted a whole scene")
-    if target.name == FOLDER_FILE and chosen.write_folder is not None:
-        with _folder_of(target), replacing(target, force=force) as temporary:
-            return chosen.write_folder(chunks, temporary, options)
-    with replacing(target, force=force) as temporary:
-        return chosen.write_chunks(chunks, temporary, options)
-
-
 def format_to_write(target: Path) -> Format:
     """The format that the suffix of a new file names.
 
@@ -507,47 +312,3 @@ def files_of(path: Path) -> list[Path]:
     """The files that a path of a known format stands for."""
     found = detect(path)
     return [path] if found is None or found.files is None else found.files(path)
-
-
-def read_one(path: Path, options: ReadOptions) -> Scene:
-    """Read a file or folder that is a scene by itself, in whichever format."""
-    found = detect(path)
-    if found is None:
-        raise InputError(f"{path}: of no known format; known are {', '.join(f.name for f in FORMATS)}")
-    if options.level is not None and found.holds.levels != "one of":
-        raise InputError(
-            f"{path}: found level {options.level} for a file of format {found.name}, which has no levels to choose"
-        )
-    try:
-        scene = found.read(path, options)
-    except OSError as error:
-        if isinstance(error, SplatreeError):
-            raise
-        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
-    return replace(scene, source=replace(scene.source, paths=(str(path),), format=found.name))
-
-
-def level_of(scene: Scene, level: int) -> Scene:
-    """One level of a scene as a flat scene: 0 are the leaves, each next one is a step nearer to the roots.
-
-    Raises:
-        InputError: the scene has no such level.
-    """
-    num_levels = scene.tree.num_levels
-    if not 0 <= level < num_levels:
-        wanted = "0, as it has one level" if num_levels == 1 else f"0 (the finest) to {num_levels - 1}"
-        raise InputError(f"level: found {level}, wanted {wanted}; `splatree build` makes levels")
-    return _cut(scene, None if level == 0 else num_levels - 1 - level)
-
-
-def _cut(scene: Scene, depth: int | None) -> Scene:
-    """The leaves, or the nodes at a depth and the leaves above it, as a flat scene."""
-    if depth is not None and depth < 0:
-        raise InputError(f"write: found depth {depth}, wanted 0 (the roots) or more")
-    drawn = scene.tree.is_leaf
-    if depth is not None:
-        drawn = (drawn & (scene.tree.depth < depth)) | (scene.tree.depth == depth)
-    if drawn.all():
-        return scene
-    flat = Scene.flat(scene.gaussians.take(np.flatnonzero(drawn)), mode=scene.mode, source=scene.source)
-    return replace(flat, threshold=scene.threshold, tile_rule=scene.tile_rule)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from splatree.errors import InputError
 from splatree.io.formats.rad.container import open_rad
-from splatree.io.registry import write
+from splatree.io.writing import write
 from splatree.kernels.reference.paging import PAGE_ROWS
 from splatree.scene.scene import Scene
 from splatree.stream.result import LevelWritten, Streamed

@@ -15,7 +15,7 @@ import numpy as np
 
 from splatree.io.formats.rad.container import open_rad
 from splatree.io.formats.rad.nodes import nodes_of
-from splatree.io.registry import read
+from splatree.io.reading import read
 from splatree.lod.select import select
 from splatree.metrics.psnr import psnr
 from splatree.metrics.ssim import ssim
