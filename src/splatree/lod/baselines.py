@@ -35,6 +35,7 @@ import numpy as np
 from splatree.errors import InputError
 from splatree.kernels.cpu.frame import baselines as cpu
 from splatree.kernels.cpu.frame import select as cpu_select
+from splatree.lod.bands import Bands, centres_of, drawn_alone, flod_bands, octree_bands
 from splatree.lod.select import count_nested, count_uncovered, for_levels
 from splatree.lod.serial import child_table_of, select_serial
 from splatree.scene.cameras import Camera
@@ -45,7 +46,7 @@ from splatree.scene.options import SelectOptions, ViewTest
 from splatree.scene.scene import Scene
 from splatree.scene.tree import GaussianTree
 from splatree.scene.view import View, as_view
-from splatree.shapes import Array, Bool, Int32, UInt8
+from splatree.shapes import Array, Int32
 
 __all__ = ["Baseline", "BaselineName", "BaselineOptions", "Violations", "baseline", "violations"]
 
@@ -66,11 +67,6 @@ BaselineName = Literal[
     "filtergs-release",
 ]
 """Named methods; see the head of this module."""
-
-OCTREE_QUANTILE = 0.999
-"""Share of the points nearer than a camera's largest distance, and farther than its smallest (Octree-GS, `set_level`)."""
-SAMPLE = 100_000
-"""Leaves of which distances are taken, evenly spread over the rows."""
 
 
 @dataclass(frozen=True)
@@ -246,7 +242,11 @@ def baseline(
     if method == "lodge":
         rows, num_bytes = _lodge(scene, cameras, options)
         return made(_culled(scene, rows), num_bytes, "none")
-    bands = _octree_bands(scene, cameras, options) if method.startswith("octree") else _flod_bands(tree, scene, options)
+    bands = (
+        octree_bands(scene, cameras, options.fork)
+        if method.startswith("octree")
+        else flod_bands(scene, options.bands, options.band_px)
+    )
     return made(_culled(scene, _by_depth(scene, bands, alone=method.endswith("per-node"))), bands.num_bytes)
 
 
@@ -320,73 +320,22 @@ RELEASE_LARGEST_PX = 700.0
 """The code of FilterGS drops whatever is larger, leaves too."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Bands:
-    """Depths of the tree by distance."""
-
-    edges_of: Callable[[Camera], Array]
-    """Distances, ascending, at which bands meet."""
-    depths: Array
-    """Depth drawn in each band, from the nearest."""
-
-    @property
-    def num_bytes(self) -> int:
-        return 4 * (2 * len(self.depths) - 1)
-
-    def flags(self, scene: Scene, camera: Camera, eye: Array, threads: int) -> UInt8[Array, "n"]:
-        """Where each row lies to the depth of its band."""
-        edges = self.edges_of(camera)
-        return cpu.depth_flags(scene.gaussians, scene.tree, eye, edges, self.depths, threads=threads)
-
-
-def _by_depth(scene: Scene, bands: _Bands, *, alone: bool) -> Choose:
+def _by_depth(scene: Scene, bands: Bands, *, alone: bool) -> Choose:
     def rows_of(asked: Request) -> tuple[Array, int]:
         flags = bands.flags(scene, asked.camera, asked.camera.position, asked.threads)
         if alone:
-            return np.flatnonzero(_drawn_alone(scene.tree, flags)).astype(np.int32), len(scene)
+            return np.flatnonzero(drawn_alone(scene.tree, flags)).astype(np.int32), len(scene)
         return cpu.first_stops(scene.tree, flags, 1), len(scene)
 
     return rows_of
 
 
-def _drawn_alone(tree: GaussianTree, flags: Array) -> Bool[Array, "n"]:
-    """Rows at the depth of their band, and leaves above it, whatever is drawn above or below them."""
-    return np.asarray((flags == 1) | ((flags == 0) & tree.is_leaf))
-
-
-def _octree_bands(scene: Scene, cameras: Sequence[Camera], options: BaselineOptions) -> _Bands:
-    """Level L = log_fork(d_std / d), rounded, 0 to levels − 1; d_std and the levels from the distances of cameras to points."""
-    leaves = np.flatnonzero(scene.tree.is_leaf)
-    if len(leaves) == 0:
-        return _Bands(lambda camera: np.zeros(0), np.zeros(1, int))
-    points = scene.gaussians.means[leaves[:: max(1, len(leaves) // SAMPLE)]]
-    shares = [1 - OCTREE_QUANTILE, OCTREE_QUANTILE]
-    spans = np.array([np.quantile(np.linalg.norm(points - c.position, axis=1), shares) for c in cameras])
-    nearest, farthest = np.quantile(spans, shares)
-    steps = np.log(farthest / max(nearest, farthest * 2.0**-20)) / np.log(options.fork)
-    levels = min(round(float(steps)) + 1, scene.tree.num_levels)
-    finer = np.arange(levels - 1, 0, -1)
-    edges = farthest * options.fork ** (0.5 - finer)
-    depths = scene.tree.num_levels - levels + np.arange(levels - 1, -1, -1)
-    return _Bands(lambda camera: edges, depths)
-
-
-def _flod_bands(tree: GaussianTree, scene: Scene, options: BaselineOptions) -> _Bands:
-    """A level begins at min(fx, fy) s / γ, s the standard deviation of its median Gaussian."""
-    deepest = max(tree.num_levels - 1, 0)
-    depths = np.unique(np.linspace(0, deepest, min(options.bands, deepest + 1)).round().astype(int))[::-1]
-    largest = scene.gaussians.log_scales.max(axis=1)
-    medians = np.array([np.median(largest[tree.depth == depth]) for depth in depths[1:]], np.float64)
-    slopes = np.exp(np.maximum.accumulate(medians)) / options.band_px  # a distance for each px of the focal length
-    return _Bands(lambda camera: min(camera.K[0, 0], camera.K[1, 1]) * slopes, depths)
-
-
 def _lodge(scene: Scene, cameras: Sequence[Camera], options: BaselineOptions) -> tuple[Choose, int]:
     """Rows of FLoD's bands around places among the cameras, listed beforehand; a view takes the list of the nearest place."""
-    bands = _flod_bands(scene.tree, scene, options)
-    places = _centres(np.array([camera.position for camera in cameras]), options.chunks)
+    bands = flod_bands(scene, options.bands, options.band_px)
+    places = centres_of(np.array([camera.position for camera in cameras]), options.chunks)
     listed = [
-        np.flatnonzero(_drawn_alone(scene.tree, bands.flags(scene, cameras[0], place, 0))).astype(np.int32)
+        np.flatnonzero(drawn_alone(scene.tree, bands.flags(scene, cameras[0], place, 0))).astype(np.int32)
         for place in places
     ]
 
@@ -394,16 +343,3 @@ def _lodge(scene: Scene, cameras: Sequence[Camera], options: BaselineOptions) ->
         return listed[int(np.argmin(np.linalg.norm(places - asked.camera.position, axis=1)))], 0
 
     return rows_of, sum(rows.nbytes for rows in listed)
-
-
-def _centres(points: Array, count: int) -> Array:
-    """Centres of at most ``count`` groups: the farthest points from each other to begin with, then ten rounds of Lloyd."""
-    centres = [points[0]]
-    while len(centres) < min(count, len(np.unique(points, axis=0))):
-        distances = np.linalg.norm(points[:, None] - np.array(centres), axis=2).min(axis=1)
-        centres.append(points[int(np.argmax(distances))])
-    found = np.array(centres)
-    for _ in range(10):
-        nearest = np.linalg.norm(points[:, None] - found, axis=2).argmin(axis=1)
-        found = np.array([points[nearest == i].mean(axis=0) for i in range(len(found))])
-    return found
