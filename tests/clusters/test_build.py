@@ -8,7 +8,7 @@ import splatree as st
 from splatree.clusters.build import subtree_runs
 from splatree.kernels import reference
 
-from ..kernels.conftest import gaussians
+from ..scenes import gaussians
 from .conftest import balls
 
 

@@ -13,7 +13,8 @@ from splatree.kernels.reference.select import in_runs
 from splatree.scene.options import Cull
 from splatree.scene.view import view_of
 
-from ..kernels.conftest import SCENES, gaussians
+from ..kernels.conftest import SCENES
+from ..scenes import gaussians
 from .conftest import balls
 
 RULES: tuple[Cull, ...] = ("exact", "exact-inria", "exact-gsplat")

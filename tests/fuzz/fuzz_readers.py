@@ -39,8 +39,8 @@ MEMORY_PER_BYTE = 600
 
 def seeds_of(kind: str, folder: Path) -> list[Path]:
     """Small files of a kind; those of a folder format are its meta.json, beside the pictures."""
-    from tests.io.conftest import random_gaussians
     from tests.io.sog_files import bundle, write_sog
+    from tests.scenes import random_gaussians
 
     import splatree
     from splatree import Scene, WriteOptions

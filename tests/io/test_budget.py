@@ -11,7 +11,7 @@ from splatree import FormatError, Scene
 from splatree.io import budget
 from splatree.io.budget import RowBudget
 
-from .conftest import random_gaussians
+from ..scenes import random_gaussians
 from .sog_files import write_sog
 from .test_origin import rewrite_json
 

@@ -8,7 +8,8 @@ import splatree
 from splatree import FormatError, Gaussians, GaussianTree, Scene
 from splatree.io.check import LOGIT_CERTAIN, LOGIT_FROM_BYTE, checked, refuse_unusable
 
-from .conftest import COLUMNS, random_gaussians, same_bits
+from ..scenes import random_gaussians
+from .conftest import COLUMNS, same_bits
 
 
 def spoiled(column, index, value, n=9):

@@ -8,7 +8,8 @@ from splatree import FormatError, Gaussians, Scene
 from splatree.io.formats.compressed_ply import format as compressed_ply
 from splatree.io.options import ReadOptions
 
-from .conftest import COLUMNS, random_gaussians, same_bits
+from ..scenes import random_gaussians
+from .conftest import COLUMNS, same_bits
 
 
 def sigmoid(x):

@@ -26,7 +26,7 @@ from splatree.io.formats.ply import format as ply
 from splatree.io.formats.splat import format as splat
 from splatree.io.registry import formats
 
-from .conftest import random_gaussians
+from ..scenes import random_gaussians
 
 IN_CHUNKS = [f.suffixes[0] for f in formats() if f.write_chunks]
 

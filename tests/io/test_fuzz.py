@@ -21,7 +21,8 @@ from splatree import GaussianTree, ReadOptions, Scene, SplatreeError, WriteOptio
 from splatree.io.check import checked
 from splatree.io.registry import Format, detect, formats
 
-from .conftest import DATA, random_gaussians
+from ..scenes import random_gaussians
+from .conftest import DATA
 from .sog_files import bundle, write_sog
 from .test_cameras import POSES, transforms, write_colmap
 from .test_hier import DEPTHS, forest

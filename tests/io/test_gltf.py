@@ -11,7 +11,8 @@ from splatree import FormatError, Gaussians, InputError, Scene, WriteOptions
 from splatree.constants import SH_C0
 from splatree.maths.covariance import covariances_from_gaussians
 
-from .conftest import COLUMNS, random_gaussians, same_bits
+from ..scenes import random_gaussians
+from .conftest import COLUMNS, same_bits
 
 
 def parts(data: bytes) -> tuple[dict, bytes]:

@@ -9,7 +9,8 @@ import splatree
 from splatree import FormatError
 from splatree.constants import SH_C0
 
-from .conftest import random_gaussians, same_bits
+from ..scenes import random_gaussians
+from .conftest import same_bits
 from .test_gltf import changed, glb, parts, primitive, written
 
 PREFIX = "KHR_gaussian_splatting:"

@@ -9,7 +9,8 @@ from splatree import FormatError, Gaussians, GaussianTree, InputError, Scene, Wr
 from splatree.io.formats.hier import format as hier
 from splatree.maths.forests import subtree_radii
 
-from .conftest import COLUMNS, random_gaussians, same_bits
+from ..scenes import random_gaussians
+from .conftest import COLUMNS, same_bits
 
 DEPTHS = {
     "one root": [0, 1, 2, 2, 1, 2, 3, 3],

@@ -6,7 +6,8 @@ from splatree import FormatError, InputError, Scene, WriteOptions
 from splatree.constants import SH_C0
 from splatree.io.formats.ksplat import writer as ksplat_writer
 
-from .conftest import random_gaussians, same_bits
+from ..scenes import random_gaussians
+from .conftest import same_bits
 
 
 def sigmoid(x):

@@ -12,8 +12,8 @@ from splatree.io.joined import joined
 from splatree.lod.link import link_levels
 from splatree.scene.levels import UNKNOWN_LEVELS, LevelRecord
 
-from ..lod.test_build import surface
 from ..lod.test_select import camera_at
+from ..scenes import surface
 from .test_store import rewrite
 
 PAIRS, RADIUS = st.BuildOptions(method="pairs"), st.BuildOptions(radius=0.2)

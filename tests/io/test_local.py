@@ -16,7 +16,8 @@ import splatree as st
 from splatree import FormatError, InputError, Scene
 from splatree.io import local
 
-from .conftest import random_gaussians, same_bits
+from ..scenes import random_gaussians
+from .conftest import same_bits
 
 GAUSSIANS = random_gaussians(20, degree=0)
 

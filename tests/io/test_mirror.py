@@ -5,7 +5,7 @@ from splatree import Camera, Gaussians, Scene, render
 from splatree.io.mirror import mirror
 from splatree.maths.axes import AXES, signs_between
 
-from .conftest import random_gaussians
+from ..scenes import random_gaussians
 
 
 def camera(signs):

@@ -11,7 +11,8 @@ from splatree.io.convert import ConvertOptions
 from splatree.scene.origin import coarsest_step, origin_of
 from splatree.scene.scene import Source
 
-from .conftest import random_gaussians, same_bits
+from ..scenes import random_gaussians
+from .conftest import same_bits
 from .test_ply_properties import columns_of, save
 
 FAR = np.array([500000.0, 4500000.0, 0.0])

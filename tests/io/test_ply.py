@@ -10,7 +10,8 @@ from splatree.constants import SH_C0
 from splatree.io.formats.ply import format as ply
 from splatree.io.options import ReadOptions
 
-from .conftest import COLUMNS, random_gaussians, same_bits
+from ..scenes import random_gaussians
+from .conftest import COLUMNS, same_bits
 
 
 def header(names, count, *, kind="float", extra=()):

@@ -9,7 +9,8 @@ import splatree as st
 from splatree import FormatError, InputError
 from splatree.io.formats.ply.filter3d import fuse_filter
 
-from .conftest import random_gaussians, same_bits
+from ..scenes import random_gaussians
+from .conftest import same_bits
 
 NAMES = [f"{n}" for n in ("x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2")]
 NAMES += ["rot_0", "rot_1", "rot_2", "rot_3"]

@@ -11,7 +11,8 @@ from splatree.io.formats.rad.container import open_rad, values_of
 from splatree.io.formats.rad.properties import decode, encode_rotations
 from splatree.maths.rotations import matrices_from_quats
 
-from .conftest import random_gaussians, same_bits
+from ..scenes import random_gaussians
+from .conftest import same_bits
 from .rad_files import chunk, deflated, write_rad
 from .test_hier import DEPTHS, forest, sigmoid
 

@@ -17,7 +17,8 @@ from splatree.io.replacing import replacing
 from splatree.progress import listen
 from splatree.scene.scene import Source
 
-from .conftest import COLUMNS, random_gaussians, same_bits
+from ..scenes import random_gaussians
+from .conftest import COLUMNS, same_bits
 from .sog_files import write_sog
 
 

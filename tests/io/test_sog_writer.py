@@ -10,7 +10,8 @@ import splatree
 from splatree import Gaussians, InputError, Scene, WriteOptions
 from splatree.maths.rotations import matrices_from_quats
 
-from .conftest import COLUMNS, random_gaussians, same_bits
+from ..scenes import random_gaussians
+from .conftest import COLUMNS, same_bits
 from .sog_files import write_sog
 
 

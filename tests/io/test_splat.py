@@ -10,7 +10,7 @@ from splatree.io.chunks import chunks_of
 from splatree.io.writing import write_chunks
 from splatree.maths.rotations import matrices_from_quats
 
-from .conftest import random_gaussians
+from ..scenes import random_gaussians
 
 
 def sigmoid(x):

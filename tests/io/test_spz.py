@@ -15,7 +15,8 @@ from splatree.io.chunks import Chunks
 from splatree.io.formats.spz import format as spz
 from splatree.maths.axes import AXES
 
-from .conftest import COLUMNS, random_gaussians, same_bits
+from ..scenes import random_gaussians
+from .conftest import COLUMNS, same_bits
 
 HALF_STEP = 0.5 + 1e-4  # of a code; the rest is rounding of float32
 

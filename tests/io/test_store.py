@@ -9,7 +9,8 @@ from splatree.lod.blocks import with_blocks
 from splatree.lod.build import build_lod
 from splatree.scene.scene import Source
 
-from .conftest import COLUMNS, random_gaussians, same_bits
+from ..scenes import random_gaussians
+from .conftest import COLUMNS, same_bits
 
 
 def tree_scene(n=7):

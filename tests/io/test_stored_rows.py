@@ -8,8 +8,8 @@ import pytest
 import splatree as st
 from splatree.io.formats.splatree.container import open_container
 
-from ..lod.test_build import surface
-from .conftest import COLUMNS, random_gaussians, same_bits
+from ..scenes import random_gaussians, surface
+from .conftest import COLUMNS, same_bits
 from .test_store import rewrite, set_in, tree_scene
 
 TREE = ("subtree_end", "depth", "extents")

@@ -8,7 +8,8 @@ import pytest
 import splatree as st
 from splatree import FormatError, Scene
 
-from .conftest import random_gaussians, same_bits
+from ..scenes import random_gaussians
+from .conftest import same_bits
 
 A, B, C = (random_gaussians(n, degree=1, seed=n) for n in (5, 7, 9))
 

@@ -7,29 +7,7 @@ import pytest
 
 import splatree as st
 
-
-def gaussians(
-    n: int, seed: int, *, log_scales: tuple[float, float] = (-5, -1.5), spread: float = 1.0, degree: int = 1
-) -> st.Gaussians:
-    """A random cloud around the origin; quaternions of many lengths."""
-    rng = np.random.default_rng(seed)
-    quats = rng.normal(size=(n, 4)) * 10.0 ** rng.uniform(-3, 3, (n, 1))
-    return st.Gaussians(
-        (spread * rng.normal(size=(n, 3))).astype(np.float32),
-        quats.astype(np.float32),
-        rng.uniform(*log_scales, (n, 3)).astype(np.float32),
-        rng.normal(0, 3, n).astype(np.float32),
-        (0.3 * rng.normal(size=(n, (degree + 1) ** 2, 3))).astype(np.float32),
-    )
-
-
-def camera(width: int = 52, height: int = 37, *, distance: float = 4.0, **changes: float) -> st.Camera:
-    """A camera in front of the cloud, with changed intrinsics."""
-    view = st.Camera.look_at((0.3, -0.4, -distance), (0, 0, 0), width=width, height=height)
-    K = view.K.copy()
-    K[0, 2] += changes.get("shift_x", 0.0)
-    K[1, 2] += changes.get("shift_y", 0.0)
-    return st.Camera(view.camera_from_world, K, width, height, near=changes.get("near", view.near))
+from ..scenes import camera, gaussians
 
 
 def needles() -> st.Gaussians:

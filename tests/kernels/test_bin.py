@@ -7,7 +7,7 @@ from splatree.kernels.cpu import frame as cpu
 from splatree.kernels.reference.bin import smallest_distances
 from splatree.scene.frame import Splats, TileBins
 
-from .conftest import camera, gaussians
+from ..scenes import camera, gaussians
 from .test_project import all_rows, seen
 
 

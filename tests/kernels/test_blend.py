@@ -12,7 +12,7 @@ from splatree.kernels.cpu import frame as cpu
 from splatree.scene.frame import Picture, Splats, TileBins
 from splatree.scene.view import Wanted
 
-from .conftest import camera, gaussians
+from ..scenes import camera, gaussians
 from .test_bin import splats_of
 from .test_project import all_rows, seen
 

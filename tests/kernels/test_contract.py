@@ -11,7 +11,7 @@ from splatree.kernels import contract, cuda
 from splatree.kernels.cuda.stages import Stages
 from splatree.kernels.devices import DLPACK_KINDS, DeviceName, back_end, feature_of, stages_of
 
-from .conftest import camera, gaussians
+from ..scenes import camera, gaussians
 
 STAGES = ("select", "project", "bin", "blend")
 OPTIONAL = ("blend_backward", "project_backward")

@@ -21,7 +21,7 @@ from splatree.kernels.cuda.sources import STAGES, kernels_of
 from splatree.scene.options import SelectOptions
 from splatree.scene.view import View
 
-from .conftest import camera
+from ..scenes import camera
 
 ARCHITECTURES = (75, 80, 86, 89, 90, 100, 120)
 BUDGETS = Path(__file__).with_name("cuda_budgets.json")

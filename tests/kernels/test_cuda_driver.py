@@ -26,7 +26,7 @@ from splatree.kernels.cuda.library import NUMBERS, Driver, Handle, load_driver, 
 from splatree.kernels.cuda.sources import ROOT
 from splatree.scene.view import view_of
 
-from .conftest import camera
+from ..scenes import camera
 from .simt_device import Emulator
 from .test_cuda_renderer import DRAWING, renderer_of, tree_scene
 

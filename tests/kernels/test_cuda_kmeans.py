@@ -12,7 +12,7 @@ from splatree.kernels.cuda.driver import Device
 from splatree.kernels.cuda.kmeans import DevicePoints
 from splatree.scene.scene import Scene
 
-from .conftest import gaussians
+from ..scenes import gaussians
 from .simt_device import Emulator
 from .test_kmeans import cloud, squared_distances
 

@@ -12,7 +12,8 @@ from splatree.kernels.cuda.renderer import Renderer
 from splatree.lod.blocks import with_blocks
 from splatree.scene.view import view_of
 
-from .conftest import SCENES, camera, gaussians
+from ..scenes import camera, gaussians
+from .conftest import SCENES
 from .simt_device import Emulator
 
 

@@ -15,7 +15,8 @@ from splatree.kernels.reference.bin import smallest_distances
 from splatree.scene.frame import Splats
 from splatree.scene.view import Wanted
 
-from .conftest import SCENES, absurd, camera, gaussians
+from ..scenes import camera, gaussians
+from .conftest import SCENES, absurd
 from .test_bin import pairs_of, splats_of
 from .test_blend import BACKGROUND, EVERYTHING, assert_outputs_are_those_of_the_reference, same_bits
 from .test_project import MODES, all_rows, aspect, assert_at_a_step, seen

@@ -10,7 +10,8 @@ from splatree.scene.clusters import Sides
 from splatree.scene.options import Cull
 from splatree.scene.view import View
 
-from .conftest import absurd, camera, gaussians
+from ..scenes import camera, gaussians
+from .conftest import absurd
 
 RADII = ("radii", "mean_radii", "footprint_radii")
 

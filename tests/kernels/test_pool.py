@@ -13,7 +13,7 @@ import pytest
 import splatree as st
 from splatree.kernels.cpu import _core
 
-from .conftest import gaussians
+from ..scenes import gaussians
 
 PATIENCE_S = 60
 """A barrier that is not met fails after this time; nothing else depends on it."""

@@ -9,7 +9,8 @@ from splatree.kernels.cpu import frame as cpu
 from splatree.scene.frame import Splats
 from splatree.scene.view import View
 
-from .conftest import absurd, camera, gaussians
+from ..scenes import camera, gaussians
+from .conftest import absurd
 
 MODES = ("classic", "antialiased")
 

@@ -17,7 +17,7 @@ def job_of(emulator: Emulator, arrays: dict[str, DeviceArray]) -> DeviceArray:
     from splatree.kernels.cuda.job import pack_numbers
     from splatree.scene.options import SelectOptions
 
-    from .conftest import camera
+    from ..scenes import camera
 
     numbers = pack_numbers(View(camera()), SelectOptions(), degree=0)
     return emulator.upload(pack_job(numbers, {name: a.pointer for name, a in arrays.items()}, {"num_rows": THREADS}))

@@ -4,7 +4,7 @@ import pytest
 from splatree.kernels.cpu.codec import sog as cpu
 from splatree.kernels.reference import sog as reference
 
-from .conftest import gaussians
+from ..scenes import gaussians
 
 
 def bounds(low, high):

@@ -6,7 +6,7 @@ from splatree.kernels.cpu import _core
 from splatree.kernels.cpu.codec import splat as cpu
 from splatree.kernels.reference import splat as reference
 
-from .conftest import gaussians
+from ..scenes import gaussians
 
 COLUMNS = ("means", "quats", "log_scales", "logit_opacities", "sh")
 

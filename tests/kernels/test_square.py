@@ -9,7 +9,7 @@ from splatree.kernels.cpu import frame as cpu
 from splatree.kernels.reference.square import half_sides, rule_of
 from splatree.scene.frame import Splats
 
-from .conftest import camera, gaussians
+from ..scenes import camera, gaussians
 from .test_bin import pairs_of
 from .test_project import all_rows, seen
 

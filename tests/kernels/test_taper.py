@@ -11,7 +11,7 @@ from splatree.kernels.cpu import frame as cpu
 from splatree.scene.frame import Picture, Splats, TileBins
 from splatree.scene.view import Wanted
 
-from .conftest import camera, gaussians
+from ..scenes import camera, gaussians
 from .test_bin import pairs_of
 from .test_project import all_rows, seen
 

@@ -27,8 +27,8 @@ from splatree.lod.baselines import BaselineName, BaselineOptions, Request, basel
 from splatree.lod.select import count_uncovered
 from splatree.scene.view import View, view_of
 
-from ..lod.test_build import surface
 from ..lod.test_select import camera_at, quad_tree
+from ..scenes import surface
 
 CUTS = ("3dgs", "roots", "depth", "h3dgs", "serial", "octree", "flod", "filtergs")
 PER_NODE = ("octree-per-node", "flod-per-node", "lodge")

@@ -14,7 +14,7 @@ from splatree.lod.graft import graft
 from splatree.lod.grow import grow
 from splatree.lod.resolve import ResolvedBuild, measure, resolve
 
-from ..lod.test_build import surface
+from ..scenes import surface
 
 COLUMNS = ("means", "quats", "log_scales", "logit_opacities", "sh")
 MODES = hs.sampled_from(["classic", "antialiased"])

@@ -9,23 +9,9 @@ from splatree import BuildOptions, Gaussians, InputError, MergeOptions, Scene, b
 from splatree.lod.report import report_levels
 from splatree.maths.covariance import covariances_from_gaussians
 
+from ..scenes import surface
+
 NAMES = ("means", "quats", "log_scales", "logit_opacities", "sh")
-
-
-def surface(n: int, seed: int = 0, degree: int = 0) -> Gaussians:
-    """Flat Gaussians on a wavy square, in patches of colour."""
-    rng = np.random.default_rng(seed)
-    xy = rng.uniform(-5, 5, size=(n, 2))
-    means = np.column_stack([xy, np.sin(xy[:, 0])])
-    sh = rng.normal(0, 0.2, size=(n, (degree + 1) ** 2, 3))
-    sh[:, 0] += np.where(xy[:, :1] > 0, 1.0, -1.0)
-    return Gaussians(
-        means.astype(np.float32),
-        rng.normal(size=(n, 4)).astype(np.float32),
-        rng.normal([-2, -2, -5], 0.3, size=(n, 3)).astype(np.float32),
-        rng.normal(1, 2, size=n).astype(np.float32),
-        sh.astype(np.float32),
-    )
 
 
 def parents_of(scene: Scene) -> np.ndarray:

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.lod.test_build import NAMES, check_moments, parents_of, surface
+from tests.lod.test_build import NAMES, check_moments, parents_of
+from tests.scenes import surface
 
 from splatree import BuildOptions, Gaussians, InputError, MergeOptions, Scene, build_lod
 from splatree.kernels.cpu.build.thin import group

@@ -1,5 +1,6 @@
 import json
 from dataclasses import fields, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -11,16 +12,9 @@ import splatree
 from splatree import Gaussians, InputError, Scene, SelectOptions, link_levels
 from splatree.lod.link import parents_of
 
+from .. import scenes
 
-def cloud(n, seed=0, degree=1):
-    rng = np.random.default_rng(seed)
-    return Gaussians(
-        rng.normal(size=(n, 3)).astype(np.float32),
-        rng.normal(size=(n, 4)).astype(np.float32),
-        rng.normal(-3, 0.5, (n, 3)).astype(np.float32),
-        rng.normal(size=n).astype(np.float32),
-        rng.normal(size=(n, (degree + 1) ** 2, 3)).astype(np.float32),
-    )
+cloud = partial(scenes.cloud, degree=1)
 
 
 def levels(*sizes):

@@ -5,7 +5,7 @@ import pytest
 
 import splatree as st
 
-from ..kernels.conftest import camera, gaussians
+from ..scenes import camera, gaussians
 
 
 def test_counters_add_up_to_those_of_the_frame(tmp_path: Path) -> None:

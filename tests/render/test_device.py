@@ -16,8 +16,8 @@ from splatree.kernels.cuda.driver import Device
 from splatree.kernels.devices import DeviceName
 from splatree.lod.baselines import baseline
 
-from ..kernels.conftest import camera, gaussians
 from ..kernels.simt_device import Emulator
+from ..scenes import camera, gaussians
 
 
 @pytest.fixture

@@ -4,7 +4,7 @@ import pytest
 import splatree as st
 from splatree.render.evaluate import evaluate, score
 
-from ..kernels.conftest import gaussians
+from ..scenes import gaussians
 
 CAMERAS = [
     st.Camera(view.camera_from_world, view.K, view.width, view.height, name=name)

@@ -1,4 +1,5 @@
 from dataclasses import replace
+from functools import partial
 from importlib import import_module
 from itertools import count
 from types import SimpleNamespace
@@ -8,19 +9,11 @@ import pytest
 
 import splatree as st
 
+from .. import scenes
+
+cloud = partial(scenes.cloud, degree=3, log_scales=("uniform", -5.0, -1.5), logits=("normal", 0.0, 2.0), sh=0.3)
+
 ALL_LEAVES = st.SelectOptions(pixel_error=0)
-
-
-def cloud(n: int, seed: int, degree: int = 3) -> st.Gaussians:
-    """A random cloud of unit size around the origin."""
-    rng = np.random.default_rng(seed)
-    return st.Gaussians(
-        means=rng.normal(size=(n, 3)).astype(np.float32),
-        quats=rng.normal(size=(n, 4)).astype(np.float32),
-        log_scales=rng.uniform(-5, -1.5, (n, 3)).astype(np.float32),
-        logit_opacities=rng.normal(0, 2, n).astype(np.float32),
-        sh=(0.3 * rng.normal(size=(n, (degree + 1) ** 2, 3))).astype(np.float32),
-    )
 
 
 CAMERA = st.Camera.look_at((0.3, -0.5, -4), (0, 0, 0), width=83, height=53)

@@ -11,7 +11,7 @@ import splatree as st
 from splatree.kernels.cuda.driver import Device
 from splatree.kernels.devices import DeviceName
 
-from ..kernels.conftest import camera, gaussians
+from ..scenes import camera, gaussians
 
 VIEWS = (camera(), camera(distance=9.0), camera(30, 50, shift_x=8.0))
 

@@ -12,8 +12,8 @@ import splatree as st
 from splatree.kernels.cpu import _core
 from splatree.kernels.cuda.driver import DeviceArray
 
-from ..kernels.conftest import camera, gaussians
 from ..kernels.simt_device import Emulator
+from ..scenes import camera, gaussians
 
 NAMES = [field.name for field in fields(st.Gaussians)]
 

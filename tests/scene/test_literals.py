@@ -12,7 +12,7 @@ from splatree import InputError, Scene
 from splatree.scene.literals import _choices_from_field, check_literals
 from splatree.scene.options import RenderOptions
 
-from ..kernels.conftest import gaussians
+from ..scenes import gaussians
 
 
 @dataclasses.dataclass(frozen=True)

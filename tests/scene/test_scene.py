@@ -7,7 +7,7 @@ import splatree as st
 from splatree.errors import InputError, ShapeError
 from splatree.lod.blocks import with_blocks
 
-from ..kernels.conftest import gaussians
+from ..scenes import gaussians
 
 
 @pytest.mark.parametrize(

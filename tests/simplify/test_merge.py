@@ -13,7 +13,7 @@ from splatree.maths.covariance import covariances_from_gaussians
 from splatree.maths.rotations import matrices_from_quats
 from splatree.simplify.merge import weights_of
 
-from ..kernels.conftest import gaussians
+from ..scenes import gaussians
 
 NAMES = ("means", "quats", "log_scales", "logit_opacities", "sh")
 

@@ -1,3 +1,5 @@
+from functools import partial
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -8,16 +10,9 @@ from splatree.kernels.cpu.build import pairs
 from splatree.kernels.reference import pairs as reference
 from splatree.simplify.merge import weights_of
 
+from .. import scenes
 
-def random_gaussians(n: int, seed: int, *, spread: float = 1.0, degree: int = 0) -> Gaussians:
-    rng = np.random.default_rng(seed)
-    return Gaussians(
-        (spread * rng.normal(size=(n, 3))).astype(np.float32),
-        rng.normal(size=(n, 4)).astype(np.float32),
-        rng.normal(-2, 1, size=(n, 3)).astype(np.float32),
-        rng.normal(0, 2, size=n).astype(np.float32),
-        rng.normal(size=(n, (degree + 1) ** 2, 3)).astype(np.float32),
-    )
+cloud = partial(scenes.cloud, log_scales=("normal", -2.0, 1.0), logits=("normal", 0.0, 2.0))
 
 
 @pytest.mark.parametrize("n", [2, 3, 9, 60])
@@ -25,7 +20,7 @@ def random_gaussians(n: int, seed: int, *, spread: float = 1.0, degree: int = 0)
 @pytest.mark.parametrize("spread", [0.0, 0.1, 3.0])
 @pytest.mark.parametrize("hidden", [False, True])
 def test_partners_agree_with_the_reference(n, dilation, spread, hidden, isa):
-    g = random_gaussians(n, seed=n, spread=spread)
+    g = cloud(n, seed=n, spread=spread)
     rng = np.random.default_rng(1)
     weights = rng.uniform(0.1, 1, n).astype(np.float32)
     visibilities = rng.uniform(0.05, 1, n).astype(np.float32) if hidden else np.ones(n, np.float32)
@@ -64,7 +59,7 @@ def test_matching_takes_the_cheapest_pairs_that_share_no_row(n, seed, most):
 
 @pytest.mark.parametrize("count", [1, 7, 100, 299, 300, 400])
 def test_a_count_is_met_exactly_and_groups_hold_each_row_once(count):
-    g = random_gaussians(300, seed=3, degree=1)
+    g = cloud(300, seed=3, degree=1)
     thinned = thin(Scene.flat(g, mode="antialiased"), ThinOptions(count=count))
     groups = thinned.groups
     assert len(thinned) == len(groups) == min(count, 300)
@@ -77,7 +72,7 @@ def test_a_count_is_met_exactly_and_groups_hold_each_row_once(count):
 
 @pytest.mark.parametrize("mode", ["classic", "antialiased"])
 def test_result_does_not_depend_on_threads(mode):
-    g = random_gaussians(3000, seed=4)
+    g = cloud(3000, seed=4)
     results = [thin(Scene.flat(g, mode=mode), ThinOptions(keep=0.3), threads=t).scene.gaussians for t in (1, 2, 4)]
     for other in results[1:]:
         for name in ("means", "quats", "log_scales", "logit_opacities", "sh"):
@@ -85,7 +80,7 @@ def test_result_does_not_depend_on_threads(mode):
 
 
 def test_twins_merge_first_and_cost_nothing():
-    g = random_gaussians(50, seed=5, spread=10.0)
+    g = cloud(50, seed=5, spread=10.0)
     g = Gaussians(
         *(np.concatenate([c, c]) for c in (g.means, g.quats, g.log_scales, np.full(50, -3, np.float32), g.sh))
     )
@@ -111,7 +106,7 @@ def test_of_two_pairs_the_one_that_shows_less_merges():
 
 
 def test_all_at_one_place_become_one():
-    g = random_gaussians(40, seed=6, spread=0.0)
+    g = cloud(40, seed=6, spread=0.0)
     for mode in ("classic", "antialiased"):
         thinned = thin(Scene.flat(g, mode=mode), ThinOptions(count=1))
         merged = thinned.scene.gaussians
@@ -121,7 +116,7 @@ def test_all_at_one_place_become_one():
 
 @pytest.mark.parametrize("mode", ["classic", "antialiased"])
 def test_enormous_scales_merge_to_finite_numbers(mode):
-    g = random_gaussians(50, seed=9)
+    g = cloud(50, seed=9)
     wide = Gaussians(g.means, g.quats, np.full_like(g.log_scales, 80.0), g.logit_opacities, g.sh)
     merged = thin(Scene.flat(wide, mode=mode), ThinOptions(count=5)).scene.gaussians
     for name in ("means", "quats", "log_scales", "logit_opacities", "sh"):
@@ -129,7 +124,7 @@ def test_enormous_scales_merge_to_finite_numbers(mode):
 
 
 def test_gaussians_out_of_reach_are_refused():
-    g = random_gaussians(4, seed=10)
+    g = cloud(4, seed=10)
     far = Gaussians(g.means * np.float32(1e25), g.quats, g.log_scales, g.logit_opacities, g.sh)
     with pytest.raises(InputError, match="so far apart"):
         thin(Scene.flat(far), ThinOptions(count=1))
@@ -137,7 +132,7 @@ def test_gaussians_out_of_reach_are_refused():
 
 def test_a_neighbour_whose_cost_float32_cannot_hold_is_passed_over():
     """The nearest of the first is 10¹⁷ times as large; it takes the farther one of its own size."""
-    g = random_gaussians(3, seed=11)
+    g = cloud(3, seed=11)
     means = np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0]], np.float32)
     log_scales = np.repeat(np.array([[-20], [20], [-20]], np.float32), 3, axis=1)
     g = Gaussians(means, g.quats, log_scales, g.logit_opacities, g.sh)
@@ -146,7 +141,7 @@ def test_a_neighbour_whose_cost_float32_cannot_hold_is_passed_over():
 
 
 def test_a_named_opacity_rule_is_kept():
-    g = random_gaussians(60, seed=7)
+    g = cloud(60, seed=7)
     options = ThinOptions(count=59, merge=MergeOptions(opacity="union"))
     thinned = thin(Scene.flat(g, mode="classic"), options)
     members = thinned.groups.rows[np.repeat(thinned.groups.sizes == 2, thinned.groups.sizes)]
@@ -157,7 +152,7 @@ def test_a_named_opacity_rule_is_kept():
 
 @pytest.mark.parametrize("opacity", [None, "fitted"])
 def test_a_pair_gets_the_fitted_opacity_in_a_classic_scene(opacity):
-    g = random_gaussians(2, seed=12)
+    g = cloud(2, seed=12)
     options = ThinOptions(count=1, pixel_size=0.5, visibility=False, merge=MergeOptions(opacity=opacity))
     thinned = thin(Scene.flat(g, mode="classic"), options)
     _, alphas = reference.pair_costs(
@@ -169,7 +164,7 @@ def test_a_pair_gets_the_fitted_opacity_in_a_classic_scene(opacity):
 
 
 def test_options_say_what_was_done():
-    g = random_gaussians(20, seed=13)
+    g = cloud(20, seed=13)
     for mode, opacity, weight in (("classic", "fitted", "opacity"), ("antialiased", "optical", "opacity-area")):
         thinned = thin(Scene.flat(g, mode=mode), ThinOptions(count=5))
         assert thinned.options.method == "pairs"
@@ -180,11 +175,11 @@ def test_options_say_what_was_done():
 
 def test_fitted_opacity_is_of_pairs_alone():
     with pytest.raises(InputError, match="only merging by pairs"):
-        thin(Scene.flat(random_gaussians(20, seed=14)), ThinOptions(radius=0.1, merge=MergeOptions(opacity="fitted")))
+        thin(Scene.flat(cloud(20, seed=14)), ThinOptions(radius=0.1, merge=MergeOptions(opacity="fitted")))
 
 
 def test_cost_falls_with_the_square_of_the_visibility():
-    g = random_gaussians(9, seed=15)
+    g = cloud(9, seed=15)
     weights = np.ones(9, np.float32)
     seen = pairs.best_partners(g, weights, np.ones(9, np.float32), dilation=0.0)
     hidden = pairs.best_partners(g, weights, np.full(9, 0.25, np.float32), dilation=0.0)

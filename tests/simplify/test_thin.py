@@ -11,18 +11,9 @@ from splatree.kernels.reference import thin as reference
 from splatree.simplify.merge import importance_of
 from splatree.simplify.thin import auto_radius
 
+from ..scenes import cloud
+
 FIELDS = ("representatives", "group_from_row", "start", "rows")
-
-
-def random_gaussians(n: int, seed: int = 0, degree: int = 0) -> Gaussians:
-    rng = np.random.default_rng(seed)
-    return Gaussians(
-        rng.normal(size=(n, 3)).astype(np.float32),
-        rng.normal(size=(n, 4)).astype(np.float32),
-        rng.normal(-3, 0.5, size=(n, 3)).astype(np.float32),
-        rng.normal(size=n).astype(np.float32),
-        rng.normal(size=(n, (degree + 1) ** 2, 3)).astype(np.float32),
-    )
 
 
 @st.composite
@@ -75,7 +66,7 @@ def test_each_row_is_in_one_group(data, radius):
 
 
 def test_groups_do_not_depend_on_the_order_of_rows():
-    g = random_gaussians(500)
+    g = cloud(500)
     importance = importance_of(g, "opacity-scale")
     colors = np.zeros_like(g.means)
     order = np.random.default_rng(1).permutation(len(g))
@@ -109,31 +100,31 @@ def test_far_outliers_share_cells_and_stay_apart():
 
 
 def test_identical_points_merge_at_radius_zero():
-    g = random_gaussians(1).take(np.zeros(5000, np.int64))
+    g = cloud(1).take(np.zeros(5000, np.int64))
     thinned = thin(Scene.flat(g), ThinOptions(radius=0.0))
     assert len(thinned) == 1
     np.testing.assert_array_equal(thinned.scene.gaussians.means, g.means[:1])
 
 
 def test_distinct_points_stay_bit_for_bit_at_radius_zero():
-    g = random_gaussians(300, degree=1)
+    g = cloud(300, degree=1)
     thinned = thin(Scene.flat(g), ThinOptions(radius=0.0))
     for name in ("means", "quats", "log_scales", "logit_opacities", "sh"):
         assert getattr(thinned.scene.gaussians, name).tobytes() == getattr(g, name).tobytes()
 
 
 def test_radius_beyond_the_scene_leaves_one():
-    assert len(thin(Scene.flat(random_gaussians(200)), ThinOptions(radius=1e9, color_radius=None))) == 1
+    assert len(thin(Scene.flat(cloud(200)), ThinOptions(radius=1e9, color_radius=None))) == 1
 
 
 @pytest.mark.parametrize("n", [0, 1])
 def test_smallest_scenes(n):
     for options in (ThinOptions(), ThinOptions(keep=0.5), ThinOptions("radius", count=1), ThinOptions(radius=1.0)):
-        assert len(thin(Scene.flat(random_gaussians(n)), options)) == n
+        assert len(thin(Scene.flat(cloud(n)), options)) == n
 
 
 def test_enormous_scales_merge_to_finite_numbers():
-    g = random_gaussians(50)
+    g = cloud(50)
     wide = Gaussians(g.means, g.quats, np.full_like(g.log_scales, 80.0), g.logit_opacities, g.sh)
     merged = thin(Scene.flat(wide), ThinOptions(radius=10.0)).scene.gaussians
     assert np.isfinite(merged.log_scales).all() and np.isfinite(merged.logit_opacities).all()
@@ -141,7 +132,7 @@ def test_enormous_scales_merge_to_finite_numbers():
 
 @pytest.mark.parametrize("keep", [0.5, 0.1])
 def test_a_share_is_met_to_one_percent(keep):
-    g = random_gaussians(20_000)
+    g = cloud(20_000)
     thinned = thin(Scene.flat(g), ThinOptions("radius", keep=keep, color_radius=None))
     assert abs(len(thinned) / (keep * len(g)) - 1) <= 0.01
     again = thin(Scene.flat(g), ThinOptions(radius=thinned.radius, color_radius=None))
@@ -149,13 +140,13 @@ def test_a_share_is_met_to_one_percent(keep):
 
 
 def test_count_that_colour_forbids_is_refused():
-    g = random_gaussians(200)
+    g = cloud(200)
     with pytest.raises(InputError, match="color_radius"):
         thin(Scene.flat(g), ThinOptions("radius", count=1, color_radius=0.01))
 
 
 def test_auto_radius_is_the_median_distance_to_the_nearest():
-    g = random_gaussians(1000)
+    g = cloud(1000)
     x = g.means.astype(np.float64)
     apart = np.linalg.norm(x[:, None] - x[None], axis=2) + np.diag(np.full(len(x), np.inf))
     # All rows are sampled; the distances are sums of the same squares in float64.
@@ -163,21 +154,21 @@ def test_auto_radius_is_the_median_distance_to_the_nearest():
 
 
 def test_auto_radius_of_a_line_is_one_and_a_half_steps():
-    g = random_gaussians(50)
+    g = cloud(50)
     g.means[:] = 0
     g.means[:, 1] = np.arange(50) * 0.25
     assert auto_radius(g) == pytest.approx(1.5 * 0.25)
 
 
 def test_auto_radius_looks_past_duplicates():
-    g = random_gaussians(300)
+    g = cloud(300)
     assert auto_radius(Gaussians.concatenate([g, g])) > 0
     assert auto_radius(g.take(np.zeros(10, np.int64))) == 0
 
 
 @pytest.mark.parametrize("field", ["means", "quats", "log_scales", "logit_opacities", "sh"])
 def test_not_finite_rows_are_named(field):
-    g = random_gaussians(10)
+    g = cloud(10)
     columns = {name: getattr(g, name).copy() for name in ("means", "quats", "log_scales", "logit_opacities", "sh")}
     columns[field].reshape(10, -1)[7, 0] = np.nan
     with pytest.raises(InputError, match=rf"{field}\[7\]"):
@@ -185,7 +176,7 @@ def test_not_finite_rows_are_named(field):
 
 
 def test_zero_quaternion_is_named():
-    g = random_gaussians(10)
+    g = cloud(10)
     quats = g.quats.copy()
     quats[4] = 0
     with pytest.raises(InputError, match=r"quats\[4\]"):
@@ -231,7 +222,7 @@ def test_options_of_the_other_method_are_refused(given, found):
 
 
 def test_a_scene_is_thinned_as_it_is_drawn_and_by_its_leaves():
-    scene = replace(Scene.flat(random_gaussians(400), mode="antialiased"), threshold=0.01, tile_rule="balanced")
+    scene = replace(Scene.flat(cloud(400), mode="antialiased"), threshold=0.01, tile_rule="balanced")
     alone, tree = thin(scene, ThinOptions(keep=0.5)), build_lod(scene)
     found = thin(tree, ThinOptions(keep=0.5)).scene
     assert (found.mode, found.threshold, found.tile_rule) == ("antialiased", 0.01, "balanced")
@@ -240,7 +231,7 @@ def test_a_scene_is_thinned_as_it_is_drawn_and_by_its_leaves():
 
 def test_what_is_no_scene_is_refused_with_what_to_do():
     with pytest.raises(InputError, match=r"found Gaussians, wanted a Scene; make one with Scene.flat\(gaussians"):
-        thin(random_gaussians(3))
+        thin(cloud(3))
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])

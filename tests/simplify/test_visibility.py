@@ -1,3 +1,5 @@
+from functools import partial
+
 import numpy as np
 import pytest
 
@@ -6,19 +8,12 @@ from splatree.kernels.cpu.build import visibility
 from splatree.kernels.reference import visibility as reference
 from splatree.simplify.visibility import VISIBILITY_MIN, pixel_size_of, visibilities_of
 
+from ..scenes import cloud
+
+opaque = partial(cloud, log_scales=("normal", -1.0, 0.7), logits=("normal", 0.0, 2.0), sh=0.0)
+
 OPAQUE = 6.0
 """Logit of an opacity of 0.998."""
-
-
-def random_gaussians(n: int, seed: int, *, spread: float = 1.0) -> Gaussians:
-    rng = np.random.default_rng(seed)
-    return Gaussians(
-        (spread * rng.normal(size=(n, 3))).astype(np.float32),
-        rng.normal(size=(n, 4)).astype(np.float32),
-        rng.normal(-1, 0.7, size=(n, 3)).astype(np.float32),
-        rng.normal(0, 2, size=n).astype(np.float32),
-        np.zeros((n, 1, 3), np.float32),
-    )
 
 
 def balls(means: list[list[float]], log_scale: float = 0.0) -> Gaussians:
@@ -36,7 +31,7 @@ def balls(means: list[list[float]], log_scale: float = 0.0) -> Gaussians:
 @pytest.mark.parametrize("reach", [np.inf, 3.0])
 @pytest.mark.parametrize("cell", [0.2, 1.0])
 def test_visibilities_are_those_of_the_reference(n, reach, cell, isa):
-    g = random_gaussians(n, seed=n)
+    g = opaque(n, seed=n)
     middle = np.array([0.1, -0.2, 0.3])
     found = visibility.measure_visibilities(g, middle, cell=cell, reach=reach, width=64)
     expected = reference.measure_visibilities(g, middle, cell=cell, reach=reach, width=64)
@@ -72,7 +67,7 @@ def test_of_the_one_behind_is_seen_what_the_other_lets_through():
 
 
 def test_result_does_not_depend_on_threads_or_on_where_the_scene_lies():
-    g = random_gaussians(3000, seed=4, spread=5.0)
+    g = opaque(3000, seed=4, spread=5.0)
     results = [visibilities_of(g, threads=t) for t in (1, 2, 4)]
     for other in results[1:]:
         np.testing.assert_array_equal(results[0], other)
@@ -84,13 +79,13 @@ def test_result_does_not_depend_on_threads_or_on_where_the_scene_lies():
 @pytest.mark.parametrize("log_scale", [-80.0, 80.0])
 @pytest.mark.parametrize("spread", [0.0, 1e-20, 1e15])
 def test_any_finite_scene_has_visibilities(log_scale, spread):
-    g = random_gaussians(20, seed=5, spread=spread)
+    g = opaque(20, seed=5, spread=spread)
     g = Gaussians(g.means, g.quats, np.full_like(g.log_scales, log_scale), g.logit_opacities, g.sh)
     seen = visibilities_of(g)
     assert np.all((seen >= VISIBILITY_MIN) & (seen <= 1))
 
 
 def test_pixel_size_is_the_median_size():
-    g = random_gaussians(3, seed=8)
+    g = opaque(3, seed=8)
     scales = np.sort(np.exp(g.log_scales.astype(np.float64)), axis=1)
     assert pixel_size_of(g) == pytest.approx(np.median(np.sqrt(scales[:, 1] * scales[:, 2])), rel=1e-5)

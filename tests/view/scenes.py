@@ -2,23 +2,15 @@
 
 from functools import lru_cache
 
-import numpy as np
-
 from splatree.lod.build import build_lod
-from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Scene
 from splatree.view.exhibit import exhibit
 
+from ..scenes import cloud
 
-def gaussians(n=2000, degree=3, seed=7):
-    rng = np.random.default_rng(seed)
-    return Gaussians(
-        rng.normal(0, 1, (n, 3)).astype(np.float32),
-        rng.normal(0, 1, (n, 4)).astype(np.float32),
-        rng.normal(-3.2, 0.6, (n, 3)).astype(np.float32),
-        rng.normal(1, 1.5, n).astype(np.float32),
-        rng.normal(0, 0.25, (n, (degree + 1) ** 2, 3)).astype(np.float32),
-    )
+
+def gaussians(n=2000, degree=3):
+    return cloud(n, 7, degree=degree, log_scales=("normal", -3.2, 0.6), logits=("normal", 1.0, 1.5), sh=0.25)
 
 
 @lru_cache(maxsize=4)
