@@ -12,7 +12,7 @@ from splatree.kernels.cuda.driver import Device
 from splatree.kernels.cuda.stages import Stages
 from splatree.kernels.reference.project import follow
 
-from .conftest import camera, gaussians
+from ..scenes import camera, gaussians
 from .test_project import all_rows, seen
 
 

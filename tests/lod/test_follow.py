@@ -12,7 +12,7 @@ from splatree.edit.options import EditOptions
 from splatree.kernels.reference.project import follow
 from splatree.maths.covariance import covariances_from_gaussians
 
-from .test_build import surface
+from ..scenes import surface
 
 METHODS = ("radius", "pairs")
 
