@@ -100,3 +100,30 @@ def test_colours_of_many_nodes_come_in_parts(monkeypatch):
         if not change.is_behind:
             break
     assert (sent, steps) == (250, 3)
+
+
+def test_merged_nodes_come_as_they_look_and_come_again_when_that_changes():
+    import splatree
+    from splatree.kernels.reference.project import follow
+
+    shown = splatree.build_lod(scene(degree=0), splatree.BuildOptions(max_roots=4))
+    assert shown.tree.curves is not None
+    slots, mirror = Slots(shown, CENTRE, 2048), Mirror(2048)
+    rows = np.arange(0, len(shown), 3, dtype=np.int32)
+    inner = shown.tree.curves[rows, 2] > 0
+    opacities = []
+    for distance in (3.0, 3.01, 30.0):
+        camera = splatree.Camera.look_at([0, 0, -distance], [0, 0, 0], width=64, height=48)
+        change = slots.move(rows, camera.position, splatree.open_session(shown).view(camera))
+        mirror.take(change)
+        assert mirror.live.sum() == len(rows)
+        depths = shown.gaussians.means[rows].astype(np.float64) @ camera.camera_from_world[2, :3] + distance
+        h = 0.3 * depths**2 / camera.K[0, 0] ** 2
+        scales = np.exp(shown.gaussians.log_scales[rows].astype(np.float64))
+        _, wanted = follow(shown.tree.curves[rows].astype(np.float64), h, scales, shown.gaussians.opacities()[rows])
+        found = (mirror.words[slots.slots, 3] >> 16) / 65535
+        np.testing.assert_allclose(found[inner], wanted[inner], rtol=0.2)
+        opacities.append(found[inner])
+        if distance == 3.01:
+            assert len(change.add) < 0.05 * len(rows)
+    assert np.mean(opacities[2] - opacities[0]) > 0

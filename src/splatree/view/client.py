@@ -158,7 +158,7 @@ class Client:
             self._rung += 1  # the scene has more roots in view than this step has nodes
             return self._cut(request)
         selected = time.process_time()
-        change = self._slots.move(chosen.rows, eye)
+        change = self._slots.move(chosen.rows, eye, self._exhibit.session.view(request.camera))
         packed = time.process_time()
         self._last = chosen.pixel_error
         is_step = is_step and len(chosen) > 0.5 * budget

@@ -12,7 +12,9 @@ import numpy as np
 from splatree.kernels.cpu.codec.nodes import pack_colors, pack_nodes
 from splatree.kernels.cpu.codec.slots import keep, release, stale
 from splatree.scene.scene import Scene
+from splatree.scene.view import View
 from splatree.shapes import Array, Float64, Int32, UInt32
+from splatree.view.follow import dilations_of, followed, has_drifted
 
 __all__ = ["Change", "Slots"]
 
@@ -62,6 +64,7 @@ class Slots:
         self._eyes = np.zeros((capacity, 3), np.float32) if scene.gaussians.sh_degree else None
         self._eye: Float64[Array, 3] | None = None
         self._is_behind = False
+        self._dilations = np.zeros(capacity, np.float32)  # that each node was sent with
         self.rows: Int32[Array, v] = np.zeros(0, np.int32)
         """Rows that the page holds, ascending."""
 
@@ -70,11 +73,15 @@ class Slots:
         """The slot of each row that the page holds."""
         return self._slot_after[self.rows] - 1
 
-    def move(self, rows: Int32[Array, "v"], eye: Float64[Array, "3"]) -> Change:
-        """Let the page hold ``rows``, ascending, at most as many as there are slots, seen from ``eye``."""
+    def move(self, rows: Int32[Array, "v"], eye: Float64[Array, "3"], view: View | None = None) -> Change:
+        """Let the page hold ``rows``, ascending, at most as many as there are slots, seen from ``eye``.
+
+        With the ``view`` that is drawn, merged nodes are sent as they look at their pixel; without, as they are stored.
+        """
         self._step += 1
+        drifted = self._let_drift(view)
         new = keep(rows, self._slot_after, self._stamps, self._step)
-        drop = release(self.rows, self._slot_after, self._stamps, self._step)
+        drop = np.concatenate([drifted, release(self.rows, self._slot_after, self._stamps, self._step)])
         self._free[self._num_free : self._num_free + len(drop)] = drop
         top = self._num_free + len(drop)
         self._num_free = top - len(new)
@@ -84,8 +91,23 @@ class Slots:
             self._eyes[add] = eye - self._centre
         self.rows = rows
         nodes = pack_nodes(self._scene.gaussians, self._scene.tree, new, eye, self._centre)
+        dilations = dilations_of(self._scene, new, view)
+        if dilations is not None:
+            nodes = followed(nodes, self._scene, new, dilations)
+            self._dilations[add] = dilations
         tint, colors = self._tints(eye)
         return Change(drop.view(np.uint32), add.view(np.uint32), nodes, tint.view(np.uint32), colors, self._is_behind)
+
+    def _let_drift(self, view: View | None) -> Int32[Array, "d"]:
+        """Slots of nodes that look too different by now; their rows are forgotten, so that they come again as new ones."""
+        now = dilations_of(self._scene, self.rows, view)
+        if now is None:
+            return np.zeros(0, np.int32)
+        slots = self.slots
+        drifts = has_drifted(now, self._dilations[slots])
+        self._slot_after[self.rows[drifts]] = 0
+        self.rows = self.rows[~drifts]
+        return slots[drifts]
 
     def _tints(self, eye: Array) -> tuple[Int32[Array, "t"], UInt32[Array, "t"]]:
         """The slots whose colours the eye has left behind, and their new colours."""
