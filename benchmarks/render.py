@@ -44,15 +44,16 @@ def project_rows(scalar: ctypes.CDLL) -> list[dict[str, Any]]:
     g = cloud(2_000_000, reach=1.4, scale=0.02, seed=0)
     camera = st.Camera.look_at((0, 0, 0), (0, 0, 1), width=WIDTH, height=HEIGHT)
     rows = np.arange(len(g), dtype=np.int32)
-    view, threshold = pack_view(st.View(camera)), 1 / 255
-    numbers = np.concatenate([np.ravel(field) for field in view]).astype(np.float64)
+    view = st.View(camera, sh_degree=0)
+    packed, threshold = pack_view(view), view.threshold
+    numbers = np.concatenate([np.ravel(field) for field in packed]).astype(np.float64)
     out_rows, depths = np.zeros(len(g), np.int32), np.zeros(len(g), np.float32)
     records = aligned_zeros(len(g))
+    out = {"rows": out_rows, "records": records, "depths": depths}
     columns = (g.means, g.quats, g.log_scales, g.logit_opacities, g.sh)
 
     def project(chosen: np.ndarray, threads: int = 1) -> int:
-        arguments = (chosen, view, threshold, threshold, None, False, 0, out_rows, records, depths, threads)
-        return int(_core.project_rows(*columns, *arguments))
+        return int(_core.project_rows(g, None, chosen, packed, view, None, out, threads))
 
     num = project(rows)
     visible = out_rows[:num].copy()

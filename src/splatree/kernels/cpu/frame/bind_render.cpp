@@ -2,9 +2,11 @@
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/optional.h>
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <optional>
+#include <string>
 
 #include "cpu/frame/blend.h"
 #include "cpu/frame/project.h"
@@ -17,30 +19,29 @@
 namespace splatree {
 namespace {
 
-int64_t project_rows(In<float> means, In<float> quats, In<float> log_scales, In<float> logit_opacities, In<float> sh,
-                     std::optional<In<float>> curves, In<int32_t> rows, nb::handle view, double threshold, double least_opacity,
-                     nb::handle square, bool antialiased, int degree, Out<int32_t> out_rows, Out<float> out_records,
-                     Out<float> out_depths, int threads) {
+// `out` are arrays to fill: rows, records and depths of the splats.
+int64_t project_rows(py::Gaussians gaussians, std::optional<In<float>> curves, In<int32_t> rows, py::PackedView packed,
+                     py::View view, std::optional<py::SquareRule> square, nb::dict out, int threads) {
   const int64_t num_rows = int64_t(rows.shape(0));
-  View seen = view_of(view, threshold, antialiased);
-  seen.least_opacity = float(least_opacity);
-  const ProjectJob job{means.data(),
-                       quats.data(),
-                       log_scales.data(),
-                       logit_opacities.data(),
-                       sh.data(),
+  View seen = view_of(packed, number<double>(view, "pixel_threshold"), number<std::string>(view, "mode") == "antialiased");
+  seen.least_opacity = number_of(view, "least_opacity");
+  const ProjectJob job{column<float>(gaussians, "means"),
+                       column<float>(gaussians, "quats"),
+                       column<float>(gaussians, "log_scales"),
+                       column<float>(gaussians, "logit_opacities"),
+                       column<float>(gaussians, "sh"),
                        curves ? curves->data() : nullptr,
-                       int(sh.shape(1)),
-                       degree,
+                       int(number<In<float>>(gaussians, "sh").shape(1)),
+                       std::min(number<int>(view, "sh_degree"), number<int>(gaussians, "sh_degree")),
                        seen,
-                       !square.is_none(),
-                       square.is_none() ? Square{} : square_of(nb::borrow<py::SquareRule>(square)),
+                       square.has_value(),
+                       square ? square_of(*square) : Square{},
                        rows.data(),
                        num_rows,
                        threads,
-                       out_rows.data(),
-                       out_records.data(),
-                       out_depths.data()};
+                       out_entry<int32_t>(out, "rows"),
+                       out_entry<float>(out, "records"),
+                       out_entry<float>(out, "depths")};
   nb::gil_scoped_release release;
   InOrder results((num_rows + PROJECT_CHUNK - 1) / PROJECT_CHUNK, kernels().project_buffer_bytes());
   kernels().project(job, results);
@@ -116,10 +117,9 @@ void blend_tiles(py::Splats splats, py::TileBins bins, py::View view, bool whole
 }  // namespace
 
 void bind_render(nb::module_& m) {
-  m.def("project_rows", &project_rows, nb::arg("means"), nb::arg("quats"), nb::arg("log_scales"), nb::arg("logit_opacities"),
-        nb::arg("sh"), nb::arg("curves").none(), nb::arg("rows"), nb::arg("view"), nb::arg("threshold"), nb::arg("least_opacity"),
-        nb::arg("square").none(), nb::arg("antialiased"), nb::arg("degree"), nb::arg("out_rows"), nb::arg("out_records"),
-        nb::arg("out_depths"), nb::arg("threads"), "Project rows; returns the number of records written.");
+  m.def("project_rows", &project_rows, nb::arg("gaussians"), nb::arg("curves").none(), nb::arg("rows"), nb::arg("packed"),
+        nb::arg("view"), nb::arg("square").none(), nb::arg("out"), nb::arg("threads"),
+        "Project rows; returns the number of records written.");
   m.def("order_splats", &order_splats, nb::arg("depths"), nb::arg("rows"), nb::arg("ids").none(), nb::arg("order"),
         nb::arg("threads"), "Indices of the splats by depth, equal depths by id.");
   m.def("bin_splats", &bin_splats, nb::arg("splats"), nb::arg("view"), nb::arg("square").none(), nb::arg("whole_box"),

@@ -25,30 +25,11 @@ def project(
     """Splats of the rows that touch the image."""
     if len(rows) and not (rows.min() >= 0 and rows.max() < len(gaussians)):
         raise InputError(f"rows: found {rows.min()} to {rows.max()}, wanted 0 to {len(gaussians) - 1}")
-    out_rows, depths, records = (
-        np.empty(len(rows), np.int32),
-        np.empty(len(rows), np.float32),
-        _empty_records(len(rows)),
-    )
-    num_splats = _core.project_rows(
-        gaussians.means,
-        gaussians.quats,
-        gaussians.log_scales,
-        gaussians.logit_opacities,
-        gaussians.sh,
-        curves if view.mode == "classic" else None,
-        rows,
-        pack_view(view),
-        view.pixel_threshold,
-        view.least_opacity,
-        pack_square(view),
-        view.mode == "antialiased",
-        min(view.sh_degree, gaussians.sh_degree),
-        out_rows,
-        records,
-        depths,
-        threads,
-    )
+    out_rows, depths = np.empty(len(rows), np.int32), np.empty(len(rows), np.float32)
+    records = _empty_records(len(rows))
+    followed = curves if view.mode == "classic" else None
+    out = {"rows": out_rows, "records": records, "depths": depths}
+    num_splats = _core.project_rows(gaussians, followed, rows, pack_view(view), view, pack_square(view), out, threads)
     out_rows, records = out_rows[:num_splats], records[:num_splats]
     order = np.empty(num_splats, np.int32)
     _core.order_splats(depths, out_rows, ids, order, threads)

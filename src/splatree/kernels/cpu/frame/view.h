@@ -17,7 +17,7 @@ inline Square square_of(const py::SquareRule& rule) {
 }
 
 // The view from PackedView of kernels/cpu/frame/view.py.
-inline View view_of(nb::handle packed, double threshold, bool antialiased) {
+inline View view_of(const nb::object& packed, double threshold, bool antialiased) {
   View view{};
   const double* rotation = column<double>(packed, "rotation");
   for (int i = 0; i < 9; ++i) view.rotation[i] = float(rotation[i]);
