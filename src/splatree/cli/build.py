@@ -37,11 +37,11 @@ class Command:
 
     files: Annotated[Files, arg(name="", help="")]
     levels: Literal["grow", "file"] = "grow"
-    """`grow`: merge the Gaussians, by the options below; `file`: link the levels that the input has, those of a streamed SOG."""
+    """`grow`: merge the Gaussians, by the options below; `file`: link the levels of the input, a streamed SOG."""
     mode: Mode | None = None
     """How the scene was trained and will be drawn; merged nodes depend on it. None: as the file says, else `classic`."""
     clusters: int | Literal["auto"] | None = None
-    """Make so many clusters, which views then leave out whole; `auto`: one for 128 rows, 1,024 to 32,768. None: no clusters."""
+    """Number of clusters, which views then leave out whole; `auto`: one for 128 rows, 1,024 to 32,768. None: no clusters."""
     flat: bool = False
     """Make no levels: only clusters, of the Gaussians as they are; a scene that has levels keeps them."""
     options: Annotated[BuildOptions, arg(name="", help="")] = BuildOptions()

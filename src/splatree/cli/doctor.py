@@ -1,4 +1,4 @@
-"""``splatree doctor``: what is there to draw with, and what to do about what is not."""
+"""``splatree doctor``: what this machine can draw with, and what to do about missing parts."""
 
 import platform
 import sys

@@ -51,13 +51,13 @@ class Command:
     held_out: int | Path = 8
     """With --data: every n-th view was held out of the training (1: all of them), or those named in a text file."""
     training: bool = False
-    """With --data: draw the training views too; their means are kept apart, for they say nothing of new views."""
+    """With --data: draw the training views too. Their means are kept apart, because they say nothing about new views."""
     every: int = 1
     """Draw each n-th of these views only, from the first."""
     scale: float = 1.0
     """Factor on the width and height of the views; photographs are resized likewise."""
     method: BaselineName | None = None
-    """Choose nodes by a published method instead of the options below, of which --pixel-error alone counts."""
+    """Choose nodes by a published method. Of the options of the selection, only --pixel-error counts then."""
     frames: int = 100
     """Frames timed, the views themselves or a path through them, after 20 to warm up; 0: none."""
     lpips: Net | None = None

@@ -49,7 +49,7 @@ VERBS = {
     "rtl": "write the identification engine of the accelerator as Verilog",
     "bench": "run a table or a figure of a paper again",
     "formats": "list the formats that are read and written",
-    "doctor": "say what is there to draw with: processor, GPU, driver, compiler",
+    "doctor": "say what this machine can draw with: processor, GPU, driver, compiler",
 }
 
 GROUPS = ("bench",)

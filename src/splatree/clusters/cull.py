@@ -9,7 +9,7 @@ and likewise for the other borders. Eq. 3 misses the factor sec φ of the border
 the image. A box with half sizes h along the world's axes takes Σ |n_a| h_a in the place of √(f² + w²) R, n = f x − w z in the
 world; it knows the shapes of its Gaussians, a sphere only their largest axes. The rules:
 
-``exact``        no row that our projection would draw is left out, whatever its extents; the picture keeps every bit. By spheres,
+``exact``        no row that our projection would draw is left out, by any tile rule; the picture keeps every bit. By spheres,
                  and by boxes too where splats end as ellipses at τ ≥ 1/255
 ``exact-inria``  the same for the rasteriser of Kerbl 2023: squares of 3σ, rounded up, over tiles
 ``exact-gsplat`` the same for gsplat: boxes of √(2 ln 255 o) σ, at most 3.33 σ, rounded up

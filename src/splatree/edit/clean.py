@@ -30,14 +30,19 @@ REACH = 1 << 20
 
 @dataclass(frozen=True)
 class CleanOptions:
-    """Which leaves are dropped."""
+    """Which leaves are dropped.
+
+    Example:
+        >>> st.clean(scene, st.CleanOptions(max_size=1000.0)).num_dropped
+        0
+    """
 
     max_size: float | None = None
     """Drop Gaussians whose longest standard deviation is larger than this, world units."""
     min_size: float | None = None
     """Drop Gaussians whose longest standard deviation is smaller than this, world units."""
     max_distance: float | None = None
-    """Drop Gaussians that lie farther than so many radii from the middle; with cameras, from the nearest camera, in radii of
+    """Drop Gaussians that lie farther than this many radii from the middle; with cameras, from the nearest camera, in radii of
     the cameras. A radius holds half of the Gaussians, or of the cameras, around their median."""
     floaters: bool = False
     """Drop pieces that touch nothing: connected cubes with few Gaussians in them."""
@@ -57,31 +62,40 @@ class CleanOptions:
 
 @dataclass(frozen=True, eq=False)
 class Cleaned:
-    """A scene without what was dropped."""
+    """A scene without the leaves that were dropped.
+
+    Example:
+        >>> cleaned = st.clean(scene, st.CleanOptions(max_distance=2.0))
+        >>> cleaned.scene.tree.num_leaves + cleaned.num_dropped == scene.tree.num_leaves
+        True
+    """
 
     scene: Scene
-    """What is left, with those merged nodes whose leaves all stay."""
+    """The leaves that are left, with those merged nodes whose leaves all stay."""
     dropped: dict[str, int]
-    """Leaves that each filter drops; one that several drop counts for each."""
+    """Number of leaves that each filter drops. A leaf that several filters drop counts for each."""
     num_dropped: int
-    """Leaves dropped in all."""
+    """Number of leaves dropped in all."""
 
 
 def clean(scene: Scene, options: CleanOptions, *, cameras: Float64[Array, "v 3"] | None = None) -> Cleaned:
-    """Drop leaves that do not belong into a scene.
+    """Drop leaves that do not belong to a scene: floaters, and Gaussians that are too large, too small or too far.
 
     Args:
-        scene: flat, or with levels.
-        options: which filters.
+        scene: any scene, flat or with levels.
+        options: the filters.
         cameras: centres of the cameras, world units, for ``max_distance``.
+
+    Returns:
+        The scene that is left, with counts.
 
     Raises:
         InputError: nothing would be left.
 
-    Example::
-
-        cleaned = st.clean(scene, st.CleanOptions(floaters=True, max_size=5.0))
-        print(cleaned.dropped)
+    Example:
+        >>> cleaned = st.clean(scene, st.CleanOptions(floaters=True, max_size=50.0))
+        >>> sorted(cleaned.dropped)
+        ['floaters', 'larger than max_size']
     """
     leaves = np.flatnonzero(scene.tree.is_leaf)
     dropped = {name: leaves[mask] for name, mask in _filters(scene, leaves, options, cameras)}

@@ -12,7 +12,7 @@ quats              length 1e-12 to 1e12                           normalised; ze
 =================  =============================================  ===========================================
 
 An infinite logit is an opacity of 0 or 1, which other tools write for the codes 0 and 255 of formats of 8 bits: readers take it
-for ±13.8, as our own readers of such formats take these codes, and count it like a repair.
+for ±13.8, as readers of such formats take these codes, and count it like a repair.
 
 The limits keep squares and products of float32 finite all through a frame. Repairs are counted in the scene's metadata under
 ``repairs``. The rows of a scene with levels cannot be dropped (its tree counts on them): such a scene is refused instead.

@@ -5,9 +5,9 @@ A merged Gaussian of opacity A > 1 is drawn by its format with a plateau: α(r) 
 
     G(A) = 1 + ln A   (Kerbl 2024),      G(A) = 1 + 1/2 + … + 1/A   (Spark; between whole numbers the digamma function).
 
-A logit cannot say more than 1, so such a Gaussian is read as the one of our model with the same peak and the same area:
-opacity `MERGED_ALPHA_MAX` and all axes longer by √G. In between the footprint differs: ours falls off from its centre, theirs
-stays opaque further out.
+A logit cannot hold an opacity above 1. Such a Gaussian is read as the one with the same peak and the same area: opacity
+`MERGED_ALPHA_MAX`, and all axes longer by √G. Between peak and rim the footprints differ: a Gaussian falls off from its
+centre, the plateau stays opaque farther out.
 """
 
 import numpy as np

@@ -81,7 +81,7 @@ class Format:
     suffixes: tuple[str, ...]
     """Endings of file names, lower case; empty if it is a folder."""
     versions: str
-    """Versions that are read, and in brackets what of them is written, if that is less."""
+    """Versions that are read; in brackets those that are written, if they are fewer."""
     holds: Holds
     """What a file of it can say."""
     sniff: Callable[[Path, bytes], bool]

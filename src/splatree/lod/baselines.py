@@ -1,7 +1,7 @@
 """Published methods of selection over one tree: each is a `Selector`, drawn and timed as ours is.
 
 The methods were published with trees, trainings and renderers of their own. Here only their rule is kept: which nodes of *one*
-tree does it draw? That compares selections on equal terms, and says nothing of how well each method trains.
+tree does it draw? That compares selections on equal terms, and says nothing about how well each method trains.
 
 ================  ==================================================================================================
 3dgs              all leaves; nothing is chosen (Kerbl 2023)

@@ -1,21 +1,21 @@
-"""Levels by pairs: at each size of a pixel, the merges that a view of that size does not show.
+"""Levels by pairs: for each width of a pixel, the merges that such a pixel does not show.
 
 Level l is made for a pixel of width p_l = p_0 g^l, world units. Two Gaussians may become one if their merging changes the
 picture by at most ε = 0.2 px² of squared signal (kernels/reference/pairs.py has the cost E, here E ≤ ε p²), the cheapest pairs
-first and each Gaussian with its cheapest partner, round after round until few are left; what became one is a family. The
-nodes of a level then stand for their leaves wherever a pixel is p_l or wider: their extent is e = τ_R p_l, so that the
+first and each Gaussian with its cheapest partner, round after round until few are left. Gaussians that became one are a family.
+The nodes of a level then stand for their leaves wherever a pixel is p_l or wider: their extent is e = τ_R p_l, so that the
 profile `sphere`, R = f e / (distance − e) ≤ τ_R, draws them from there on. Large even surfaces are merged early and small
 details late, whatever their size; all cuts are near the one with the fewest nodes for its squared error.
 
 In mode `classic` each splat grows by 0.3 px². So does each Gaussian here before costs are computed and areas compared: p is
-known. Far away all is dilation, and many opaque splats share a pixel: sums of signals then say too much, the picture is
-saturated. There a node that is smaller than a pixel, σ ≤ 0.68 p, is merged whatever the cost; `fitted` opacities are taken below
-0.98, above it those of the rule `standard`, which widens what is opaque already.
+known. Far away the dilation dominates, and many opaque splats share a pixel. The picture is saturated there, and sums of
+signals overstate what is seen. So a node that is smaller than a pixel, σ ≤ 0.68 p, is merged whatever the cost; `fitted`
+opacities are taken below 0.98, above it those of the rule `standard`, which widens what is opaque already.
 
-What others hide counts less (simplify/visibility.py), in costs and in what a merged one looks like.
+Hidden Gaussians count less (simplify/visibility.py), in the costs and in the look of the merged node.
 
-A node is at most 16 p long (σ): seen from 550 px focal lengths it then ends within a tenth of the distance, and one size of a
-pixel is true of all of it.
+A node is at most 16 p long (σ). Seen with a focal length of 550 px it then ends within a tenth of the distance, and one width
+of a pixel is true of all of it.
 
 Cost: neighbours are looked for once a level, by those that lost some (`build/partners.cpp`); costs, about half a microsecond
 a Gaussian, once a level in mode `classic` and where a partner has gone; visibilities once.

@@ -1,18 +1,19 @@
 """Levels that another tool made as one tree: each Gaussian of a level hangs below its nearest one of the next coarser level.
 
-A streamed SOG, or any series of ever coarser files, says nothing of which Gaussians stand for which. The nearest coarser
-centre is taken as parent. A cut of the tree then passes from level to level anywhere in space, as the selection asks for it.
+A streamed SOG, or any series of ever coarser files, does not say which Gaussians stand for which. The nearest coarser centre is
+taken as parent. A cut of the tree can then pass from level to level anywhere in space, as the selection asks for it.
 
-But a parent is not the merge of its children, only its level is that of theirs: where single nodes change their level, some of
-the surface is drawn twice and some not at all. So the nodes of a level should change together. Their extents are raised to
-what 99 of 100 of the level need, and the profile `sphere` of the selection, which asks the extents, then changes whole regions
-at a distance: with as many nodes it is as good as the file's levels where all is equally far, and 10 dB better where it is not.
+But a parent is not the merge of its children; only its level is the merge of theirs. Where single nodes change their level,
+some of the surface is drawn twice and some not at all. So the nodes of a level should change together. Their extents are
+raised to what 99 of 100 nodes of the level need. The profile `sphere`, which decides by the extents, then changes whole
+regions at a distance. With as many nodes it is as good as the file's levels where everything is equally far, and 10 dB better
+where it is not.
 
-Each inner node must stand for something, or it would be a leaf that is drawn among the finer ones. A coarse Gaussian that is
-nobody's nearest takes the nearest finer one whose parent has others to spare; one for which there is none in the end is left out.
-Where the only child of a node is the same Gaussian bit for bit (surroundings that are part of every level), it is left out too.
+Each inner node must stand for something; otherwise it would be a leaf that is drawn among the finer ones. A coarse Gaussian
+without children adopts the nearest finer one whose parent keeps another child; if there is none, it is dropped. A node whose
+only child is the same Gaussian bit for bit is dropped too: surroundings that are part of every level appear once.
 
-Cost: one search of nearest centres a level, some more for what is nobody's nearest, and the sorting into preorder.
+Cost: one search of nearest centres a level, a few more for Gaussians without children, and the sorting into preorder.
 """
 
 import dataclasses
@@ -38,7 +39,7 @@ _SHARE_IN_STEP = 0.99
 """Share of the nodes of a level that have the same extent, about: with less their number is lower and the picture patchy."""
 
 _ROUNDS = 32
-"""Rounds in which childless nodes look for a child; each serves at least half of what is left unless many share a place."""
+"""Rounds in which nodes without children look for one. A round serves at least half of them, unless many share a place."""
 
 
 def link_levels(levels: Sequence[Scene], *, threads: int = 0) -> Scene:

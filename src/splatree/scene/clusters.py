@@ -123,11 +123,11 @@ class Sides:
     eye: Float64[Array, "3"]
     """The eye in the world."""
     scale: float = 1.0
-    """Factor on radii, for what float32 loses of them."""
+    """Factor on radii, which covers their rounding in float32."""
     slack: float = 0.0
-    """Radius added for each unit of distance from the eye, for what float32 loses of positions."""
+    """Radius added for each unit of distance from the eye, which covers the rounding of positions in float32."""
     margin: float = 0.0
-    """Radius added, for what float32 loses of the view's own translation."""
+    """Radius added, which covers the rounding of the view's own translation in float32."""
     guard: bool = False
     """Whether spheres that reach the plane of the eye are kept whatever the sides say."""
     box_reaches: Float64[Array, "5 3"] | None = None

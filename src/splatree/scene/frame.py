@@ -123,7 +123,7 @@ class TileBins:
     num_tiles_y: int
     """Rows of tiles."""
     floors: Float32[Array, "v"] | None = None
-    """Opacity at which each splat is tapered off, 1/255 to τ: its largest in a tile that it is not listed in; None: none is."""
+    """Floor of each splat, 1/255 to τ: its largest opacity in a tile that it is not listed in; None: no splat is tapered."""
 
     def __post_init__(self) -> None:
         check_fields(self, t=self.num_tiles_x * self.num_tiles_y)

@@ -5,11 +5,12 @@ takes the cheapest pairs that share no member, at most a quarter of the Gaussian
 differences count as much as they show, so this keeps what a view shows where `radius` keeps an even distance; near views
 gain most. A count is met exactly.
 
-What is hidden counts less (visibility.py), in the cost and in what a merged one looks like: a hidden Gaussian gives way to the
-one before it.
+Hidden Gaussians count less (visibility.py), in the cost and in the look of the merged one: a hidden Gaussian gives way to the one
+before it.
 
-A scene of mode `classic` is drawn with 0.3 px² added to each splat: what is lost, and how opaque a merged one has to be, depends
-on the size of a pixel. It is fixed once, for the distance at which the median Gaussian is a pixel wide.
+A scene of mode `classic` is drawn with 0.3 px² added to each splat. The loss, and the opacity that a merged Gaussian needs,
+therefore depend on the width of a pixel. The width is fixed once, for the distance at which the median Gaussian is a pixel
+wide.
 
 Cost: rounds are log₄⸝₃ of the factor; each takes about 2 µs a Gaussian for the neighbours and costs, and the merge.
 """

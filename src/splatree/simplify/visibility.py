@@ -1,8 +1,8 @@
-"""How much of each Gaussian is seen, for thinning: what is hidden from everywhere is not worth a Gaussian.
+"""How much of each Gaussian can be seen, for thinning: what is hidden from everywhere is not worth a Gaussian.
 
-In a trained scene many Gaussians lie behind others. Spending few on what is seen gains as much as half as many more would (a
-city at a tenth, benchmarks/quality.py). The measure is kernels/reference/visibility.py's; here is the choice of its lengths
-from the scene. Cost: eight directions, about a microsecond a Gaussian.
+In a trained scene many Gaussians lie behind others. Spending fewer of them on hidden parts gains as much as half as many more
+Gaussians would (a city at a tenth, benchmarks/quality.py). kernels/reference/visibility.py defines the measure; this module
+chooses its lengths from the scene. Cost: eight directions, about a microsecond a Gaussian.
 """
 
 import numpy as np

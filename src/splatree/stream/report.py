@@ -86,7 +86,13 @@ class LevelQuality:
 
 @dataclass(frozen=True)
 class StreamReport:
-    """The quality of a stream."""
+    """How good a stream looks, at several budgets and level by level.
+
+    Example:
+        >>> report = st.report_stream(scene, st.stream(scene, "city_stream"), [camera.scaled(2)], budgets=[100])
+        >>> len(report.levels) > 0
+        True
+    """
 
     views: tuple[ViewQuality, ...]
     """Views by settings, coarse to fine."""
@@ -123,20 +129,21 @@ def report_stream(
     """Judge a stream by views of the scene that it was written from.
 
     Args:
-        scene: The scene with the levels that the stream was cut from.
-        written: What `stream` returned.
-        cameras: Views; None: near, middle and far.
-        budgets: Gaussians that PlayCanvas and Spark may draw; larger ones than the scene has are left out.
+        scene: the scene with the levels that the stream was cut from.
+        written: what `stream` returned.
+        cameras: views; None: near, middle and far.
+        budgets: Gaussians that PlayCanvas and Spark may draw; budgets above the size of the scene are left out.
 
     Returns:
         The quality of each view at each budget, and of each level.
 
+    Raises:
+        InputError: the scene is empty.
+
     Example:
-        >>> import splatree as st
-        >>> scene = st.build_lod(st.read("semarang_5_9.sog"))
-        >>> report = st.report_stream(scene, st.stream(scene, "city"), budgets=[50_000])
-        >>> [view.view for view in report.views]
-        ['near', 'middle', 'far']
+        >>> report = st.report_stream(scene, st.stream(scene, "city_stream"), [camera], budgets=[100])
+        >>> len(report.views) > 0
+        True
     """
     views = (
         dict(views_of(scene)) if cameras is None else {view.name or f"view {i}": view for i, view in enumerate(cameras)}

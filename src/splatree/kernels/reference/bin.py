@@ -2,11 +2,11 @@
 
 A splat belongs to a tile of 16 × 16 px iff its ellipse |L d| ≤ k, k = √(2 ln(o/τ)), reaches into the rectangle of the tile's
 pixel centres. The smallest |L d| over a rectangle is 0 if the centre lies inside; else it is on the border, where |L d|² is a
-parabola along each side. Nothing is lost: a pair left out has opacity below τ at every pixel of the tile. The extents
+parabola along each side. Nothing is lost: a pair left out has opacity below τ at every pixel of the tile. The tile rules
 `tau` and `3sigma` list a square instead (square.py).
 
-By the tile rule `balanced` a splat ends at τ (0.3 px² / √det Σ')^0.4 instead, but at 1/255 at least: the error of a lost tile
-grows with the size of the splat, what a pair costs does not.
+By the tile rule `balanced` a splat ends at τ (0.3 px² / √det Σ')^0.4 instead, but at 1/255 at least. The error of a lost tile
+grows with the size of the splat; the cost of a pair does not.
 
 With `taper` a splat gets a floor: its largest opacity in a tile of the picture that it is not listed in, held within 1/255
 and the opacity at which it ends. A splat that is listed in all its tiles down to 1/255 has the floor 1/255: it is drawn as it is.

@@ -1,4 +1,4 @@
-"""What merging two Gaussians changes in the picture, and each one's cheapest partner: as it is defined.
+"""How much merging two Gaussians changes the picture, and each one's cheapest partner: the definition.
 
 A Gaussian shows the signal α (c, 1) G: its colour, and 1 for what it hides, where G is 1 at its centre. Two of them, i and j,
 become m with the moments of both (weights w) and an opacity α_m. The cost is the squared difference of what is shown, seen
@@ -7,10 +7,10 @@ along the three axes of the world, and α_m is what makes it least:
     E = Σ_planes ∫ |α_i c_i G_i + α_j c_j G_j − α_m c_m G_m|²,    α_m = (α_i c_i·c_m ⟨i m⟩ + α_j c_j·c_m ⟨j m⟩) / (c_m·c_m ⟨m m⟩)
 
 with the overlap ⟨1 2⟩ = ∫ G₁ G₂ / π = 2 √(|S₁| |S₂| / |S|) exp(−½ dᵀ S⁻¹ d), S = S₁ + S₂, over the 2 × 2 blocks of the
-covariances. What the renderer adds to each splat is added to all three; without it a scene of mode `classic` would lose the
-small Gaussians that it draws a pixel wide. A Gaussian thinner than 1/256 of its length counts as that thick, and a
-determinant is at least 1e-6 of the product of its diagonal: float32 then holds all of it. What others hide (visibility.py)
-counts less: each α stands for its product with the visibility, of which m has the weighted mean.
+covariances. The renderer's dilation is added to all three; without it a scene of mode `classic` would lose the small
+Gaussians that it draws a pixel wide. A Gaussian thinner than 1/256 of its length counts as that thick, and a
+determinant is at least 1e-6 of the product of its diagonal: float32 then holds the result. Hidden Gaussians
+count less (visibility.py): each α stands for its product with the visibility, and m has the weighted mean of the visibilities.
 
 Candidates are the 8 nearest rows by the distance of their means. Cost: O(n²) here.
 """

@@ -4,8 +4,9 @@ With a radius R(v) ≥ 0 in px, a node is *small* if R(v) ≤ τ_R, and *stops* 
 
     C = { v : v is a leaf or small, and no proper ancestor of v stops },
 
-so each leaf has exactly one member of C among itself and its ancestors. Drawn is what of C is visible; the cut itself never
-looks at the frustum. In preorder the ranges [u, subtree_end[u]) of the stopping nodes are nested or disjoint, hence
+so each leaf has exactly one member of C among itself and its ancestors. The part of C that is in view is drawn; the cut itself
+does not depend on what is in view. In preorder the ranges [u, subtree_end[u]) of the stopping nodes are nested or disjoint,
+hence
 
     v is shadowed  ⇔  max { subtree_end[u] : u < v, u stops } > v:
 

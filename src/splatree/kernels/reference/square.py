@@ -1,4 +1,4 @@
-"""The square extents of published code: the definition.
+"""The square tile rules of published code: the definition.
 
 3DGS lists a splat in the tiles of a square around its centre, of half side ⌈3 √λ⌉ px, λ the larger eigenvalue of Σ' with a
 floor of 0.1 px⁴ under its root (Kerbl 2023, rasterizer). FilterGS shrinks it (2026, §3.3, and its code):
@@ -6,7 +6,7 @@ floor of 0.1 px⁴ under its root (Kerbl 2023, rasterizer). FilterGS shrinks it 
     r = √(2 e λ), e = max(ln(o/τ), 0.01), held within 0.1 · 3 √λ and 3 √λ;  half side max(1, ⌈r + 1⌉)
 
 The paper's r = √(2 σ ln(o/τ)) has this λ, a variance, for σ. The upper bound makes τ = 1/255 change nothing where o > 0.353; the
-lower keeps splats with o ≤ τ. Squares take no notice of where a splat is transparent: they list splats of any opacity.
+lower keeps splats with o ≤ τ. Squares ignore where a splat is transparent: they list splats of any opacity.
 """
 
 from typing import NamedTuple

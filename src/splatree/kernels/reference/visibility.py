@@ -1,16 +1,16 @@
-"""What of each Gaussian others leave to be seen from around: as it is defined.
+"""How much of each Gaussian can be seen past the others: the definition.
 
-Gaussians are looked at along eight directions, the diagonals of the world's cubes, both ways, in parallel projection on a
-plane of cells. A Gaussian becomes a splat G in the plane, its covariance widened by 0.3 of a cell squared and its opacity α
-lowered so that it keeps its mass. From the front to the back, by the depth of the means, each is seen through those before it:
+The scene is looked at along eight directions, the diagonals of the world's cubes, both ways, in parallel projection on a plane of
+pixels. A Gaussian becomes a splat G in the plane. Its covariance is widened by 0.3 px², and its opacity α is lowered so that it
+keeps its mass. From front to back, by the depth of the means, each Gaussian is seen through those before it:
 
-    seen = Σ T G / Σ G over the cells within 2 σ,    then T ← T (1 − α G)
+    seen = Σ T G / Σ G over the pixels within 2 σ,    then T ← T (1 − α G)
 
-What hides is forgotten with the distance behind it, 1 − T ← (1 − T) exp(−Δ/reach): a camera may stand in a room, not only
-outside of the scene. The visibility is the root of the mean, over the directions, of the squares of what is seen.
+Hiding fades with the distance behind the Gaussian that hides, 1 − T ← (1 − T) exp(−Δ/reach), because a camera may stand in a room
+and not only outside of the scene. The visibility is the root mean square, over the directions, of the shares that are seen.
 
-The plane repeats itself beyond ``width`` cells: the few Gaussians far out fall on others'. A splat is looked at in at most 16
-cells to each side. Cost: O(n · cells) here.
+The plane repeats itself beyond ``width`` pixels, so the few Gaussians far out fall on those of others. A splat is evaluated in at
+most 16 pixels to each side. Cost: O(n · pixels) here.
 """
 
 import numpy as np
