@@ -50,6 +50,8 @@ class FormatLine:
     """Whether clusters are kept."""
     origin: bool
     """Whether coordinates far from zero keep their digits."""
+    curves: bool
+    """Whether the file keeps how merged nodes follow the pixel that they are drawn at."""
     axes: str
     """Axes that the format prescribes."""
 
