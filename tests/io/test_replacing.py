@@ -73,3 +73,19 @@ def test_the_bytes_are_on_the_disk_before_the_name_and_the_name_before_the_end(t
 
 def _no_hard_links(self, target):
     raise OSError(1, "Operation not permitted")
+
+
+@UNIX
+def test_a_temporary_file_that_another_writer_took_for_abandoned_is_left_for_a_new_one(tmp_path, monkeypatch):
+    real, taken = module._locked, []
+
+    def locked(descriptor):
+        taken.append(descriptor)
+        return len(taken) > 1 and real(descriptor)
+
+    monkeypatch.setattr(module, "_locked", locked)
+    with module.replacing(tmp_path / "a") as path:
+        assert list(tmp_path.iterdir()) == [path]
+        path.write_text("new")
+    assert (tmp_path / "a").read_text() == "new" and len(taken) == 2
+    assert list(tmp_path.iterdir()) == [tmp_path / "a"]
