@@ -8,19 +8,26 @@ import urllib.request
 def test_serve_says_its_address_and_answers_until_it_is_interrupted(splatree, small_tree, tmp_path):
     assert splatree("stream", small_tree, tmp_path / "out", "--levels", "2")[0] == 0
     words = [sys.executable, "-m", "splatree", "serve", str(tmp_path / "out"), "--port", "0"]
-    process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    try:
-        line = process.stderr.readline()
-        address = line.split(" at ")[1].split()[0]
-        link = process.stderr.readline().strip()
-        assert link == f"{address}open/playcanvas?stream=lod-meta.json"
-        with urllib.request.urlopen(f"{address}lod-meta.json", timeout=10) as answer:
-            assert answer.status == 200
-        os.kill(process.pid, signal.SIGINT)
-        out, _ = process.communicate(timeout=20)
-        assert process.returncode == 0 and "served 1 streams" in out
-    finally:
-        process.kill()
+    with subprocess.Popen(
+        words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=listen_to_interruptions
+    ) as process:
+        try:
+            line = process.stderr.readline()
+            address = line.split(" at ")[1].split()[0]
+            link = process.stderr.readline().strip()
+            assert link == f"{address}open/playcanvas?stream=lod-meta.json"
+            with urllib.request.urlopen(f"{address}lod-meta.json", timeout=10) as answer:
+                assert answer.status == 200
+            os.kill(process.pid, signal.SIGINT)
+            out, _ = process.communicate(timeout=20)
+            assert process.returncode == 0 and "served 1 streams" in out
+        finally:
+            process.kill()
+
+
+def listen_to_interruptions():
+    """What a shell starts in the background ignores interruptions, and so do its children; the suite may be such a one."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def test_a_folder_without_a_stream_is_refused(splatree, tmp_path):
