@@ -1,3 +1,4 @@
+import signal
 from importlib.resources import as_file, files
 
 import numpy as np
@@ -43,3 +44,8 @@ def splatree(capsys):
         return code, captured.out, captured.err
 
     return run
+
+
+def listen_to_interruptions():
+    """What a shell starts in the background ignores interruptions, and so do its children; the suite may be such a one."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)

@@ -4,6 +4,8 @@ import subprocess
 import sys
 import urllib.request
 
+from .conftest import listen_to_interruptions
+
 
 def test_serve_says_its_address_and_answers_until_it_is_interrupted(splatree, small_tree, tmp_path):
     assert splatree("stream", small_tree, tmp_path / "out", "--levels", "2")[0] == 0
@@ -23,11 +25,6 @@ def test_serve_says_its_address_and_answers_until_it_is_interrupted(splatree, sm
             assert process.returncode == 0 and "served 1 streams" in out
         finally:
             process.kill()
-
-
-def listen_to_interruptions():
-    """What a shell starts in the background ignores interruptions, and so do its children; the suite may be such a one."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def test_a_folder_without_a_stream_is_refused(splatree, tmp_path):

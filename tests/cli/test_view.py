@@ -8,10 +8,14 @@ import urllib.request
 
 import pytest
 
+from .conftest import listen_to_interruptions
+
 
 def started(*words):
     command = [sys.executable, "-m", "splatree", "view", "--no-browser", *map(str, words)]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    return subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=listen_to_interruptions
+    )
 
 
 def test_it_serves_until_it_is_interrupted(small_tree):

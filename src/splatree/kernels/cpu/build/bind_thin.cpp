@@ -88,8 +88,9 @@ void merge_groups(nb::handle gaussians, nb::handle groups, In<float> weights, nb
 }  // namespace
 
 void bind_thin(nb::module_& m) {
-  m.def("thin", &thin_rows, nb::arg("means"), nb::arg("colors"), nb::arg("importance"), nb::arg("radius"), nb::arg("color_radius"),
-        nb::arg("is_open").none(), nb::arg("assign"), nb::arg("representative_from_row"), nb::arg("threads"));
+  m.def("thin", &thin_rows, nb::arg("means"), nb::arg("colors"), nb::arg("importance"), nb::arg("radius"),
+        nb::arg("color_radius"), nb::arg("is_open").none(), nb::arg("assign"), nb::arg("representative_from_row"),
+        nb::arg("threads"));
   m.def("merge", &merge_groups, nb::arg("gaussians"), nb::arg("groups"), nb::arg("weights"), nb::arg("options"), nb::arg("added"),
         nb::arg("opacities").none(), nb::arg("out"), nb::arg("threads"), "Fill `out` with one Gaussian for each group.");
   m.def("nearest_distances", [](In<float> means, In<int32_t> queries, double edge, Out<double> distances, int threads) {
