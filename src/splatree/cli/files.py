@@ -11,7 +11,7 @@ from tyro.conf import Positional, arg
 from splatree.cli.console import UsageError
 from splatree.errors import InputError, OutputError
 from splatree.io.notes import notes_in, sentences_in
-from splatree.io.options import WriteOptions
+from splatree.io.options import ReadOptions, WriteOptions
 from splatree.io.reading import read
 from splatree.io.registry import FOLDER_FILE, format_to_write, formats
 from splatree.io.replacing import check_target
@@ -63,6 +63,11 @@ def read_scene(paths: Sequence[Path], reading: Reading, *, level: int | None = N
         axes=reading.input_axes,
         ignore_properties=reading.ignore_properties,
     )
+
+
+def read_options(reading: Reading, *, level: int | None = None) -> ReadOptions:
+    """The options of the library's readers."""
+    return ReadOptions(level, reading.repair, reading.input_axes, reading.ignore_properties)
 
 
 def repairs_of(scene: Scene) -> dict[str, int]:

@@ -1,6 +1,7 @@
 """``splatree info``: what a scene holds."""
 
 import math
+import shlex
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
@@ -8,10 +9,16 @@ from typing import Annotated
 import numpy as np
 from tyro.conf import Positional, arg
 
+from splatree.cli.advice import Outliers, outliers_of
 from splatree.cli.console import Console, size, table
-from splatree.cli.files import Reading, check_inputs, read_scene
+from splatree.cli.files import Reading, check_inputs, read_options
+from splatree.cli.histogram import Histogram, in_lines, linear, logarithmic
+from splatree.io.estimate import estimated_bytes
 from splatree.io.notes import origin_in_words, sentences_in
+from splatree.io.outline import Outline, read_outline
 from splatree.io.registry import stored_bytes
+from splatree.render.framing.survey import survey_of
+from splatree.render.framing.upright import direction_in_words, guess_up
 from splatree.render.paths import bounds_of
 from splatree.scene.levels import LevelRecord
 from splatree.scene.origin import NO_ORIGIN, STEPS_PER_SIGMA, Origin, coarsest_step
@@ -20,7 +27,11 @@ from splatree.scene.scene import Scene
 
 @dataclass(frozen=True)
 class Command:
-    """Say what a scene holds: counts, levels, sizes, where it lies, how it is drawn, who made it."""
+    """Say what a scene holds: counts, levels, sizes, where it lies, which way is up, how it is drawn, who made it.
+
+    Histograms show opacity, size and extent. Outliers come with the command that drops them, other formats with an estimate of
+    the size that the scene would have in them.
+    """
 
     paths: Positional[tuple[Path, ...]]
     """Files or folders; several are read as one scene."""
@@ -78,6 +89,23 @@ class Info:
     """Quantiles of the leaves' opacities."""
     scale: dict[str, float]
     """Quantiles of the leaves' largest standard deviations, world units."""
+    histograms: dict[str, Histogram]
+    """`opacity` of the leaves; their `size`, the largest standard deviation, and their `extent`, the distance from the
+    centre. Both are in world units and in bins of equal ratio."""
+    up: tuple[float, ...] | None
+    """Unit vector that points up, as `render` guesses it; None for an empty scene."""
+    up_reason: str
+    """The hint that counted most for it."""
+    up_is_sure: bool
+    """Whether the hints for it agree."""
+    outliers: tuple[Outliers, ...]
+    """Gaussians that look as if they did not belong into the scene, and what drops them."""
+    estimated_bytes: dict[str, int]
+    """Estimated size of the leaves in other formats, by suffix, bytes."""
+    in_chunks: bool
+    """Whether the file went through in chunks, without its harmonics in memory."""
+    next: str
+    """Command to go on with."""
     metadata: dict[str, str] = field(default_factory=dict)
     """Rules and provenance that the file carries."""
 
@@ -87,16 +115,22 @@ def run(command: Command) -> Info:
     check_inputs(command.paths)
     # Nothing is drawn here, so a file that other properties would change is described, and what is lost is said.
     reading = replace(command.reading, ignore_properties=True)
-    return describe(read_scene(command.paths, reading, level=command.level))
+    return describe(read_outline(command.paths, read_options(reading, level=command.level)))
 
 
-def describe(scene: Scene) -> Info:
+def describe(outline: Outline) -> Info:
     """What is in a scene."""
-    leaves = scene.gaussians.take(scene.tree.is_leaf)
-    opacities = 1 / (1 + np.exp(-leaves.logit_opacities.astype(np.float64)))
+    scene = outline.scene
+    leaves = np.flatnonzero(scene.tree.is_leaf)
+    means, logits = (column[leaves] for column in (scene.gaussians.means, scene.gaussians.logit_opacities))
+    opacities = 1 / (1 + np.exp(-logits.astype(np.float64)))
+    sizes = np.exp(scene.gaussians.log_scales.max(axis=1, initial=-np.inf)[leaves].astype(np.float64))
     centre, radius = bounds_of(scene) if len(scene) else (np.zeros(3), 0.0)
+    distances = np.linalg.norm(means - centre.astype(np.float32), axis=1)
+    upright = guess_up(survey_of(outline.sample), scene.source) if len(scene) else None
     origin = np.asarray(scene.source.origin)
-    box = leaves.means if len(leaves) else np.zeros((1, 3), np.float32)
+    box = means if len(means) else np.zeros((1, 3), np.float32)
+    degree = outline.sample.gaussians.sh_degree
     return Info(
         paths=scene.source.paths,
         format=scene.source.format,
@@ -106,12 +140,12 @@ def describe(scene: Scene) -> Info:
         nodes_per_depth=tuple(int(n) for n in np.bincount(scene.tree.depth)),
         record=scene.tree.record,
         clusters=_clusters(scene),
-        sh_degree=scene.gaussians.sh_degree,
+        sh_degree=degree,
         mode=scene.mode,
         threshold=scene.threshold,
         tile_rule=scene.tile_rule or "ellipse",
         file_bytes=sum(stored_bytes(Path(path)) for path in scene.source.paths),
-        bytes=scene.gaussians.nbytes,
+        bytes=outline.nbytes,
         box_min=_point(box.min(axis=0) + origin),
         box_max=_point(box.max(axis=0) + origin),
         centre=_point(centre + origin),
@@ -119,9 +153,31 @@ def describe(scene: Scene) -> Info:
         coordinate_step=coarsest_step(float(np.abs(centre).max())),
         radius=radius,
         opacity=_quantiles(opacities),
-        scale=_quantiles(np.exp(leaves.log_scales.max(axis=1, initial=-np.inf).astype(np.float64))),
+        scale=_quantiles(sizes),
+        histograms={
+            "opacity": linear(opacities, 0, 1),
+            "size": logarithmic(sizes),
+            "extent": logarithmic(distances),
+        },
+        up=None if upright is None else upright.up,
+        up_reason="" if upright is None else upright.reason,
+        up_is_sure=upright is not None and upright.lead > 1,
+        outliers=outliers_of(scene, sizes, opacities, float(np.median(distances)) if len(leaves) else 0.0),
+        estimated_bytes=estimated_bytes(len(leaves), degree),
+        in_chunks=outline.in_chunks,
+        next=_next(scene),
         metadata=dict(scene.source.metadata),
     )
+
+
+def _next(scene: Scene) -> str:
+    """The command that a user would want next: levels where there are none, else a picture."""
+    paths = " ".join(shlex.quote(path) for path in scene.source.paths) or "INPUT"
+    if scene.tree.num_levels > 1:
+        return f"splatree render {paths} -o pictures"
+    stem = scene.source.paths[0].rstrip("/").rsplit("/", 1)[-1].split(".")[0] if scene.source.paths else "scene"
+    output = shlex.quote(f"{stem or 'scene'}.splatree")
+    return f"splatree build {paths} {'-o ' if len(scene.source.paths) > 1 else ''}{output}"
 
 
 def _point(numbers: np.ndarray) -> tuple[float, ...]:
@@ -158,10 +214,30 @@ def show(info: Info) -> str:
         ("opacity", _in_words(info.opacity)),
         ("largest scale", _in_words(info.scale)),
         ("coordinates", _step_words(info)),
+        *([("up", _up_words(info.up, info))] if info.up else []),
+        *(("outliers", f"{o.number:,} {o.kind}: {o.advice}") for o in info.outliers),
+        *([("other formats", _formats_words(info.estimated_bytes))] if info.num_gaussians else []),
         *(({"notes": "note", "lost": "lost"}[key], text) for key, text in sentences),
         *((f"  {key}", value if len(value) < 200 else value[:197] + "...") for key, value in rest.items()),
     ]
-    return table([{"": name, " ": value} for name, value in rows]).strip("\n ")
+    described = table([{"": name, " ": value} for name, value in rows]).strip("\n ")
+    titles = {
+        "opacity": "opacity",
+        "size": "size: largest standard deviation, world units",
+        "extent": "extent: distance from the centre, world units",
+    }
+    bars = [line for name, title in titles.items() for line in in_lines(title, info.histograms[name])]
+    return "\n".join([described, *bars, *([f"next: {info.next}"] if info.num_gaussians else [])])
+
+
+def _up_words(up: tuple[float, ...], info: Info) -> str:
+    guess = "" if info.up_is_sure else "; this is a guess, see --up of `splatree render`"
+    return f"{direction_in_words(np.array(up))}, by {info.up_reason}{guess}"
+
+
+def _formats_words(estimates: dict[str, int]) -> str:
+    smallest_first = sorted(estimates.items(), key=lambda item: item[1])
+    return "estimated " + ", ".join(f"{suffix} {size(num)}" for suffix, num in smallest_first)
 
 
 def _digits(info: Info) -> int:

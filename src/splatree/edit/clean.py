@@ -19,7 +19,7 @@ from splatree.errors import InputError
 from splatree.scene.scene import Scene
 from splatree.shapes import Array, Bool, Float64, Int64
 
-__all__ = ["CleanOptions", "Cleaned", "clean"]
+__all__ = ["CleanOptions", "Cleaned", "clean", "would_drop"]
 
 OCCUPIED = 0.1
 """Opacity from which a leaf holds pieces together: fog joins everything."""
@@ -109,6 +109,12 @@ def clean(scene: Scene, options: CleanOptions, *, cameras: Float64[Array, "v 3"]
             f"clean: found filters that drop all {len(leaves):,} Gaussians ({counts}), wanted some to be left"
         )
     return Cleaned(keep_leaves(scene, kept), {name: len(rows) for name, rows in dropped.items()}, num_dropped)
+
+
+def would_drop(scene: Scene, options: CleanOptions) -> dict[str, int]:
+    """How many leaves each filter of `clean` would drop, without cameras; no scene is made, and all of them may go."""
+    leaves = np.flatnonzero(scene.tree.is_leaf)
+    return {name: int(mask.sum()) for name, mask in _filters(scene, leaves, options, None)}
 
 
 def _filters(

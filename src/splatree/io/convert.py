@@ -9,29 +9,27 @@ twice, first to count what is left.
 import json
 import os
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from splatree.edit.edit import edit, edit_rows, move_from_options
 from splatree.edit.options import EditOptions
 from splatree.errors import InputError
-from splatree.io.budget import RowBudget
 from splatree.io.chunks import Chunks
 from splatree.io.inputs import find_inputs
-from splatree.io.joined import joined, joined_source, relative_to
+from splatree.io.joined import joined
+from splatree.io.joined_chunks import joined_chunks, opened_chunks
 from splatree.io.local import local_inputs
-from splatree.io.notes import notes_in, sentences_in, with_notes
+from splatree.io.notes import notes_in, sentences_in
 from splatree.io.options import ReadOptions, WriteOptions
 from splatree.io.reading import read_one
-from splatree.io.registry import detect, files_of, format_to_write
+from splatree.io.registry import detect, format_to_write
 from splatree.io.writing import write, write_chunks
 from splatree.progress import track
-from splatree.scene.gaussians import Gaussians
 from splatree.scene.literals import check_literals
 from splatree.scene.names import Mode
 from splatree.scene.origin import Origin
-from splatree.scene.scene import Source
 
 __all__ = ["ConvertOptions", "Converted", "convert"]
 
@@ -129,7 +127,7 @@ def convert(
 def _converted_from(found: Sequence[Path], target: Path, options: ConvertOptions, force: bool) -> Converted:
     chosen = format_to_write(target)
     by_rows = options.read.level is None and options.depth is None and options.edit.order == "kept"
-    if chosen.write_chunks is not None and by_rows and (parts := _opened(found, options.read)) is not None:
+    if chosen.write_chunks is not None and by_rows and (parts := opened_chunks(found, options.read)) is not None:
         return _in_chunks(found, parts, target, options, force)
 
     scene = joined(read_one(path, options.read) for path in found)
@@ -141,26 +139,10 @@ def _converted_from(found: Sequence[Path], target: Path, options: ConvertOptions
     return _converted(num_read, scene.tree.num_leaves, scene.source.metadata, lost, scene.source.origin)
 
 
-def _opened(paths: Sequence[Path], options: ReadOptions) -> list[Chunks] | None:
-    """All inputs in chunks; None if one of them cannot be read so."""
-    parts, budget = [], RowBudget(f"{paths[0]} and {len(paths) - 1} more")
-    for path in paths:
-        found = detect(path)
-        chunks = None if found is None or found.read_chunks is None else found.read_chunks(path, options)
-        if chunks is None:
-            return None
-        if len(paths) > 1:
-            for file in files_of(path):
-                budget.add_file(file)
-            budget.take(len(chunks))
-        parts.append(chunks)
-    return parts
-
-
 def _in_chunks(
     paths: Sequence[Path], parts: Sequence[Chunks], target: Path, options: ConvertOptions, force: bool
 ) -> Converted:
-    chunks = _joined_chunks(parts, paths)
+    chunks = joined_chunks(parts, paths)
     if options.mode is not None:
         chunks = replace(chunks, mode=options.mode)
     edited = _edited_chunks(chunks, options.edit)
@@ -182,29 +164,6 @@ def _converted(
     for part in parts:
         repairs.update(part.repairs)
     return Converted(num_read, num_written, lost, dict(repairs), bool(parts), notes_in(metadata, origin))
-
-
-def _joined_chunks(parts: Sequence[Chunks], paths: Sequence[Path]) -> Chunks:
-    """All rows in order, as `joined` does with scenes."""
-    first = parts[0]
-    if len(parts) == 1:
-        return first
-    degree = max(part.sh_degree for part in parts)
-    for part, path in zip(parts, paths, strict=True):
-        if part.mode != first.mode:
-            raise InputError(
-                f"inputs differ in their mode: {path} has {part.mode}, those before it {first.mode}; wanted scenes of one "
-                "training, convert them one by one"
-            )
-
-    def make() -> Iterator[Gaussians]:
-        for part in parts:
-            for chunk in part:
-                yield relative_to(chunk.with_sh_degree(degree), part.origin, first.origin)
-
-    source = joined_source([Source(metadata=part.metadata) for part in parts])
-    metadata = with_notes(source, [f"{len(parts)} inputs were joined as one scene"]).metadata
-    return Chunks(sum(map(len, parts)), degree, first.mode, make, metadata, origin=first.origin)
 
 
 def _edited_chunks(chunks: Chunks, options: EditOptions) -> Chunks:

@@ -23,7 +23,7 @@ from splatree.errors import InputError
 from splatree.render.framing.panorama import horizontals
 from splatree.render.framing.standpoint import Standpoint, from_inside, from_outside, looks_enclosed
 from splatree.render.framing.survey import Survey, survey_of, weighted_quantiles
-from splatree.render.framing.upright import guess_up
+from splatree.render.framing.upright import direction_in_words, guess_up
 from splatree.scene.cameras import Camera
 from splatree.scene.scene import Scene
 from splatree.shapes import Array, Float64, check_fields
@@ -148,7 +148,9 @@ def frame_scene(
     if up is None:
         guess = guess_up(survey, scene.source)
         vertical, is_sure = np.array(guess.up), guess.lead > 1
-        reasons.append(f"up is {_words(vertical)}, by {guess.reason}{'' if is_sure else '; this is a guess, see --up'}")
+        reasons.append(
+            f"up is {direction_in_words(vertical)}, by {guess.reason}{'' if is_sure else '; this is a guess, see --up'}"
+        )
     else:
         vertical, is_sure = np.asarray(up, np.float64), True
         if vertical.shape != (3,) or not 0 < np.linalg.norm(vertical) < np.inf:
@@ -182,11 +184,3 @@ def focus_of(survey: Survey) -> tuple[Float64[Array, "3"], float]:
     if radius == 0:  # one Gaussian, or all at one place: its own size
         radius = 3 * float(np.exp(survey.gaussians.log_scales.max()))
     return centre, radius
-
-
-def _words(up: Array) -> str:
-    """+z, or the vector where it is no axis."""
-    axis = int(np.argmax(np.abs(up)))
-    if abs(up[axis]) > 0.999:
-        return f"{'+' if up[axis] > 0 else '-'}{'xyz'[axis]}"
-    return "({:.2f}, {:.2f}, {:.2f})".format(*up)

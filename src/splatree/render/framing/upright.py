@@ -26,7 +26,7 @@ from splatree.render.framing.survey import Survey, weighted_quantiles
 from splatree.scene.scene import Source
 from splatree.shapes import Array, Float64
 
-__all__ = ["Upright", "guess_up"]
+__all__ = ["Upright", "direction_in_words", "guess_up"]
 
 Y_DOWN: Final = (0.0, -1.0, 0.0)
 """Up in the axes of COLMAP and of most 3DGS training."""
@@ -91,6 +91,14 @@ def guess_up(survey: Survey, source: Source | None = None) -> Upright:
         reason=max(gains, key=gains.__getitem__),
         lead=float(odds[best] - odds[others].max()),
     )
+
+
+def direction_in_words(up: Float64[Array, "3"]) -> str:
+    """+z, or the vector where it is no axis."""
+    axis = int(np.argmax(np.abs(up)))
+    if abs(up[axis]) > 0.999:
+        return f"{'+' if up[axis] > 0 else '-'}{'xyz'[axis]}"
+    return "({:.2f}, {:.2f}, {:.2f})".format(*up)
 
 
 def _stated(source: Source) -> Mapping[tuple[float, ...], float]:

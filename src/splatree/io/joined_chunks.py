@@ -1,0 +1,58 @@
+"""Several files in chunks, as one scene: what `joined` does with scenes in memory.
+
+Memory is one chunk of one file at a time.
+"""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from splatree.errors import InputError
+from splatree.io.budget import RowBudget
+from splatree.io.chunks import Chunks
+from splatree.io.joined import joined_source, relative_to
+from splatree.io.notes import with_notes
+from splatree.io.options import ReadOptions
+from splatree.io.registry import detect, files_of
+from splatree.scene.gaussians import Gaussians
+from splatree.scene.scene import Source
+
+__all__ = ["joined_chunks", "opened_chunks"]
+
+
+def opened_chunks(paths: Sequence[Path], options: ReadOptions) -> list[Chunks] | None:
+    """All inputs in chunks; None if one of them cannot be read so."""
+    parts, budget = [], RowBudget(f"{paths[0]} and {len(paths) - 1} more")
+    for path in paths:
+        found = detect(path)
+        chunks = None if found is None or found.read_chunks is None else found.read_chunks(path, options)
+        if chunks is None:
+            return None
+        if len(paths) > 1:
+            for file in files_of(path):
+                budget.add_file(file)
+            budget.take(len(chunks))
+        parts.append(chunks)
+    return parts
+
+
+def joined_chunks(parts: Sequence[Chunks], paths: Sequence[Path]) -> Chunks:
+    """All rows in order, as `joined` does with scenes."""
+    first = parts[0]
+    if len(parts) == 1:
+        return first
+    degree = max(part.sh_degree for part in parts)
+    for part, path in zip(parts, paths, strict=True):
+        if part.mode != first.mode:
+            raise InputError(
+                f"inputs differ in their mode: {path} has {part.mode}, those before it {first.mode}; wanted scenes of one "
+                "training, convert them one by one"
+            )
+
+    def make() -> Iterator[Gaussians]:
+        for part in parts:
+            for chunk in part:
+                yield relative_to(chunk.with_sh_degree(degree), part.origin, first.origin)
+
+    source = joined_source([Source(metadata=part.metadata) for part in parts])
+    metadata = with_notes(source, [f"{len(parts)} inputs were joined as one scene"]).metadata
+    return Chunks(sum(map(len, parts)), degree, first.mode, make, metadata, origin=first.origin)
