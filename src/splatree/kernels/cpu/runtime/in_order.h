@@ -8,8 +8,8 @@
 //   buffer->count = ...;                                           // computed into the buffer
 //   for (ChunkBuffer* b = results.finish(chunk, buffer); b; b = results.give_back(b)) ...   // copied to b->first
 //
-// Memory: as many buffers as threads, and one for each chunk that is left here. Not compiled for each instruction set, so the
-// functions may use std templates.
+// Memory: as many buffers as threads, and one for each chunk that is left here; 4 MB of them are kept for the next frame. Not
+// compiled for each instruction set, so the functions may use std templates.
 #pragma once
 #include <cstdint>
 
@@ -21,6 +21,7 @@ struct ChunkBuffer {
   int64_t first;       // its place, set by finish()
   ChunkBuffer* next;   // of a list
   ChunkBuffer* older;  // of all buffers
+  int64_t bytes;       // of the whole buffer
   const void* owner;   // the thread in whose cache it was last
 };
 
