@@ -3,6 +3,8 @@ import json
 import numpy as np
 import pytest
 
+from splatree.cli.console import size
+from splatree.io.formats.spz.versions import readers_of
 from splatree.io.reading import read
 from splatree.io.writing import write
 from splatree.scene.scene import Scene
@@ -53,3 +55,30 @@ def test_infinite_logits_are_read_and_told(splatree, small_scene, tmp_path, word
     code, said, _ = splatree(verb, tmp_path / "certain.ply", tmp_path / output, *options)
     assert code == 0 and "repaired: clamped_opacities 2" in said
     assert np.isfinite(read(tmp_path / output).gaussians.logit_opacities).all()
+
+
+@pytest.mark.parametrize(("words", "version"), [((), 4), (("--spz-version", "3"), 3), (("--format-version", "2"), 2)])
+def test_convert_says_which_version_of_spz_was_written_and_who_cannot_read_it(
+    splatree, small_ply, tmp_path, words, version
+):
+    code, out, _ = splatree("convert", small_ply, tmp_path / "a.spz", *words)
+    assert code == 0
+    assert read(tmp_path / "a.spz").source.metadata["version"] == str(version)
+    assert [line for line in out.splitlines() if line.startswith("spz version")] == [readers_of(version)]
+    assert "spz version" not in splatree("convert", small_ply, tmp_path / "a.splat")[1]
+
+
+def test_build_says_how_much_larger_the_tree_is_and_what_is_more_compact(splatree, small_ply, tmp_path):
+    sog, tree = tmp_path / "a.sog", tmp_path / "a.splatree"
+    assert splatree("convert", small_ply, sog)[0] == 0
+    code, out, _ = splatree("build", sog, tree)
+    assert code == 0
+    before, after = sog.stat().st_size, tree.stat().st_size
+    line = next(line for line in out.splitlines() if "of the input" in line)
+    assert line.startswith(f"{after / before:.1f} times the {size(before)} of the input, {size(after - before)} more")
+    assert line.endswith(f"splatree convert {tree} {tree.with_suffix('.rad')}")
+    assert splatree("convert", tree, tree.with_suffix(".rad"))[0] == 0
+    assert tree.with_suffix(".rad").stat().st_size < after
+    assert read(tree.with_suffix(".rad")).tree.num_levels == read(tree).tree.num_levels
+    rad = splatree("build", sog, tmp_path / "b.rad")[1]
+    assert "of the input" in rad and "splatree convert" not in rad

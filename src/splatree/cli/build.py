@@ -1,6 +1,7 @@
 """``splatree build``: the levels of detail of a scene, and its clusters."""
 
 import json
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,6 +15,7 @@ from splatree.cli.comparison import in_words as comparison_in_words
 from splatree.cli.console import Console, UsageError, size, table
 from splatree.cli.files import Files, inputs_and_output, lost_and_noted, read_scene, repairs_of, told
 from splatree.clusters.build import ClusterOptions, build_clusters
+from splatree.io.estimate import estimated_bytes
 from splatree.io.photos import PhotosUsed
 from splatree.io.reading import read_levels
 from splatree.io.registry import stored_bytes
@@ -76,6 +78,10 @@ class Built:
     """Number and rules of the clusters, as they are written into the file; None without clusters."""
     bytes: int
     """Size of the file."""
+    input_bytes: int
+    """Size of the files that were read; 0 for what was fetched from elsewhere."""
+    growth: str | None
+    """How much larger the file is than the input, and which form is more compact; None if it is not larger."""
     repairs: dict[str, int]
     """How many values or rows each rule of repair touched."""
     lost: tuple[str, ...]
@@ -114,6 +120,7 @@ def run(command: Command) -> Built:
         scene = calibrated(scene, calibration, held_out=views.rule)
     lost, notes = lost_and_noted(scene, write(scene, output, force=command.files.force))
     report = report_levels(scene)
+    num_bytes, input_bytes = stored_bytes(output), sum(stored_bytes(Path(path)) for path in scene.source.paths)
     return Built(
         output=output,
         num_gaussians=report.num_leaves,
@@ -124,7 +131,9 @@ def run(command: Command) -> Built:
         children={str(count): number for count, number in report.fan_out.items()},
         rules=_metadata(scene, "levels"),
         clusters=_metadata(scene, "clusters"),
-        bytes=stored_bytes(output),
+        bytes=num_bytes,
+        input_bytes=input_bytes,
+        growth=_growth(scene, output, num_bytes, input_bytes),
         repairs=repairs_of(scene),
         lost=lost,
         calibration=calibration,
@@ -133,6 +142,21 @@ def run(command: Command) -> Built:
         comparison=read_back(  # whose leaves are the input, bit for bit
             output, scene, command.reporting, made_from=", ".join(map(str, inputs)), force=command.files.force
         ),
+    )
+
+
+def _growth(scene: Scene, output: Path, num_bytes: int, input_bytes: int) -> str | None:
+    """How much larger the file is than what was read, and the size of a .rad, if that is smaller."""
+    if not 0 < input_bytes < num_bytes:
+        return None
+    larger = f"{num_bytes / input_bytes:.1f} times the {size(input_bytes)} of the input, {size(num_bytes - input_bytes)} more"
+    compact = estimated_bytes(len(scene), scene.gaussians.sh_degree)[".rad"]
+    if compact >= num_bytes or output.suffix.lower() == ".rad":
+        return larger
+    smaller = shlex.quote(str(output.with_suffix(".rad")))
+    return (
+        f"{larger}: a {output.suffix} keeps every value as it is; a .rad rounds them and takes about {size(compact)} "
+        f"(estimated): splatree convert {shlex.quote(str(output))} {smaller}"
     )
 
 
@@ -181,7 +205,8 @@ def show(built: Built) -> str:
         f"({built.num_nodes / max(1, built.num_gaussians):.2f} ×), {built.levels} levels, {built.num_roots} roots, {clusters}"
         f"{size(built.bytes)}"
     )
+    growth = [] if built.growth is None else [built.growth]
     calibration = [] if built.calibration is None else [in_words(built.calibration)]
     views = views_in_words(built.photographs, built.notes)
     compared = [] if built.comparison is None else comparison_in_words(built.comparison)
-    return "\n".join([wrote, *views, *calibration, *told(built.repairs, built.lost), *compared])
+    return "\n".join([wrote, *growth, *views, *calibration, *told(built.repairs, built.lost), *compared])

@@ -14,8 +14,9 @@ from splatree.edit.edit import edit
 from splatree.edit.options import EditOptions
 from splatree.errors import InputError
 from splatree.io.convert import ConvertOptions, convert
+from splatree.io.formats.spz.versions import DEFAULT_VERSION, readers_of
 from splatree.io.options import ReadOptions, Repair, WriteOptions
-from splatree.io.registry import stored_bytes
+from splatree.io.registry import format_to_write, stored_bytes
 from splatree.render.compare_page import Comparison
 from splatree.scene.names import Mode
 
@@ -63,6 +64,8 @@ class Result:
     """Whether it went in chunks, with bounded memory."""
     notes: tuple[str, ...] = ()
     """What reading did that the user should know, a sentence each."""
+    version: str | None = None
+    """Version of .spz that was written, who reads it and who does not; None for other formats."""
     comparison: Comparison | None = None
     """What was lost in pictures, if --report asks for it."""
 
@@ -88,8 +91,15 @@ def run(command: Command) -> Result:
         lost=done.lost,
         in_chunks=done.in_chunks,
         notes=done.notes,
+        version=_version(output, command.options),
         comparison=_comparison(command, inputs, output),
     )
+
+
+def _version(output: Path, options: WriteOptions) -> str | None:
+    if format_to_write(output).name != "spz":
+        return None
+    return readers_of(DEFAULT_VERSION if options.format_version is None else options.format_version)
 
 
 def _comparison(command: Command, inputs: Sequence[Path], output: Path) -> Comparison | None:
@@ -109,5 +119,6 @@ def show(result: Result) -> str:
     """The result in words."""
     of = f" of {result.num_read:,}" if result.num_read != result.num_gaussians else ""
     wrote = f"wrote {result.output}: {result.num_gaussians:,}{of} Gaussians, {size(result.bytes)}"
+    version = [] if result.version is None else [result.version]
     compared = [] if result.comparison is None else in_words(result.comparison)
-    return "\n".join([wrote, *told(result.repairs, result.lost, result.notes), *compared])
+    return "\n".join([wrote, *version, *told(result.repairs, result.lost, result.notes), *compared])

@@ -18,8 +18,8 @@ from splatree.cli.console import UsageError
 
 __all__ = ["Option", "options_of", "placeholder", "sorted_words"]
 
-ALIASES = {"--fov": "--fov-y-deg"}
-"""Short names of options."""
+ALIASES = {"--fov": "--fov-y-deg", "--spz-version": "--format-version"}
+"""Other names of options."""
 
 HINTS = {
     **dict.fromkeys(("--overwrite", "--replace", "-y", "-w", "-f", "--yes", "-overwrite"), "--force"),

@@ -50,7 +50,7 @@ class WriteOptions:
     """
 
     format_version: int | None = None
-    """Version of the format, where several can be written."""
+    """Version of the format, where several can be written: 2, 3 or 4 of .spz, where `--spz-version` is the same."""
     sh_bits: int | None = None
     """Bits of a harmonic beyond the DC, in SPZ: of degrees 2 and 3; degree 1 gets one bit more."""
     sh_palette: int | None = None

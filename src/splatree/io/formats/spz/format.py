@@ -33,6 +33,7 @@ from splatree.io.check import LOGIT_FROM_BYTE, magnitudes_of, refuse_unusable
 from splatree.io.chunks import Chunks
 from splatree.io.formats.spz.container import GZIP_MAGIC, MAGIC, Header, Planes
 from splatree.io.formats.spz.plane_writer import PlaneWriter
+from splatree.io.formats.spz.versions import DEFAULT_VERSION, VERSIONS
 from splatree.io.mirror import mirror
 from splatree.io.options import ReadOptions, WriteOptions
 from splatree.io.rows import FileRows, Fill
@@ -141,8 +142,8 @@ def _decode(header: Header, plane: str, codes: Array, out: Gaussians) -> None:
 
 def write_chunks(chunks: Chunks, path: Path, options: WriteOptions) -> tuple[str, ...]:
     """Write a file in one pass, or in two where the means are too far out for 12 fractional bits."""
-    version = 4 if options.format_version is None else options.format_version
-    if version not in (2, 3, 4):
+    version = DEFAULT_VERSION if options.format_version is None else options.format_version
+    if version not in VERSIONS:
         raise InputError(f"{path}: found version {version}, wanted 2, 3 or 4 of .spz")
     codec, level_max = ("zstd", 22) if version == 4 else ("gzip", 9)
     if options.compression is not None and not 1 <= options.compression <= level_max:
