@@ -69,6 +69,24 @@ def test_every_way_to_draw_is_timed(report) -> None:
     assert len(report.tables[3].rows) == 4  # with levels: two numbers of clusters, two views
 
 
+def test_fuzz_draws_as_many_views_as_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    sizes: list[int] = []
+    make = cullfuzz.random_gaussians
+    monkeypatch.setattr(cullfuzz, "random_gaussians", lambda rng, camera, n: sizes.append(n) or make(rng, camera, n))
+    rows = cullfuzz.run(cullfuzz.Options(gaussians=100, frames=3)).tables[0].rows
+    assert sizes == [34, 33, 33]
+    assert rows[0]["Gaussians"] == 100
+
+
+def test_clusters_draws_as_many_frames_as_asked_for() -> None:
+    drawn: list[str] = []
+    ways = {"squares": lambda view: drawn.append(view) or {"step 1": 1.0}}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(clusters, "BREAKDOWNS", ways)
+        clusters._breakdown_rows(1, ["a", "b"], 4)  # type: ignore[list-item]
+    assert drawn == ["a"] * 4 + ["b"] * 4
+
+
 def test_fuzz_finds_what_the_paper_loses_and_nothing_else() -> None:
     rows = {row["rule"]: row for row in cullfuzz.run(cullfuzz.Options(gaussians=21_000)).tables[0].rows}
     for rule in ("exact", "exact-inria", "exact-gsplat"):

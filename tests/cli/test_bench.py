@@ -84,6 +84,12 @@ def test_table3_shows_equal_selections_and_fewer_pairs(bench):
     assert by_filter[:4] == by_filter[4:8] == by_filter[8:]
     squares, _, exact, target = (row["N_P"] for row in rows[:4])
     assert squares > exact > target
+    assert "FPS" not in rows[0]
+
+
+def test_table3_times_frames_where_they_are_asked_for(bench):
+    tables, _ = bench("table3", "--pixel-error", "20", "--frames", "1")
+    assert all(row["FPS"] > 0 for row in tables["table3"])
 
 
 def test_fig5_draws_details_of_each_way(bench):
@@ -129,7 +135,14 @@ def test_scored_views_are_held_out_and_others_calibrated_on(small_tree, tmp_path
 
 
 def test_options_out_of_range_are_a_wrong_command_line(splatree):
-    for words in (("table1", "--frames", "0"), ("fig7", "--thresholds", "2"), ("table3", "--lambda-g", "-1")):
+    for words in (
+        ("table1", "--frames", "0"),
+        ("fig7", "--thresholds", "2"),
+        ("table3", "--lambda-g", "-1"),
+        ("table3", "--frames", "-1"),
+        ("clusters", "--frames", "0"),
+        ("cullfuzz", "--frames", "0"),
+    ):
         code, _, err = splatree("bench", *words)
         assert code == 2
         assert words[1].removeprefix("--").replace("-", "_") in err

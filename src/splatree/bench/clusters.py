@@ -27,6 +27,7 @@ from splatree.lod.select import cull_scene, select
 from splatree.progress import track
 from splatree.render.evaluate import score
 from splatree.render.session import open_session
+from splatree.render.timing import check_frames
 from splatree.scene.cameras import Camera
 from splatree.scene.options import Cull, RenderOptions, SelectOptions
 from splatree.scene.scene import Scene
@@ -55,8 +56,6 @@ ROW_BYTES = 12 + 16 + 12 + 4
 """Of a Gaussian in step 1, before its colour: mean, quaternion, log-scales, opacity."""
 PSNR_MAX = 100.0
 """dB at which a view counts at most in a mean; equal pictures have infinity."""
-ROUNDS = 3
-"""Times that each view is drawn in each way."""
 REPEAT = 5
 """Runs of what takes less than some milliseconds, of which the cheapest counts."""
 
@@ -69,12 +68,15 @@ class Options:
     clusters: tuple[int, ...] = (2048, 8192, 32768)
     """Numbers of clusters; more than Gaussians are left out."""
     clustering: Annotated[ClusterOptions, arg(name="", help="")] = ClusterOptions()
+    frames: int = 3
+    """Frames of each view that are drawn in each way, for the table of processor times; the cheapest counts."""
     levels: bool = False
     """Also measure culling in front of the selection in a tree of levels, which is built if the scene has none."""
 
     def __post_init__(self) -> None:
         if not self.clusters or min(self.clusters) < 1:
             raise InputError(f"clusters: found {self.clusters}, wanted at least one number of 1 or more")
+        check_frames(self.frames)
 
 
 def run(options: Options) -> Report:
@@ -89,7 +91,7 @@ def run(options: Options) -> Report:
         built_cpu_s = time.process_time() - start
         measured = [_View(scene, camera, subject) for camera in subject.cameras]
         rules += [_rule_row(number, rule, measured) for rule in ("none", *RULES)]
-        breakdown += _breakdown_rows(number, measured)
+        breakdown += _breakdown_rows(number, measured, options.frames)
         overhead.append(_overhead_row(scene, measured, built_cpu_s))
     tables = [
         Table("clusters_rules", "What each rule leaves out, and what that changes", rules, notes=RULE_NOTES),
@@ -185,14 +187,14 @@ def _changed(one: Array, other: Array) -> int:
     return int(np.not_equal(*bits).any(axis=-1).sum())
 
 
-def _breakdown_rows(number: int, views: list[_View]) -> list[Row]:
+def _breakdown_rows(number: int, views: list[_View], frames: int) -> list[Row]:
     """A frame without step 0, with it, with it and packing, and as the selection by blocks does it."""
 
     # In turn, so that all ways share what else the machine does; of each step the cheapest run counts.
-    runs = [{name: frame(view) for name, frame in BREAKDOWNS.items()} for view in views for _ in range(ROUNDS)]
+    runs = [{name: frame(view) for name, frame in BREAKDOWNS.items()} for view in views for _ in range(frames)]
 
     def mean_of(name: str, column: str) -> float:
-        values = np.array([run[name].get(column, 0.0) for run in runs]).reshape(len(views), ROUNDS)
+        values = np.array([run[name].get(column, 0.0) for run in runs]).reshape(len(views), frames)
         return float(values.min(axis=1).mean())
 
     means = {name: {column: mean_of(name, column) for column in (EXCLUDED, *STAGES)} for name in BREAKDOWNS}

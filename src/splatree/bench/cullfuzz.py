@@ -46,21 +46,24 @@ class Options:
 
     gaussians: int = 400_000
     """Gaussians tried with each rule."""
+    frames: int | None = None
+    """Random views, each with Gaussians of its own around it; None: one for 20,000 Gaussians."""
     seed: int = 0
     """Of the random scenes."""
 
     def __post_init__(self) -> None:
         if self.gaussians < 1:
             raise InputError(f"gaussians: found {self.gaussians}, wanted at least 1")
+        if self.frames is not None and not 1 <= self.frames <= self.gaussians:
+            raise InputError(f"frames: found {self.frames}, wanted 1 to {self.gaussians}, the number of Gaussians")
 
 
 def run(options: Options) -> Report:
     """Make scene after scene, and count what each rule loses."""
     counts = {rule: np.zeros(3, np.int64) for rule in JUDGED_BY}  # survivors, left out, lost
-    for i in track(range(-(-options.gaussians // ROWS)), "fuzz culling"):
+    for i, size in enumerate(track(_rows_of_views(options), "fuzz culling")):
         rng = np.random.default_rng([options.seed, i])
         camera = random_camera(rng)
-        size = min(ROWS, options.gaussians - i * ROWS)
         scene = Scene.flat(random_gaussians(rng, camera, size))
         number = max(1, size // ROWS_PER_CLUSTER[i % len(ROWS_PER_CLUSTER)])
         scene = build_clusters(scene, number, ClusterOptions(iterations=1))
@@ -77,6 +80,14 @@ def run(options: Options) -> Report:
     title = "Survivors that rules of culling leave out"
     about = {"gaussians": f"{options.gaussians:,}, seed {options.seed}", "machine": machine(), "version": program()}
     return Report("cullfuzz", title, about, [Table("cullfuzz", title, rows, notes=notes)])
+
+
+def _rows_of_views(options: Options) -> list[int]:
+    """Gaussians around each view: they add up to those asked for."""
+    if options.frames is None:
+        return [min(ROWS, options.gaussians - begin) for begin in range(0, options.gaussians, ROWS)]
+    least, more = divmod(options.gaussians, options.frames)
+    return [least + (i < more) for i in range(options.frames)]
 
 
 def _row(rule: Cull, tried: int, survived: int, left_out: int, lost: int) -> Row:

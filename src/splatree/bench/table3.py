@@ -13,6 +13,7 @@ from splatree.bench.experiment import Report, Table
 from splatree.bench.measure import Judge
 from splatree.bench.shrinking import ABOUT_LOSS
 from splatree.bench.subject import subject_of
+from splatree.errors import InputError
 from splatree.progress import track
 from splatree.scene.view import View
 
@@ -22,6 +23,14 @@ __all__ = ["Options", "run"]
 @dataclass(frozen=True)
 class Options(AblationOptions):
     """Check that filters select the same nodes, and what shrinking does to quality and pairs (FilterGS, Table 3)."""
+
+    frames: int = 0
+    """Frames timed for each row, along a path through the views, which adds a column FPS; 0: none are timed."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.frames < 0:
+            raise InputError(f"frames: found {self.frames}, wanted 0 (none are timed) or more")
 
 
 def run(options: Options) -> Report:
@@ -37,10 +46,13 @@ def run(options: Options) -> Report:
         same = sum(np.array_equal(a, b) for a, b in zip(first, selected, strict=True))
         for way in chosen:
             found = judge.quality(select, way.options)
+            timed = options.frames > 0
+            fps = {"FPS": judge.timing(select, way.options, frames=options.frames).fps} if timed else {}
             rows.append(
                 {"shrinking": way.name, "filter": name, "PSNR": found.psnr, "SSIM": found.ssim}
                 | {"N_P": round(found.num_pairs), "nodes": round(found.num_selected)}
                 | {"same rows as serial": f"{same} of {len(selected)} views"}
+                | fps
             )
     return Report(
         "table3",
