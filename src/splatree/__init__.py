@@ -47,6 +47,8 @@ _NAMES = {
     "metrics.flip": ("flip",),
     "metrics.psnr": ("psnr",),
     "metrics.ssim": ("ssim",),
+    "outofcore.build": ("BuiltFolder", "build_folder"),
+    "outofcore.options": ("FolderOptions",),
     "render.batch": ("render_batch", "trace_batch"),
     "render.calibrate": ("CalibrateOptions", "Calibration", "calibrate", "calibrated"),
     "render.compare": ("ComparedView", "Difference", "compare", "comparison_views"),

@@ -326,7 +326,7 @@ def test_formats_lists_what_is_read_and_written(splatree):
     assert lines["ply"]["written"] and lines["ply"]["suffixes"] == [".ply"]
     assert not lines["streamed-sog"]["written"]
     assert lines["splatree"]["levels"] == "tree"
-    assert [name for name, line in lines.items() if line["record"]] == ["splatree", "rad"]
+    assert [name for name, line in lines.items() if line["record"]] == ["splatree", "splatree-folder", "rad"]
 
 
 def test_names_of_pictures_are_safe_and_unique():
@@ -335,3 +335,34 @@ def test_names_of_pictures_are_safe_and_unique():
 
     names = file_names([camera("a/left.jpg"), camera("../../etc/x y.png"), camera("b/left.jpg"), camera("")])
     assert names == ["0000", "x_y", "0002", "0003"]
+
+
+def test_build_through_files_writes_a_folder_that_every_verb_takes(splatree, small_ply, tmp_path):
+    folder = tmp_path / "a.splatree"
+    built = result_of(splatree("build", small_ply, folder, "--max-memory", "1G", "--part-rows", "100", "--json"))
+    whole = result_of(splatree("build", small_ply, tmp_path / "whole.splatree", "--json"))
+    assert (built["num_gaussians"], built["num_nodes"]) == (whole["num_gaussians"], whole["num_nodes"])
+    assert built["rules"] == whole["rules"] and built["num_parts"] > 1
+    described = result_of(splatree("info", folder, "--json"))
+    assert described["format"] == "splatree-folder" and described["file_bytes"] > built["bytes"]
+    compared = result_of(splatree("eval", folder, "--reference", tmp_path / "whole.splatree", "--views", "2", "--json"))
+    assert compared["mean"]["ssim"] == 1 if "mean" in compared else compared
+    assert splatree("convert", folder, tmp_path / "one.splatree", "-q")[0] == 0
+    assert splatree("build", small_ply, folder, "--part-rows", "100")[0] == 1  # it exists
+    code, words, _ = splatree("build", small_ply, folder, "--part-rows", "100", "--force")
+    assert code == 0 and "parts" in words and "nodes left" in words
+
+
+def test_build_through_files_refuses_what_needs_the_scene_in_memory(splatree, small_ply, tmp_path):
+    target = tmp_path / "a.splatree"
+    for words, wanted in (
+        (("--clusters", "auto"), "need the scene in memory"),
+        (("--flat", "--clusters", "auto"), "need the scene in memory"),
+        (("--method", "pairs"), "wanted --method radius"),
+        (("--max-memory", "4 gallons"), "wanted a number of bytes such as 4G"),
+    ):
+        code, _, err = splatree("build", small_ply, target, "--workers", "2", *words)
+        assert code == 2 and wanted in err
+    code, _, err = splatree("build", small_ply, tmp_path / "a.ply", "--workers", "2")
+    assert code == 2 and "ends in .splatree" in err
+    assert list(tmp_path.glob("a.*")) == []

@@ -14,6 +14,8 @@ from splatree.cli.comparison import Reporting, read_back
 from splatree.cli.comparison import in_words as comparison_in_words
 from splatree.cli.console import Console, UsageError, size, table
 from splatree.cli.files import Files, inputs_and_output, lost_and_noted, read_scene, repairs_of, told
+from splatree.cli.folders import in_words as folder_in_words
+from splatree.cli.folders import run_through_files
 from splatree.clusters.build import ClusterOptions, build_clusters
 from splatree.io.estimate import estimated_bytes
 from splatree.io.photos import PhotosUsed
@@ -24,6 +26,8 @@ from splatree.lod.build import build_lod
 from splatree.lod.link import link_levels
 from splatree.lod.options import BuildOptions
 from splatree.lod.report import report_levels
+from splatree.outofcore.build import BuiltFolder
+from splatree.outofcore.options import FolderOptions
 from splatree.render.calibrate import CalibrateOptions, Calibration, calibrate, calibrated
 from splatree.render.compare_page import Comparison
 from splatree.scene.names import Mode
@@ -35,7 +39,10 @@ STEPS = {"radii": "radius", "pixel_sizes": "pixel"}
 
 @dataclass(frozen=True)
 class Command:
-    """Build levels of detail, clusters or both, and write one file: in.ply out.splatree, or chunk_*/ -o city.splatree."""
+    """Build levels of detail, clusters or both, and write one file: in.ply out.splatree, or chunk_*/ -o city.splatree.
+
+    A scene larger than memory is built through files: --max-memory 4G writes a folder of parts, with the same tree.
+    """
 
     files: Annotated[Files, arg(name="", help="")]
     levels: Literal["grow", "file"] = "grow"
@@ -47,6 +54,7 @@ class Command:
     flat: bool = False
     """Make no levels: only clusters, of the Gaussians as they are; a scene that has levels keeps them."""
     options: Annotated[BuildOptions, arg(name="", help="")] = BuildOptions()
+    running: Annotated[FolderOptions, arg(name="", help="")] = FolderOptions()
     clustering: Annotated[ClusterOptions, arg(name="", help="")] = ClusterOptions()
     views: Annotated[Views, arg(name="", help="")] = Views()
     calibration: Annotated[CalibrateOptions, arg(name="", help="")] = CalibrateOptions()
@@ -96,8 +104,20 @@ class Built:
     """What a cut of the levels loses in pictures, if --report asks for it."""
 
 
-def run(command: Command) -> Built:
+def run(command: Command) -> Built | BuiltFolder:
     """Read, build, write."""
+    if command.running != FolderOptions():
+        if (
+            command.flat
+            or command.levels == "file"
+            or command.clusters is not None
+            or (command.views, command.calibration, command.reporting) != (Views(), CalibrateOptions(), Reporting())
+        ):
+            raise UsageError(
+                "found --max-memory, --workers or the size of parts with --flat, --levels file, --clusters, views or --report, "
+                "which need the scene in memory; wanted one of them"
+            )
+        return run_through_files(command.files, command.options, command.running, command.mode)
     inputs, output = inputs_and_output(command.files, keeps_tree=True)
     if command.flat and command.clusters is None:
         raise UsageError("found --flat without --clusters, which leaves nothing to build; wanted --clusters auto too")
@@ -187,18 +207,11 @@ def _metadata(scene: Scene, key: str) -> dict[str, Any] | None:
     return json.loads(scene.source.metadata[key]) if key in scene.source.metadata else None
 
 
-def show(built: Built) -> str:
+def show(built: Built | BuiltFolder) -> str:
     """The result in words."""
-    levels = ""
-    if built.rules is not None:
-        nodes = built.rules["nodes"][1:]
-        kind, sizes = next(
-            ((kind, built.rules[key]) for key, kind in STEPS.items() if key in built.rules),
-            ("made", ["linked"] * len(nodes)),
-        )
-        shown = [(f"{size:.4g}" if isinstance(size, float) else size, n) for size, n in zip(sizes, nodes, strict=True)]
-        rows = [{"level": i + 1, kind: size, "nodes left": n} for i, (size, n) in enumerate(shown)]
-        levels = f"{table(rows)}\n" if rows else ""
+    levels = _levels_in_words(built.rules)
+    if isinstance(built, BuiltFolder):
+        return f"{levels}{folder_in_words(built)}"
     clusters = f"{built.clusters['clusters']:,} clusters, " if built.clusters else ""
     wrote = (
         f"{levels}wrote {built.output}: {built.num_gaussians:,} Gaussians, {built.num_nodes:,} nodes "
@@ -210,3 +223,16 @@ def show(built: Built) -> str:
     views = views_in_words(built.photographs, built.notes)
     compared = [] if built.comparison is None else comparison_in_words(built.comparison)
     return "\n".join([wrote, *growth, *views, *calibration, *told(built.repairs, built.lost), *compared])
+
+
+def _levels_in_words(rules: dict[str, Any] | None) -> str:
+    """A table of the levels."""
+    if rules is None:
+        return ""
+    nodes = rules["nodes"][1:]
+    kind, sizes = next(
+        ((kind, rules[key]) for key, kind in STEPS.items() if key in rules), ("made", ["linked"] * len(nodes))
+    )
+    shown = [(f"{size:.4g}" if isinstance(size, float) else size, n) for size, n in zip(sizes, nodes, strict=True)]
+    rows = [{"level": i + 1, kind: size, "nodes left": n} for i, (size, n) in enumerate(shown)]
+    return f"{table(rows)}\n" if rows else ""

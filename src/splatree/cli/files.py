@@ -99,18 +99,10 @@ def inputs_and_output(
             written, or of one that does not take the options, or, where the tree has to be kept, of one without levels.
         OutputError: the output exists and ``--force`` is not given, or no file can be written there.
     """
-    inputs, output = named.paths, named.output
-    if output is None:
-        if len(inputs) < 2:
-            found = "one path" if inputs else "no path"
-            raise UsageError(f"found {found}, wanted an input and an output: in.ply out.ply, or chunk_*/ -o out.ply")
-        *sources, output = inputs
-        inputs = tuple(sources)
-        if output.is_dir():
-            # `build chunk_*/` without -o: the last chunk is an input, surely.
-            raise UsageError(f"{output}: is a folder, wanted a file to write; name the output with -o")
-    if not inputs:
-        raise UsageError("found no input, wanted at least one: in.ply out.ply, or chunk_*/ -o out.ply")
+    inputs, output = _divided(named)
+    if named.output is None and output.is_dir():
+        # `build chunk_*/` without -o: the last chunk is an input, surely.
+        raise UsageError(f"{output}: is a folder, wanted a file to write; name the output with -o")
     # A folder of SOG is made, if only it has where to stand.
     check_target(output.parent if output.name == FOLDER_FILE and not output.parent.is_dir() else output)
     if any(path.exists() and output.exists() and path.samefile(output) for path in inputs):
@@ -125,4 +117,32 @@ def inputs_and_output(
         raise UsageError(f"{output}: format {chosen.name} has no levels of detail, wanted {' or '.join(suffixes)}")
     if output.exists() and not named.force:
         raise OutputError(f"{output}: exists already; choose another name or replace it with --force")
+    return inputs, output
+
+
+def inputs_and_folder(named: Files) -> tuple[tuple[Path, ...], Path]:
+    """As `inputs_and_output`, where the output is a folder of parts, ``city.splatree``.
+
+    Raises:
+        UsageError: there is no input, or no output, or its name does not end in .splatree, or it is also read.
+    """
+    inputs, output = _divided(named)
+    if output.suffix != ".splatree":
+        raise UsageError(f"{output}: found a folder of parts to be written, wanted a name that ends in .splatree")
+    if any(path.exists() and output.exists() and path.samefile(output) for path in inputs):
+        raise UsageError(f"{output}: is an input too; choose another name for the output")
+    return inputs, output
+
+
+def _divided(named: Files) -> tuple[tuple[Path, ...], Path]:
+    """The inputs and the output, of which neither may be missing."""
+    inputs, output = named.paths, named.output
+    if output is None:
+        if len(inputs) < 2:
+            found = "one path" if inputs else "no path"
+            raise UsageError(f"found {found}, wanted an input and an output: in.ply out.ply, or chunk_*/ -o out.ply")
+        *sources, output = inputs
+        inputs = tuple(sources)
+    if not inputs:
+        raise UsageError("found no input, wanted at least one: in.ply out.ply, or chunk_*/ -o out.ply")
     return inputs, output

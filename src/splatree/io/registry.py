@@ -20,6 +20,7 @@ from splatree.scene.scene import Scene
 
 if TYPE_CHECKING:
     from splatree.io.formats.compressed_ply import format as compressed_ply
+    from splatree.io.formats.folder import format as folder
     from splatree.io.formats.glb import reader as gltf
     from splatree.io.formats.glb import writer as glb_writer
     from splatree.io.formats.hier import format as hier
@@ -47,6 +48,7 @@ else:
             return lambda *arguments: getattr(import_module(self._module), name)(*arguments)
 
     compressed_ply = _Later("formats.compressed_ply.format")
+    folder = _Later("formats.folder.format")
     glb_writer = _Later("formats.glb.writer")
     gltf = _Later("formats.glb.reader")
     hier = _Later("formats.hier.format")
@@ -119,6 +121,16 @@ FORMATS: tuple[Format, ...] = (
         sniff=store.sniff,
         read=store.read,
         write=store.write,
+    ),
+    Format(
+        name="splatree-folder",
+        description="native, a folder of parts",
+        suffixes=(),
+        versions="1",
+        holds=Holds(origin=True, lossless=True, levels="tree", threshold=True, record=True),
+        sniff=folder.sniff,
+        read=folder.read,
+        files=folder.files,
     ),
     Format(
         name="compressed-ply",

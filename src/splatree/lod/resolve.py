@@ -26,7 +26,7 @@ from splatree.simplify.merge import largest_log_weight
 from splatree.simplify.thin import auto_radius
 from splatree.simplify.visibility import pixel_size_of
 
-__all__ = ["Measures", "ResolvedBuild", "measure", "resolve"]
+__all__ = ["Measures", "ResolvedBuild", "measure", "merge_rules", "resolve"]
 
 FITTED_WIDENING = 0.34
 """`pairs`: what saturated nodes are widened by, where one thinning takes 0.3: far views of a city gain 0.2 dB."""
@@ -140,7 +140,7 @@ def measure(leaves: Gaussians, options: BuildOptions, mode: Mode, *, threads: in
         first_size = options.pixel_size or max(0.5 * pixel_size_of(leaves), smallest)
     else:
         first_size = auto_radius(leaves, threads=threads) if isinstance(options.radius, str) else float(options.radius)
-    weight = _merge_rules(options, mode).weight or "opacity"
+    weight = merge_rules(options, mode).weight or "opacity"
     x, y, z = leaves.means.T if len(leaves) else np.zeros((3, 1))
     return Measures(
         first_size=first_size,
@@ -178,13 +178,14 @@ def resolve(options: BuildOptions, measures: Measures, mode: Mode) -> ResolvedBu
         importance=options.importance,
         color_radius=options.color_radius,
         visibility=options.method == "pairs" and options.visibility,
-        merge=_merge_rules(options, mode),
+        merge=merge_rules(options, mode),
         log_unit=measures.largest_log_weight,
         frame=measures.frame,
     )
 
 
-def _merge_rules(options: BuildOptions, mode: Mode) -> MergeOptions:
+def merge_rules(options: BuildOptions, mode: Mode) -> MergeOptions:
+    """How a group becomes one Gaussian, with nothing left open."""
     merge = options.merge.resolved(mode, growth=options.growth, of_pairs=options.method == "pairs")
     if merge.opacity == "fitted" and merge.widening is None:
         return dataclasses.replace(merge, widening=FITTED_WIDENING)

@@ -7,6 +7,7 @@ O(n) for a radius; a count is found by about six of them, without merging.
 """
 
 import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,11 +19,11 @@ from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Scene
 from splatree.scene.thinning import Groups, ThinOptions
-from splatree.shapes import Array, Float32
+from splatree.shapes import Array, Float32, Int32
 from splatree.simplify.merge import check_finite, importance_of, merge
 from splatree.simplify.pairs import merge_pairs
 
-__all__ = ["Thinned", "auto_radius", "linear_colors", "thin"]
+__all__ = ["Thinned", "auto_radius", "linear_colors", "query_rows", "radius_of_spacing", "thin"]
 
 COUNT_TOLERANCE = 0.01
 """How near to the wanted count a search for the radius comes, relative."""
@@ -132,15 +133,39 @@ def auto_radius(gaussians: Gaussians, *, threads: int = 0) -> float:
     means, n = gaussians.means, len(gaussians)
     if n < 2:
         return 0.0
-    queries = np.unique(np.linspace(0, n - 1, NUM_QUERIES).astype(np.int32))
-    sample = means[queries].astype(np.float64)
-    span = float(np.max(np.quantile(sample, 0.99, axis=0) - np.quantile(sample, 0.01, axis=0)))
+    queries = query_rows(n)
+
+    def nearest(edge: float) -> Array:
+        return kernel.nearest_distances(means, queries, edge=edge, threads=threads)
+
     widest = float(np.max(np.ptp(means.astype(np.float64), axis=0)))
+    return radius_of_spacing(means[queries], n, widest, nearest)
+
+
+def query_rows(num_rows: int) -> Int32[Array, "q"]:
+    """The rows whose nearest neighbours `auto_radius` looks up."""
+    return np.unique(np.linspace(0, num_rows - 1, NUM_QUERIES).astype(np.int32 if num_rows < 2**31 else np.int64))
+
+
+def radius_of_spacing(
+    sample: Float32[Array, "q 3"], num_rows: int, widest: float, nearest: Callable[[float], Array]
+) -> float:
+    """The radius that `auto_radius` finds, of a scene that need not be in memory.
+
+    Args:
+        sample: means of the rows that `query_rows` names.
+        num_rows: rows of the scene.
+        widest: the longest side of the box around all means, world units.
+        nearest: given an edge, the distance of each of the sample to its nearest other row if that is at most the edge, else
+            infinity.
+    """
+    n, sample = num_rows, sample.astype(np.float64)
+    span = float(np.max(np.quantile(sample, 0.99, axis=0) - np.quantile(sample, 0.01, axis=0)))
     if widest == 0:
         return 0.0
-    edge = (span or widest) / np.sqrt(n)
+    edge = float((span or widest) / np.sqrt(n))
     while True:
-        distances = kernel.nearest_distances(means, queries, edge=edge, threads=threads)
+        distances = nearest(edge)
         apart = distances[distances > 0]
         median = float(np.median(apart)) if len(apart) else 0.0
         if np.isfinite(median) and median > 0:

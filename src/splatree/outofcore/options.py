@@ -1,0 +1,123 @@
+"""How much memory a build through files takes, and how the memory is spent."""
+
+import os
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from splatree.errors import InputError
+
+__all__ = ["FolderOptions", "Room", "bytes_of"]
+
+SMALLEST_MEMORY = 250_000_000
+"""Bytes below which not even small cells fit beside the program itself."""
+
+PROCESS_BYTES = 130_000_000
+"""What a process takes before it loads a row."""
+
+ROW_BYTES = 450
+"""What growing a cell takes for each of its rows without harmonics, with the space around it: benchmarks/scale.py."""
+
+HARMONIC_BYTES = 25
+"""What it takes besides for each coefficient of harmonics above degree 0, three floats."""
+
+ROOT_BYTES = 450
+"""What the levels above the parts take for each root of a part, without harmonics."""
+
+ROOT_HARMONIC_BYTES = 45
+"""What they take besides for each coefficient of harmonics above degree 0."""
+
+MOST_LEVELS = 16
+"""Levels that cells grow at most: what has to be loaded around a cell doubles with each."""
+
+PART_ROWS = 1_000_000
+"""Rows of a cell where memory allows: larger cells load less around them, smaller ones are done sooner."""
+
+FEWEST_ROWS = 1_000
+"""The smallest cell: below it, what is loaded around a cell is most of it."""
+
+
+@dataclass(frozen=True)
+class FolderOptions:
+    """How a build through files is run. None of it changes the tree.
+
+    Example:
+        >>> running = st.FolderOptions(max_memory="1G", part_rows=100)
+        >>> st.build_folder("city.ply", "parts.splatree", running=running).num_parts > 1
+        True
+    """
+
+    max_memory: str | None = None
+    """Most memory for all processes together: 4G, 500M; None: half of what is free."""
+    workers: int = 1
+    """Processes that grow cells at the same time; 1: this process alone."""
+    part_rows: int | None = None
+    """Rows of a cell; None: a million, or as many as memory allows. The files depend on it, the tree does not."""
+    part_levels: int = 3
+    """Levels that cells grow, one more where what is left does not fit in memory; those above are grown in one piece."""
+
+    def __post_init__(self) -> None:
+        if self.workers < 1:
+            raise InputError(f"workers: found {self.workers}, wanted at least 1")
+        if self.part_rows is not None and self.part_rows < 1:
+            raise InputError(f"part_rows: found {self.part_rows}, wanted at least 1")
+        if not 1 <= self.part_levels <= MOST_LEVELS:
+            raise InputError(f"part_levels: found {self.part_levels}, wanted 1 to {MOST_LEVELS}")
+        if self.max_memory is not None and bytes_of(self.max_memory) < SMALLEST_MEMORY:
+            raise InputError(f"max_memory: found {self.max_memory}, wanted at least {SMALLEST_MEMORY // 10**6}M")
+
+
+@dataclass(frozen=True)
+class Room:
+    """How the memory is spent."""
+
+    max_bytes: int
+    """All of it."""
+    part_rows: int
+    """Rows of a cell."""
+    workers: int
+    """Cells at the same time."""
+
+    @staticmethod
+    def of(options: FolderOptions, num_coefficients: int) -> "Room":
+        """Cells of a million rows, or as many as fit, and as many at the same time as fit then."""
+        max_bytes = _free_bytes() // 2 if options.max_memory is None else bytes_of(options.max_memory)
+        max_bytes = max(max_bytes, SMALLEST_MEMORY)
+        rows = options.part_rows or PART_ROWS
+        while options.part_rows is None and rows > FEWEST_ROWS and cell_bytes(rows, num_coefficients) > max_bytes:
+            rows //= 2
+        workers = min(options.workers, max(1, int(max_bytes // cell_bytes(rows, num_coefficients))))
+        return Room(max_bytes, rows, workers)
+
+
+def cell_bytes(num_rows: int, num_coefficients: int) -> int:
+    """Memory of a process that grows a cell."""
+    return PROCESS_BYTES + num_rows * (ROW_BYTES + HARMONIC_BYTES * (num_coefficients - 1))
+
+
+def top_bytes(num_roots: int, num_coefficients: int) -> int:
+    """Memory of a process that grows the levels above all parts."""
+    return PROCESS_BYTES + num_roots * (ROOT_BYTES + ROOT_HARMONIC_BYTES * (num_coefficients - 1))
+
+
+def bytes_of(text: str) -> int:
+    """The number of bytes that a text such as 4G or 500M says.
+
+    Raises:
+        InputError: it says none.
+    """
+    match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([kKmMgGtT]?)[bB]?\s*", text)
+    if match is None:
+        raise InputError(f"memory: found {text!r}, wanted a number of bytes such as 4G or 500M")
+    return int(float(match[1]) * 1000 ** " kmgt".index(match[2].lower() or " "))
+
+
+def _free_bytes() -> int:
+    """Bytes that processes may take without others having to give any up."""
+    info = Path("/proc/meminfo")
+    if info.exists() and (found := re.search(r"^MemAvailable:\s+(\d+) kB", info.read_text(), re.MULTILINE)):
+        return int(found[1]) * 1024
+    try:
+        return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (AttributeError, ValueError, OSError):  # Windows, macOS
+        return 8 * 10**9

@@ -1,0 +1,113 @@
+"""The second and the third pass: rows of the input to slices by cell, then each cell along the Morton curve.
+
+A slice is some consecutive rows of the input, sorted by cell, with a table of where each cell begins. A cell takes its runs from
+all slices in their order, so rows of equal Morton code stand in the order of the input. What growing a cell asks of its
+neighbours is in a file without harmonics, with the bounds of each 2,048 rows.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from splatree.errors import InputError
+from splatree.io.chunks import Chunks
+from splatree.io.formats.splatree.head import SceneHead
+from splatree.io.formats.splatree.rows import open_scene
+from splatree.io.formats.splatree.writer import create_scene
+from splatree.maths.morton import morton_codes
+from splatree.outofcore.plan import Plan
+from splatree.outofcore.work import Work, write_array
+from splatree.progress import task
+from splatree.scene.gaussians import Gaussians
+from splatree.scene.scene import Scene
+from splatree.shapes import Array
+
+__all__ = ["BOUND_ROWS", "make_cell", "make_slices"]
+
+BOUND_ROWS = 2048
+"""Rows of a cell that share a box of bounds."""
+
+BATCH_ROWS = 1 << 16
+"""Rows that are written at a time."""
+
+
+def make_slices(work: Work, plan: Plan, chunks: Chunks) -> None:
+    """Write the slices that are not there yet."""
+    with task("sort into cells", float(plan.num_rows)) as advance:
+        for number, rows in enumerate(_slices(chunks, plan.slice_rows)):
+            if work.result(f"slice-{number:05}", plan.run) is None:
+                gaussians = Gaussians.concatenate(rows)
+                _make_slice(work, plan, number, gaussians)
+            advance(float(sum(map(len, rows))))
+
+
+def _slices(chunks: Chunks, slice_rows: int) -> Iterator[list[Gaussians]]:
+    """All rows, as lists of chunks of ``slice_rows`` rows together."""
+    parts, count = list[Gaussians](), 0
+    for chunk in chunks:
+        begin = 0
+        while begin < len(chunk):
+            taken = min(len(chunk) - begin, slice_rows - count)
+            parts.append(chunk.take(np.arange(begin, begin + taken)))  # a copy: the chunk is valid until the next
+            begin, count = begin + taken, count + taken
+            if count == slice_rows:
+                yield parts
+                parts, count = [], 0
+    if count:
+        yield parts
+
+
+def _make_slice(work: Work, plan: Plan, number: int, gaussians: Gaussians) -> None:
+    cells = plan.cells.of(gaussians.means)
+    order = np.argsort(cells, kind="stable")
+    start = np.searchsorted(cells[order], np.arange(len(plan.cells) + 1))
+    head = SceneHead(len(gaussians), plan.sh_degree, plan.mode, has_ids=True)
+    first = number * plan.slice_rows
+    with create_scene(work.slice(number), head, force=True) as writer:
+        for begin in range(0, len(order), BATCH_ROWS):
+            rows = order[begin : begin + BATCH_ROWS]
+            writer.append(replace(Scene.flat(gaussians.take(rows)), ids=(first + rows).astype(np.uint32)))
+    work.finish(f"slice-{number:05}", plan.run, {"start": start.tolist()})
+
+
+def cell_sizes(work: Work, plan: Plan) -> Array:
+    """How many rows each cell has."""
+    return np.asarray(np.sum([np.diff(_start(work, plan, number)) for number in range(plan.num_slices)], axis=0))
+
+
+def _start(work: Work, plan: Plan, number: int) -> Array:
+    result = work.result(f"slice-{number:05}", plan.run)
+    if result is None:
+        raise InputError(f"{work.slice(number)}: is not done; run the build again")
+    return np.asarray(result["start"])
+
+
+def make_cell(work: Work, plan: Plan, number: int) -> None:
+    """Write a cell: its rows along the curve."""
+    parts, ids = [], []
+    for source in range(plan.num_slices):
+        start = _start(work, plan, source)
+        if start[number] < start[number + 1]:
+            rows = open_scene(work.slice(source)).rows(int(start[number]), int(start[number + 1]))
+            parts.append(rows.gaussians)
+            assert rows.ids is not None
+            ids.append(rows.ids)
+    gaussians = Gaussians.concatenate(parts) if parts else Gaussians.empty(plan.sh_degree)
+    inputs = np.concatenate(ids) if ids else np.empty(0, np.uint32)
+    order = np.argsort(morton_codes(gaussians.means, plan.resolved.frame), kind="stable")
+    head = SceneHead(len(order), 0, plan.mode, has_ids=True)
+    with create_scene(work.cell(number), head, force=True) as writer:
+        for begin in range(0, len(order), BATCH_ROWS):
+            batch = order[begin : begin + BATCH_ROWS]
+            writer.append(replace(Scene.flat(gaussians.take(batch).with_sh_degree(0)), ids=inputs[batch]))
+    if plan.sh_degree:
+        write_array(work.harmonics(number), gaussians.sh[order, 1:])
+    means = gaussians.means[order]
+    start = np.arange(0, len(means), BOUND_ROWS)
+    bounds = (
+        np.stack([f.reduceat(means, start, axis=0) for f in (np.minimum, np.maximum)])
+        if len(start)
+        else np.empty((2, 0, 3))
+    )
+    write_array(work.bounds(number), bounds.astype(np.float64))

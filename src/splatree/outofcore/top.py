@@ -1,0 +1,93 @@
+"""The last pass: the levels above all parts, in memory, and the manifest."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from splatree.errors import InputError
+from splatree.io.formats.folder.manifest import MANIFEST, Manifest, StoredFile, stored_file
+from splatree.io.registry import read, write
+from splatree.lod.assemble import with_report
+from splatree.lod.forest import Forest, forest_of_roots
+from splatree.lod.graft import graft
+from splatree.lod.grow import grow
+from splatree.outofcore.plan import Plan
+from splatree.outofcore.work import Work, write_text
+from splatree.scene.scene import Source
+
+__all__ = ["finish_scene"]
+
+CROWN = "crown.splatree"
+"""Name of the file of the nodes above the parts."""
+
+
+def finish_scene(
+    work: Work, plan: Plan, results: Sequence[dict[str, Any]], source: Source, *, threads: int = 0
+) -> tuple[Manifest, dict[str, Any]]:
+    """Grow the levels above the parts, write them and the manifest.
+
+    Args:
+        work: where the parts are.
+        plan: what was decided for the whole scene.
+        results: what came of each cell.
+        source: provenance of the input.
+        threads: threads to use; 0: all.
+
+    Returns:
+        The manifest, and the report of the levels that was written with the scene.
+
+    Raises:
+        InputError: the parts do not hold every Gaussian once, or the tree is too deep.
+    """
+    files = [StoredFile(**result["file"]) for result in results if result["file"] is not None]
+    for file in files:
+        path = work.scene / file.name
+        if not path.exists() or path.stat().st_size != file.num_bytes:
+            raise InputError(
+                f"{path}: found another file than was written, or none; delete {work.folder} and build again"
+            )
+    num_leaves = sum(result["leaves"] for result in results)
+    if num_leaves != plan.num_rows:
+        raise InputError(
+            f"{work.folder}: found {num_leaves} leaves in all parts, wanted {plan.num_rows}; delete the folder and build again"
+        )
+    parts, first = [], 0
+    for number, result in enumerate(results):
+        if result["file"] is not None:
+            roots = read(work.roots(number))
+            ids = np.arange(first, first + len(roots), dtype=np.uint32)
+            parts.append(replace(roots, ids=ids, source=Source()))
+            first += len(roots)
+    top = grow(forest_of_roots(parts, plan.resolved), plan.resolved, threads=threads)
+    crown = graft(top, parts, plan.resolved, threads=threads)
+    deepest = max(result["depth"] for result in results if result["file"] is not None)
+    if crown.tree.num_levels + deepest > 256:
+        raise InputError("build: found a node more than 255 levels below its root; raise growth")
+    sizes, counts = _levels(plan, results, top)
+    source = with_report(source, plan.resolved, sizes, {"nodes": counts})
+    num_copies = len(top.base.order)
+    write(replace(crown, source=source), work.scene / CROWN, force=True)
+    manifest = Manifest(
+        num_rows=sum(result["rows"] for result in results) + len(crown) - num_copies,
+        num_leaves=num_leaves,
+        crown=stored_file(work.scene, CROWN),
+        parts=tuple(files),
+    )
+    for path in (work.scene / "parts").iterdir():
+        if path.name not in {Path(file.name).name for file in manifest.parts}:
+            path.unlink()  # of fewer or more levels, which a first try was grown to
+    write_text(work.scene / MANIFEST, manifest.to_json())
+    report: dict[str, Any] = json.loads(source.metadata["levels"])
+    return manifest, report
+
+
+def _levels(plan: Plan, results: Sequence[dict[str, Any]], top: Forest) -> tuple[list[float], list[int]]:
+    """Sizes of the levels that merged anything, and nodes left: at the beginning and after each."""
+    left = np.sum([result["counts"] for result in results], axis=0).tolist()
+    sizes = list(plan.resolved.sizes_from(0, len(left) - 1))
+    merged = [i for i in range(len(sizes)) if left[i + 1] < left[i]]
+    return [sizes[i] for i in merged] + list(top.sizes), [left[0], *(left[i + 1] for i in merged), *top.counts[1:]]

@@ -1,0 +1,112 @@
+"""The folder in which a build through files works, beside the one that it will be: what is done is marked there.
+
+    city.splatree.work/
+      plan.json                     what was decided for the whole scene
+      slices/00000.splatree         rows of the input, by cell
+      cells/00000.splatree .npy     one cell along the curve: degree 0, and the harmonics above
+      roots/00000.splatree          the roots of one part
+      done/…json                    a mark for each piece of work that is done, with what came of it
+      scene/                        the folder to be: parts, crown, manifest
+
+Each file is written beside its place and renamed when it is whole; its mark comes after. So a build that was killed goes on with
+the pieces that have no mark, and a piece may be done twice, even at the same time, with the same result.
+"""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from splatree.errors import InputError
+from splatree.io.replacing import remove_abandoned, replacing
+from splatree.shapes import Array
+
+__all__ = ["Work"]
+
+FOLDERS = ("slices", "cells", "roots", "done", "scene/parts")
+
+
+@dataclass(frozen=True)
+class Work:
+    """Where the pieces of one build are."""
+
+    folder: Path
+    """The folder of the build."""
+
+    def begin(self) -> None:
+        """Make the folders, and remove what killed processes left half-written."""
+        for name in FOLDERS:
+            (self.folder / name).mkdir(parents=True, exist_ok=True)
+            remove_abandoned(self.folder / name)
+
+    @property
+    def plan(self) -> Path:
+        """What was decided for the whole scene."""
+        return self.folder / "plan.json"
+
+    @property
+    def scene(self) -> Path:
+        """The folder to be."""
+        return self.folder / "scene"
+
+    def slice(self, number: int) -> Path:
+        """Rows of the input, by cell."""
+        return self.folder / "slices" / f"{number:05}.splatree"
+
+    def cell(self, number: int) -> Path:
+        """The Gaussians of a cell to degree 0, along the curve."""
+        return self.folder / "cells" / f"{number:05}.splatree"
+
+    def harmonics(self, number: int) -> Path:
+        """The harmonics of a cell above degree 0."""
+        return self.folder / "cells" / f"{number:05}.sh.npy"
+
+    def bounds(self, number: int) -> Path:
+        """Boxes of runs of rows of a cell."""
+        return self.folder / "cells" / f"{number:05}.bounds.npy"
+
+    def roots(self, number: int) -> Path:
+        """The roots of a part."""
+        return self.folder / "roots" / f"{number:05}.splatree"
+
+    def part_name(self, number: int) -> str:
+        """The part of a cell, in the folder to be."""
+        return f"parts/{number:05}.splatree"
+
+    def result(self, piece: str, run: str) -> dict[str, Any] | None:
+        """What came of a piece of work of a run; None: it is not done."""
+        path = self.folder / "done" / f"{piece}.json"
+        if not path.exists():
+            return None
+        try:
+            mark = json.loads(path.read_text())
+        except ValueError:
+            return None  # of another program: the piece is done again
+        return mark["result"] if isinstance(mark, dict) and mark.get("run") == run else None
+
+    def finish(self, piece: str, run: str, result: dict[str, Any]) -> None:
+        """Mark a piece of work as done; its files are in their places."""
+        write_text(self.folder / "done" / f"{piece}.json", json.dumps({"run": run, "result": result}))
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a small file, whole or not at all."""
+    with replacing(path, force=True) as temporary:
+        temporary.write_text(text)
+
+
+def write_array(path: Path, array: Array) -> None:
+    """Write an array, whole or not at all."""
+    with replacing(path, force=True) as temporary, temporary.open("wb") as file:
+        np.save(file, array)
+
+
+def read_array(path: Path) -> Array:
+    """Map an array that `write_array` wrote."""
+    try:
+        array: Array = np.load(path, mmap_mode="r" if path.stat().st_size > 1 << 16 else None)
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read ({error}); delete the folder of work and build again") from error
+    return array

@@ -1,0 +1,312 @@
+"""Builds through files: the tree of a build in memory, whatever stops and starts."""
+
+import errno
+import json
+import multiprocessing
+import os
+import signal
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as hs
+
+import splatree as st
+from splatree.outofcore import run, shuffle, top
+from splatree.outofcore.options import Room, bytes_of, cell_bytes
+
+from ..laws.hard_scenes import hard_scene, hard_scenes
+from ..laws.test_parts import check_same_tree
+
+
+@pytest.fixture(scope="module")
+def ply(tmp_path_factory):
+    """A scene of a few hundred rows in a file."""
+    path = tmp_path_factory.mktemp("inputs") / "scene.ply"
+    st.write(st.Scene.flat(hard_scene(700, "surface", 3, degree=1)), path)
+    return path
+
+
+SMALL = st.FolderOptions(part_rows=200)
+
+
+def check_is_tree_of(folder, path, options=None, mode=None):
+    scene = st.read(path)
+    wanted = st.build_lod(scene, options)
+    found = st.read(folder)
+    check_same_tree(found, wanted)
+    assert found.source.metadata["levels"] == wanted.source.metadata["levels"]
+    assert found.mode == wanted.mode
+    return found
+
+
+@settings(max_examples=12, deadline=None)
+@given(
+    gaussians=hard_scenes(most=300, degree=1),
+    part_rows=hs.sampled_from([16, 60, 1000]),
+    part_levels=hs.integers(1, 4),
+    radius=hs.sampled_from(["auto", 0.15]),
+    max_roots=hs.sampled_from([1, 64]),
+)
+def test_the_tree_is_that_of_a_build_in_memory(tmp_path_factory, gaussians, part_rows, part_levels, radius, max_roots):
+    path = tmp_path_factory.mktemp("scene") / "in.ply"
+    st.write(st.Scene.flat(gaussians), path)
+    options = st.BuildOptions(radius=radius, max_roots=max_roots)
+    running = st.FolderOptions(part_rows=part_rows, part_levels=part_levels)
+    built = st.build_folder(path, path.with_name("out.splatree"), options, running)
+    found = check_is_tree_of(built.path, path, options)
+    assert (built.num_gaussians, built.num_nodes) == (len(gaussians), len(found))
+    assert sorted(p.name for p in path.parent.iterdir()) == ["in.ply", "out.splatree"]
+
+
+def test_several_inputs_are_one_scene(tmp_path, ply):
+    built = st.build_folder([ply, ply], tmp_path / "out.splatree", running=SMALL)
+    check_is_tree_of(built.path, [ply, ply])
+    assert any("joined as one scene" in note for note in built.notes)
+
+
+def files_in(folder):
+    return {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_files_do_not_depend_on_who_makes_them(tmp_path, ply):
+    st.build_folder(ply, tmp_path / "a.splatree", running=SMALL)
+    with ThreadPoolExecutor(3) as executor:
+        st.build_folder(ply, tmp_path / "b.splatree", running=SMALL, executor=executor)
+    assert files_in(tmp_path / "a.splatree") == files_in(tmp_path / "b.splatree")
+
+
+def test_processes_of_this_machine_make_the_same_files(tmp_path, ply):
+    st.build_folder(ply, tmp_path / "a.splatree", running=SMALL)
+    st.build_folder(ply, tmp_path / "b.splatree", running=st.FolderOptions(part_rows=200, workers=2, max_memory="2G"))
+    assert files_in(tmp_path / "a.splatree") == files_in(tmp_path / "b.splatree")
+
+
+class StopError(Exception):
+    """What interrupts a build in the tests."""
+
+
+@pytest.mark.parametrize("pieces", [0, 5])
+def test_an_interrupted_build_goes_on_where_it_stopped(tmp_path, ply, monkeypatch, pieces):
+    done, do_piece = [], run.do_piece
+
+    def stopping(*job):
+        if len(done) == pieces:
+            raise StopError
+        done.append(job)
+        do_piece(*job)
+
+    monkeypatch.setattr(run, "do_piece", stopping)
+    with pytest.raises(StopError):
+        st.build_folder(ply, tmp_path / "out.splatree", running=SMALL)
+    assert not (tmp_path / "out.splatree").exists()
+    assert (tmp_path / "out.splatree.work" / "plan.json").exists()
+
+    again = []
+    monkeypatch.setattr(run, "do_piece", lambda *job: (again.append(job), do_piece(*job)))
+    monkeypatch.setattr(shuffle, "_make_slice", None)  # all slices are there
+    st.build_folder(ply, tmp_path / "out.splatree", running=SMALL)
+    assert not {job[2:4] for job in again} & {job[2:4] for job in done}
+    check_is_tree_of(tmp_path / "out.splatree", ply)
+    assert [path.name for path in tmp_path.iterdir()] == ["out.splatree"]
+
+
+def _build_and_die(ply, output, pieces):
+    """In a process of its own: a build that is killed while it works."""
+    left, do_piece = [pieces], run.do_piece
+
+    def dying(*job):
+        do_piece(*job)
+        left[0] -= 1
+        if not left[0]:
+            (output.with_name(output.name + ".work") / "cells" / ".00000.splatree.00000000.splatree.tmp").write_bytes(
+                b"x"
+            )
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    run.do_piece = dying
+    st.build_folder(ply, output, running=SMALL)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGKILL")
+def test_a_killed_build_goes_on(tmp_path, ply):
+    context = multiprocessing.get_context("fork")
+    process = context.Process(target=_build_and_die, args=(ply, tmp_path / "out.splatree", 6))
+    process.start()
+    process.join()
+    assert process.exitcode == -signal.SIGKILL
+    st.build_folder(ply, tmp_path / "out.splatree", running=SMALL)
+    check_is_tree_of(tmp_path / "out.splatree", ply)
+    st.build_folder(ply, tmp_path / "whole.splatree", running=SMALL)
+    assert files_in(tmp_path / "out.splatree") == files_in(tmp_path / "whole.splatree")
+
+
+def test_what_another_scene_left_is_not_used(tmp_path, ply, monkeypatch):
+    other = tmp_path / "other.ply"
+    st.write(st.Scene.flat(hard_scene(400, "clusters", 8, degree=1)), other)
+    monkeypatch.setattr(run, "do_piece", None)
+    with pytest.raises(TypeError):
+        st.build_folder(other, tmp_path / "out.splatree", running=SMALL)
+    monkeypatch.undo()
+    st.build_folder(ply, tmp_path / "out.splatree", running=SMALL)
+    check_is_tree_of(tmp_path / "out.splatree", ply)
+
+
+def test_a_program_that_computes_other_bits_is_refused(tmp_path, ply, monkeypatch):
+    monkeypatch.setattr(run, "fingerprint", lambda: "0123")
+    with pytest.raises(st.InputError, match="found that it computes 0123 where the build began with"):
+        st.build_folder(ply, tmp_path / "out.splatree", running=SMALL)
+
+
+def test_outputs_are_replaced_only_with_force(tmp_path, ply):
+    target = tmp_path / "out.splatree"
+    st.build_folder(ply, target, running=SMALL)
+    with pytest.raises(st.OutputError, match="exists already"):
+        st.build_folder(ply, target, running=SMALL)
+    st.build_folder(ply, target, st.BuildOptions(radius=0.4), SMALL, force=True)
+    check_is_tree_of(target, ply, st.BuildOptions(radius=0.4))
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "letter.txt").write_text("keep me")
+    with pytest.raises(st.OutputError, match="not the folder of a scene"):
+        st.build_folder(ply, tmp_path / "mine", running=SMALL, force=True)
+    with pytest.raises(st.OutputError, match="there is no folder"):
+        st.build_folder(ply, tmp_path / "none" / "out.splatree", running=SMALL)
+
+
+def test_what_cannot_be_built_is_refused_before_any_work(tmp_path, ply):
+    with pytest.raises(st.InputError, match="found 'pairs' for a build through files"):
+        st.build_folder(ply, tmp_path / "a.splatree", st.BuildOptions(method="pairs"))
+    tree = tmp_path / "tree.splatree"
+    st.write(st.build_lod(st.read(ply)), tree)
+    with pytest.raises(st.InputError, match="not read in chunks"):
+        st.build_folder(tree, tmp_path / "a.splatree")
+    st.write(st.Scene.flat(st.Gaussians.empty()), tmp_path / "empty.ply")
+    with pytest.raises(st.InputError, match="found 0 Gaussians"):
+        st.build_folder(tmp_path / "empty.ply", tmp_path / "a.splatree")
+    for wrong in ({"workers": 0}, {"part_rows": 0}, {"part_levels": 0}, {"max_memory": "9M"}, {"max_memory": "much"}):
+        with pytest.raises(st.InputError, match="wanted"):
+            st.FolderOptions(**wrong)
+
+
+def test_a_cell_that_cannot_be_cut_and_does_not_fit_is_named(tmp_path, monkeypatch):
+    st.write(st.Scene.flat(hard_scene(900, "one place", 1)), tmp_path / "in.ply")
+    built = st.build_folder(tmp_path / "in.ply", tmp_path / "out.splatree", running=SMALL)  # it fits: one cell
+    check_is_tree_of(built.path, tmp_path / "in.ply")
+    monkeypatch.setattr("splatree.outofcore.build.cell_bytes", lambda rows, k: rows * 10**9)
+    with pytest.raises(st.InputError, match="cell 0: found 900 Gaussians so close together that they cannot be cut"):
+        st.build_folder(tmp_path / "in.ply", tmp_path / "more.splatree", running=SMALL)
+
+
+def test_memory_is_spent_on_rows_then_on_processes():
+    assert (bytes_of("4G"), bytes_of("1.5 g"), bytes_of("250MB"), bytes_of("9")) == (
+        4 * 10**9,
+        1500 * 10**6,
+        250 * 10**6,
+        9,
+    )
+    for memory in ("250M", "500M", "1G", "4G"):
+        for k in (1, 16):
+            room = Room.of(st.FolderOptions(max_memory=memory, workers=3), k)
+            assert room.workers * cell_bytes(room.part_rows, k) <= bytes_of(memory)
+    assert Room.of(st.FolderOptions(max_memory="64G", workers=3), 16) == Room(64 * 10**9, 1_000_000, 3)
+
+
+def test_what_does_not_fit_above_the_parts_is_grown_one_level_more_in_them(tmp_path, ply, monkeypatch):
+    options = st.BuildOptions(radius=0.1, max_roots=1)
+    left = st.build_lod(st.read(ply), options).source.metadata["levels"]
+    after = json.loads(left)["nodes"]
+    monkeypatch.setattr("splatree.outofcore.build.top_bytes", lambda roots, k: 10**18 if roots > after[4] else 0)
+    built = st.build_folder(ply, tmp_path / "out.splatree", options, SMALL)
+    assert len(st.read(built.path / "crown.splatree").tree.roots) <= after[4]
+    check_is_tree_of(built.path, ply, options)
+    monkeypatch.setattr("splatree.outofcore.build.top_bytes", lambda roots, k: 10**18)
+    monkeypatch.setattr("splatree.outofcore.build.MOST_LEVELS", 4)
+    with pytest.raises(st.InputError, match="which do not fit in"):
+        st.build_folder(ply, tmp_path / "never.splatree", options, SMALL)
+
+
+def test_a_full_disk_is_told_and_the_build_goes_on_later(tmp_path, ply, monkeypatch):
+    def full(*arguments):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(np, "save", full)
+    with pytest.raises(st.OutputError, match="No space left on device"):
+        st.build_folder(ply, tmp_path / "out.splatree", running=SMALL)
+    monkeypatch.undo()
+    st.build_folder(ply, tmp_path / "out.splatree", running=SMALL)
+    check_is_tree_of(tmp_path / "out.splatree", ply)
+
+
+def test_a_part_that_vanished_from_the_work_is_told(tmp_path, ply, monkeypatch):
+    finish = top.finish_scene
+
+    def without_part(work, *arguments, **options):
+        (work.scene / "parts" / "00001.splatree").unlink()
+        return finish(work, *arguments, **options)
+
+    monkeypatch.setattr("splatree.outofcore.build.finish_scene", without_part)
+    with pytest.raises(st.InputError, match=r"00001\.splatree: found another file than was written, or none"):
+        st.build_folder(ply, tmp_path / "out.splatree", running=SMALL)
+
+
+@pytest.fixture
+def built(tmp_path, ply):
+    return st.build_folder(ply, tmp_path / "city.splatree", running=SMALL).path
+
+
+def test_a_flipped_byte_is_found(built):
+    part = built / "parts" / "00001.splatree"
+    data = bytearray(part.read_bytes())
+    data[-5] ^= 1
+    part.write_bytes(data)
+    with pytest.raises(st.FormatError, match=r"00001\.splatree: found digest .*damaged or of another build"):
+        st.read(built)
+
+
+def test_a_part_that_is_cut_off_or_missing_is_found(built):
+    part = built / "parts" / "00001.splatree"
+    part.write_bytes(part.read_bytes()[:-5])
+    with pytest.raises(st.FormatError, match=r"00001\.splatree: found \d+ bytes, wanted \d+"):
+        st.read(built)
+    part.unlink()
+    with pytest.raises(st.FormatError, match=r"00001\.splatree: cannot be read"):
+        st.read(built)
+
+
+HOSTILE = {
+    "version 2": (lambda m: m.update(version=2), "version: found 2"),
+    "out of the folder": (lambda m: m["parts"][0].update(name="../scene.ply"), "wanted a relative path inside"),
+    "absolute": (lambda m: m["parts"][0].update(name="/etc/passwd"), "wanted a relative path inside"),
+    "a size": (lambda m: m["parts"][0].update(num_bytes=-1), "wanted a whole number"),
+    "no size": (lambda m: m["parts"][0].pop("num_bytes"), "found no key 'num_bytes'"),
+    "twice": (lambda m: m["parts"].append(m["parts"][0]), "named twice"),
+    "one less": (lambda m: m["parts"].pop(), "rows and"),
+    "swapped": (lambda m: m["parts"].reverse(), "not those of the crown"),
+    "rows": (lambda m: m.update(num_rows=7), "wanted 7"),
+    "too many rows": (lambda m: m.update(num_rows=2**31), "less than 2^31"),
+    "no parts": (lambda m: m.update(parts=[]), "found 0 parts"),
+    "a digest": (lambda m: m["crown"].update(digest="00"), "found digest"),
+    "a list": (lambda m: m.update(crown=[]), "wanted an object"),
+}
+
+
+@pytest.mark.parametrize("what", HOSTILE)
+def test_a_hostile_manifest_is_refused(built, what):
+    change, message = HOSTILE[what]
+    manifest = json.loads((built / "manifest.json").read_text())
+    change(manifest)
+    (built / "manifest.json").write_text(json.dumps(manifest))
+    with pytest.raises(st.InputError) as error:
+        st.read(built)
+    assert message in str(error.value) and "city.splatree" in str(error.value)
+
+
+def test_a_folder_is_drawn_as_the_tree_in_memory(built, ply):
+    scene, wanted = st.read(built), st.build_lod(st.read(ply))
+    camera = st.orbit(wanted, st.PathOptions(views=1, width=64, height=48))[0]
+    for pixel_error in (0.0, 3.0, 20.0):
+        options = st.SelectOptions(pixel_error=pixel_error)
+        np.testing.assert_array_equal(st.select(scene, camera, options).rows, st.select(wanted, camera, options).rows)
+        pictures = [st.render(each, camera, select=options).image for each in (scene, wanted)]
+        assert pictures[0].tobytes() == pictures[1].tobytes()
