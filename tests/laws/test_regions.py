@@ -57,6 +57,15 @@ def test_boxes_give_the_tree_of_a_build_at_once(gaussians, cell_rows, num_levels
         check_same_tree(found, whole)
 
 
+@pytest.mark.parametrize("shape", ["line", "surface"])
+def test_long_chains_of_neighbours_are_followed(shape):
+    """Rows alike in size and opacity decide by their numbers: chains are long, and what is loaded at first is too little."""
+    scene = st.Scene.flat(hard_scene(1500, shape, 1, equal=True))
+    options = st.BuildOptions(radius=0.3, max_roots=1, color_radius=None)
+    found, _ = built_by_boxes(scene, options, 100, 2, 1.0)
+    check_same_tree(found, st.build_lod(scene, options))
+
+
 def test_everywhere_is_a_region_that_owns_all():
     scene = st.Scene.flat(hard_scene(300, "surface", 4, degree=1))
     options = st.BuildOptions(follow=False, radius=0.2, max_roots=1)

@@ -15,10 +15,10 @@ SMALLEST_MEMORY = 250_000_000
 PROCESS_BYTES = 130_000_000
 """What a process takes before it loads a row."""
 
-ROW_BYTES = 450
+ROW_BYTES = 350
 """What growing a cell takes for each of its rows without harmonics, with the space around it: benchmarks/scale.py."""
 
-HARMONIC_BYTES = 25
+HARMONIC_BYTES = 32
 """What it takes besides for each coefficient of harmonics above degree 0, three floats."""
 
 ROOT_BYTES = 450
@@ -86,7 +86,9 @@ class Room:
         rows = options.part_rows or PART_ROWS
         while options.part_rows is None and rows > FEWEST_ROWS and cell_bytes(rows, num_coefficients) > max_bytes:
             rows //= 2
-        workers = min(options.workers, max(1, int(max_bytes // cell_bytes(rows, num_coefficients))))
+        # Beside processes of its own, this one only waits.
+        num_beside = (max_bytes - PROCESS_BYTES) // cell_bytes(rows, num_coefficients)
+        workers = max(1, min(options.workers, num_beside))
         return Room(max_bytes, rows, workers)
 
 
