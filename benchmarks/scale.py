@@ -110,7 +110,7 @@ def main() -> None:
         folder = Path(name)
         ply, tree = folder / "city.ply", folder / "memory.splatree"
         st.convert(chunks, ply, st.ConvertOptions(edit=st.EditOptions(sh_degree=arguments.degree)))
-        in_memory = run("build", ply, tree, "-q")
+        in_memory = run("build", ply, tree, "--no-follow", "-q")
         wanted = st.read(tree)
         millions = wanted.tree.num_leaves / 1e6
         about = {"Gaussians": wanted.tree.num_leaves, "degree": arguments.degree}

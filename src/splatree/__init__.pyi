@@ -46,6 +46,9 @@ from splatree.lod.select import select as select
 from splatree.metrics.flip import flip as flip
 from splatree.metrics.psnr import psnr as psnr
 from splatree.metrics.ssim import ssim as ssim
+from splatree.outofcore.build import BuiltFolder as BuiltFolder
+from splatree.outofcore.build import build_folder as build_folder
+from splatree.outofcore.options import FolderOptions as FolderOptions
 from splatree.render.batch import render_batch as render_batch
 from splatree.render.batch import trace_batch as trace_batch
 from splatree.render.calibrate import CalibrateOptions as CalibrateOptions

@@ -61,7 +61,7 @@ def test_boxes_give_the_tree_of_a_build_at_once(gaussians, cell_rows, num_levels
 def test_long_chains_of_neighbours_are_followed(shape):
     """Rows alike in size and opacity decide by their numbers: chains are long, and what is loaded at first is too little."""
     scene = st.Scene.flat(hard_scene(1500, shape, 1, equal=True))
-    options = st.BuildOptions(radius=0.3, max_roots=1, color_radius=None)
+    options = st.BuildOptions(follow=False, radius=0.3, max_roots=1, color_radius=None)
     found, _ = built_by_boxes(scene, options, 100, 2, 1.0)
     check_same_tree(found, st.build_lod(scene, options))
 

@@ -6,6 +6,7 @@ import multiprocessing
 import os
 import signal
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -33,7 +34,7 @@ SMALL = st.FolderOptions(part_rows=200)
 
 def check_is_tree_of(folder, path, options=None, mode=None):
     scene = st.read(path)
-    wanted = st.build_lod(scene, options)
+    wanted = st.build_lod(scene, replace(options or st.BuildOptions(), follow=False))
     found = st.read(folder)
     check_same_tree(found, wanted)
     assert found.source.metadata["levels"] == wanted.source.metadata["levels"]
@@ -213,7 +214,7 @@ def test_memory_is_spent_on_rows_then_on_processes():
 
 
 def test_what_does_not_fit_above_the_parts_is_grown_one_level_more_in_them(tmp_path, ply, monkeypatch):
-    options = st.BuildOptions(radius=0.1, max_roots=1)
+    options = st.BuildOptions(radius=0.1, max_roots=1, follow=False)
     left = st.build_lod(st.read(ply), options).source.metadata["levels"]
     after = json.loads(left)["nodes"]
     monkeypatch.setattr("splatree.outofcore.build.top_bytes", lambda roots, k: 10**18 if roots > after[4] else 0)
@@ -303,7 +304,7 @@ def test_a_hostile_manifest_is_refused(built, what):
 
 
 def test_a_folder_is_drawn_as_the_tree_in_memory(built, ply):
-    scene, wanted = st.read(built), st.build_lod(st.read(ply))
+    scene, wanted = st.read(built), st.build_lod(st.read(ply), st.BuildOptions(follow=False))
     camera = st.orbit(wanted, st.PathOptions(views=1, width=64, height=48))[0]
     for pixel_error in (0.0, 3.0, 20.0):
         options = st.SelectOptions(pixel_error=pixel_error)

@@ -76,9 +76,9 @@ def build_folder(
 ) -> BuiltFolder:
     """Build levels of detail over a scene that is larger than memory, and write a folder of parts.
 
-    The tree is that of `build_lod`, bit for bit, but for the identities of merged nodes. A build that was interrupted goes on
-    where it stopped if it is called again in the same way. Until it ends, its files are in a folder beside the output, with
-    ``.work`` after its name.
+    The tree is that of `build_lod` with ``follow=False``, bit for bit, but for the identities of merged nodes. A build that was
+    interrupted goes on where it stopped if it is called again in the same way. Until it ends, its files are in a folder beside
+    the output, with ``.work`` after its name.
 
     Args:
         inputs: one path or several of one scene, of formats that are read in chunks: .ply, .spz, .splat, .sog, .ksplat.
@@ -137,7 +137,12 @@ def build_folder(
         bytes=total_bytes([manifest.crown, *manifest.parts]),
         rules=report,
         repairs=dict(chunks.repairs),
-        notes=(*found.notes, *notes_in(plan.metadata, plan.origin), *_note_on_parts(plan, running)),
+        notes=(
+            *found.notes,
+            *notes_in(plan.metadata, plan.origin),
+            *_note_on_parts(plan, running),
+            *_note_on_pixels(plan, options),
+        ),
     )
 
 
@@ -235,6 +240,15 @@ def _note_on_parts(plan: Plan, running: FolderOptions) -> tuple[str, ...]:
         return ()
     return (
         f"parts are cut for {plan.part_rows} Gaussians each, since memory is short: other files, but the same tree",
+    )
+
+
+def _note_on_pixels(plan: Plan, options: BuildOptions) -> tuple[str, ...]:
+    if not options.follow or plan.mode != "classic":
+        return ()
+    return (
+        "merged Gaussians are drawn as stored, as after --no-follow: how they follow pixels is fitted to the whole scene in "
+        "memory",
     )
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from splatree.io.formats.folder.manifest import stored_file
 from splatree.io.formats.splatree.rows import open_scene
-from splatree.io.registry import write
+from splatree.io.writing import write
 from splatree.lod.assemble import assemble
 from splatree.lod.forest import forest_of_leaves
 from splatree.lod.grow_region import Owned, TooNarrowError, grow_region
@@ -122,5 +122,7 @@ def _with_harmonics(work: Work, plan: Plan, loaded: _Loaded, rows: Array) -> Gau
 def _roots_of(part: Scene, rows: Array) -> Scene:
     """The roots of a part as a flat scene which knows the state of growth."""
     end = np.arange(1, len(rows) + 1, dtype=np.int32)
-    tree = GaussianTree(end, np.zeros(len(rows), np.uint8), part.tree.extents[rows], part.tree.record, part.tree.roots)
+    tree = GaussianTree(
+        end, np.zeros(len(rows), np.uint8), part.tree.extents[rows], record=part.tree.record, roots=part.tree.roots
+    )
     return Scene(part.gaussians.take(rows), tree, mode=part.mode)

@@ -10,7 +10,8 @@ import numpy as np
 
 from splatree.errors import InputError
 from splatree.io.formats.folder.manifest import MANIFEST, Manifest, StoredFile, stored_file
-from splatree.io.registry import read, write
+from splatree.io.reading import read
+from splatree.io.writing import write
 from splatree.lod.assemble import with_report
 from splatree.lod.forest import Forest, forest_of_roots
 from splatree.lod.graft import graft

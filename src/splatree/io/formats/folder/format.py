@@ -134,7 +134,7 @@ class _Rows:
             ids[rows] = np.arange(len(part)) if part.ids is None else part.ids
         if depth.max(initial=0) > 255:
             raise FormatError(f"{self.path}: found a node {depth.max()} levels below its root, wanted at most 255")
-        tree = GaussianTree(end, depth.astype(np.uint8), extents, crown.tree.record, crown.tree.roots)
+        tree = GaussianTree(end, depth.astype(np.uint8), extents, record=crown.tree.record, roots=crown.tree.roots)
         first_id = int(ids[tree.is_leaf].max(initial=0)) + 1
         if first_id + len(above) > 2**32:
             raise FormatError(
