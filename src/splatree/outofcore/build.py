@@ -6,6 +6,7 @@ above. The tree is that of `build_lod`, bit for bit, however the scene was cut: 
 
 import os
 import shutil
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
@@ -15,9 +16,9 @@ from typing import Any
 
 from splatree.errors import InputError, OutputError
 from splatree.io.chunks import Chunks
-from splatree.io.convert import open_chunks
 from splatree.io.formats.folder.manifest import MANIFEST, Manifest, is_manifest, total_bytes
 from splatree.io.inputs import find_inputs
+from splatree.io.joined_chunks import joined_chunks, opened_chunks
 from splatree.io.local import local_inputs
 from splatree.io.notes import notes_in
 from splatree.io.options import ReadOptions
@@ -117,11 +118,12 @@ def build_folder(
     work = Work(target.with_name(target.name + ".work"))
     with local_inputs([Path(path) for path in paths]) as local:
         found = find_inputs(local.paths, lambda path: detect(path) is not None)
-        chunks = open_chunks(found.paths, reading)
-        if chunks is None:
+        parts = opened_chunks(found.paths, reading)
+        if parts is None:
             raise InputError(
                 f"{', '.join(map(str, paths))}: found a format that is not read in chunks; convert it to .ply first"
             )
+        chunks = joined_chunks(parts, found.paths)
         if mode is not None:
             chunks = replace(chunks, mode=mode)
         with _errors_of_writing(work):
@@ -136,7 +138,7 @@ def build_folder(
         num_parts=len(manifest.parts),
         bytes=total_bytes([manifest.crown, *manifest.parts]),
         rules=report,
-        repairs=dict(chunks.repairs),
+        repairs=dict(sum((Counter(part.repairs) for part in parts), Counter())),
         notes=(
             *found.notes,
             *notes_in(plan.metadata, plan.origin),
