@@ -66,7 +66,13 @@ def _structs_that_users_build() -> list[type]:
     for module in pkgutil.walk_packages(splatree.__path__, "splatree."):
         if module.name.startswith("splatree.cli") or module.name.endswith(("__main__", "._core")):
             continue  # the command line's own parser checks its names
-        for name, value in vars(importlib.import_module(module.name)).items():
+        try:
+            loaded = importlib.import_module(module.name)
+        except ModuleNotFoundError as error:
+            if error.name is None or error.name.split(".")[0] == "splatree":
+                raise
+            continue  # a module of an extra that is not installed, such as the circuit's
+        for name, value in vars(loaded).items():
             if inspect.isclass(value) and dataclasses.is_dataclass(value) and value.__module__ == module.name:
                 is_public = name.endswith("Options") or name in splatree.__all__
                 if is_public and any("Literal" in str(hint) for hint in get_type_hints(value).values()):
