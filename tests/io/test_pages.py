@@ -7,7 +7,7 @@ import pytest
 from splatree.io.registry import formats
 
 PAGE = Path(__file__).parents[2] / "docs" / "reference" / "formats" / "index.md"
-MANIFESTS = {"streamed-sog": "lod-meta.json", "3d-tiles": "tileset.json"}
+MANIFESTS = {"streamed-sog": "lod-meta.json", "3d-tiles": "tileset.json", "splatree-folder": "manifest.json"}
 
 
 @pytest.mark.parametrize("f", formats(), ids=lambda f: f.name)

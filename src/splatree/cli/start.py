@@ -10,12 +10,25 @@ def main() -> int:
 
         code = run()
         _listen_no_more()
+        _let_go_of_messages()
         return code
     except KeyboardInterrupt:
         _listen_no_more()
         if sys.stderr is not None:
             print("splatree: interrupted", file=sys.stderr)
         return 130
+
+
+def _let_go_of_messages() -> None:
+    """Let messages that their stream does not take go nowhere, as Python would end with the code 120 for them."""
+    import os
+
+    if sys.stderr is None:
+        return
+    try:
+        sys.stderr.flush()
+    except (OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
 
 
 def _listen_no_more() -> None:
