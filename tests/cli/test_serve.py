@@ -27,6 +27,16 @@ def test_serve_says_its_address_and_answers_until_it_is_interrupted(splatree, sm
             process.kill()
 
 
+def test_ctrl_c_while_it_says_its_address_is_the_usual_end_too(splatree, small_tree, tmp_path, monkeypatch):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    assert splatree("stream", small_tree, tmp_path / "out", "--levels", "2")[0] == 0
+    monkeypatch.setattr("splatree.cli.serve._announce", interrupt)
+    code, out, _ = splatree("serve", tmp_path / "out", "--port", "0")
+    assert code == 0 and "served 1 streams" in out
+
+
 def test_a_folder_without_a_stream_is_refused(splatree, tmp_path):
     code, _, err = splatree("serve", tmp_path, "--port", "0")
     assert code == 1 and "write one with splatree stream" in err

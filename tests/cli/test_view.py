@@ -37,6 +37,16 @@ def test_it_serves_until_it_is_interrupted(small_tree):
     assert viewed["num_nodes"] > 3161
 
 
+def test_ctrl_c_while_the_browser_opens_is_the_usual_end_too(splatree, small_tree, monkeypatch):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("webbrowser.open", interrupt)
+    code, out, err = splatree("view", small_tree, "--budget", "5000")
+    assert code == 0, err
+    assert "nodes at http://127.0.0.1" in out
+
+
 def test_photos_want_their_cameras(splatree, small_ply, tmp_path):
     code, _, err = splatree("view", small_ply, "--photos", tmp_path)
     assert code == 2

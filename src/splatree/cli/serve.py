@@ -1,5 +1,6 @@
 """``splatree serve``: streams for viewers on the web, from this machine."""
 
+import contextlib
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,17 +40,19 @@ class Result:
 def run(command: Command) -> Result:
     """Serve until interrupted."""
     server = StreamServer(command.folder, command.options)
-    server.start()
-    if not command.console.quiet:
-        print(f"serving {command.folder} at {server.address} until interrupted (Ctrl-C)", file=sys.stderr)
-        for stream in server.streams:
-            viewer = next(viewer for end, viewer in VIEWERS.items() if stream.endswith(end))
-            print(f"  {server.address}open/{viewer}?stream={stream}", file=sys.stderr, flush=True)
-    try:
+    with server, contextlib.suppress(KeyboardInterrupt):  # from here on Ctrl-C is the usual end
+        server.start()
+        if not command.console.quiet:
+            _announce(server, command)
         server.wait()
-    except KeyboardInterrupt:
-        server.stop()
     return Result(server.address, server.streams)
+
+
+def _announce(server: StreamServer, command: Command) -> None:
+    print(f"serving {command.folder} at {server.address} until interrupted (Ctrl-C)", file=sys.stderr)
+    for stream in server.streams:
+        viewer = next(viewer for end, viewer in VIEWERS.items() if stream.endswith(end))
+        print(f"  {server.address}open/{viewer}?stream={stream}", file=sys.stderr, flush=True)
 
 
 def show(result: Result) -> str:

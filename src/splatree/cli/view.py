@@ -64,12 +64,11 @@ def run(command: Command) -> Viewed:
             _say(command, f"{path}: has no levels of detail; building them (splatree build keeps them in a file)")
     names = (command.paths[0].name or str(command.paths[0]), "" if command.beside is None else command.beside.name)
     viewer = Viewer(scene, command.options, beside=beside, names=names, cameras=cameras, photos=photos)
-    with viewer:
+    with viewer, contextlib.suppress(KeyboardInterrupt):  # from here on Ctrl-C is the usual end
         _announce(viewer, command)
         if not command.no_browser:
             webbrowser.open(viewer.url)
-        with contextlib.suppress(KeyboardInterrupt):
-            viewer.wait()
+        viewer.wait()
     return Viewed(viewer.url, viewer.num_nodes)
 
 

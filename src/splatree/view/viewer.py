@@ -1,5 +1,6 @@
 """`view`: look at a scene in a browser, from Python and in notebooks."""
 
+import contextlib
 import secrets
 import threading
 import webbrowser
@@ -53,16 +54,16 @@ def view(
         >>> viewer.set_scene(st.thin(scene.gaussians).gaussians)  # doctest: +SKIP
     """
     viewer = Viewer(scene, options, beside=beside, cameras=cameras, photos=photos)
-    if block if open_browser is None else open_browser:
-        webbrowser.open(viewer.url)
-    if block:
+    is_opened = block if open_browser is None else open_browser
+    if not block:
+        if is_opened:
+            webbrowser.open(viewer.url)
+        return viewer
+    with viewer, contextlib.suppress(KeyboardInterrupt):  # from here on Ctrl-C is the usual end
         print(f"look at {viewer.url} (Ctrl-C ends it)", flush=True)
-        try:
-            viewer.wait()
-        except KeyboardInterrupt:
-            pass
-        finally:
-            viewer.close()
+        if is_opened:
+            webbrowser.open(viewer.url)
+        viewer.wait()
     return viewer
 
 
