@@ -183,9 +183,14 @@ def test_cesium_refines_what_looks_too_coarse(scene, folder):
     chosen = select_cesium(tiles, inside)
     assert len(chosen.drawn) > 1 and set(chosen.drawn) <= set(chosen.loaded)
     assert 0 in chosen.loaded and 0 not in chosen.drawn
+    opened = set(tiles.parents[chosen.drawn].tolist()) - {-1}
+    assert {int(tile) for tile in np.flatnonzero(np.isin(tiles.parents, list(opened)))} <= set(chosen.loaded.tolist())
     every = select_cesium(tiles, st.Camera.look_at(middle - [0, 0, 50], middle), most_px=0)
     is_leaf = np.ones(len(tiles.names), bool)
     is_leaf[tiles.parents[1:]] = False
     assert np.array_equal(every.drawn, np.flatnonzero(is_leaf))
+    corner = tiles.boxes[0, 0]
+    aside = select_cesium(tiles, st.Camera.look_at(corner - [0, 0, 0.1], corner + [-0.2, 0, 1]), most_px=1)
+    assert len(aside.drawn) and not np.isin(aside.loaded[~np.isin(aside.loaded, aside.drawn)], tiles.parents).all()
     away = st.Camera.look_at(middle - [0, 0, 50], middle - [0, 0, 100])
     assert len(select_cesium(tiles, away).drawn) == 0

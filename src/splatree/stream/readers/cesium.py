@@ -2,7 +2,8 @@
 
 A tile is refined while its geometric error, at the distance of its box from the eye, looks larger than 16 pixels:
 error · height / (distance · 2 tan(fov_y / 2)) > 16. Tiles whose box lies outside the view are neither drawn nor refined. A tile
-is drawn until all of its children are there, so the tiles above those that are drawn are loaded too.
+is drawn until all of its children are there. So the tiles above those that are drawn are loaded too, and so are all children of a
+tile that is refined, those outside the view as well.
 """
 
 import json
@@ -44,7 +45,7 @@ class TilesChosen:
     drawn: Int64[Array, "d"]
     """Tiles that are drawn."""
     loaded: Int64[Array, "l"]
-    """These and the tiles above them."""
+    """These, the tiles above them, and all children of those above."""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -82,15 +83,13 @@ def select_cesium(tiles: Tileset, camera: Camera, *, most_px: float = 16.0) -> T
     is_leaf = np.ones(len(tiles.names), bool)
     is_leaf[tiles.parents[tiles.parents >= 0]] = False
     is_refined = is_visible & (looks_px > most_px) & ~is_leaf
-    drawn: list[int] = []
-    above: list[int] = []
-    is_reached = np.zeros(len(tiles.names), bool)
+    is_loaded, is_drawn = np.zeros(len(tiles.names), bool), np.zeros(len(tiles.names), bool)
+    is_opened = np.zeros(len(tiles.names), bool)  # drawn by its children
     for tile, parent in enumerate(tiles.parents):
-        is_reached[tile] = is_visible[tile] and (parent < 0 or bool(is_reached[parent] and is_refined[parent]))
-        if is_reached[tile]:
-            (above if is_refined[tile] else drawn).append(tile)
-    loaded = np.array(sorted(above + drawn), np.int64)
-    return TilesChosen(np.array(drawn, np.int64), loaded)
+        is_loaded[tile] = is_opened[parent] if parent >= 0 else is_visible[tile]
+        is_opened[tile] = is_loaded[tile] and is_refined[tile]
+        is_drawn[tile] = is_loaded[tile] and is_visible[tile] and not is_refined[tile]
+    return TilesChosen(np.flatnonzero(is_drawn), np.flatnonzero(is_loaded))
 
 
 def _in_view(boxes: Array, camera: Camera) -> Array:
