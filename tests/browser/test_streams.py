@@ -125,7 +125,6 @@ def test_playcanvas_draws_the_levels_of_our_streamed_sog(browser, served, tree, 
     assert sum(size for _, size in loaded) <= 1.05 * wanted
 
 
-@pytest.mark.xfail(strict=False, reason="its limits were taken before merged nodes followed the pixel; take them anew")
 def test_playcanvas_with_a_tenth_is_not_far_from_the_whole(browser, served, tree, camera):
     whole = drawn(tree.gaussians.take(tree.tree.is_leaf), camera)
     quality, brightness = [], []
@@ -146,7 +145,6 @@ def test_spark_draws_our_rad_chunk_by_chunk(browser, served, tree, camera):
     assert {name.rsplit("/", 1)[1] for name, _ in loaded} == {"city.rad"}
 
 
-@pytest.mark.xfail(strict=False, reason="its limits were taken before merged nodes followed the pixel; take them anew")
 def test_cesium_draws_our_tiles(browser, served, tree, camera):
     """Seen from one side, so that a scene turned about its up axis would be found out."""
     tiles = open_tileset(served.folder / "tiles")

@@ -1,5 +1,6 @@
 """How a stream is made; the command line's help is these docstrings."""
 
+import math
 from dataclasses import dataclass, fields
 from typing import Literal
 
@@ -31,9 +32,10 @@ class StreamOptions:
     """For `sog`: Gaussians of a chunk, for which a viewer chooses one level."""
     unit_rows: int = 65_536
     """For `sog`: Gaussians of a file of the two finest levels; files of coarser levels have twice as many."""
-    node_px: float = 7.5
-    """For `sog`: extent, px, at which merged nodes are expected to be drawn. A viewer with a budget draws them larger than the 3
-    px that they were made for, and their opacities follow from that; 3 keeps the opacities of the tree."""
+    node_px: float = 8.0
+    """For `sog`: extent, px, at which merged nodes of the first coarser level are expected to be drawn; at coarser
+    levels they are √2 larger for each halving of the nodes. A viewer with a budget draws nodes larger than they are stored for,
+    and shapes and opacities follow from that. 0 keeps those of the tree, for scenes that are only seen from afar."""
     tile_nodes: int = 32_768
     """For `3dtiles`: largest number of Gaussians of a tile."""
     origin: tuple[float, float, float] | None = None
@@ -41,6 +43,12 @@ class StreamOptions:
     points up and its z south."""
     sh_degree: int | None = None
     """Remove the harmonics above this degree; None: keep all."""
+
+    def __post_init__(self) -> None:
+        for name, least in (("unit_rows", 1), ("node_px", 0), ("tile_nodes", 1)):
+            value = getattr(self, name)
+            if not least <= value < math.inf:
+                raise InputError(f"{name}: found {value}, wanted at least {least}")
 
     def check_used(self, format: StreamFormat) -> None:
         """Refuse options that the format does not use.

@@ -8,7 +8,7 @@ not shown. Layout: docs/reference/formats/streamed_sog.md.
 import json
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,7 @@ from splatree.shapes import Array
 from splatree.stream.boxes import box_around, outward
 from splatree.stream.chunks import TreeChunks, chunks_of_tree
 from splatree.stream.levels import Level, levels_of_tree
-from splatree.stream.opacities import logits_of_level
+from splatree.stream.nodes import gaussians_of_level
 from splatree.stream.options import StreamOptions
 from splatree.stream.parts import Folder, digest_of
 from splatree.stream.result import LevelWritten, Streamed
@@ -109,7 +109,7 @@ def _write_unit(
     level = levels[unit.level]
     offsets = level.offsets[unit.first_chunk : unit.end_chunk + 1]
     rows = level.rows[offsets[0] : offsets[-1]]
-    g = replace(scene.gaussians.take(rows), logit_opacities=logits_of_level(scene, level, rows, options.node_px))
+    g = gaussians_of_level(scene, level, rows, options.node_px)
     settings = WriteOptions(sh_palette=_palette_size(len(g)) if g.sh_degree else None)
     name = f"{unit.level}_{unit.number}-{digest_of(g, scene.mode, settings)}"
     was_there = folder.has(name)
