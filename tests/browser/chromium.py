@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 from PIL import Image
+from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 FLAGS = (
@@ -127,8 +128,9 @@ class Page:
         self.call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
 
     def close(self) -> None:
-        """Leave it."""
-        self._stack.close()
+        """Close the tab; a second time is harmless."""
+        with self._stack, contextlib.suppress(ConnectionClosed, TimeoutError):
+            self.call("Page.close", timeout=20)
 
 
 @contextlib.contextmanager
@@ -166,6 +168,12 @@ class Browser:
 
     def __init__(self, port: int, path: str) -> None:
         self._port, self._path = port, path
+        self._pages: list[Page] = []
+
+    def close_pages(self) -> None:
+        """Close all tabs: an open one keeps its connection and draws on."""
+        while self._pages:
+            self._pages.pop().close()
 
     def new_page(self) -> Page:
         """A new page."""
@@ -177,4 +185,5 @@ class Browser:
                 message = json.loads(socket.recv(timeout=60))
                 if message.get("id") == 1:
                     target = message["result"]["targetId"]
-                    return Page(f"ws://127.0.0.1:{self._port}/devtools/page/{target}")
+                    self._pages.append(Page(f"ws://127.0.0.1:{self._port}/devtools/page/{target}"))
+                    return self._pages[-1]

@@ -5,9 +5,25 @@ import pytest
 from splatree.io.reading import read
 from splatree.lod.build import build_lod
 
+from .chromium import chromium
+
 
 @pytest.fixture(scope="session")
 def city_tree():
     """The bundled scene with levels of detail."""
     with as_file(files("splatree") / "data" / "semarang_5_9.sog") as path:
         return build_lod(read(path))
+
+
+@pytest.fixture(scope="module")
+def program(tmp_path_factory):
+    """A browser that the tests of a module share."""
+    with chromium(tmp_path_factory.mktemp("profile")) as started:
+        yield started
+
+
+@pytest.fixture
+def browser(program):
+    """A browser without tabs; those that a test opens are closed at its end, however it ends."""
+    yield program
+    program.close_pages()

@@ -16,7 +16,7 @@ from splatree.stream.readers.playcanvas import select_playcanvas
 from splatree.stream.readers.sog_stream import open_sog_stream
 from splatree.stream.readers.spark import select_spark
 
-from .chromium import chromium, find_chromium
+from .chromium import find_chromium
 from .peers import install
 
 pytestmark = [
@@ -35,12 +35,6 @@ def packages(tmp_path_factory):
     if found is None:
         pytest.skip(reason)
     return found
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory):
-    with chromium(tmp_path_factory.mktemp("profile")) as started:
-        yield started
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +83,6 @@ def shown(browser, server, viewer, stream, camera, until="window.splatree?.ready
     entries = page.evaluate("performance.getEntriesByType('resource').map((e) => [e.name, e.encodedBodySize])")
     loaded = [(name, size) for name, size in entries if "/packages/" not in name and "/page/" not in name]
     assert page.errors == [] and "error" not in said
-    page.close()
     return picture, said, loaded
 
 

@@ -20,7 +20,7 @@ from splatree.view.follow import followed
 from splatree.view.options import ViewOptions
 from splatree.view.viewer import Viewer
 
-from .chromium import chromium, find_chromium
+from .chromium import find_chromium
 
 pytestmark = [
     pytest.mark.slow,
@@ -28,12 +28,6 @@ pytestmark = [
 ]
 
 SIZE = (480, 270)
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory):
-    with chromium(tmp_path_factory.mktemp("profile")) as started:
-        yield started
 
 
 @pytest.fixture(scope="module")
@@ -82,7 +76,6 @@ def test_the_browser_draws_the_cut_as_the_library_does(browser, viewer):
     assert psnr(page.screenshot(), picture(viewer, page, pixel_error=header["tau"])) >= 40
     assert page.evaluate("splatree.layers[0].firstBytes") <= 700_000
     assert page.errors == []
-    page.close()
 
 
 def test_an_antialiased_scene_is_drawn_as_one(browser, city_tree):
@@ -115,7 +108,6 @@ def test_moving_and_the_slider_change_the_cut(browser, viewer):
     held = page.evaluate("splatree.layers[0].room.count")
     assert held <= fewer["rows"]
     assert page.errors == []
-    page.close()
 
 
 CHECKSUM = """((slots) => { let sum = 0; const { words } = splatree.layers[0].store;
@@ -156,7 +148,6 @@ def test_a_camera_that_rests_gets_the_exact_picture(browser, viewer):
     # 8 bits, and last bits of a pose that went through JSON: two steps at most.
     assert np.abs(page.screenshot() - expected).max() <= 2.5 / 255
     assert page.evaluate("splatree.stats.psnr") >= 40
-    page.close()
 
 
 def test_without_webgl_the_server_draws(browser, viewer):
@@ -171,7 +162,6 @@ def test_without_webgl_the_server_draws(browser, viewer):
     page.wait_for(f"splatree.isExact && splatree.layers[0].frameHeader.seq > {header['seq']}")
     assert page.evaluate("splatree.layers[0].frameHeader.seq") > header["seq"]
     assert page.errors == []
-    page.close()
 
 
 def test_the_server_draws_where_it_is_asked_to_and_the_browser_goes_on(browser, viewer):
@@ -188,7 +178,6 @@ def test_the_server_draws_where_it_is_asked_to_and_the_browser_goes_on(browser, 
     header = page.evaluate("splatree.layers[0].header")
     assert psnr(page.screenshot(), picture(viewer, page, pixel_error=header["tau"])) >= 40
     assert page.errors == []
-    page.close()
 
 
 @pytest.mark.parametrize("layer", ["levels", "cut", "depth", "alpha"])
@@ -211,7 +200,6 @@ def test_layers_show_the_same_nodes_in_other_colours(browser, viewer, layer):
         order = np.corrcoef(np.log(image.depth[solid]), grey[solid])[0, 1]
         assert order < -0.99  # near is bright
     assert page.errors == []
-    page.close()
 
 
 def test_two_scenes_share_a_camera_and_the_window(browser, viewer, city_tree):
@@ -256,7 +244,6 @@ def test_cameras_go_to_files_that_the_library_reads(browser, viewer, tmp_path):
         (found,) = read_cameras(tmp_path / name)
         np.testing.assert_allclose(found.camera_from_world, viewer.camera.camera_from_world, atol=1e-9)
         np.testing.assert_allclose(found.K, viewer.camera.K, atol=1e-9)
-    page.close()
 
 
 KEEP_FILES = """window.files = []; const make = URL.createObjectURL;
@@ -272,7 +259,6 @@ def test_the_picture_can_be_saved(browser, viewer):
     page.wait_for("files.length")
     saved = Image.open(BytesIO(base64.b64decode(page.evaluate(READ_FILE)))).convert("RGB")
     np.testing.assert_allclose(np.asarray(saved) / 255, page.screenshot(), atol=1.5 / 255)
-    page.close()
 
 
 def test_a_flight_along_kept_cameras_can_be_saved_as_a_video(browser, viewer):
@@ -289,7 +275,6 @@ def test_a_flight_along_kept_cameras_can_be_saved_as_a_video(browser, viewer):
     assert page.evaluate("files.at(-1).size") > 1000
     np.testing.assert_allclose(page.evaluate("splatree.camera.eye"), last, atol=1e-6)
     assert page.errors == []
-    page.close()
 
 
 def test_a_clipping_box_hides_the_same_in_the_browser_and_on_the_server(browser, viewer):
@@ -298,7 +283,6 @@ def test_a_clipping_box_hides_the_same_in_the_browser_and_on_the_server(browser,
     page.wait_for("splatree.isExact && splatree.stats.psnr")
     # Nodes whose centre is at a side of the box may fall either way: float32 there, float64 here.
     assert page.evaluate("splatree.stats.psnr") >= 40
-    page.close()
 
 
 def test_the_address_holds_the_camera(browser, viewer):
@@ -312,7 +296,6 @@ def test_the_address_holds_the_camera(browser, viewer):
     page.open(address, size=SIZE)
     page.wait_for("window.splatree?.isReady")
     np.testing.assert_allclose(page.evaluate("splatree.camera.eye"), eye, rtol=1e-5, atol=1e-4)
-    page.close()
 
 
 def test_a_double_click_sets_the_point_to_turn_about(browser, viewer):
@@ -326,7 +309,6 @@ def test_a_double_click_sets_the_point_to_turn_about(browser, viewer):
     image = render(viewer._server.exhibits[0].scene, viewer.camera, select=SelectOptions(pixel_error=3.0))
     distance = page.evaluate("splatree.camera.distance()")
     assert image.depth[SIZE[1] // 2, SIZE[0] // 2] == pytest.approx(distance, rel=0.1)  # it is in the middle now
-    page.close()
 
 
 def test_touch_turns_and_pinches(browser, viewer):
@@ -344,7 +326,6 @@ def test_touch_turns_and_pinches(browser, viewer):
     assert page.evaluate("document.documentElement.scrollWidth") <= 360  # nothing sticks out …
     boxes = "['title', 'status'].map((id) => document.getElementById(id).getBoundingClientRect())"
     assert page.evaluate(f"{boxes}.reduce((a, b) => a.right <= b.left || a.bottom <= b.top)")  # … or overlaps
-    page.close()
 
 
 def test_two_pages_at_once_show_views_of_their_own(browser, viewer):
@@ -359,5 +340,3 @@ def test_two_pages_at_once_show_views_of_their_own(browser, viewer):
     header = one.evaluate("splatree.layers[0].header")
     assert psnr(one.screenshot(), picture(viewer, one, pixel_error=header["tau"])) >= 40
     assert one.errors + two.errors == []
-    one.close()
-    two.close()
