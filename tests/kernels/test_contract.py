@@ -14,7 +14,7 @@ from splatree.kernels.devices import DLPACK_KINDS, DeviceName, back_end, feature
 from ..scenes import camera, gaussians
 
 STAGES = ("select", "project", "bin", "blend")
-OPTIONAL = ("blend_backward", "project_backward")
+OPTIONAL = ("blend_backward", "project_backward", "photo_loss", "step")
 
 
 def arguments_of(stage: object) -> list[tuple[str, object, object]]:

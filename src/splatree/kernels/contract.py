@@ -23,11 +23,11 @@ from typing import Any, Protocol
 
 from splatree.scene.frame import Picture, Splats, TileBins
 from splatree.scene.gaussians import Gaussians
-from splatree.scene.gradients import GaussianGradients, PictureGradients, SplatGradients
+from splatree.scene.gradients import GaussianGradients, Moments, PhotoLoss, PictureGradients, SplatGradients
 from splatree.scene.options import SelectOptions
 from splatree.scene.tree import BlockIndex, GaussianTree
 from splatree.scene.view import View
-from splatree.shapes import Array, Float32, Int32, UInt32
+from splatree.shapes import Array, Bool, Float32, Float64, Int32, UInt8, UInt32
 
 __all__ = ["BackwardStages", "FrameStages", "HeldScene", "QueuedFrame", "TracedFrame"]
 
@@ -94,6 +94,32 @@ class BackwardStages(Protocol):
         self, gaussians: Gaussians, splats: Splats, gradients: SplatGradients, view: View, *, threads: int = 0
     ) -> GaussianGradients:
         """Derivatives by the columns of the Gaussians that the splats come from."""
+        ...
+
+    def photo_loss(
+        self,
+        image: Float32[Array, "h w 3"],
+        photo: UInt8[Array, "h w 3"],
+        gain: Float64[Array, "3"],
+        *,
+        ssim_weight: float = 0.2,
+        mask: Bool[Array, "h w"] | None = None,
+        threads: int = 0,
+    ) -> PhotoLoss:
+        """How far a picture is from a photograph, and the derivative by the picture."""
+        ...
+
+    def step(
+        self,
+        gaussians: Gaussians,
+        gradients: GaussianGradients,
+        moments: Moments,
+        rates: Float32[Array, "e"],
+        *,
+        ramp_steps: int = 1,
+        threads: int = 0,
+    ) -> None:
+        """A step of the optimiser for the rows that were drawn; columns and moments change in place."""
         ...
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from splatree.constants import SH_C0, SH_C1, SH_C2, SH_C3
 from splatree.shapes import Array, Float64
 
-__all__ = ["basis_from_directions", "colors_from_harmonics", "rotations_of_harmonics"]
+__all__ = ["basis_from_directions", "basis_gradients", "colors_from_harmonics", "rotations_of_harmonics"]
 
 
 def basis_from_directions(directions: Array, degree: int) -> Float64[Array, "n k"]:
@@ -34,6 +34,30 @@ def basis_from_directions(directions: Array, degree: int) -> Float64[Array, "n k
         )
         columns += [c * p for c, p in zip(SH_C3, cubic, strict=True)]
     return np.stack(columns, axis=-1)
+
+
+def basis_gradients(directions: Array, degree: int) -> Float64[Array, "n k 3"]:
+    """Derivatives of the polynomials Y_k by x, y and z, as if these were free; their part across the direction is what counts."""
+    x, y, z = (np.asarray(directions, np.float64)[..., i] for i in range(3))
+    xx, yy, zz, o, one = x * x, y * y, z * z, np.zeros_like(x), np.ones_like(x)
+    rows = [(o, o, o)]
+    if degree >= 1:
+        rows += [(o, -SH_C1 * one, o), (o, o, SH_C1 * one), (-SH_C1 * one, o, o)]
+    if degree >= 2:
+        quadratic = ((y, x, o), (o, z, y), (-2 * x, -2 * y, 4 * z), (z, o, x), (2 * x, -2 * y, o))
+        rows += [(c * a, c * b, c * d) for c, (a, b, d) in zip(SH_C2, quadratic, strict=True)]
+    if degree >= 3:
+        cubic = (
+            (6 * x * y, 3 * xx - 3 * yy, o),
+            (y * z, x * z, x * y),
+            (-2 * x * y, 4 * zz - xx - 3 * yy, 8 * y * z),
+            (-6 * x * z, -6 * y * z, 6 * zz - 3 * xx - 3 * yy),
+            (4 * zz - 3 * xx - yy, -2 * x * y, 8 * x * z),
+            (2 * x * z, -2 * y * z, xx - yy),
+            (3 * xx - 3 * yy, -6 * x * y, o),
+        )
+        rows += [(c * a, c * b, c * d) for c, (a, b, d) in zip(SH_C3, cubic, strict=True)]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def colors_from_harmonics(sh: Array, directions: Array, degree: int) -> Float64[Array, "n 3"]:
