@@ -5,12 +5,15 @@
 for the picture X, a gain g for each channel and the photograph Y. SSIM is Wang 2004, Eq. 13 with zeros beyond the borders
 (metrics/ssim.py, `zero`). With the blurs μ_x, μ_y, e_xx, e_yy, e_xy of X, Y, X², Y², X Y and
 
-    A₁ = 2 μ_x μ_y + C₁,  A₂ = 2 (e_xy − μ_x μ_y) + C₂,  B₁ = μ_x² + μ_y² + C₁,  B₂ = e_xx − μ_x² + e_yy − μ_y² + C₂,  S = A₁ A₂ / (B₁ B₂)
+    A₁ = 2 μ_x μ_y + C₁,  A₂ = 2 (e_xy − μ_x μ_y) + C₂,  B₁ = μ_x² + μ_y² + C₁,  B₂ = e_xx − μ_x² + e_yy − μ_y² + C₂
+    S = A₁ A₂ / (B₁ B₂)
 
-    Q = ∂S/∂e_xx = −S / B₂,   R = ∂S/∂e_xy = 2 A₁ / (B₁ B₂),   P = ∂S/∂μ_x = 2 μ_y (A₂ − A₁) / (B₁ B₂) − 2 μ_x S / B₁ + 2 μ_x S / B₂
+    P = ∂S/∂μ_x = 2 μ_y (A₂ − A₁) / (B₁ B₂) − 2 μ_x S / B₁ + 2 μ_x S / B₂
+    Q = ∂S/∂e_xx = −S / B₂
+    R = ∂S/∂e_xy = 2 A₁ / (B₁ B₂)
 
-the derivative is ∂ΣS/∂X = G∗P + 2 X (G∗Q) + Y (G∗R), three more blurs. A masked pixel counts as if the picture were right
-there: it takes no derivative, adds no error, and means are over the pixels that are not masked.
+the derivative is ∂ΣS/∂X = G∗P + 2 X (G∗Q) + Y (G∗R), three more blurs. A masked pixel counts as if the picture were right there:
+it takes no derivative, adds no error, and means are over the pixels that are not masked.
 """
 
 import numpy as np

@@ -4,8 +4,8 @@ Adam (Kingma 2015, Algorithm 1) with a count of steps for each row, so that a ro
 
     m ← 0.9 m + 0.1 d,  v ← 0.999 v + 0.001 d²,  x ← x − rate · ramp · (m / (1 − 0.9ᵗ)) / (√(v / (1 − 0.999ᵗ)) + 1e-15)
 
-Rows that were not drawn keep their moments (sparse Adam). A row's first ``ramp_steps`` steps are shorter: ramp = min(1, t / ramp_steps).
-A row with a derivative that is not finite makes no step.
+Rows that were not drawn keep their moments (sparse Adam). A row's first ``ramp_steps`` steps are shorter, by the factor
+ramp = min(1, t / ramp_steps). A row with a derivative that is not finite makes no step.
 """
 
 import numpy as np

@@ -7,6 +7,7 @@
 
 #include <string.h>
 
+#include "cpu/frame/brush.h"
 #include "cpu/runtime/isa.h"
 #include "cpu/runtime/pool.h"
 #include "shared/blend.h"
@@ -17,13 +18,9 @@
 namespace splatree::SPLATREE_ISA {
 namespace {
 
-constexpr int TILE = 16, CELLS = 16, LANES = 16;
 constexpr int GROUP = 8;    // pairs whose cells are found before the first of them is blended
 constexpr int AHEAD = 8;    // pairs between the fetch of a record and its use
-constexpr int PERIOD = 32;  // pairs between looks for finished cells
-constexpr float ALPHA_MAX = float(constants::ALPHA_MAX), ALPHA_THRESHOLD = float(constants::ALPHA_THRESHOLD);
-constexpr float TRANSMITTANCE_MIN = float(constants::TRANSMITTANCE_MIN), TAPER_SLOPE = float(constants::TAPER_SLOPE);
-constexpr float SQRT_HALF_LOG2E = 0.849321800f;  // √(½ log2 e): exp(-½ q²) = 2^-(this q)²
+constexpr float TAPER_SLOPE = float(constants::TAPER_SLOPE), ALPHA_THRESHOLD = float(constants::ALPHA_THRESHOLD);
 
 struct alignas(64) Tile {
   float transmittance[CELLS][LANES];
@@ -37,59 +34,6 @@ struct alignas(64) Pixels {
   int32_t finisher[CELLS][LANES];  // entry that finished the pixel, 0 if none did
   float median[CELLS][LANES];      // depth at which T fell below ½
 };
-
-// What one splat needs, in units in which the exponent is a power of 2.
-struct alignas(64) Brush {
-  float u_of_lane[LANES], v_of_lane[LANES];  // from the centre of a cell
-  float u_of_cell[CELLS], v_of_cell[CELLS];  // of the centre of each cell
-  float log2_opacity, log2_threshold;
-  float red, green, blue, depth;
-  float floor;                // opacity that is tapered to 1/255
-  float contribution[LANES];  // Σ α T over the cells
-};
-
-// A number that the compiler does not know. Of a minimum with a constant GCC makes a comparison and a blend.
-float unknown(float x) {
-  asm("" : "+m"(x));
-  return x;
-}
-
-struct Limits {
-  float alpha_max, zero;
-};
-
-// Sets up the brush for a tile at (x, y) and returns a bit for each cell that the splat may touch.
-SPLATREE_FN int load_brush(const float* record, float x, float y, float log2_threshold, const Limits& limits, Brush& brush) {
-  const float a = SQRT_HALF_LOG2E * record[FACTOR_A], b = SQRT_HALF_LOG2E * record[FACTOR_B];
-  const float c = SQRT_HALF_LOG2E * record[FACTOR_C];
-  brush.log2_opacity = record[LOG2_OPACITY];
-  brush.log2_threshold = log2_threshold;
-  brush.red = record[RED], brush.green = record[GREEN], brush.blue = record[BLUE], brush.depth = record[DEPTH];
-
-  const float abs_b = __builtin_fabsf(b);
-  // |u| and |v| are at least those of the cell's centre less these; the second terms are what float32 may lose.
-  const float u_reach = 1.5f * (a + abs_b) + 2e-6f * (a * (record[HALF_SIZE_X] + 16) + abs_b * (record[HALF_SIZE_Y] + 16));
-  const float v_reach = 1.5f * c + 2e-6f * c * (record[HALF_SIZE_Y] + 16);
-  const float limit = (record[LOG2_OPACITY] - log2_threshold) * (1 + 1e-5f) + 1e-5f;
-  const float x_reach = record[HALF_SIZE_X] * (1 + 1e-5f) + 1.501f;
-  const float offset_x = x + 2 - record[X], offset_y = y + 2 - record[Y];
-  int touched = 0;
-#pragma omp simd reduction(| : touched)
-  for (int l = 0; l < LANES; ++l) {
-    const float column = l & 3, row = l >> 2;
-    brush.u_of_lane[l] = a * (column - 1.5f) + b * (row - 1.5f);
-    brush.v_of_lane[l] = c * (row - 1.5f);
-    const float dx = 4 * column + offset_x, dy = 4 * row + offset_y;
-    const float u = a * dx + b * dy, v = c * dy;
-    brush.u_of_cell[l] = u;
-    brush.v_of_cell[l] = v;
-    const float u_least = greatest(__builtin_fabsf(u) - u_reach, limits.zero);
-    const float v_least = greatest(__builtin_fabsf(v) - v_reach, limits.zero);
-    const bool touches = (u_least * u_least + v_least * v_least <= limit) & (__builtin_fabsf(dx) <= x_reach);
-    touched |= touches ? 1 << l : 0;
-  }
-  return touched;
-}
 
 // Notes which pixels an entry finished, or brought below half of the light; both happen once a pixel.
 void note_turns(const float* before, const float* after, int32_t entry, float depth, int cell, Pixels& pixels) {
@@ -150,18 +94,6 @@ float sum_of(const float (&lanes)[LANES]) {
   return sum;
 }
 
-// The cells in which a pixel can still take light.
-int open_cells(const Tile& tile) {
-  int open = 0;
-  for (int cell = 0; cell < CELLS; ++cell) {
-    int any = 0;
-#pragma omp simd reduction(| : any)
-    for (int l = 0; l < LANES; ++l) any |= tile.transmittance[cell][l] > 0.f ? 1 : 0;
-    open |= any << cell;
-  }
-  return open;
-}
-
 // The outputs beside the picture, and the exact counts of entries: a pixel reads those up to the one that finishes it.
 void keep_pixels(const BlendJob& job, int64_t index, int x0, int y0, const Pixels& pixels) {
   const int64_t begin = job.tile_start[index];
@@ -199,7 +131,7 @@ void blend_tile(const BlendJob& job, int64_t index) {
 
   const int64_t begin = job.tile_start[index], end = job.tile_start[index + 1];
   int64_t num_evaluated = 0;
-  int open = open_cells(tile);
+  int open = open_cells(tile.transmittance);
   Brush brushes[GROUP];
   const Limits limits = {unknown(ALPHA_MAX), unknown(0.f)};
   int cells[GROUP];
@@ -208,7 +140,7 @@ void blend_tile(const BlendJob& job, int64_t index) {
   while (i < end) {
     const int since_look = int((i - begin + 1) % PERIOD);
     if (since_look == 0) {
-      open = open_cells(tile);
+      open = open_cells(tile.transmittance);
       if (!open) break;
     }
     const int count = int(smallest(GROUP, PERIOD - since_look, end - i));

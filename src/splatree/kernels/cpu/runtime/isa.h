@@ -17,6 +17,11 @@ struct SplatTiles;
 struct Spans;
 struct BinJob;
 struct BlendJob;
+struct BlendBackwardJob;
+struct PairSums;
+struct ProjectBackwardJob;
+struct LossJob;
+struct StepJob;
 struct SelectJob;
 struct RunResult;
 struct BoxTree;
@@ -46,6 +51,10 @@ struct SplatTables;
   kernel(void, project, (const ProjectJob& job, InOrder& results))                                             \
   kernel(void, list_spans, (const BinJob& job, int64_t begin, int64_t end, SplatTiles* tiles, Spans& spans))   \
   kernel(void, blend, (const BlendJob& job))                                                                   \
+  kernel(void, blend_backward, (const BlendBackwardJob& job, const PairSums& pairs))                           \
+  kernel(void, project_backward, (const ProjectBackwardJob& job))                                              \
+  kernel(void, photo_loss, (const LossJob& job))                                                               \
+  kernel(void, step_rows, (const StepJob& job))                                                                \
   kernel(int32_t, largest_bits, (const float* values, int64_t num_values))                                     \
   kernel(RunResult, select_group, (const SelectJob& job, int64_t group, int32_t* out))                         \
   kernel(void, nearest_of_leaf, (const BoxTree& tree, int64_t leaf, LeafNeighbors& found))                     \

@@ -33,6 +33,7 @@ void bind_splat(nb::module_& m);
 void bind_cuda(nb::module_& m);
 void bind_packed(nb::module_& m);
 void bind_nodes(nb::module_& m);
+void bind_train(nb::module_& m);
 }  // namespace splatree
 
 NB_MODULE(_core, m) {
@@ -88,4 +89,5 @@ NB_MODULE(_core, m) {
   bind_cuda(m);
   bind_packed(m);
   bind_nodes(m);
+  bind_train(m);
 }
