@@ -1,8 +1,8 @@
 """Derivatives of a loss by what was drawn: the definition.
 
 **Over pixels** (`blend_backward`). With the weight w = T α of a splat at a pixel, the picture is C = Σ w c + T_end B. The light
-that comes from behind a splat is R = Σ_later w (∂·c) + T_end (∂·B) for the derivative ∂ = ∂loss/∂C. By Kerbl 2023, §4 and Appendix A,
-written for ln α instead of α:
+that comes from behind a splat is R = Σ_later w (∂·c) + T_end (∂·B) for the derivative ∂ = ∂loss/∂C. By Kerbl 2023,
+§4 and Appendix A, written for ln α instead of α:
 
     h = ∂loss/∂ln α = T α (∂·c) − R α / (1 − α),     0 where α is held at 0.99
 
