@@ -1,5 +1,5 @@
-// A step of Adam for rows that were drawn; kernels/reference/optimise.py is the definition. The numbers of a row are gathered side
-// by side, as its moments lie in memory, so one row is a few vectors. A thread changes the rows of its own entries only.
+// A step of Adam for rows that were drawn; kernels/reference/optimise.py is the definition. The numbers of a row are gathered
+// side by side, as its moments lie in memory, so one row is a few vectors. A thread changes the rows of its own entries only.
 #include <string.h>
 
 #include "cpu/runtime/isa.h"
