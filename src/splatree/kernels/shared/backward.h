@@ -75,7 +75,8 @@ SPLATREE_FN GaussianBackward gaussian_backward_of(const View& view, const Point&
 
   // By M, and from there by the scales, the axes and the rows of J W.
   const Vector by_mx = sum_of(2.f * s.xx, f.x, s.xy, f.y), by_my = sum_of(2.f * s.yy, f.y, s.xy, f.x);
-  const Vector by_scale = {by_mx.x * f.x.x + by_my.x * f.y.x, by_mx.y * f.x.y + by_my.y * f.y.y, by_mx.z * f.x.z + by_my.z * f.y.z};
+  const Vector by_scale = {by_mx.x * f.x.x + by_my.x * f.y.x, by_mx.y * f.x.y + by_my.y * f.y.y,
+                           by_mx.z * f.x.z + by_my.z * f.y.z};
   const float largest = view.sigma_max * p.z;
   const bool held_x = scale.x >= largest, held_y = scale.y >= largest, held_z = scale.z >= largest;
   GaussianBackward g;
@@ -85,9 +86,11 @@ SPLATREE_FN GaussianBackward gaussian_backward_of(const View& view, const Point&
   const Vector sy = {scale.x * by_my.x, scale.y * by_my.y, scale.z * by_my.z};
   const Vector a0 = sum_of(sx.x, image.tx, sy.x, image.ty), a1 = sum_of(sx.y, image.tx, sy.y, image.ty);
   const Vector a2 = sum_of(sx.z, image.tx, sy.z, image.ty);
-  const Vector by_tx = {sx.x * axes[0].x + sx.y * axes[1].x + sx.z * axes[2].x, sx.x * axes[0].y + sx.y * axes[1].y + sx.z * axes[2].y,
+  const Vector by_tx = {sx.x * axes[0].x + sx.y * axes[1].x + sx.z * axes[2].x,
+                        sx.x * axes[0].y + sx.y * axes[1].y + sx.z * axes[2].y,
                         sx.x * axes[0].z + sx.y * axes[1].z + sx.z * axes[2].z};
-  const Vector by_ty = {sy.x * axes[0].x + sy.y * axes[1].x + sy.z * axes[2].x, sy.x * axes[0].y + sy.y * axes[1].y + sy.z * axes[2].y,
+  const Vector by_ty = {sy.x * axes[0].x + sy.y * axes[1].x + sy.z * axes[2].x,
+                        sy.x * axes[0].y + sy.y * axes[1].y + sy.z * axes[2].y,
                         sy.x * axes[0].z + sy.y * axes[1].z + sy.z * axes[2].z};
 
   // By the quaternion: across its own direction, for its length changes nothing.
@@ -132,8 +135,8 @@ SPLATREE_FN Vector direction_backward_of(float x, float y, float z, int degree, 
     const float c2 = float(constants::SH_C3_2) * along[11 * stride], c3 = float(constants::SH_C3_3) * along[12 * stride];
     const float c4 = float(constants::SH_C3_4) * along[13 * stride], c5 = float(constants::SH_C3_5) * along[14 * stride];
     const float c6 = float(constants::SH_C3_6) * along[15 * stride];
-    d.x += c0 * 6.f * x * y + e1 * y * z - c2 * 2.f * x * y - c3 * 6.f * x * z + c4 * (4.f * zz - 3.f * xx - yy) + c5 * 2.f * x * z +
-           c6 * (3.f * xx - 3.f * yy);
+    d.x += c0 * 6.f * x * y + e1 * y * z - c2 * 2.f * x * y - c3 * 6.f * x * z + c4 * (4.f * zz - 3.f * xx - yy) +
+           c5 * 2.f * x * z + c6 * (3.f * xx - 3.f * yy);
     d.y += c0 * (3.f * xx - 3.f * yy) + e1 * x * z + c2 * (4.f * zz - xx - 3.f * yy) - c3 * 6.f * y * z - c4 * 2.f * x * y -
            c5 * 2.f * y * z - c6 * 6.f * x * y;
     d.z += e1 * x * y + c2 * 8.f * y * z + c3 * (6.f * zz - 3.f * xx - 3.f * yy) + c4 * 8.f * x * z + c5 * (xx - yy);

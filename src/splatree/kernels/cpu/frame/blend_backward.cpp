@@ -1,8 +1,9 @@
 // Backward over the pixels of a tile; kernels/reference/backward.py is the definition.
 //
-// The list of a tile is walked front to back, as it was drawn, with the same transmittance to the last bit. Behind each splat there
-// is the light R that is still to come: it starts as the whole light of the pixel, (∂·C), and each splat takes its own share away.
-// So nothing of the forward pass is stored but the picture. R cancels as it shrinks: its error is 1e-7 of the whole light.
+// The list of a tile is walked front to back, as it was drawn, with the same transmittance to the last bit. Behind each splat
+// there is the light R that is still to come: it starts as the whole light of the pixel, (∂·C), and each splat takes its own
+// share away. So nothing of the forward pass is stored but the picture. R cancels as it shrinks: its error is 1e-7 of the whole
+// light.
 //
 // The sums of a pair are gathered in 16 lanes and written once, at the pair's own place: a tile owns its pairs, so the sums of a
 // splat, added up pair by pair afterwards, have the same bits for any number of threads.
@@ -22,9 +23,9 @@ constexpr int AHEAD = 8;  // pairs between the fetch of a record and its use
 
 struct alignas(64) Tile {
   float transmittance[CELLS][LANES];
-  float behind[CELLS][LANES];  // R
+  float behind[CELLS][LANES];                                        // R
   float red[CELLS][LANES], green[CELLS][LANES], blue[CELLS][LANES];  // ∂loss/∂C
-  float depth[CELLS][LANES];                                          // ∂loss/∂(Σ w z)
+  float depth[CELLS][LANES];                                         // ∂loss/∂(Σ w z)
   float error[CELLS][LANES];
 };
 

@@ -30,9 +30,9 @@ struct BlendBackwardJob {
   int width, height;     // px
   float log2_threshold;  // smallest opacity drawn at a pixel
   float background[3];
-  const float *image, *alpha, *depth;               // h w 3, h w, h w: the picture
-  const float *by_image, *by_alpha, *by_depth;      // the same: derivatives; null: 0
-  const float* errors;                              // h w; null: not asked for
+  const float *image, *alpha, *depth;           // h w 3, h w, h w: the picture
+  const float *by_image, *by_alpha, *by_depth;  // the same: derivatives; null: 0
+  const float* errors;                          // h w; null: not asked for
   int threads;
   float *moments, *colors, *depths, *weights, *error_sums;  // v 6, v 3, v, v, v; the last three null if not asked for
 };

@@ -1,4 +1,5 @@
-// A splat as the loops over the pixels of a tile take it. A tile of 16 × 16 px is 16 cells of 4 × 4 px; a lane is a pixel of a cell.
+// A splat as the loops over the pixels of a tile take it. A tile of 16 × 16 px is 16 cells of 4 × 4 px; a lane is a pixel of a
+// cell.
 #pragma once
 #include "shared/constants.h"
 #include "shared/elementary.h"

@@ -1,5 +1,5 @@
-// Glue of the stages that training needs: backward over pixels and splats, the loss, the optimiser's step. Sizes are checked by the
-// callers in kernels/cpu.
+// Glue of the stages that training needs: backward over pixels and splats, the loss, the optimiser's step. Sizes are checked by
+// the callers in kernels/cpu.
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/optional.h>
 
@@ -130,7 +130,8 @@ void step_rows(py::Gaussians gaussians, py::GaussianGradients gradients, Out<flo
   }
   job.moments = moments.data(), job.steps = steps.data(), job.num_moments = int(moments.shape(2));
   job.rates = rates.data(), job.corrections = corrections.data();
-  job.ramp = float(settings[0]), job.beta_1 = float(settings[1]), job.beta_2 = float(settings[2]), job.epsilon = float(settings[3]);
+  job.ramp = float(settings[0]), job.beta_1 = float(settings[1]), job.beta_2 = float(settings[2]),
+  job.epsilon = float(settings[3]);
   job.threads = threads;
   nb::gil_scoped_release release;
   kernels().step_rows(job);

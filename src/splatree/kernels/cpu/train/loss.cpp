@@ -1,9 +1,9 @@
 // The loss against a photograph and its derivative; kernels/reference/loss.py is the definition.
 //
-// An area of the picture is walked row by row. Red, green and blue lie side by side, so a blur along a row takes every third number
-// and nothing has to be sorted. Rows of X and Y, and of P, Q and R blurred along the row, are kept in rings of 16; a row of
-// the picture leaves when the rows five below it have come. All of it fits the second-level cache. Sums are kept for each area and
-// added up in order.
+// An area of the picture is walked row by row. Red, green and blue lie side by side, so a blur along a row takes every third
+// number and nothing has to be sorted. Rows of X and Y, and of P, Q and R blurred along the row, are kept in rings of 16; a row
+// of the picture leaves when the rows five below it have come. All of it fits the second-level cache. Sums are kept for each area
+// and added up in order.
 #include <stdlib.h>
 #include <string.h>
 
