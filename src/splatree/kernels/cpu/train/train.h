@@ -31,12 +31,12 @@ struct StepJob {
   const float* derivatives[5];  // v and its width each
   float* columns[5];            // n and its width each
   int widths[5];
-  float* moments;                // n 2 e
-  uint16_t* steps;               // n
-  int num_moments;               // e, a multiple of 8, at most 64
-  const float* rates;            // e
-  const float* corrections;      // 65536 2: of both moments after so many steps
-  float ramp;                    // 1 / steps until the full rate
+  float* moments;            // n 2 e
+  uint16_t* steps;           // n
+  int num_moments;           // e, a multiple of 8, at most 64
+  const float* rates;        // e
+  const float* corrections;  // 65536 2: of both moments after so many steps
+  float ramp;                // 1 / steps until the full rate
   float beta_1, beta_2, epsilon;
   int threads;
 };
