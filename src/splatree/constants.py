@@ -21,6 +21,18 @@ TRANSMITTANCE_MIN: Final = 1e-4
 DILATION_PX2: Final = 0.3
 """Variance added to both axes of a projected splat, px² (Kerbl 2023: about one pixel wide at least)."""
 
+SSIM_WINDOW_PX: Final = 11
+"""Edge of the window of the structural similarity, px (Wang 2004, §III-B)."""
+
+SSIM_SIGMA_PX: Final = 1.5
+"""Standard deviation of that window, px (Wang 2004, §III-B)."""
+
+SSIM_K1: Final = 0.01
+"""Keeps the quotient of means steady where they vanish, for pictures of 0 to 1 (Wang 2004, §III-B)."""
+
+SSIM_K2: Final = 0.03
+"""The same for variances."""
+
 NEAR: Final = 0.2
 """Gaussians whose centre is nearer than this, in world units along the view axis, are not drawn (Kerbl 2023)."""
 

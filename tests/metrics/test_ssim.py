@@ -1,8 +1,9 @@
 import numpy as np
 import pytest
 
+from splatree.constants import SSIM_SIGMA_PX, SSIM_WINDOW_PX
 from splatree.errors import InputError
-from splatree.metrics.ssim import SIGMA_PX, WINDOW_PX, ssim
+from splatree.metrics.ssim import ssim
 
 
 def pictures():
@@ -22,9 +23,9 @@ def test_ssim_equals_scikit_image():
 
 def test_ssim_equals_its_definition_at_one_window():
     rng = np.random.default_rng(3)
-    a, b = rng.random((2, WINDOW_PX, WINDOW_PX, 1))
-    offset = np.arange(WINDOW_PX) - WINDOW_PX // 2
-    window = np.exp(-(offset[:, None] ** 2 + offset**2) / (2 * SIGMA_PX**2))[..., None]
+    a, b = rng.random((2, SSIM_WINDOW_PX, SSIM_WINDOW_PX, 1))
+    offset = np.arange(SSIM_WINDOW_PX) - SSIM_WINDOW_PX // 2
+    window = np.exp(-(offset[:, None] ** 2 + offset**2) / (2 * SSIM_SIGMA_PX**2))[..., None]
     window /= window.sum()
     mean_a, mean_b = (window * a).sum(), (window * b).sum()
     variance_a, variance_b = (window * (a - mean_a) ** 2).sum(), (window * (b - mean_b) ** 2).sum()

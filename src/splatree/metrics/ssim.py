@@ -15,18 +15,10 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from splatree.constants import SSIM_K1, SSIM_K2, SSIM_SIGMA_PX, SSIM_WINDOW_PX
 from splatree.errors import InputError
 from splatree.metrics.psnr import comparable
 from splatree.shapes import Array, Float32, Float64
-
-WINDOW_PX = 11
-"""Edge of the window (Wang 2004, §III-B)."""
-
-SIGMA_PX = 1.5
-"""Standard deviation of the window (Wang 2004, §III-B)."""
-
-K1, K2 = 0.01, 0.03
-"""Constants that keep the quotient steady where means or variances vanish (Wang 2004, §III-B)."""
 
 Border = Literal["valid", "zero"]
 """Where the window is evaluated: inside the picture only, or everywhere with zeros beyond the edge."""
@@ -60,16 +52,16 @@ def ssim(
     a, b = comparable(image, reference)
     if border not in get_args(Border):
         raise InputError(f"ssim: found border {border!r}, wanted one of {', '.join(get_args(Border))}")
-    if min(a.shape[:2]) < WINDOW_PX and border == "valid":
+    if min(a.shape[:2]) < SSIM_WINDOW_PX and border == "valid":
         raise InputError(
-            f"ssim: found a picture of {a.shape[1]} × {a.shape[0]} px, wanted at least {WINDOW_PX} × {WINDOW_PX}"
+            f"ssim: found a picture of {a.shape[1]} × {a.shape[0]} px, wanted at least {SSIM_WINDOW_PX} × {SSIM_WINDOW_PX}"
         )
     a, b = (np.atleast_3d(x) for x in (a, b))
     return float(np.mean([_ssim_of_channel(a[..., c], b[..., c], peak, border) for c in range(a.shape[2])]))
 
 
 def _ssim_of_channel(a: Float64[Array, "h w"], b: Float64[Array, "h w"], peak: float, border: Border) -> float:
-    c1, c2 = (K1 * peak) ** 2, (K2 * peak) ** 2
+    c1, c2 = (SSIM_K1 * peak) ** 2, (SSIM_K2 * peak) ** 2
     mean_a, mean_b = _blurred(a, border), _blurred(b, border)
     product, squares = mean_a * mean_b, mean_a**2 + mean_b**2
     covariance = _blurred(a * b, border) - product
@@ -80,14 +72,14 @@ def _ssim_of_channel(a: Float64[Array, "h w"], b: Float64[Array, "h w"], peak: f
 
 def _blurred(plane: Float64[Array, "h w"], border: Border) -> Array:
     if border == "zero":
-        plane = np.pad(plane, WINDOW_PX // 2)
-    taps = np.exp(-((np.arange(WINDOW_PX) - WINDOW_PX // 2) ** 2) / (2 * SIGMA_PX**2))
+        plane = np.pad(plane, SSIM_WINDOW_PX // 2)
+    taps = np.exp(-((np.arange(SSIM_WINDOW_PX) - SSIM_WINDOW_PX // 2) ** 2) / (2 * SSIM_SIGMA_PX**2))
     taps /= taps.sum()
     for axis in (0, 1):
-        size = plane.shape[axis] - WINDOW_PX + 1
+        size = plane.shape[axis] - SSIM_WINDOW_PX + 1
         lines = plane if axis == 0 else plane.T
         total = taps[0] * lines[:size]
-        for i in range(1, WINDOW_PX):
+        for i in range(1, SSIM_WINDOW_PX):
             total += taps[i] * lines[i : i + size]
         plane = total if axis == 0 else total.T
     return plane

@@ -14,11 +14,11 @@ from typing import Final
 
 import numpy as np
 
-from splatree.constants import ALPHA_THRESHOLD
+from splatree.constants import ALPHA_THRESHOLD, SSIM_WINDOW_PX
 from splatree.errors import InputError
 from splatree.kernels.devices import DeviceName
 from splatree.metrics.flip import flip_map
-from splatree.metrics.ssim import WINDOW_PX, ssim
+from splatree.metrics.ssim import ssim
 from splatree.progress import track
 from splatree.render.framing.frame import frame_scene
 from splatree.render.paths import PathOptions, turn
@@ -154,7 +154,7 @@ def _compared(camera: Camera, drawn: RenderResult, whole: RenderResult) -> Compa
         name=camera.name,
         psnr=_decibels(float(squared.mean())),
         psnr_covered=_decibels(float(squared[covered].mean())) if covered.any() else None,
-        ssim=ssim(image, wanted) if min(image.shape[:2]) >= WINDOW_PX else None,
+        ssim=ssim(image, wanted) if min(image.shape[:2]) >= SSIM_WINDOW_PX else None,
         flip=float(errors.mean(dtype=np.float64)),
         num_drawn=drawn.counters.num_selected,
         num_drawn_reference=whole.counters.num_selected,

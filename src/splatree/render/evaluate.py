@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from splatree.constants import ALPHA_THRESHOLD
+from splatree.constants import ALPHA_THRESHOLD, SSIM_WINDOW_PX
 from splatree.kernels.devices import DeviceName
 from splatree.lod.select import Selector
 from splatree.metrics.psnr import psnr
-from splatree.metrics.ssim import WINDOW_PX, ssim
+from splatree.metrics.ssim import ssim
 from splatree.progress import track
 from splatree.render.session import open_session
 from splatree.scene.cameras import Camera
@@ -112,7 +112,7 @@ def evaluate(
 def score(image: Array, reference: Array, lpips: Callable[[Array, Array], float] | None = None) -> Score:
     """PSNR, SSIM and, if its network is given, LPIPS of two pictures as a screen shows them."""
     image, reference = np.clip(image, 0, 1), np.clip(reference, 0, 1)
-    large = min(image.shape[:2]) >= WINDOW_PX
+    large = min(image.shape[:2]) >= SSIM_WINDOW_PX
     return Score(
         psnr(image, reference),
         ssim(image, reference) if large else None,

@@ -18,13 +18,13 @@ it takes no derivative, adds no error, and means are over the pixels that are no
 
 import numpy as np
 
-from splatree.metrics.ssim import K1, K2, SIGMA_PX, WINDOW_PX
+from splatree.constants import SSIM_K1, SSIM_K2, SSIM_SIGMA_PX, SSIM_WINDOW_PX
 from splatree.scene.gradients import PhotoLoss
 from splatree.shapes import Array, Bool, Float32, Float64, UInt8
 
 __all__ = ["TAPS", "photo_loss"]
 
-TAPS = np.exp(-((np.arange(WINDOW_PX) - WINDOW_PX // 2) ** 2) / (2 * SIGMA_PX**2))
+TAPS = np.exp(-((np.arange(SSIM_WINDOW_PX) - SSIM_WINDOW_PX // 2) ** 2) / (2 * SSIM_SIGMA_PX**2))
 TAPS /= TAPS.sum()
 """The window along one axis."""
 
@@ -69,7 +69,7 @@ def photo_loss(
 
 def _ssim(X: Array, Y: Array, counts: Array) -> tuple[float, Array]:
     """Sum of the index over the pixels that count and the channels, and its derivative by X."""
-    c1, c2 = K1**2, K2**2
+    c1, c2 = SSIM_K1**2, SSIM_K2**2
     mx, my, xx, yy, xy = (_blurred(plane) for plane in (X, Y, X * X, Y * Y, X * Y))
     a1, a2 = 2 * mx * my + c1, 2 * (xy - mx * my) + c2
     b1, b2 = mx * mx + my * my + c1, xx - mx * mx + yy - my * my + c2
@@ -81,7 +81,7 @@ def _ssim(X: Array, Y: Array, counts: Array) -> tuple[float, Array]:
 
 
 def _blurred(plane: Array) -> Array:
-    half = WINDOW_PX // 2
+    half = SSIM_WINDOW_PX // 2
     for axis in (0, 1):
         padded = np.pad(plane, [(half, half) if i == axis else (0, 0) for i in range(3)])
         plane = sum(tap * np.take(padded, np.arange(plane.shape[axis]) + i, axis) for i, tap in enumerate(TAPS))

@@ -18,8 +18,8 @@
 namespace splatree::SPLATREE_ISA {
 namespace {
 
-constexpr int GROUP = 8;    // pairs whose cells are found before the first of them is blended
-constexpr int AHEAD = 8;    // pairs between the fetch of a record and its use
+constexpr int GROUP = 8;  // pairs whose cells are found before the first of them is blended
+constexpr int AHEAD = 8;  // pairs between the fetch of a record and its use
 constexpr float TAPER_SLOPE = float(constants::TAPER_SLOPE), ALPHA_THRESHOLD = float(constants::ALPHA_THRESHOLD);
 
 struct alignas(64) Tile {

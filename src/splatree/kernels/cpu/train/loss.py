@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from splatree.constants import SSIM_K1, SSIM_K2
 from splatree.kernels.cpu import _core
 from splatree.kernels.reference.loss import TAPS
-from splatree.metrics.ssim import K1, K2
 from splatree.scene.gradients import PhotoLoss
 from splatree.shapes import Array, Bool, Float32, Float64, UInt8
 
@@ -26,7 +26,7 @@ def photo_loss(
     counted = None if mask is None else np.ascontiguousarray(mask).view(np.uint8)
     difference, index, *sums = _core.compare_photo(
         *(image, np.ascontiguousarray(photo), counted, gain.tolist(), TAPS.tolist()),
-        *([K1**2, K2**2], [(1 - ssim_weight) / size, ssim_weight / size], by_image, errors, threads),
+        *([SSIM_K1**2, SSIM_K2**2], [(1 - ssim_weight) / size, ssim_weight / size], by_image, errors, threads),
     )
     value = ((1 - ssim_weight) * difference + ssim_weight * (size - index)) / size
     return PhotoLoss(value, by_image, errors, np.array(sums[:3]), np.array(sums[3:]))
