@@ -86,6 +86,8 @@ _NAMES = {
     "stream.result": ("Streamed",),
     "stream.serve": ("ServeOptions", "StreamServer", "serve"),
     "stream.stream": ("stream",),
+    "train.refine": ("Refined", "refine"),
+    "train.refine_options": ("RefineOptions",),
     "view.options": ("ViewOptions",),
     "view.viewer": ("Viewer", "view"),
 }

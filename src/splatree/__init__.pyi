@@ -116,6 +116,9 @@ from splatree.stream.serve import ServeOptions as ServeOptions
 from splatree.stream.serve import StreamServer as StreamServer
 from splatree.stream.serve import serve as serve
 from splatree.stream.stream import stream as stream
+from splatree.train.refine import Refined as Refined
+from splatree.train.refine import refine as refine
+from splatree.train.refine_options import RefineOptions as RefineOptions
 from splatree.view.options import ViewOptions as ViewOptions
 from splatree.view.viewer import Viewer as Viewer
 from splatree.view.viewer import view as view

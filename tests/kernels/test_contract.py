@@ -9,7 +9,14 @@ import pytest
 import splatree as st
 from splatree.kernels import contract, cuda
 from splatree.kernels.cuda.stages import Stages
-from splatree.kernels.devices import DLPACK_KINDS, DeviceName, back_end, feature_of, stages_of
+from splatree.kernels.devices import (
+    DLPACK_KINDS,
+    DeviceName,
+    back_end,
+    feature_of,
+    stages_of,
+    training_stages_of,
+)
 
 from ..scenes import camera, gaussians
 
@@ -66,3 +73,8 @@ def test_what_a_back_end_does_not_have_is_not_supported() -> None:
     assert feature_of("cpu", "hold") is None
     assert feature_of("reference", "borrow") is None
     assert set(DLPACK_KINDS.values()) <= set(get_args(DeviceName))
+
+
+def test_back_ends_that_train_say_so() -> None:
+    for device in ("cpu", "reference"):
+        assert all(hasattr(training_stages_of(device), stage) for stage in (*STAGES, *OPTIONAL))

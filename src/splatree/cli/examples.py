@@ -14,6 +14,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "splatree thin city.ply small.sog --count 500000 --report lost/",
     ),
     "build": ("splatree build city.ply city.splatree", "splatree build chunk_*/ -o city.splatree --clusters auto"),
+    "refine": (
+        "splatree refine city.splatree better.splatree",
+        "splatree refine room.splatree better.splatree --cameras cameras.json --minutes 5",
+    ),
     "calibrate": (
         "splatree calibrate city.splatree --data photographs/",
         "splatree calibrate city.splatree faster.splatree --loss-db 0.5",

@@ -39,6 +39,7 @@ VERBS = {
     "clean": "drop floaters and outliers",
     "thin": "merge Gaussians that are close, to a radius, a share or a count",
     "build": "build the levels of detail of a scene",
+    "refine": "let the merged nodes of a tree learn from pictures of its leaves",
     "calibrate": "choose the opacity at which splats end, by a loss of quality that is allowed",
     "render": "draw pictures or a video",
     "view": "look at a scene in a browser",

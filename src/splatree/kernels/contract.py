@@ -29,7 +29,7 @@ from splatree.scene.tree import BlockIndex, GaussianTree
 from splatree.scene.view import View
 from splatree.shapes import Array, Bool, Float32, Float64, Int32, UInt8, UInt32
 
-__all__ = ["BackwardStages", "FrameStages", "HeldScene", "QueuedFrame", "TracedFrame"]
+__all__ = ["BackwardStages", "FrameStages", "HeldScene", "QueuedFrame", "TracedFrame", "TrainingStages"]
 
 
 class FrameStages(Protocol):
@@ -121,6 +121,10 @@ class BackwardStages(Protocol):
     ) -> None:
         """A step of the optimiser for the rows that were drawn; columns and moments change in place."""
         ...
+
+
+class TrainingStages(FrameStages, BackwardStages, Protocol):
+    """All stages of a back end that can train."""
 
 
 class HeldScene(Protocol):

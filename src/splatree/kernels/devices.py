@@ -9,9 +9,9 @@ from types import ModuleType
 from typing import Any, Literal, cast, get_args
 
 from splatree.errors import InputError
-from splatree.kernels.contract import FrameStages
+from splatree.kernels.contract import FrameStages, TrainingStages
 
-__all__ = ["DLPACK_KINDS", "DeviceName", "back_end", "feature_of", "stages_of"]
+__all__ = ["DLPACK_KINDS", "DeviceName", "back_end", "feature_of", "stages_of", "training_stages_of"]
 
 DeviceName = Literal["cpu", "cuda", "reference"]
 """Where views are selected and drawn: on the processor; on an NVIDIA GPU; on the processor by the definitions in NumPy, which
@@ -40,6 +40,19 @@ def stages_of(device: str) -> FrameStages:
         DeviceError: the device is not there.
     """
     return cast(FrameStages, back_end(device).frame_stages())
+
+
+def training_stages_of(device: str) -> TrainingStages:
+    """The stages of a frame with those that training needs.
+
+    Raises:
+        InputError: there is no back end of that name, or it cannot train.
+        DeviceError: the device is not there.
+    """
+    stages = stages_of(device)
+    if not hasattr(stages, "project_backward"):
+        raise InputError(f"device: found {device!r}, which cannot train; wanted one of cpu, reference")
+    return cast(TrainingStages, stages)
 
 
 def feature_of(device: str, name: str) -> Any | None:

@@ -255,7 +255,7 @@ def _upright(scene: Scene, options: PathOptions) -> PathOptions:
 
 
 def _cameras(options: PathOptions, centre: Array, turns: Array, distances: Array) -> Cameras:
-    direction = _directions_above(np.asarray(options.up, np.float64))
+    direction = directions_above(np.asarray(options.up, np.float64))
     elevation = np.radians(ELEVATION_DEG if options.elevation_deg is None else options.elevation_deg)
     views = []
     for i, (turned, distance) in enumerate(zip(turns, distances, strict=True)):
@@ -272,7 +272,7 @@ def _cameras(options: PathOptions, centre: Array, turns: Array, distances: Array
     return Cameras(tuple(views))
 
 
-def _directions_above(up: Array) -> Callable[[float, float], Array]:
+def directions_above(up: Array) -> Callable[[float, float], Array]:
     """The unit vector at an azimuth and an elevation, rad, over the plane across ``up``."""
     up = up / np.linalg.norm(up)
     east = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])

@@ -1,0 +1,86 @@
+"""What refinement adds to the levels of a scene: PSNR against all leaves, before and after, at equal nodes drawn.
+
+``python benchmarks/refine.py [scene …] [--minutes 1] [--methods pairs radius]``; without a scene, one chunk of the shared city,
+which the rates were chosen on, and others, which they were not. Six views from near to far (benchmarks/quality.py), none of
+which refinement sees. ``gain`` is the mean over them, ``worst`` the view that gains least. Rows are selected anew after
+refinement; the change of their number is printed. Seconds are of the processor.
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+import splatree as st
+from harness import DATA, save, table
+from quality import Judge
+
+CITY = DATA / "trained" / "semarang_city"
+SCENES = (CITY / "5_1", CITY / "5_3", DATA / "formats" / "biker_v4.spz", DATA / "trained" / "playcanvas_logo")
+
+
+def cuts(num_leaves: int) -> dict[str, st.SelectOptions]:
+    """The cuts that are compared."""
+    return {
+        "10 % of the leaves": st.SelectOptions(budget=num_leaves // 10),
+        "5 % of the leaves": st.SelectOptions(budget=num_leaves // 20),
+        "3 px": st.SelectOptions(pixel_error=3),
+        "6 px": st.SelectOptions(pixel_error=6),
+    }
+
+
+def scores(judge: Judge, scene: st.Scene, select: st.SelectOptions) -> tuple[np.ndarray, int]:
+    """PSNR of each view, and nodes drawn in all of them."""
+    found = [st.render(scene, camera, select=select) for camera in judge.cameras]
+    values = np.array([min(60.0, judge.psnr(i, result.image)) for i, result in enumerate(found)])
+    return values, sum(result.counters.num_selected for result in found)
+
+
+def refined(path: Path, method: str, minutes: float) -> list[dict[str, object]]:
+    """A row for each cut."""
+    leaves = st.read(path)
+    tree = st.build_lod(leaves, st.BuildOptions(method))
+    judge = Judge(leaves.gaussians, leaves.mode)
+    result = st.refine(tree, st.RefineOptions(minutes=minutes))
+    rows = []
+    for name, select in cuts(leaves.tree.num_leaves).items():
+        before, nodes_before = scores(judge, tree, select)
+        after, nodes_after = scores(judge, result.scene, select)
+        rows.append(
+            {
+                "scene": path.name,
+                "levels": method,
+                "cut": name,
+                "before dB": round(float(before.mean()), 2),
+                "after dB": round(float(after.mean()), 2),
+                "gain dB": round(float((after - before).mean()), 2),
+                "worst dB": round(float((after - before).min()), 2),
+                "nodes": f"{nodes_after - nodes_before:+,}",
+                "steps": result.iterations,
+                "CPU-s": round(result.cpu_seconds, 1),
+            }
+        )
+    return rows
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scenes", nargs="*", type=Path)
+    parser.add_argument("--minutes", type=float, default=1.0)
+    parser.add_argument("--methods", nargs="+", default=["pairs", "radius"])
+    options = parser.parse_args()
+    rows = []
+    for path in options.scenes or [scene for scene in SCENES if scene.exists()]:
+        for method in options.methods:
+            rows += refined(path, method, options.minutes)
+            print(table(rows[-4:]), flush=True)
+    save(
+        "refine",
+        rows,
+        about=f"PSNR of cuts against all leaves before and after {options.minutes:g} minutes of refinement, six views "
+        "that it does not see, at equal nodes drawn. Rates were chosen on 5_1 alone.",
+    )
+
+
+if __name__ == "__main__":
+    main()

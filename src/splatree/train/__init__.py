@@ -1,0 +1,1 @@
+"""Learning from pictures: trees refined against renders of their own leaves."""

@@ -1,0 +1,204 @@
+"""Inner nodes as things that learn: what of them changes, how they are drawn, and what is stored of them afterwards.
+
+A node keeps its mean and its harmonics above degree 0. It learns its colour and its opacity. Where the selection takes its size
+from the extent (profile `sphere`), it also learns its shape. Where the selection looks at the shape itself (`exact`), the stored
+shape stays, and so does the mass of a node that is more than one Gaussian, which widens it: the same nodes are small in every
+view, before and after.
+
+A node with a curve (lod/follow.py) is drawn by its mass G at the dilation h of its depth. It learns the factor s = eᵃ of that
+mass at all depths, and its variances v as they are without widening:
+
+    G(h) = √(m² + b h + (n h)²) / A(v, h),    opacity min(0.99, G),    variances w v + (w − 1) h,  w = max(1, G / 0.99)^0.3
+
+with m, n and g times s, and m and n also times A(v, h_l) / A(v₀, h_l), so that a new shape has the mass of the old one. Then
+
+    ∂loss/∂a = (G < 0.99) H + Σ_k (∂loss/∂ln σ_k) 0.15 w (v_k + h) / σ_k²,     ∂loss/∂ln √v_k = (∂loss/∂ln σ_k) w v_k / σ_k²
+
+for the σ that are drawn and H = ∂loss/∂ln opacity; that A(v, h) changes a little less or more than A(v, h_l) is left out. A node
+without a curve learns its logit and its scales as they are.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from splatree.constants import ALPHA_MAX
+from splatree.scene.frame import Splats
+from splatree.scene.gaussians import Gaussians
+from splatree.scene.gradients import GaussianGradients, Moments
+from splatree.scene.scene import Scene
+from splatree.scene.view import View
+from splatree.shapes import Array, Bool, Float32, Int32
+
+__all__ = ["Drawn", "Proxies"]
+
+RATES = {"quats": 2e-3, "log_scales": 1e-2, "logit_opacities": 5e-2, "sh": 1e-2}
+"""Of the first steps at the full rate; means do not move."""
+
+OPACITY_MIN = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """Inner nodes as they are drawn in one view."""
+
+    rows: Int32[Array, "d"]
+    """Their rows, ascending."""
+    nodes: Int32[Array, "d"]
+    """Their places among the inner nodes."""
+    by_mass: Float32[Array, "d"]
+    """Derivative of ln opacity by a, over that by the logit: 0 where the opacity is held at 0.99."""
+    by_width: Float32[Array, "d 3"]
+    """Derivative of ln σ by a."""
+    by_shape: Float32[Array, "d 3"]
+    """Derivative of ln σ by ln √v."""
+
+
+class Proxies:
+    """The inner nodes of a scene; arrays change as they learn."""
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene, tree, g = scene, scene.tree, scene.gaussians
+        self.rows = np.flatnonzero(~tree.is_leaf).astype(np.int32)
+        self._node = np.full(len(scene), -1, np.int32)
+        self._node[self.rows] = np.arange(len(self.rows))
+        self._learns_shape = tree.record is not None and tree.record.profile == "sphere"
+        curves = np.zeros((len(scene), 4), np.float32) if tree.curves is None else tree.curves
+        self._curves = curves[self.rows] if scene.mode == "classic" else np.zeros((len(self.rows), 4), np.float32)
+        self._has_curve = self._curves[:, 2] > 0
+        _, _, peak, level = self._curves.T
+        stored = np.exp(2 * g.log_scales[self.rows].astype(np.float64))
+        wide = _widening(peak)[:, None]
+        bare = np.maximum(stored - (wide - 1) * level[:, None], 1e-24) / wide
+        self._area = _area(bare, level).astype(np.float32)
+        logits = np.where(self._has_curve, np.float32(0), g.logit_opacities[self.rows])
+        self.learned = Gaussians(
+            np.zeros((len(self.rows), 3), np.float32),
+            g.quats[self.rows],
+            (0.5 * np.log(bare)).astype(np.float32),
+            logits.astype(np.float32),
+            np.ascontiguousarray(g.sh[self.rows][:, :1]),
+        )
+        # A mass beyond one Gaussian widens what is stored, so where shapes stay it neither passes that nor changes there.
+        room = np.log(ALPHA_MAX / np.maximum(peak, 1e-37))
+        free = np.inf * np.ones_like(room)
+        self._bounds = np.where(
+            self._has_curve, np.stack([np.where(room > 0, -free, 0), np.maximum(room, 0)]), np.stack([-free, free])
+        ).astype(np.float32)
+        self._first = Gaussians(*(column.copy() for column in _columns(self.learned)))
+        self.moments = Moments.zeros(len(self.rows), 1)
+        # What is drawn: leaves as they are, inner nodes as the last view left them.
+        self.drawn = Gaussians(g.means, *(column.copy() for column in _columns(g)[1:]))
+
+    def rates(self, factor: float) -> Float32[Array, "e"]:
+        """Of the numbers of a node, in the order of `Moments.values`."""
+        shape = float(self._learns_shape)
+        rates = np.zeros(self.moments.values.shape[2], np.float32)
+        rates[3:7], rates[7:10] = shape * RATES["quats"], shape * RATES["log_scales"]
+        rates[10], rates[11:14] = RATES["logit_opacities"], RATES["sh"]
+        return rates * np.float32(factor)
+
+    def draw(self, view: View, rows: Int32[Array, "v"]) -> Drawn:
+        """Write the inner nodes among some rows into `drawn`, as they look in a view."""
+        nodes = self._node[rows]
+        rows, nodes = rows[nodes >= 0], nodes[nodes >= 0]
+        pose, K = view.camera.camera_from_world, view.camera.K
+        depths = self.drawn.means[rows].astype(np.float64) @ pose[2, :3] + pose[2, 3]
+        h = (view.dilation_px2 * depths**2 / (K[0, 0] * K[1, 1])).astype(np.float32)
+        has_curve, learned, drawn = self._has_curve[nodes], self.learned, self.drawn
+        if not self._learns_shape:
+            learned.logit_opacities[nodes] = np.clip(learned.logit_opacities[nodes], *self._bounds[:, nodes])
+        m, n, peak, level, v = self._at(nodes)
+        h = np.minimum(h, level)
+        b = np.maximum((peak * _area(v, level)) ** 2 - m**2 - (n * level) ** 2, 0) / np.maximum(level, 1e-37)
+        mass = np.minimum(np.sqrt(m * m + b * h + (n * h) ** 2) / _area(v, h), peak)
+        wide = _widening(mass)[:, None]
+        squares = wide * v + (wide - 1) * h[:, None]
+        opacities = np.clip(mass, OPACITY_MIN, ALPHA_MAX)
+        logits = np.log(opacities / (1 - opacities))
+        own = learned.log_scales[nodes]
+        drawn.log_scales[rows] = np.where(has_curve[:, None], 0.5 * np.log(squares), own)
+        drawn.logit_opacities[rows] = np.where(has_curve, logits, learned.logit_opacities[nodes])
+        drawn.quats[rows], drawn.sh[rows, 0] = learned.quats[nodes], learned.sh[nodes, 0]
+        by_mass = np.where(mass < ALPHA_MAX, 1 / (1 - opacities), 0)
+        by_width = np.where(wide > 1, 0.15 * wide * (v + h[:, None]) / squares, 0)
+        return Drawn(
+            rows,
+            nodes,
+            np.where(has_curve, by_mass, 1).astype(np.float32),
+            np.where(has_curve[:, None], by_width, 0).astype(np.float32),
+            np.where(has_curve[:, None], wide * v / squares, 1).astype(np.float32),
+        )
+
+    def _at(self, nodes: Array) -> tuple[Array, Array, Array, Array, Array]:
+        """m, n, g, h_l and the variances of nodes as they have been learned."""
+        m, n, peak, level = self._curves[nodes].T
+        factor = np.exp(np.where(self._has_curve[nodes], self.learned.logit_opacities[nodes], 0))
+        v = np.exp(2 * self.learned.log_scales[nodes])
+        ratio = factor * _area(v, level) / self._area[nodes]
+        return m * ratio, n * ratio, peak * factor, level, v
+
+    def derivatives(self, drawn: Drawn, splats: Splats, found: GaussianGradients) -> GaussianGradients:
+        """By what the nodes learn, from the derivatives by what was drawn of the splats."""
+        at = np.searchsorted(drawn.rows, splats.rows)
+        mass = found.logit_opacities * drawn.by_mass[at] + np.sum(found.log_scales * drawn.by_width[at], axis=1)
+        return GaussianGradients(
+            drawn.nodes[at],
+            np.zeros_like(found.means),
+            found.quats,
+            found.log_scales * drawn.by_shape[at],
+            mass.astype(np.float32),
+            np.ascontiguousarray(found.sh[:, :1]),
+        )
+
+    def is_node(self, rows: Array) -> Bool[Array, "v"]:
+        """Whether rows are inner nodes."""
+        return np.asarray(self._node[rows] >= 0)
+
+    def forget(self, rows: Array) -> None:
+        """Let inner nodes be what they were."""
+        nodes = self._node[rows]
+        for column, first in zip(_columns(self.learned), _columns(self._first), strict=True):
+            column[nodes] = first[nodes]
+
+    def scene(self) -> Scene:
+        """The scene with what was learned. Nodes that learned nothing keep their bits; leaves and the tree are the same."""
+        differs = np.zeros(len(self.rows), bool)
+        for column, first in zip(_columns(self.learned), _columns(self._first), strict=True):
+            differs |= (column != first).reshape(len(self.rows), -1).any(axis=1)
+        nodes = np.flatnonzero(differs)
+        rows, g, tree = self.rows[nodes], self._scene.gaussians, self._scene.tree
+        columns = dict(zip(("means", "quats", "log_scales", "logit_opacities", "sh"), _columns(g), strict=True))
+        for name in ("quats", "log_scales", "logit_opacities", "sh"):
+            columns[name] = columns[name].copy()
+        m, n, peak, level, v = self._at(nodes)
+        has_curve = self._has_curve[nodes]
+        wide = _widening(peak)[:, None]
+        opacities = np.clip(peak, OPACITY_MIN, ALPHA_MAX)
+        if self._learns_shape:
+            stored = 0.5 * np.log(wide * v + (wide - 1) * level[:, None])
+            columns["log_scales"][rows] = np.where(has_curve[:, None], stored, self.learned.log_scales[nodes])
+        columns["logit_opacities"][rows] = np.where(
+            has_curve, np.log(opacities / (1 - opacities)), self.learned.logit_opacities[nodes]
+        )
+        columns["quats"][rows], columns["sh"][rows, 0] = self.learned.quats[nodes], self.learned.sh[nodes, 0]
+        curves = tree.curves
+        if curves is not None and has_curve.any():
+            curves = curves.copy()
+            curves[rows[has_curve]] = np.stack([m, n, peak, level], axis=1)[has_curve]
+        return replace(
+            self._scene, gaussians=Gaussians(**columns), tree=replace(tree, curves=curves), blocks=None, clusters=None
+        )
+
+
+def _columns(g: Gaussians) -> tuple[Array, ...]:
+    return g.means, g.quats, g.log_scales, g.logit_opacities, g.sh
+
+
+def _widening(mass: Array) -> Array:
+    return np.asarray(np.maximum(mass / np.float32(ALPHA_MAX), 1) ** np.float32(0.3))
+
+
+def _area(variances: Array, dilations: Array) -> Array:
+    x, y, z = np.sqrt(variances.T + dilations)
+    return np.asarray(np.maximum((x * y + y * z + x * z) / 3, np.float32(1e-37)))

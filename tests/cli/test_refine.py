@@ -1,0 +1,38 @@
+"""splatree refine: a tree that learns from its leaves."""
+
+import json
+
+import pytest
+
+import splatree as st
+
+
+@pytest.fixture(scope="module")
+def tree(tmp_path_factory, small_ply):
+    path = tmp_path_factory.mktemp("refine") / "tree.splatree"
+    st.write(st.build_lod(st.read(small_ply), st.BuildOptions("pairs")), path)
+    return path
+
+
+def test_a_tree_gets_better_pictures(splatree, tree, tmp_path):
+    out = tmp_path / "better.splatree"
+    words = ("refine", tree, out, "--iterations", "80", "--made-views", "16")
+    code, said, err = splatree(*words, "--json")
+    assert code == 0, err
+    found = json.loads(said)
+    assert found["after_db"] > found["before_db"] and found["iterations"] == 80
+    assert len(st.read(out)) == len(st.read(tree))
+    code, said, _ = splatree(*words, "--force")
+    assert code == 0 and "views kept to judge by" in said and "merged nodes learned" in said
+
+
+def test_cameras_of_ones_own(splatree, tree, tmp_path):
+    cameras = tmp_path / "cameras.json"
+    st.write_cameras(st.orbit(st.read(tree), st.PathOptions(views=9, width=200, height=150)), cameras)
+    code, _, err = splatree("refine", tree, tmp_path / "a.splatree", "--cameras", cameras, "--iterations", "60")
+    assert code == 0, err
+
+
+def test_a_scene_without_levels_is_refused_and_nothing_written(splatree, small_ply, tmp_path):
+    code, _, err = splatree("refine", small_ply, tmp_path / "a.splatree")
+    assert code == 1 and "build levels first" in err and not (tmp_path / "a.splatree").exists()
