@@ -6,9 +6,9 @@ What a counting process gets of a processor is what a thread of ours should get 
     share      = CPU-seconds of a counting process / seconds that it ran
     fair share = CPU-seconds of the frame without the counting processes / (threads × share)
 
-The goal is a wall time of at most 1.5 times the fair share. A ratio near 1 says that a frame loses no time beyond what others take:
-no thread waits actively, which would cost processor time, and none waits for a thread that has lost its processor longer than the
-end of a stage demands. Other programs on the machine take part in both measurements.
+The goal is a wall time of at most 1.5 times the fair share. A ratio near 1 says that a frame loses no time beyond what others
+take: no thread waits actively, which would cost processor time, and none waits for a thread that has lost its processor longer
+than the end of a stage demands. Other programs on the machine take part in both measurements.
 
 ``python benchmarks/busy.py``
 """
