@@ -249,3 +249,30 @@ def test_absurd_quanta_end_in_a_scene_or_an_error(tmp_path, step):
                 assert np.isfinite(st.read(bad).gaussians.means).all()
             except FormatError as error:
                 assert str(bad) in str(error)
+
+
+@pytest.mark.parametrize("largest", [3, 300, 2**30])
+def test_tables_of_any_codes_end_in_a_scene_or_an_error(tmp_path, largest):
+    """Streams that inflate as they should, and hold codes that no writer made."""
+    small, bad = tmp_path / "small.splatree", tmp_path / "bad.splatree"
+    tree = st.build_lod(st.Scene.flat(random_gaussians(60, 1)), st.BuildOptions(max_roots=2))
+    st.write(tree, small, options=COMPACT)
+    num_nodes = len(tree) - tree.tree.num_leaves
+    about = json.loads(open_container(small).values["compact"])
+    rng, outcomes = np.random.default_rng(largest), set()
+    for name in about["bytes"]:
+        values = {"levels": 1, "curves": 3, "shapes": 6, "opacities": 1, "extents": 1}.get(name, 3)
+        for _ in range(8):
+            data, width = pack(rng.integers(-largest, largest + 1, (num_nodes, values)).astype(float), name)
+            widths = {**about["bytes"], name: width}
+            changed(small, bad, columns={f"nodes/{name}": data}, bytes=widths)
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")
+                try:
+                    read = st.read(bad)
+                    assert np.isfinite(read.tree.extents).all() and np.isfinite(read.gaussians.quats).all()
+                    outcomes.add("scene")
+                except FormatError as error:
+                    assert str(bad) in str(error)
+                    outcomes.add("error")
+    assert "scene" in outcomes

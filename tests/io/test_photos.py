@@ -256,3 +256,32 @@ def test_a_damaged_exif_is_no_orientation(tmp_path):
     Image.new("RGB", SIZE, (7, 7, 7)).save(tmp_path / "a.jpg", exif=b"Exif\0\0MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03")
     with pytest.warns(UserWarning, match="Corrupt EXIF"):  # Pillow's
         assert values(Photos(tmp_path, cameras("a.jpg"))) == {"a.jpg": 7}
+
+
+def test_two_places_that_fit_equally_well_are_not_guessed_between(tmp_path):
+    save(tmp_path / "0.png", 100)
+    save(tmp_path / "images" / "0.png", 101)
+    with pytest.raises(InputError, match=r"'0.png' could be any of 2 files.*0.png, images/0.png"):
+        Photos(tmp_path, cameras("0.png"))
+    save(tmp_path / "images" / "0.png", 100)  # equal files are one photograph
+    assert values(Photos(tmp_path, cameras("0.png"))) == {"0.png": 100}
+
+
+def test_of_copies_at_other_scales_than_the_cameras_the_largest_is_taken(tmp_path):
+    save(tmp_path / "images_2" / "0.png", 102, size=(12, 8))
+    save(tmp_path / "images_4" / "0.png", 104, size=(6, 4))
+    assert values(Photos(tmp_path, cameras("images/0.png"))) == {"images/0.png": 102}
+
+
+def test_only_folders_named_like_it_are_scaled_copies(tmp_path):
+    save(tmp_path / "photos_2" / "0.png", 100, size=(12, 8))
+    save(tmp_path / "images_4" / "0.png", 104, size=(6, 4))
+    assert Photos(tmp_path, cameras("images/0.png")).used.folders == {"images_4": 1}
+
+
+def test_a_folder_of_a_relative_name_is_not_lost_unless_it_is_a_plain_one(tmp_path):
+    save(tmp_path / "0.png", 100)
+    with pytest.raises(InputError, match="files of these names lie in"):
+        Photos(tmp_path, cameras("street/0.png"))
+    for name in ("images/0.png", "C:\\scans\\street\\0.png", "/home/me/street/0.png"):
+        assert values(Photos(tmp_path, cameras(name))) == {name: 100}

@@ -12,7 +12,7 @@ from tyro.conf import arg
 from splatree.cli.calibrate import Views, in_words, training_views, views_in_words
 from splatree.cli.comparison import Reporting, read_back
 from splatree.cli.comparison import in_words as comparison_in_words
-from splatree.cli.console import Console, UsageError, size, table
+from splatree.cli.console import Console, UsageError, counted, size, table
 from splatree.cli.files import Files, inputs_and_output, lost_and_noted, read_scene, repairs_of, told
 from splatree.cli.folders import in_words as folder_in_words
 from splatree.cli.folders import run_through_files
@@ -217,10 +217,11 @@ def show(built: Built | BuiltFolder) -> str:
     levels = _levels_in_words(built.rules)
     if isinstance(built, BuiltFolder):
         return f"{levels}{folder_in_words(built)}"
-    clusters = f"{built.clusters['clusters']:,} clusters, " if built.clusters else ""
+    clusters = f"{counted(built.clusters['clusters'], 'cluster')}, " if built.clusters else ""
     wrote = (
-        f"{levels}wrote {built.output}: {built.num_gaussians:,} Gaussians, {built.num_nodes:,} nodes "
-        f"({built.num_nodes / max(1, built.num_gaussians):.2f} ×), {built.levels} levels, {built.num_roots} roots, {clusters}"
+        f"{levels}wrote {built.output}: {counted(built.num_gaussians, 'Gaussian')}, {counted(built.num_nodes, 'node')} "
+        f"({built.num_nodes / max(1, built.num_gaussians):.2f} ×), {counted(built.levels, 'level')}, "
+        f"{counted(built.num_roots, 'root')}, {clusters}"
         f"{size(built.bytes)}"
     )
     growth = [] if built.growth is None else [built.growth]

@@ -10,7 +10,7 @@ import numpy as np
 from tyro.conf import Positional, arg
 
 from splatree.cli.advice import Outliers, outliers_of
-from splatree.cli.console import Console, size, table
+from splatree.cli.console import Console, counted, size, table
 from splatree.cli.files import Reading, check_inputs, read_options
 from splatree.cli.histogram import Histogram, in_lines, linear, logarithmic
 from splatree.io.estimate import estimated_bytes
@@ -210,7 +210,7 @@ def show(info: Info) -> str:
         ("read", ", ".join(info.paths) or "(in memory)"),
         ("format", f"{info.format}, compact: values are rounded" if info.compact else info.format),
         ("Gaussians", f"{info.num_gaussians:,}"),
-        ("nodes", f"{info.num_nodes:,} in {info.levels} level{'s' if info.levels != 1 else ''}"),
+        ("nodes", f"{info.num_nodes:,} in {counted(info.levels, 'level')}"),
         ("nodes per depth", " ".join(f"{n:,}" for n in info.nodes_per_depth)),
         *([("levels", _record_words(info.record))] if info.record else []),
         *([("clusters", _cluster_words(info.clusters))] if info.clusters else []),

@@ -127,5 +127,6 @@ def photographed(cameras: Sequence[Camera], photos: Photos, what: str) -> None:
     if cameras and not any(camera.name in photos for camera in cameras):
         raise InputError(
             f"data: none of the {len(cameras)} {what} has a photograph ({cameras[0].name!r}, ...), "
-            f"though {photos.used.found} other views have; wanted photographs of these"
+            f"though {photos.used.found} other views have; wanted photographs of these, or other views: "
+            "--held-out 4 holds out every fourth, --held-out FILE those that a file names"
         )
