@@ -18,6 +18,14 @@ def test_a_dry_run_says_what_would_go_and_writes_nothing(splatree, small_ply, tm
     assert 0 < written["num_gaussians"] == len(read(tmp_path / "a.ply")) < 3161
 
 
+def test_a_dry_run_passes_over_the_output_of_the_command_that_it_tries(splatree, small_ply, tmp_path):
+    words = ("clean", small_ply, tmp_path / "new.ply", "--max-distance", "1.5")
+    code, dry, err = splatree(*words, "--dry-run", "--json")
+    assert code == 0, err
+    assert not (tmp_path / "new.ply").exists()
+    assert json.loads(splatree(*words, "--json")[1])["dropped"] == json.loads(dry)["dropped"]
+
+
 def test_distances_to_cameras(splatree, small_ply, tmp_path):
     write_cameras(orbit(read(small_ply), PathOptions(views=4)), tmp_path / "cameras.json")
     words = ("clean", small_ply, "--max-distance", "0.9", "--cameras", tmp_path / "cameras.json", "--dry-run", "--json")

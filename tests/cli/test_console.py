@@ -3,7 +3,7 @@ import io
 import pytest
 
 from splatree.cli import console
-from splatree.cli.console import Console, progress_shown, size, table
+from splatree.cli.console import Console, counted, progress_shown, size, table
 from splatree.progress import task
 
 
@@ -50,3 +50,7 @@ def test_table_aligns_numbers_right_and_words_left():
 )
 def test_sizes_are_said_in_the_largest_unit_that_fits(num_bytes, words):
     assert size(num_bytes) == words
+
+
+def test_numbers_have_their_nouns_in_the_singular_or_the_plural():
+    assert [counted(n, "level") for n in (0, 1, 2000)] == ["0 levels", "1 level", "2,000 levels"]

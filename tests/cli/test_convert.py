@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from splatree.cli.console import size
+from splatree.io.estimate import estimated_compact_bytes
 from splatree.io.formats.spz.versions import readers_of
 from splatree.io.reading import read
 from splatree.io.writing import write
@@ -76,9 +77,32 @@ def test_build_says_how_much_larger_the_tree_is_and_what_is_more_compact(splatre
     before, after = sog.stat().st_size, tree.stat().st_size
     line = next(line for line in out.splitlines() if "of the input" in line)
     assert line.startswith(f"{after / before:.1f} times the {size(before)} of the input, {size(after - before)} more")
-    assert line.endswith(f"splatree convert {tree} {tree.with_suffix('.rad')}")
-    assert splatree("convert", tree, tree.with_suffix(".rad"))[0] == 0
-    assert tree.with_suffix(".rad").stat().st_size < after
-    assert read(tree.with_suffix(".rad")).tree.num_levels == read(tree).tree.num_levels
+    assert line.endswith(f"splatree convert {tree} {tree.with_name('a_compact.splatree')} --compact")
+    compact = tree.with_name("a_compact.splatree")
+    assert splatree("convert", tree, compact, "--compact")[0] == 0
+    estimate = estimated_compact_bytes(read(tree).tree.num_leaves, len(read(tree)), 3)
+    # Palettes of a few thousand Gaussians weigh more than those the estimate was made for.
+    assert 0.5 * estimate < compact.stat().st_size < 2 * estimate
+    assert read(compact).tree.num_levels == read(tree).tree.num_levels
     rad = splatree("build", sog, tmp_path / "b.rad")[1]
     assert "of the input" in rad and "splatree convert" not in rad
+
+
+def test_a_compact_tree_is_built_converted_and_described(splatree, small_ply, tmp_path):
+    built, exact, again = (tmp_path / f"{name}.splatree" for name in ("built", "exact", "again"))
+    code, out, _ = splatree("build", small_ply, built, "--compact")
+    assert code == 0 and "lost: precision: a compact splatree rounds values" in out
+    assert splatree("convert", built, exact)[0] == 0
+    assert splatree("convert", exact, again, "--compact")[0] == 0
+    assert again.stat().st_size < exact.stat().st_size / 5
+    for path, is_compact in ((built, True), (exact, False), (again, True)):
+        code, out, _ = splatree("info", path, "--json")
+        assert json.loads(out)["compact"] is is_compact
+    assert "splatree, compact: values are rounded" in splatree("info", built)[1]
+
+
+def test_compact_is_refused_where_it_means_nothing(splatree, small_ply, tmp_path):
+    code, _, err = splatree("convert", small_ply, tmp_path / "a.spz", "--compact")
+    assert code == 2 and "found the option compact = True, but this format takes only" in err
+    code, _, err = splatree("build", small_ply, tmp_path / "a.splatree", "--compact", "--max-memory", "1G")
+    assert code == 2 and "--compact" in err

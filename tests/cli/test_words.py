@@ -58,6 +58,10 @@ def test_numbers_below_zero_and_commas_are_values(splatree, small_ply, tmp_path)
     ("line", "said"),
     [
         ("convert a b --overwrite", "found --overwrite, wanted --force"),
+        ("render a --depth d.exr", "--depth: found 'd.exr', wanted png or exr"),
+        ("build a b --clusters many", "--clusters: found 'many', wanted a whole number or auto"),
+        ("render a --width 1.5", "--width: found '1.5', wanted a whole number"),
+        ("convert a b --crop-box 0 0 0 1 1 q", "--crop-box: found 'q', wanted a number"),
         ("convert a b -y", "found -y, wanted --force"),
         ("convert a b -w", "found -w, wanted --force"),
         ("thin a b --ratio 0.5", "found --ratio, wanted --keep"),

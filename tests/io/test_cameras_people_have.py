@@ -81,6 +81,21 @@ def test_cameras_are_moved_into_the_frame_of_a_training_of_nerfstudio(tmp_path):
         st.read_cameras(tmp_path)
 
 
+@pytest.mark.parametrize(("scale", "applied"), [(0, 1), (1, 0), (-1, 1), (1, -1), (0.5, 1), (1, 0.5)])
+def test_scales_of_a_training_are_more_than_0(tmp_path, scale, applied):
+    transforms(tmp_path, applied_scale=applied)
+    (tmp_path / "dataparser_transforms.json").write_text(
+        json.dumps({"transform": np.eye(4)[:3].tolist(), "scale": scale})
+    )
+    if min(scale, applied) > 0:
+        assert len(st.read_cameras(tmp_path)) == 2
+    else:
+        with pytest.raises(
+            FormatError, match=f"found the scales {float(scale)} and {float(applied)}, wanted more than 0"
+        ):
+            st.read_cameras(tmp_path)
+
+
 def test_the_files_of_a_synthetic_scene(tmp_path):
     angle = 2 * np.arctan(320 / VIEW.K[0, 0])
     for split, view in (("train", VIEW), ("test", OTHER)):

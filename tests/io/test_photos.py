@@ -179,3 +179,109 @@ def test_photographs_through_a_lens_are_straightened(tmp_path):
     assert st.psnr(bent, st.read_image(tmp_path / "images" / "a.png")) < 30  # what ignoring the lens would give
     half = view.scaled(0.5)
     assert photos.at([half])["a.png"].shape == (half.height, half.width, 3)
+
+
+CORNERS = np.array([[30, 90], [150, 210]])
+"""Greys of the corners of an upright picture, row by row."""
+
+STORED = {
+    1: lambda a: a,
+    2: lambda a: a[:, ::-1],
+    3: lambda a: a[::-1, ::-1],
+    4: lambda a: a[::-1],
+    5: lambda a: a.swapaxes(0, 1),
+    6: lambda a: np.rot90(a),  # shown after a quarter turn clockwise
+    7: lambda a: a[::-1, ::-1].swapaxes(0, 1),
+    8: lambda a: np.rot90(a, -1),
+}
+"""How a picture is stored that is shown upright by each orientation (CIPA DC-008, table of the tag Orientation)."""
+
+
+def save_turned(path, orientation, upright=(48, 32)):
+    """A JPEG as a phone writes it: stored in some way, with the tag that makes it upright."""
+    width, height = upright
+    pixels = np.kron(CORNERS, np.ones((height // 2, width // 2))).astype(np.uint8)
+    image = Image.fromarray(np.ascontiguousarray(STORED[orientation](pixels))).convert("RGB")
+    exif = Image.Exif()
+    exif[0x0112] = orientation
+    path.parent.mkdir(parents=True, exist_ok=True)
+    image.save(path, exif=exif, quality=95)
+
+
+def corners(photo):
+    h, w = photo.shape[:2]
+    at = [[photo[y, x, 0] for x in (w // 4, -w // 4)] for y in (h // 4, -h // 4)]
+    return np.round(255 * np.array(at))
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_a_picture_is_turned_by_its_orientation_if_asked(tmp_path, orientation):
+    save_turned(tmp_path / "a.jpg", orientation)
+    upright = st.read_image(tmp_path / "a.jpg", turned=True)
+    assert upright.shape == (32, 48, 3) and np.abs(corners(upright) - CORNERS).max() <= 3
+    stored = st.read_image(tmp_path / "a.jpg")
+    assert np.abs(corners(stored) - STORED[orientation](CORNERS)).max() <= 3
+
+
+@pytest.mark.parametrize("orientation", range(5, 9))
+def test_a_photograph_is_turned_if_only_so_it_fits_its_camera(tmp_path, orientation):
+    save_turned(tmp_path / "a.jpg", orientation)
+    seen = Photos(tmp_path, cameras("a.jpg", size=(48, 32)))  # its maker turned it
+    assert np.abs(corners(seen["a.jpg"]) - CORNERS).max() <= 3
+    assert seen.used.notes == ("1 of 1 views: turned as their EXIF orientation says, as their cameras saw them",)
+    stored = Photos(tmp_path, cameras("a.jpg", size=(32, 48)))  # COLMAP's camera
+    assert np.abs(corners(stored["a.jpg"]) - STORED[orientation](CORNERS)).max() <= 3
+    assert "taken as stored" in stored.used.notes[0]
+    with pytest.raises(InputError, match="neither turned nor cropped"):
+        Photos(tmp_path, cameras("a.jpg", size=(48, 20)))
+
+
+@pytest.mark.parametrize("orientation", [2, 3, 4])
+def test_half_turns_follow_the_photographs_whose_shape_says_something(tmp_path, orientation):
+    """Such a tag does not change the shape: COLMAP's way, unless the others of the set show that their maker turned them."""
+    save_turned(tmp_path / "half.jpg", orientation)
+    alone = Photos(tmp_path, cameras("half.jpg", size=(48, 32)))
+    assert np.abs(corners(alone["half.jpg"]) - STORED[orientation](CORNERS)).max() <= 3
+    save_turned(tmp_path / "quarter.jpg", 6, upright=(32, 48))
+    turned = [*cameras("half.jpg", size=(48, 32)), *cameras("quarter.jpg", size=(32, 48))]
+    photos = Photos(tmp_path, turned)
+    assert all(np.abs(corners(photos[name]) - CORNERS).max() <= 3 for name in photos)
+    stored = [*cameras("half.jpg", size=(48, 32)), *cameras("quarter.jpg", size=(48, 32))]
+    photos = Photos(tmp_path, stored)
+    assert np.abs(corners(photos["half.jpg"]) - STORED[orientation](CORNERS)).max() <= 3
+    assert photos.used.notes[0].startswith("2 of 2 views: taken as stored")
+
+
+def test_a_damaged_exif_is_no_orientation(tmp_path):
+    Image.new("RGB", SIZE, (7, 7, 7)).save(tmp_path / "a.jpg", exif=b"Exif\0\0MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03")
+    with pytest.warns(UserWarning, match="Corrupt EXIF"):  # Pillow's
+        assert values(Photos(tmp_path, cameras("a.jpg"))) == {"a.jpg": 7}
+
+
+def test_two_places_that_fit_equally_well_are_not_guessed_between(tmp_path):
+    save(tmp_path / "0.png", 100)
+    save(tmp_path / "images" / "0.png", 101)
+    with pytest.raises(InputError, match=r"'0.png' could be any of 2 files.*0.png, images/0.png"):
+        Photos(tmp_path, cameras("0.png"))
+    save(tmp_path / "images" / "0.png", 100)  # equal files are one photograph
+    assert values(Photos(tmp_path, cameras("0.png"))) == {"0.png": 100}
+
+
+def test_of_copies_at_other_scales_than_the_cameras_the_largest_is_taken(tmp_path):
+    save(tmp_path / "images_2" / "0.png", 102, size=(12, 8))
+    save(tmp_path / "images_4" / "0.png", 104, size=(6, 4))
+    assert values(Photos(tmp_path, cameras("images/0.png"))) == {"images/0.png": 102}
+
+
+def test_only_folders_named_like_it_are_scaled_copies(tmp_path):
+    save(tmp_path / "photos_2" / "0.png", 100, size=(12, 8))
+    save(tmp_path / "images_4" / "0.png", 104, size=(6, 4))
+    assert Photos(tmp_path, cameras("images/0.png")).used.folders == {"images_4": 1}
+
+
+def test_a_folder_of_a_relative_name_is_not_lost_unless_it_is_a_plain_one(tmp_path):
+    save(tmp_path / "0.png", 100)
+    with pytest.raises(InputError, match="files of these names lie in"):
+        Photos(tmp_path, cameras("street/0.png"))
+    for name in ("images/0.png", "C:\\scans\\street\\0.png", "/home/me/street/0.png"):
+        assert values(Photos(tmp_path, cameras(name))) == {name: 100}

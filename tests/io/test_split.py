@@ -42,3 +42,11 @@ def test_lists_that_do_not_fit_are_refused(tmp_path):
         split_views(CAMERAS, tmp_path / "none.txt")
     with pytest.raises(InputError, match="found 0"):
         split_views(CAMERAS, 0)
+
+
+@pytest.mark.parametrize(
+    ("n", "words"),
+    [(1, "all views"), (2, "every 2nd view"), (3, "every 3rd view"), (11, "every 11th view"), (21, "every 21st view")],
+)
+def test_the_rule_is_said_in_words(n, words):
+    assert split_views(CAMERAS, n).rule.startswith(words)

@@ -114,7 +114,7 @@ def set_in(*keys, value):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (set_in("__metadata__", "version", value="2"), "newer splatree"),
+        (set_in("__metadata__", "version", value="3"), "newer splatree"),
         (set_in("__metadata__", "mode", value='"blurry"'), "wanted 'classic' or 'antialiased'"),
         (set_in("__metadata__", "mode", value="[1]"), "mode"),
         (set_in("__metadata__", "threshold", value='"x"'), "not supported"),

@@ -233,3 +233,6 @@ def test_last_pair_and_median_depth_in_closed_form(stage: object) -> None:
     nothing, bins, seen_by = stack([0.003], [(1, 1, 1)])
     picture = stage.blend.blend(nothing, bins, seen(seen_by, wanted=EVERYTHING))  # type: ignore[attr-defined]
     assert (picture.last_pair[0, 0], picture.tiles.evaluated[0]) == (-1, 1)
+    half, bins, seen_by = stack([0.5, 0.5, 0.5], [(1, 1, 1)] * 3)
+    picture = stage.blend.blend(half, bins, seen(seen_by, wanted=EVERYTHING))  # type: ignore[attr-defined]
+    assert picture.median_depth.tolist() == [[2.0]]  # exactly ½ is left after the first, less after the second

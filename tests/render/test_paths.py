@@ -118,7 +118,8 @@ def test_empty_scene_has_no_path():
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"views": 0}, {"width": 0}, {"up": (0, 0, 0)}, {"elevation_deg": 91}, {"fov_y_deg": 180}]
+    "wrong",
+    [{"views": 0}, {"width": 0}, {"up": (0, 0, 0)}, {"elevation_deg": 91}, {"fov_y_deg": 0}, {"fov_y_deg": 180}],
 )
 def test_impossible_paths_are_refused(wrong):
     with pytest.raises(InputError, match=next(iter(wrong))):

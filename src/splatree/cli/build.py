@@ -12,12 +12,13 @@ from tyro.conf import arg
 from splatree.cli.calibrate import Views, in_words, training_views, views_in_words
 from splatree.cli.comparison import Reporting, read_back
 from splatree.cli.comparison import in_words as comparison_in_words
-from splatree.cli.console import Console, UsageError, size, table
+from splatree.cli.console import Console, UsageError, counted, size, table
 from splatree.cli.files import Files, inputs_and_output, lost_and_noted, read_scene, repairs_of, told
 from splatree.cli.folders import in_words as folder_in_words
 from splatree.cli.folders import run_through_files
 from splatree.clusters.build import ClusterOptions, build_clusters
-from splatree.io.estimate import estimated_bytes
+from splatree.io.estimate import estimated_compact_bytes
+from splatree.io.options import WriteOptions
 from splatree.io.photos import PhotosUsed
 from splatree.io.reading import read_levels
 from splatree.io.registry import stored_bytes
@@ -49,6 +50,8 @@ class Command:
     """`grow`: merge the Gaussians, by the options below; `file`: link the levels of the input, a streamed SOG."""
     mode: Mode | None = None
     """How the scene was trained and will be drawn; merged nodes depend on it. None: as the file says, else `classic`."""
+    compact: bool = False
+    """Write a compact .splatree: values are rounded, and it is hardly larger than a .sog of the scene."""
     clusters: int | Literal["auto"] | None = None
     """Number of clusters, which views then leave out whole; `auto`: one for 128 rows, 1,024 to 32,768. None: no clusters."""
     flat: bool = False
@@ -111,14 +114,16 @@ def run(command: Command) -> Built | BuiltFolder:
             command.flat
             or command.levels == "file"
             or command.clusters is not None
+            or command.compact
             or (command.views, command.calibration, command.reporting) != (Views(), CalibrateOptions(), Reporting())
         ):
             raise UsageError(
-                "found --max-memory, --workers or the size of parts with --flat, --levels file, --clusters, views or --report, "
-                "which need the scene in memory; wanted one of them"
+                "found --max-memory, --workers or the size of parts with --flat, --levels file, --clusters, --compact, views or "
+                "--report, which need the scene in memory; wanted one of them"
             )
         return run_through_files(command.files, command.options, command.running, command.mode)
-    inputs, output = inputs_and_output(command.files, keeps_tree=True)
+    writing = WriteOptions(compact=command.compact)
+    inputs, output = inputs_and_output(command.files, keeps_tree=True, options=writing)
     if command.flat and command.clusters is None:
         raise UsageError("found --flat without --clusters, which leaves nothing to build; wanted --clusters auto too")
     if command.flat and command.levels == "file":
@@ -138,7 +143,7 @@ def run(command: Command) -> Built | BuiltFolder:
         views = views.relative_to(scene)
         calibration = calibrate(scene, views.cameras, command.calibration, photos=views.photos)
         scene = calibrated(scene, calibration, held_out=views.rule)
-    lost, notes = lost_and_noted(scene, write(scene, output, force=command.files.force))
+    lost, notes = lost_and_noted(scene, write(scene, output, force=command.files.force, options=writing))
     report = report_levels(scene)
     num_bytes, input_bytes = stored_bytes(output), sum(stored_bytes(Path(path)) for path in scene.source.paths)
     return Built(
@@ -166,17 +171,17 @@ def run(command: Command) -> Built | BuiltFolder:
 
 
 def _growth(scene: Scene, output: Path, num_bytes: int, input_bytes: int) -> str | None:
-    """How much larger the file is than what was read, and the size of a .rad, if that is smaller."""
+    """How much larger the file is than what was read, and the form that is more compact, if there is one."""
     if not 0 < input_bytes < num_bytes:
         return None
     larger = f"{num_bytes / input_bytes:.1f} times the {size(input_bytes)} of the input, {size(num_bytes - input_bytes)} more"
-    compact = estimated_bytes(len(scene), scene.gaussians.sh_degree)[".rad"]
-    if compact >= num_bytes or output.suffix.lower() == ".rad":
+    estimate = estimated_compact_bytes(scene.tree.num_leaves, len(scene), scene.gaussians.sh_degree)
+    if 2 * estimate >= num_bytes or output.suffix.lower() == ".rad":
         return larger
-    smaller = shlex.quote(str(output.with_suffix(".rad")))
+    smaller = shlex.quote(str(output.with_name(f"{output.stem}_compact.splatree")))
     return (
-        f"{larger}: a {output.suffix} keeps every value as it is; a .rad rounds them and takes about {size(compact)} "
-        f"(estimated): splatree convert {shlex.quote(str(output))} {smaller}"
+        f"{larger}: a {output.suffix} keeps every value as it is; a compact .splatree rounds them and takes about "
+        f"{size(estimate)} (estimated): splatree convert {shlex.quote(str(output))} {smaller} --compact"
     )
 
 
@@ -212,10 +217,11 @@ def show(built: Built | BuiltFolder) -> str:
     levels = _levels_in_words(built.rules)
     if isinstance(built, BuiltFolder):
         return f"{levels}{folder_in_words(built)}"
-    clusters = f"{built.clusters['clusters']:,} clusters, " if built.clusters else ""
+    clusters = f"{counted(built.clusters['clusters'], 'cluster')}, " if built.clusters else ""
     wrote = (
-        f"{levels}wrote {built.output}: {built.num_gaussians:,} Gaussians, {built.num_nodes:,} nodes "
-        f"({built.num_nodes / max(1, built.num_gaussians):.2f} ×), {built.levels} levels, {built.num_roots} roots, {clusters}"
+        f"{levels}wrote {built.output}: {counted(built.num_gaussians, 'Gaussian')}, {counted(built.num_nodes, 'node')} "
+        f"({built.num_nodes / max(1, built.num_gaussians):.2f} ×), {counted(built.levels, 'level')}, "
+        f"{counted(built.num_roots, 'root')}, {clusters}"
         f"{size(built.bytes)}"
     )
     growth = [] if built.growth is None else [built.growth]

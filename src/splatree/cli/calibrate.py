@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import arg
 
-from splatree.cli.console import Console, table
+from splatree.cli.console import Console, counted, table
 from splatree.cli.files import Files, inputs_and_output, read_scene
 from splatree.errors import InputError
 from splatree.io.cameras.files import read_cameras
@@ -155,7 +155,7 @@ def show(calibrated: Calibrated) -> str:
     return (
         f"{table(rows)}\n"
         f"G = {c.contribution:.4g} ({c.options.unit}, {c.options.tiles} tiles, lists {c.options.lists}) over "
-        f"{len(c.views)} views of {c.size_px[0]} × {c.size_px[1]} px{left_out}\n"
+        f"{counted(len(c.views), 'view')} of {c.size_px[0]} × {c.size_px[1]} px{left_out}\n"
         + "\n".join(
             [*views_in_words(calibrated.photographs, calibrated.notes), in_words(c), f"kept in {calibrated.output}"]
         )

@@ -7,7 +7,7 @@ from typing import Annotated
 import numpy as np
 from tyro.conf import arg
 
-from splatree.cli.console import Console, UsageError, size
+from splatree.cli.console import Console, UsageError, counted, size
 from splatree.cli.files import Files, inputs_and_output, lost_and_noted, read_scene, repairs_of, told
 from splatree.edit.clean import CleanOptions, clean
 from splatree.io.cameras.files import read_cameras
@@ -27,7 +27,7 @@ class Command:
 
     files: Annotated[Files, arg(name="", help="")]
     dry_run: bool = False
-    """Say what each filter would drop; write nothing, and ask for no output."""
+    """Say what each filter would drop; write nothing. An output is not needed, and one that is not there yet is passed over."""
     cameras: Path | None = None
     """For --max-distance: cameras.json, transforms.json or a COLMAP model; distances are those to the nearest camera."""
     options: Annotated[CleanOptions, arg(name="", help="")] = CleanOptions()
@@ -65,9 +65,7 @@ def run(command: Command) -> Result:
     if command.cameras is not None and command.options.max_distance is None:
         raise UsageError("cameras: found no --max-distance, wanted it: distances to the cameras are what they are for")
     if command.dry_run:
-        inputs, output = command.files.paths, None
-        if not inputs:
-            raise UsageError("found no path, wanted a scene")
+        inputs, output = _inputs_of_dry_run(command.files), None
     else:
         inputs, output = inputs_and_output(command.files)
     cameras = None
@@ -89,12 +87,20 @@ def run(command: Command) -> Result:
     )
 
 
+def _inputs_of_dry_run(named: Files) -> tuple[Path, ...]:
+    """The paths without the output, which the same command without --dry-run would have as its last."""
+    if not named.paths:
+        raise UsageError("found no path, wanted a scene")
+    *inputs, last = named.paths
+    return tuple(inputs) if inputs and named.output is None and not last.exists() else named.paths
+
+
 def show(result: Result) -> str:
     """The result in words."""
     of = max(1, result.num_read)
     would = "would drop" if result.output is None else "dropped"
     lines = [f"{name}: {would} {count:,} ({100 * count / of:.2f} %)" for name, count in result.dropped.items()]
-    left = f"{result.num_gaussians:,} of {result.num_read:,} Gaussians"
+    left = f"{result.num_gaussians:,} of {counted(result.num_read, 'Gaussian')}"
     if result.output is None:
         return "\n".join([*lines, f"{left} would be left"])
     return "\n".join(

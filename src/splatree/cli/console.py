@@ -66,6 +66,11 @@ def size(num_bytes: int) -> str:
     return f"{num_bytes} bytes"
 
 
+def counted(number: int, noun: str) -> str:
+    """A number with its noun in the singular or the plural: 1 level, 2,000 levels."""
+    return f"{number:,} {noun}{'' if number == 1 else 's'}"
+
+
 def table(rows: Sequence[Mapping[str, Any]]) -> str:
     """Rows as aligned columns; numbers to the right."""
     columns = list(dict.fromkeys(key for row in rows for key in row))

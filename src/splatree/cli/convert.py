@@ -8,7 +8,7 @@ from typing import Annotated
 from tyro.conf import arg
 
 from splatree.cli.comparison import Reporting, in_words, read_back
-from splatree.cli.console import Console, UsageError, size
+from splatree.cli.console import Console, UsageError, counted, size
 from splatree.cli.files import Files, inputs_and_output, read_scene, told
 from splatree.edit.edit import edit
 from splatree.edit.options import EditOptions
@@ -117,8 +117,8 @@ def _comparison(command: Command, inputs: Sequence[Path], output: Path) -> Compa
 
 def show(result: Result) -> str:
     """The result in words."""
-    of = f" of {result.num_read:,}" if result.num_read != result.num_gaussians else ""
-    wrote = f"wrote {result.output}: {result.num_gaussians:,}{of} Gaussians, {size(result.bytes)}"
+    of = f"{result.num_gaussians:,} of " if result.num_read != result.num_gaussians else ""
+    wrote = f"wrote {result.output}: {of}{counted(result.num_read, 'Gaussian')}, {size(result.bytes)}"
     version = [] if result.version is None else [result.version]
     compared = [] if result.comparison is None else in_words(result.comparison)
     return "\n".join([wrote, *version, *told(result.repairs, result.lost, result.notes), *compared])

@@ -15,7 +15,7 @@ from typing import Annotated
 import numpy as np
 from tyro.conf import arg
 
-from splatree.cli.console import Console, table
+from splatree.cli.console import Console, counted, table
 from splatree.cli.eval import row_of, view_of
 from splatree.cli.flight import Demo, DemoView
 from splatree.cli.report import write_report
@@ -93,7 +93,8 @@ def show(demo: Demo) -> str:
     rows = [{"distance": round(view.distance), **row_of(view)} for view in demo.views]
     took = ", ".join(f"{name} {duration:.1f} s" for name, duration in demo.seconds.items())
     return (
-        f"{demo.num_gaussians:,} Gaussians became a tree of {demo.num_nodes:,} nodes in {demo.levels} levels ({took})\n"
+        f"{demo.num_gaussians:,} Gaussians became a tree of {demo.num_nodes:,} nodes in {counted(demo.levels, 'level')} "
+        f"({took})\n"
         f"{table(rows)}\n{demo.credit}\nreport: {demo.report}"
     )
 

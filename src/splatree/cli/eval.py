@@ -10,7 +10,7 @@ import numpy as np
 from tyro.conf import Positional, arg
 
 from splatree.cli.comparison import Drawing, Reporting, compared, in_words
-from splatree.cli.console import Console, UsageError, table
+from splatree.cli.console import Console, UsageError, counted, table
 from splatree.cli.files import Reading, check_inputs, lost_and_noted, read_scene
 from splatree.errors import InputError
 from splatree.io.cameras.files import read_cameras
@@ -267,7 +267,8 @@ def show(evaluated: Evaluated | Comparison, *, verbose: bool = False) -> str:
     if isinstance(evaluated, Comparison):
         return "\n".join(in_words(evaluated, views=True))
     head = (
-        f"{evaluated.num_gaussians:,} Gaussians, {evaluated.num_nodes:,} nodes, {evaluated.levels} levels, "
+        f"{counted(evaluated.num_gaussians, 'Gaussian')}, {counted(evaluated.num_nodes, 'node')}, "
+        f"{counted(evaluated.levels, 'level')}, "
         f"{evaluated.mode}, method {evaluated.method}; compared with {evaluated.compared_with}"
     )
     lines = [head, *(f"note: {note}" for note in evaluated.notes)]
@@ -278,11 +279,11 @@ def show(evaluated: Evaluated | Comparison, *, verbose: bool = False) -> str:
         lines.append(f"mean of the training views, no measure of new ones: {_words(evaluated.training_mean)}")
     if evaluated.timing is not None:
         timing = evaluated.timing
-        stages = ", ".join(f"{name} {timing.ms[stage]:.2f}" for name, stage in STAGES.items())
-        lines.append(
-            f"{timing.num_frames} frames: {timing.fps:.1f} a second, 95 of 100 at least {timing.fps_p95:.1f}; ms: {stages}; "
-            f"t_f {timing.filter_ms:.2f}; CPU-ms a frame {timing.frame_cpu_ms:.2f}"
-        )
+        frames = counted(timing.num_frames, "frame")
+        lines.append(f"{frames}: {timing.fps:.1f} a second, 95 of 100 at least {timing.fps_p95:.1f}")
+        if verbose:
+            stages = ", ".join(f"{name} {timing.ms[stage]:.2f}" for name, stage in STAGES.items())
+            lines.append(f"ms: {stages}; t_f {timing.filter_ms:.2f}; CPU-ms a frame {timing.frame_cpu_ms:.2f}")
     sizes = {name: number for name, number in evaluated.num_bytes.items() if number is not None}
     lines.append("MiB: " + ", ".join(f"{name} {number / 2**20:,.1f}" for name, number in sizes.items()))
     return "\n".join(lines)

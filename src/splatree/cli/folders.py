@@ -1,6 +1,6 @@
 """``splatree build`` through files: a folder of parts, for scenes larger than memory."""
 
-from splatree.cli.console import UsageError, size
+from splatree.cli.console import UsageError, counted, size
 from splatree.cli.files import Files, inputs_and_folder, told
 from splatree.io.options import ReadOptions
 from splatree.lod.options import BuildOptions
@@ -36,7 +36,7 @@ def run_through_files(files: Files, options: BuildOptions, running: FolderOption
 def in_words(built: BuiltFolder) -> str:
     """What was written."""
     wrote = (
-        f"wrote {built.path}: {built.num_gaussians:,} Gaussians, {built.num_nodes:,} nodes "
-        f"({built.num_nodes / max(1, built.num_gaussians):.2f} ×), {built.num_parts:,} parts, {size(built.bytes)}"
+        f"wrote {built.path}: {counted(built.num_gaussians, 'Gaussian')}, {counted(built.num_nodes, 'node')} "
+        f"({built.num_nodes / max(1, built.num_gaussians):.2f} ×), {counted(built.num_parts, 'part')}, {size(built.bytes)}"
     )
     return "\n".join([wrote, *told(built.repairs, (), built.notes)])

@@ -10,10 +10,11 @@ import numpy as np
 from tyro.conf import Positional, arg
 
 from splatree.cli.advice import Outliers, outliers_of
-from splatree.cli.console import Console, size, table
+from splatree.cli.console import Console, counted, size, table
 from splatree.cli.files import Reading, check_inputs, read_options
 from splatree.cli.histogram import Histogram, in_lines, linear, logarithmic
 from splatree.io.estimate import estimated_bytes
+from splatree.io.formats.splatree.format import is_compact
 from splatree.io.notes import origin_in_words, sentences_in
 from splatree.io.outline import Outline, read_outline
 from splatree.io.registry import stored_bytes
@@ -22,7 +23,7 @@ from splatree.render.framing.upright import direction_in_words, guess_up
 from splatree.render.paths import bounds_of
 from splatree.scene.levels import LevelRecord
 from splatree.scene.origin import NO_ORIGIN, STEPS_PER_SIGMA, Origin, coarsest_step
-from splatree.scene.scene import Scene
+from splatree.scene.scene import Scene, Source
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,8 @@ class Info:
     """Files or folders read."""
     format: str
     """Name of the format."""
+    compact: bool
+    """Whether it is a compact .splatree, whose values are rounded."""
     num_gaussians: int
     """Gaussians that were not made by merging: the leaves."""
     num_nodes: int
@@ -134,6 +137,7 @@ def describe(outline: Outline) -> Info:
     return Info(
         paths=scene.source.paths,
         format=scene.source.format,
+        compact=_is_compact(scene.source),
         num_gaussians=len(leaves),
         num_nodes=len(scene),
         levels=scene.tree.num_levels,
@@ -170,6 +174,11 @@ def describe(outline: Outline) -> Info:
     )
 
 
+def _is_compact(source: Source) -> bool:
+    files = [Path(path) for path in source.paths if source.format == "splatree" and Path(path).is_file()]
+    return any(is_compact(path) for path in files)
+
+
 def _next(scene: Scene) -> str:
     """The command that a user would want next: levels where there are none, else a picture."""
     paths = " ".join(shlex.quote(path) for path in scene.source.paths) or "INPUT"
@@ -199,9 +208,9 @@ def show(info: Info) -> str:
     rest = {key: value for key, value in info.metadata.items() if key not in ("notes", "lost")}
     rows = [
         ("read", ", ".join(info.paths) or "(in memory)"),
-        ("format", info.format),
+        ("format", f"{info.format}, compact: values are rounded" if info.compact else info.format),
         ("Gaussians", f"{info.num_gaussians:,}"),
-        ("nodes", f"{info.num_nodes:,} in {info.levels} level{'s' if info.levels != 1 else ''}"),
+        ("nodes", f"{info.num_nodes:,} in {counted(info.levels, 'level')}"),
         ("nodes per depth", " ".join(f"{n:,}" for n in info.nodes_per_depth)),
         *([("levels", _record_words(info.record))] if info.record else []),
         *([("clusters", _cluster_words(info.clusters))] if info.clusters else []),

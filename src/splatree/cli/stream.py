@@ -6,7 +6,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from splatree.cli.console import Console, UsageError, size, table
+from splatree.cli.console import Console, UsageError, counted, size, table
 from splatree.cli.files import Reading, lost_and_noted, read_scene, repairs_of, told
 from splatree.errors import InputError
 from splatree.io.cameras.files import read_cameras
@@ -116,7 +116,8 @@ def show(result: Result) -> str:
     kept = f", {written.num_parts_kept} of them there already" if written.num_parts_kept else ""
     lines = [
         *(["levels of detail: built first, as the input has none"] if result.built_levels else []),
-        f"wrote {written.output}: {written.num_chunks:,} chunks in {written.num_parts:,} parts{kept}, {size(written.bytes)}",
+        f"wrote {written.output}: {counted(written.num_chunks, 'chunk')} in {counted(written.num_parts, 'part')}{kept}, "
+        f"{size(written.bytes)}",
         *told(result.repairs, result.lost, result.notes),
     ]
     if len(written.levels) > 1:

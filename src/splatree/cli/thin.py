@@ -7,7 +7,7 @@ from typing import Annotated
 from tyro.conf import arg
 
 from splatree.cli.comparison import Reporting, in_words, read_back
-from splatree.cli.console import Console, size
+from splatree.cli.console import Console, counted, size
 from splatree.cli.files import Files, inputs_and_output, lost_and_noted, read_scene, repairs_of, told
 from splatree.io.registry import stored_bytes
 from splatree.io.writing import write
@@ -87,9 +87,9 @@ def run(command: Command) -> Result:
 def show(result: Result) -> str:
     """The result in words."""
     share = 100 * result.num_gaussians / max(1, result.num_read)
-    how = f"{result.rounds} rounds of pairs" if result.radius is None else f"radius {result.radius:.4g}"
+    how = f"{counted(result.rounds, 'round')} of pairs" if result.radius is None else f"radius {result.radius:.4g}"
     wrote = (
-        f"wrote {result.output}: {result.num_gaussians:,} of {result.num_read:,} Gaussians ({share:.1f} %), "
+        f"wrote {result.output}: {result.num_gaussians:,} of {counted(result.num_read, 'Gaussian')} ({share:.1f} %), "
         f"{how}, {size(result.bytes)}"
     )
     compared = [] if result.comparison is None else in_words(result.comparison)

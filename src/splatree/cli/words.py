@@ -165,6 +165,7 @@ def _values(name: str, option: Option, left: list[str]) -> list[str]:
         values = []
         while left and not _is_option(left[0]):
             values.append(left.pop(0))
+        _check(name, values, get_args(option.kind)[:1] * len(values))
         return values
     if count > 1 and left and left[0].count(",") == count - 1:
         left[0:1] = left[0].split(",")
@@ -176,7 +177,35 @@ def _values(name: str, option: Option, left: list[str]) -> list[str]:
     del left[:count]
     if option.takes_shares:
         values = [f"{float(value[:-1]) / 100:.12g}" if _SHARE.fullmatch(value) else value for value in values]
+    _check(name, values, get_args(option.kind) if get_origin(option.kind) is tuple else (option.kind,) * count)
     return values
+
+
+def _check(name: str, values: Sequence[str], kinds: Sequence[Any]) -> None:
+    """Refuse values that are not of their kinds, in a line."""
+    for value, kind in zip(values, kinds, strict=True):
+        if not any(_is_one(value, one) for one in _alternatives(kind)):
+            raise UsageError(f"{name}: found {value!r}, wanted {' or '.join(map(_in_words, _alternatives(kind)))}")
+
+
+def _is_one(value: str, kind: Any) -> bool:
+    """Whether the parser will make a value of this kind of a word; it takes the word None for an option that may be left out."""
+    if get_origin(kind) is Literal:
+        return value in ("None", *map(str, get_args(kind)))
+    if kind in (int, float):
+        try:
+            kind(value)
+        except ValueError:
+            return value == "None"
+    return True
+
+
+def _in_words(kind: Any) -> str:
+    """What is wanted of this kind."""
+    if get_origin(kind) is Literal:
+        *others, last = map(str, get_args(kind))
+        return f"{', '.join(others)} or {last}" if others else last
+    return {int: "a whole number", float: "a number", Path: "a path"}.get(kind, "a word")
 
 
 _SHARE = re.compile(r"[+-]?\d+(\.\d*)?%")

@@ -8,7 +8,7 @@ straight from training may be larger.
 
 from typing import Final
 
-__all__ = ["estimated_bytes"]
+__all__ = ["estimated_bytes", "estimated_compact_bytes"]
 
 BYTES_PER_ROW: Final = {
     ".ply": (68.0, 12.0, 3),
@@ -23,6 +23,25 @@ BYTES_PER_ROW: Final = {
 }
 """Bytes of a Gaussian of degree 0; bytes of each harmonic (of three colours) beyond the DC; largest degree that the format holds.
 Levels of detail are not counted."""
+
+COMPACT_NODE = 8.0
+"""Bytes of a merged node in a compact .splatree: 3 to 8, by how its levels were made."""
+
+
+def estimated_compact_bytes(num_leaves: int, num_rows: int, sh_degree: int) -> int:
+    """Estimated size of a compact .splatree with levels, bytes.
+
+    Args:
+        num_leaves: Gaussians.
+        num_rows: Gaussians and merged nodes.
+        sh_degree: degree of the harmonics, 0 to 3.
+
+    Example:
+        >>> from splatree.io.estimate import estimated_compact_bytes
+        >>> estimated_compact_bytes(1_000_000, 1_500_000, 0)
+        16900000
+    """
+    return estimated_bytes(num_leaves, sh_degree)[".sog"] + round(COMPACT_NODE * (num_rows - num_leaves))
 
 
 def estimated_bytes(num_rows: int, sh_degree: int) -> dict[str, int]:

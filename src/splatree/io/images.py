@@ -19,12 +19,19 @@ _HEAD_BYTES = 1024
 """Text entries stand before the pixels."""
 
 
-def read_image(path: str | os.PathLike[str], *, size: tuple[int, int] | None = None) -> Float32[Array, "h w 3"]:
+_ORIENTATION = 0x0112
+"""Tag of EXIF that says how a picture is to be turned and mirrored, 1 to 8."""
+
+
+def read_image(
+    path: str | os.PathLike[str], *, size: tuple[int, int] | None = None, turned: bool = False
+) -> Float32[Array, "h w 3"]:
     """Read a picture as RGB, 0 to 1; alpha is blended over black.
 
     Args:
         path: PNG, JPEG, WebP or another format that Pillow opens.
         size: width and height, px, to which the picture is resampled: each pixel is the mean of what it covers. None: unchanged.
+        turned: turn and mirror the picture as its EXIF orientation says. COLMAP and the code of 3DGS do not, other tools do.
 
     Returns:
         float32 (h w 3), in the colour space of the file.
@@ -38,14 +45,12 @@ def read_image(path: str | os.PathLike[str], *, size: tuple[int, int] | None = N
         >>> st.read_image("white.png").shape
         (4, 6, 3)
     """
-    from PIL import Image
+    from PIL import Image, ImageOps
 
     file = _existing(path)
     try:
         with Image.open(file) as opened:
-            image: Image.Image = (
-                opened  # not turned by its EXIF orientation: COLMAP and the 3DGS code do not turn it either
-            )
+            image: Image.Image = ImageOps.exif_transpose(opened) if turned else opened
             if image.mode in ("RGBA", "LA", "PA") or "transparency" in image.info:
                 rgba = image.convert("RGBA")
                 image = Image.alpha_composite(Image.new("RGBA", rgba.size, (0, 0, 0, 255)), rgba)
@@ -57,16 +62,22 @@ def read_image(path: str | os.PathLike[str], *, size: tuple[int, int] | None = N
         raise FormatError(f"{file}: {_fault(file, error)}") from error
 
 
-def image_size(path: str | os.PathLike[str]) -> tuple[int, int]:
-    """Width and height in px, from the header alone."""
+def image_head(path: str | os.PathLike[str]) -> tuple[tuple[int, int], int]:
+    """Width and height in px as stored, and the EXIF orientation, 1 (upright) if there is none; from the header alone."""
     from PIL import Image
 
     file = _existing(path)
     try:
         with Image.open(file) as image:
-            return image.size
+            orientation = image.getexif().get(_ORIENTATION, 1)
+            return image.size, orientation if orientation in range(1, 9) else 1
     except (OSError, SyntaxError, ValueError, EOFError, Image.DecompressionBombError) as error:
         raise FormatError(f"{file}: {_fault(file, error)}") from error
+
+
+def image_size(path: str | os.PathLike[str]) -> tuple[int, int]:
+    """Width and height in px as stored, from the header alone."""
+    return image_head(path)[0]
 
 
 def write_image(image: Float32[Array, "h w 3"], path: str | os.PathLike[str], *, force: bool = False) -> None:

@@ -59,6 +59,8 @@ class WriteOptions:
     """Rounds of K-means for palettes and codebooks."""
     compression: int | None = None
     """Level of compression, where the format defines levels."""
+    compact: bool = False
+    """Round the values of a .splatree, its levels included: hardly larger than a .sog of the leaves."""
     axes: AxesName | None = None
     """Where x, y and z shall point in the file, where the format leaves that open; None: as in the scene, RDF."""
 
@@ -69,9 +71,9 @@ class WriteOptions:
         check_literals(self)
 
     def given(self) -> dict[str, int | str]:
-        """The options that are not None."""
+        """The options that are not left to the format."""
         values = {f.name: getattr(self, f.name) for f in fields(self)}
-        return {name: value for name, value in values.items() if value is not None}
+        return {name: value for name, value in values.items() if value is not None and value is not False}
 
     def check_taken(self, taken: tuple[str, ...], where: str) -> None:
         """Refuse options that the chosen format does not take."""

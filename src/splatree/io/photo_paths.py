@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from splatree.errors import InputError
-from splatree.io.images import image_size
+from splatree.io.images import image_head
 from splatree.scene.cameras import Camera
 
 __all__ = ["SUFFIXES", "FoundPhotos", "find_photos", "fits_shape"]
@@ -57,6 +57,10 @@ _Parts = tuple[str, ...]
 _Size = tuple[int, int]
 
 
+_SWAPS_SIDES = 5
+"""EXIF orientations from this on exchange width and height."""
+
+
 @dataclass(frozen=True)
 class FoundPhotos:
     """Photographs of cameras."""
@@ -64,7 +68,11 @@ class FoundPhotos:
     paths: Mapping[str, Path]
     """File by the camera's name."""
     sizes: Mapping[str, _Size]
-    """Width and height in px of each."""
+    """Width and height in px of each, turned where it is turned."""
+    turned: frozenset[str]
+    """Names of the cameras whose photographs are to be turned as their EXIF orientation says."""
+    not_turned: int
+    """Photographs with an EXIF orientation that are taken as they are stored."""
     missing: tuple[str, ...]
     """Names of the cameras without one."""
     folders: Mapping[str, int]
@@ -91,11 +99,15 @@ def find_photos(folder: Path, cameras: Sequence[Camera]) -> FoundPhotos:
     paths = search.in_known_places(wanted) or search.anywhere_below(wanted)
     if not paths:
         raise search.nothing_found()
+    turned, not_turned = _to_turn({name: search.head_of(path) for name, path in paths.items()}, wanted)
     sizes = {name: search.size_of(path) for name, path in paths.items()}
+    sizes |= {name: sizes[name][::-1] for name in turned if search.head_of(paths[name])[1] >= _SWAPS_SIDES}
     _check_shapes(paths, sizes, wanted)
     _check_own(paths)
     places = Counter(_shown(path.parent, folder) for path in paths.values())
-    return FoundPhotos(paths, sizes, tuple(name for name in wanted if name not in paths), dict(places))
+    return FoundPhotos(
+        paths, sizes, turned, not_turned, tuple(name for name in wanted if name not in paths), dict(places)
+    )
 
 
 def fits_shape(size: _Size, camera: _Size) -> bool:
@@ -122,7 +134,7 @@ class _Search:
         self.is_absolute = any(name.replace("\\", "/").startswith("/") or name[1:2] == ":" for name in names)
         self.own = folder.absolute().parts
         self._listings: dict[Path, dict[str, list[Path]]] = {}
-        self._sizes: dict[Path, _Size] = {}
+        self._heads: dict[Path, tuple[_Size, int]] = {}
 
     def in_known_places(self, wanted: Mapping[str, _Size]) -> dict[str, Path]:
         """The photographs of the place that fits best; none if no place has any."""
@@ -158,10 +170,14 @@ class _Search:
         return paths
 
     def size_of(self, path: Path) -> _Size:
-        """Width and height of a picture, px."""
-        if path not in self._sizes:
-            self._sizes[path] = image_size(path)
-        return self._sizes[path]
+        """Width and height of a picture as it is stored, px."""
+        return self.head_of(path)[0]
+
+    def head_of(self, path: Path) -> tuple[_Size, int]:
+        """Size and EXIF orientation of a picture."""
+        if path not in self._heads:
+            self._heads[path] = image_head(path)
+        return self._heads[path]
 
     def nothing_found(self) -> InputError:
         """The error that says which files have the names in places that do not count."""
@@ -302,6 +318,23 @@ def _are_same(one: Path, other: Path) -> bool:
     return one.samefile(other) or (
         one.stat().st_size == other.stat().st_size and one.read_bytes() == other.read_bytes()
     )
+
+
+def _to_turn(heads: Mapping[str, tuple[_Size, int]], wanted: Mapping[str, _Size]) -> tuple[frozenset[str], int]:
+    """Which photographs the maker of the cameras saw turned as EXIF says; and how many that have an orientation it did not.
+
+    A photograph that fits its camera only when it is turned was seen so. One that fits only as stored was not: COLMAP turns none.
+    The shape of others says nothing (half a turn, a mirror, a square): they follow the rest if that is of one mind, and are else
+    taken as stored.
+    """
+    tagged = {name: head for name, head in heads.items() if head[1] != 1}
+    swapped = {name: size for name, (size, orientation) in tagged.items() if orientation >= _SWAPS_SIDES}
+    as_stored = {name for name, size in swapped.items() if fits_shape(size, wanted[name])}
+    as_turned = {name for name, size in swapped.items() if fits_shape(size[::-1], wanted[name])}
+    turned = as_turned - as_stored
+    if turned and not as_stored - as_turned:
+        turned = as_turned | (tagged.keys() - swapped.keys())
+    return frozenset(turned), len(tagged) - len(turned)
 
 
 def _check_shapes(paths: Mapping[str, Path], sizes: Mapping[str, _Size], wanted: Mapping[str, _Size]) -> None:

@@ -55,7 +55,7 @@ class Photos(Mapping[str, Array]):
 
     def __init__(self, folder: Path, cameras: Sequence[Camera]) -> None:
         found = find_photos(folder, cameras)
-        self._paths = dict(found.paths)
+        self._paths, self._turned = dict(found.paths), found.turned
         self._taken: dict[str, Camera] = {}  # the camera of each photograph, lens and all, at the size it is read at
         notes: Counter[str] = Counter()
         for camera in cameras:
@@ -72,6 +72,12 @@ class Photos(Mapping[str, Array]):
             if self._taken[name].lens is not None:
                 notes[f"straightened by the lens of their cameras, to {view.width} × {view.height} px"] += 1
         self._views = flat
+        if found.turned:
+            notes["turned as their EXIF orientation says, as their cameras saw them"] = len(found.turned)
+        if found.not_turned:
+            notes["taken as stored, though they have an EXIF orientation: COLMAP and 3DGS do not turn them"] = (
+                found.not_turned
+            )
         self.used = PhotosUsed(
             dict(found.folders),
             len(self._paths),
@@ -87,7 +93,7 @@ class Photos(Mapping[str, Array]):
     def at(self, cameras: Sequence[Camera]) -> "Photos":
         """The same photographs for some of the views, at the sizes of ``cameras``."""
         fewer = object.__new__(Photos)
-        fewer._taken, fewer.used = self._taken, self.used
+        fewer._taken, fewer._turned, fewer.used = self._taken, self._turned, self.used
         fewer._views = {camera.name: camera for camera in cameras}
         fewer._paths = {camera.name: self._paths[camera.name] for camera in cameras if camera.name in self._paths}
         return fewer
@@ -97,11 +103,13 @@ class Photos(Mapping[str, Array]):
             raise KeyError(name)
         view, taken = self._views[name], self._taken[name]
         if taken.lens is None:
-            return read_image(self._paths[name], size=(view.width, view.height))
+            return self._read(name, view)
         full = filled_pinhole(taken)
         taken = taken.scaled(view.width / full.width)
-        photo = read_image(self._paths[name], size=(taken.width, taken.height))
-        return straighten(photo, taken, view)
+        return straighten(self._read(name, taken), taken, view)
+
+    def _read(self, name: str, camera: Camera) -> Array:
+        return read_image(self._paths[name], size=(camera.width, camera.height), turned=name in self._turned)
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._paths)
@@ -119,5 +127,6 @@ def photographed(cameras: Sequence[Camera], photos: Photos, what: str) -> None:
     if cameras and not any(camera.name in photos for camera in cameras):
         raise InputError(
             f"data: none of the {len(cameras)} {what} has a photograph ({cameras[0].name!r}, ...), "
-            f"though {photos.used.found} other views have; wanted photographs of these"
+            f"though {photos.used.found} other views have; wanted photographs of these, or other views: "
+            "--held-out 4 holds out every fourth, --held-out FILE those that a file names"
         )

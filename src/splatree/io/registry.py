@@ -116,11 +116,12 @@ FORMATS: tuple[Format, ...] = (
         name="splatree",
         description="native, with levels",
         suffixes=(".splatree",),
-        versions="1",
+        versions="1; 2 if compact",
         holds=Holds(origin=True, lossless=True, levels="tree", threshold=True, record=True, curves=True, clusters=True),
         sniff=store.sniff,
         read=store.read,
         write=store.write,
+        options=("compact",),
     ),
     Format(
         name="splatree-folder",

@@ -31,10 +31,11 @@ import numpy as np
 from splatree.constants import ALPHA_MAX, DILATION_PX2, MERGED_LOG_SCALE_MAX, PIXEL_ERROR, SIGMAS
 from splatree.maths.covariance import covariances_from_gaussians
 from splatree.maths.forests import subtree_radii
+from splatree.maths.mixtures import LeafSums, areas
 from splatree.maths.rotations import quats_from_matrices
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Scene
-from splatree.shapes import Array, Float64, Int64
+from splatree.shapes import Array, Float64
 from splatree.simplify.visibility import visibilities_in
 
 __all__ = ["with_curves"]
@@ -68,20 +69,25 @@ def with_curves(scene: Scene, *, visibility: bool = True, threads: int = 0) -> S
     seen = np.ones(len(leaves))
     if visibility:
         seen = visibilities_in(scene.mode, leaves, threads=threads).astype(np.float64)
-    sums = _Sums(scene)
+    sums = LeafSums(tree.subtree_end, tree.depth)
     weights = np.maximum(alphas * seen, 1e-12)
-    means, covariances = sums.moments(weights)
+    means, covariances = sums.moments(
+        weights, leaves.means, covariances_from_gaussians(leaves.quats, leaves.log_scales)
+    )
     inner = np.flatnonzero(~is_leaf)
     variances, axes = np.linalg.eigh(covariances[inner])
     variances = np.maximum(variances, LEAST_VARIANCE)
 
     steps = np.rint(STEPS_PER_OCTAVE * np.log2(_level_dilations(scene, inner, variances))).astype(np.int64)
     dilations = 2.0 ** (steps / STEPS_PER_OCTAVE)
+    leaf_variances = np.exp(2 * np.minimum(leaves.log_scales, MERGED_LOG_SCALE_MAX).astype(np.float64))
     far, bare, shown = (
         np.sqrt(a * b)  # √(ρ ρ_v), times areas
-        for a, b in zip(*(sums.masses(inner, each, leaves, steps) for each in (alphas, weights)), strict=True)
+        for a, b in zip(
+            *(sums.masses(inner, each, leaf_variances, dilations) for each in (alphas, weights)), strict=True
+        )
     )
-    peak = shown / _areas(variances, dilations)  # G(h_l)
+    peak = shown / areas(variances, dilations)  # G(h_l)
     wide = np.maximum(peak / ALPHA_MAX, 1) ** 0.3
     stored = wide[:, None] * variances + ((wide - 1) * dilations)[:, None]
     numbers = np.stack([bare, far, peak, dilations], axis=1)
@@ -112,62 +118,6 @@ def _level_dilations(scene: Scene, inner: Array, variances: Array) -> Float64[Ar
     growth = 1.0 if record is None else record.growth or 1.0
     drawn_px2 = (PIXEL_ERROR / SIGMAS) ** 2
     return np.asarray(DILATION_PX2 * growth / (drawn_px2 - DILATION_PX2) * variances.max(axis=1))
-
-
-def _areas(variances: Array, dilations: Array | float) -> Float64[Array, "n"]:
-    """A(h) of Gaussians with these variances along their axes (n 3)."""
-    a, b, c = np.sqrt(variances.T + np.asarray(dilations))
-    return np.asarray((a * b + b * c + a * c) / 3)
-
-
-class _Sums:
-    """Sums over the leaves below each node of a tree."""
-
-    def __init__(self, scene: Scene) -> None:
-        tree = scene.tree
-        self._scene, self._is_leaf = scene, tree.is_leaf
-        before = np.concatenate([[0], np.cumsum(self._is_leaf)])
-        self._first, self._end = before[:-1], before[tree.subtree_end]  # leaves of each row
-        self._rows = [np.flatnonzero(tree.depth == depth) for depth in range(tree.num_levels)]
-
-    def moments(self, weights: Array) -> tuple[Float64[Array, "n 3"], Float64[Array, "n 3 3"]]:
-        """Mean and covariance of the mixture of each node's leaves; from children to parents, so that nothing cancels."""
-        g, n = self._scene.gaussians, len(self._scene)
-        total, means, covariances = np.zeros(n), g.means.astype(np.float64), np.zeros((n, 3, 3))
-        total[self._is_leaf] = weights
-        covariances[self._is_leaf] = covariances_from_gaussians(g.quats[self._is_leaf], g.log_scales[self._is_leaf])
-        for above, below in zip(self._rows[-2::-1], self._rows[:0:-1], strict=True):
-            parent = np.searchsorted(above, below) - 1
-            start = np.flatnonzero(np.diff(parent, prepend=-1))
-            rows, share = above[parent[start]], total[below]
-            total[rows] = np.add.reduceat(share, start)
-            means[rows] = np.add.reduceat(share[:, None] * means[below], start) / total[rows, None]
-            apart = means[below] - means[above[parent]]
-            spread = covariances[below] + apart[:, :, None] * apart[:, None, :]
-            covariances[rows] = np.add.reduceat(share[:, None, None] * spread, start) / total[rows, None, None]
-        return means, covariances
-
-    def masses(
-        self, inner: Array, weights: Array, leaves: Gaussians, steps: Int64[Array, "i"]
-    ) -> tuple[Float64[Array, "i"], Float64[Array, "i"], Float64[Array, "i"]]:
-        """Σ w, Σ w A(0) and Σ w A(h) of the leaves below inner nodes, h that of the node's step."""
-        variances = np.exp(2 * np.minimum(leaves.log_scales, MERGED_LOG_SCALE_MAX).astype(np.float64))
-        shown = np.empty(len(inner))
-        for step in np.unique(steps):
-            chosen = np.flatnonzero(steps == step)
-            values = weights * _areas(variances, 2.0 ** (step / STEPS_PER_OCTAVE))
-            shown[chosen] = self._below(inner[chosen], values)
-        return self._below(inner, weights), self._below(inner, weights * _areas(variances, 0.0)), shown
-
-    def _below(self, rows: Array, values: Array) -> Float64[Array, "r"]:
-        """Sum of the values of the leaves below each row; rows of one depth do not overlap, so each sum is of its own terms."""
-        sums, padded = np.empty(len(rows)), np.append(values, 0.0)
-        depths = self._scene.tree.depth[rows]
-        for depth in np.unique(depths):
-            at = np.flatnonzero(depths == depth)
-            bounds = np.stack([self._first[rows[at]], self._end[rows[at]]], axis=1).ravel()
-            sums[at] = np.add.reduceat(padded, bounds)[::2]
-        return sums
 
 
 def _right_handed(axes: Float64[Array, "n 3 3"]) -> Float64[Array, "n 3 3"]:

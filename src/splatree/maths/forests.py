@@ -18,6 +18,7 @@ from splatree.shapes import Array, Float32, Int32, UInt8
 __all__ = [
     "Links",
     "Preorder",
+    "ends_from_depth",
     "family_extremes",
     "links_from_preorder",
     "parents_by_level",
@@ -85,6 +86,14 @@ def parents_by_level(depth: Array) -> Iterator[tuple[Array, Array]]:
             rows = order[first : min(first + _ROWS_AT_ONCE, below)]
             yield rows, above[np.searchsorted(above, rows) - 1]  # the last row of the level above that lies before
         begin = end
+
+
+def ends_from_depth(depth: Array) -> Int32[Array, "n"]:
+    """One past the last row of the subtree of each row of a forest in depth-first preorder."""
+    sizes = np.ones(len(depth), np.int32)
+    for rows, parents in reversed(list(parents_by_level(depth))):
+        np.add.at(sizes, parents, sizes[rows])
+    return np.arange(len(depth), dtype=np.int32) + sizes
 
 
 def preorder_from_links(first_child: Array, num_children: Array, roots: Array) -> Preorder:

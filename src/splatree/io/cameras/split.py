@@ -42,7 +42,7 @@ def split_views(cameras: Sequence[Camera], held_out: int | Path) -> Split:
     elif held_out < 1:
         raise InputError(f"held_out: found {held_out}, wanted 1 or more (8: every 8th view), or a file of names")
     else:
-        rows, rule = set(range(0, len(cameras), held_out)), f"every {held_out}th view from the first"
+        rows, rule = set(range(0, len(cameras), held_out)), f"every {_ordinal(held_out)} view from the first"
         if held_out == 1:
             rule = "all views, said to be held out"
     return Split(
@@ -81,3 +81,9 @@ def _listed(cameras: Sequence[Camera], path: Path) -> set[int]:
             raise InputError(f"{path}: view {name!r} is the name of {len(found)} cameras, wanted one ({first!r}, ...)")
         rows.add(found[0])
     return rows
+
+
+def _ordinal(n: int) -> str:
+    """2nd, 3rd, 8th, 11th, 21st."""
+    ending = {1: "st", 2: "nd", 3: "rd"}.get(n % 10, "th") if n % 100 not in (11, 12, 13) else "th"
+    return f"{n}{ending}"

@@ -13,7 +13,7 @@ rows at a time; the WebP decoding costs most, and its pictures are decoded by al
 docs/reference/formats/sog.md.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from io import BytesIO
 from pathlib import Path
@@ -92,6 +92,17 @@ def files(path: Path) -> list[Path]:
 def read_unchecked(path: Path, options: ReadOptions) -> Scene:
     """Read all rows, whatever their values: a range of a streamed scene counts on their places."""
     return _open(path, options).unchecked_scene()
+
+
+def read_files(files: Mapping[str, bytes], where: str) -> Gaussians:
+    """The Gaussians of a meta.json and its pictures, which another file holds, by their names."""
+
+    def read_bytes(name: str) -> bytes:
+        if name not in files:
+            raise FormatError(f"{where}: found no picture {name!r}, only {sorted(files)}; the file is damaged")
+        return files[name]
+
+    return _rows(Path(where), where, read_bytes, ReadOptions()).scene(ReadOptions()).gaussians
 
 
 def _open(path: Path, options: ReadOptions) -> FileRows:

@@ -18,10 +18,13 @@ from splatree.errors import FormatError
 from splatree.io import untrusted
 from splatree.shapes import Array
 
-__all__ = ["VERSION", "Column", "Container", "header_bytes", "open_container", "placed"]
+__all__ = ["COMPACT_VERSION", "VERSION", "Column", "Container", "header_bytes", "open_container", "placed"]
 
 VERSION = 1
-"""Version written, and the newest that is read; a new field of a scene does not change it, a new meaning does."""
+"""Version of exact files; a new field of a scene does not change it, a new meaning does."""
+
+COMPACT_VERSION = 2
+"""Version of compact files (compact.py)."""
 
 _HEADER_MAX = 100_000_000
 """Bytes; the limit of the safetensors library."""
@@ -80,6 +83,11 @@ class Container:
     mapped: mmap.mmap
     """The file, mapped read-only: a page is read when a value on it is."""
 
+    @property
+    def is_compact(self) -> bool:
+        """Whether the columns are quantised (compact.py)."""
+        return bool(self.values["version"] == str(COMPACT_VERSION))
+
     def rows(self, name: str, begin: int = 0, end: int | None = None) -> Array:
         """Rows of a column, as a view of the mapped file; a copy where they are not aligned."""
         column = self.columns[name]
@@ -110,10 +118,10 @@ def open_container(path: Path) -> Container:
         mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
     values = untrusted.as_object(header.pop("__metadata__", None), f"{where}: __metadata__")
     version = values.get("version")
-    if values.get("format") != "splatree" or version != str(VERSION):
+    if values.get("format") != "splatree" or version not in (str(VERSION), str(COMPACT_VERSION)):
         raise FormatError(
-            f"{where}: found format {values.get('format')!r}, version {version!r}, wanted 'splatree', '{VERSION}'; "
-            "a newer file needs a newer splatree, other safetensors are no scene"
+            f"{where}: found format {values.get('format')!r}, version {version!r}, wanted 'splatree', '{VERSION}' or "
+            f"'{COMPACT_VERSION}'; a newer file needs a newer splatree, other safetensors are no scene"
         )
     start = 8 + header_size
     columns = {name: _column(entry, start, num_bytes, f"{where}: {name}") for name, entry in header.items()}

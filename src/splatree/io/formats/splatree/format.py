@@ -36,9 +36,18 @@ def sniff(path: Path, head: bytes) -> bool:
 
 
 def write(scene: Scene, path: Path, options: WriteOptions) -> tuple[str, ...]:
-    """Write every column and field; reading gives the same bits."""
+    """Write every column and field; reading gives the same bits, unless the file shall be compact.
+
+    Raises:
+        InputError: a value cannot be written compact.
+    """
     kept = replace(scene, blocks=None)
-    columns, values = dict(columns_of(kept, "")), dict(values_of(kept, ""))
+    if options.compact:
+        from splatree.io.formats.splatree.compact import compacted, lost_by_it
+
+        lost, (columns, values) = lost_by_it(scene), compacted(kept)
+    else:
+        lost, columns, values = (), dict(columns_of(kept, "")), dict(values_of(kept, ""))
     for name in NOT_STORED:
         values.pop(name, None)
     places = placed({name: (column.dtype, column.shape) for name, column in columns.items()})
@@ -49,16 +58,26 @@ def write(scene: Scene, path: Path, options: WriteOptions) -> tuple[str, ...]:
             if place.num_bytes:
                 file.write(np.ascontiguousarray(columns[name]).reshape(-1).view(np.uint8).data)
             advance(place.num_bytes)
-    return ()
+    return lost
+
+
+def is_compact(path: Path) -> bool:
+    """Whether a file of this format is compact, by its header."""
+    return open_container(path).is_compact
 
 
 def read(path: Path, options: ReadOptions) -> Scene:
-    """Map the columns into memory; they are read-only."""
+    """Map the columns into memory, read-only; those of a compact file are decoded."""
     where, file = str(path), open_container(path)
     values = file.values
-    columns = {name: file.rows(name) for name in file.columns}
+    if file.is_compact:
+        from splatree.io.formats.splatree.compact import uncompacted
+
+        columns = uncompacted(file)
+    else:
+        columns = {name: file.rows(name) for name in file.columns}
     known = set(columns)
-    _add_boxes(columns)
+    _add_bounds(columns)
     try:
         scene = struct_from(Scene, "", columns, values, where)
     except InputError as error:
@@ -80,9 +99,11 @@ def read(path: Path, options: ReadOptions) -> Scene:
     return replace(scene, blocks=index_blocks(scene.gaussians, scene.tree), clusters=clusters)
 
 
-def _add_boxes(columns: dict[str, Array]) -> None:
-    """Boxes of clusters that hold everything, where a file is older than they are; they are computed anew anyway."""
+def _add_bounds(columns: dict[str, Array]) -> None:
+    """Radii and boxes of clusters that hold everything, where a file has none; they are computed anew anyway."""
     centers = columns.get("clusters.centers")
     if centers is not None:
         for name, bound in (("box_low", -np.inf), ("box_high", np.inf)):
             columns.setdefault(f"clusters.{name}", np.full(centers.shape, bound, np.float32))
+        for name in ("radii", "mean_radii", "footprint_radii"):
+            columns.setdefault(f"clusters.{name}", np.full(centers.shape[:1], np.inf, np.float32))

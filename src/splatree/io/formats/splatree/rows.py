@@ -149,7 +149,7 @@ def open_scene(path: str | os.PathLike[str]) -> StoredScene:
 
     Raises:
         FormatError: the file is no ``.splatree``, cut off or damaged.
-        InputError: the file cannot be read.
+        InputError: the file cannot be read, or is compact.
 
     Example:
         >>> import splatree as st
@@ -161,6 +161,11 @@ def open_scene(path: str | os.PathLike[str]) -> StoredScene:
         file = open_container(Path(path))
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
+    if file.is_compact:
+        raise InputError(
+            f"{path}: found a compact file, whose rows cannot be read one by one; wanted an exact one: "
+            f"splatree convert {path} exact.splatree"
+        )
     try:
         return StoredScene(_head_of(file), file)
     except FormatError:
