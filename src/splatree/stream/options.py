@@ -32,10 +32,11 @@ class StreamOptions:
     """For `sog`: Gaussians of a chunk, for which a viewer chooses one level."""
     unit_rows: int = 65_536
     """For `sog`: Gaussians of a file of the two finest levels; files of coarser levels have twice as many."""
-    node_px: float = 8.0
-    """For `sog`: extent, px, at which merged nodes of the first coarser level are expected to be drawn; at coarser
-    levels they are √2 larger for each halving of the nodes. A viewer with a budget draws nodes larger than they are stored for,
-    and shapes and opacities follow from that. 0 keeps those of the tree, for scenes that are only seen from afar."""
+    node_px: float | None = None
+    """For `sog` and `rad`: extent, px, at which merged nodes are expected to be drawn in a cut of half as many nodes as leaves;
+    in smaller cuts they are √2 larger for each halving of the nodes. A viewer with a budget draws nodes larger than they are
+    stored for, and shapes and opacities follow from that. None: 8 for `sog`, 4 for `rad`, whose nodes are chosen one by one.
+    0 keeps those of the tree, for scenes that are only seen from afar."""
     tile_nodes: int = 32_768
     """For `3dtiles`: largest number of Gaussians of a tile."""
     origin: tuple[float, float, float] | None = None
@@ -47,7 +48,7 @@ class StreamOptions:
     def __post_init__(self) -> None:
         for name, least in (("unit_rows", 1), ("node_px", 0), ("tile_nodes", 1)):
             value = getattr(self, name)
-            if not least <= value < math.inf:
+            if value is not None and not least <= value < math.inf:
                 raise InputError(f"{name}: found {value}, wanted at least {least}")
 
     def check_used(self, format: StreamFormat) -> None:
@@ -69,7 +70,7 @@ _USED_BY: dict[str, tuple[StreamFormat, ...]] = {
     "levels": ("sog",),
     "chunk_leaves": ("sog",),
     "unit_rows": ("sog",),
-    "node_px": ("sog",),
+    "node_px": ("sog", "rad"),
     "tile_nodes": ("3dtiles",),
     "origin": ("3dtiles",),
     "sh_degree": ("sog", "rad", "3dtiles"),

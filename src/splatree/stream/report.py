@@ -27,6 +27,7 @@ from splatree.scene.gaussians import Gaussians
 from splatree.scene.options import SelectOptions
 from splatree.scene.scene import Scene
 from splatree.shapes import Array
+from splatree.stream.rad import as_written
 from splatree.stream.readers.cesium import open_tileset, select_cesium
 from splatree.stream.readers.playcanvas import select_playcanvas
 from splatree.stream.readers.sog_stream import open_sog_stream
@@ -188,12 +189,13 @@ def _chooser(scene: Scene, written: Streamed) -> tuple[str, Choose]:
 
         return "playcanvas", of_playcanvas
     if written.format == "rad":
-        back, nodes = read(written.output), nodes_of(scene, written.output)
+        tree = as_written(scene, written.options)
+        back, nodes = read(written.output), nodes_of(tree, written.output)
         starts = [chunk.payload for chunk in open_rad(written.output).chunks]
         sizes = np.diff([*starts, written.output.stat().st_size])
 
         def of_spark(camera: Camera, budget: float) -> _Loaded:
-            view = select_spark(scene, camera, int(budget))
+            view = select_spark(tree, camera, int(budget))
             return _Loaded(back.gaussians.take(view.drawn), int(sizes[chunks_loaded(nodes, view)].sum()))
 
         return "spark", of_spark

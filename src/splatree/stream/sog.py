@@ -38,6 +38,9 @@ __all__ = ["write_sog"]
 _FINEST = 2
 """Levels whose units have ``unit_rows`` rows; those of coarser levels, which are loaded from afar, have twice as many."""
 
+_NODE_PX = 8.0
+"""Extent at which PlayCanvas draws the nodes of the first coarser level (nodes.py)."""
+
 _ROWS_PER_ENTRY = 8
 """Rows for each entry of the palette of harmonics of a unit: its entries then cost about as much as the labels of its rows."""
 
@@ -109,7 +112,7 @@ def _write_unit(
     level = levels[unit.level]
     offsets = level.offsets[unit.first_chunk : unit.end_chunk + 1]
     rows = level.rows[offsets[0] : offsets[-1]]
-    g = gaussians_of_level(scene, level, rows, options.node_px)
+    g = gaussians_of_level(scene, level, rows, _NODE_PX if options.node_px is None else options.node_px)
     settings = WriteOptions(sh_palette=_palette_size(len(g)) if g.sh_degree else None)
     name = f"{unit.level}_{unit.number}-{digest_of(g, scene.mode, settings)}"
     was_there = folder.has(name)

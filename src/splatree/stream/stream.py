@@ -66,11 +66,17 @@ def stream(
     if degree < scene.gaussians.sh_degree:
         scene = replace(scene, gaussians=scene.gaussians.with_sh_degree(degree), clusters=None)
     scene = with_levels(scene, threads=threads)
+    return replace(_written(scene, Path(output), format, options, force=force, threads=threads), options=options)
+
+
+def _written(
+    scene: Scene, output: Path, format: StreamFormat, options: StreamOptions, *, force: bool, threads: int
+) -> Streamed:
     if format == "rad":
-        return write_rad(scene, Path(output), force=force)
+        return write_rad(scene, output, options, force=force)
     if format == "3dtiles":
-        return write_tiles(scene, Path(output), options, force=force, threads=threads)
-    return write_sog(scene, Path(output), options, force=force, threads=threads)
+        return write_tiles(scene, output, options, force=force, threads=threads)
+    return write_sog(scene, output, options, force=force, threads=threads)
 
 
 def with_levels(scene: Scene, *, threads: int = 0) -> Scene:
