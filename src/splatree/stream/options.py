@@ -37,6 +37,15 @@ class StreamOptions:
     in smaller cuts they are √2 larger for each halving of the nodes. A viewer with a budget draws nodes larger than they are
     stored for, and shapes and opacities follow from that. None: 8 for `sog`, 4 for `rad`, whose nodes are chosen one by one.
     0 keeps those of the tree, for scenes that are only seen from afar."""
+    errors: bool = False
+    """For `sog`: write how far each level of a chunk is from its finest one, by pictures from six sides. PlayCanvas 2.22 chooses
+    levels by it in the mode `error`; other versions do not read it."""
+    zip: bool = False
+    """For `sog`: write one file instead of a folder, a ZIP whose name ends in .ssog, for LichtFeld Studio. Viewers on the web
+    need the folder."""
+    chunked: bool = False
+    """For `rad`: write each chunk of 65,536 nodes as a file of its own beside the header, for hosts that do not answer requests
+    for ranges of bytes."""
     tile_nodes: int = 32_768
     """For `3dtiles`: largest number of Gaussians of a tile."""
     origin: tuple[float, float, float] | None = None
@@ -71,6 +80,9 @@ _USED_BY: dict[str, tuple[StreamFormat, ...]] = {
     "chunk_leaves": ("sog",),
     "unit_rows": ("sog",),
     "node_px": ("sog", "rad"),
+    "errors": ("sog",),
+    "zip": ("sog",),
+    "chunked": ("rad",),
     "tile_nodes": ("3dtiles",),
     "origin": ("3dtiles",),
     "sh_degree": ("sog", "rad", "3dtiles"),

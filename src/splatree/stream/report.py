@@ -9,12 +9,15 @@ that hold what is drawn. Beside it stands the exact cut of the tree with as many
 import json
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from itertools import product
 
 import numpy as np
 
 from splatree.io.formats.rad.container import open_rad
 from splatree.io.formats.rad.nodes import nodes_of
+from splatree.io.local import local_inputs
 from splatree.io.reading import read
 from splatree.lod.select import select
 from splatree.metrics.psnr import psnr
@@ -29,8 +32,8 @@ from splatree.scene.scene import Scene
 from splatree.shapes import Array
 from splatree.stream.rad import as_written
 from splatree.stream.readers.cesium import open_tileset, select_cesium
-from splatree.stream.readers.playcanvas import select_playcanvas
-from splatree.stream.readers.sog_stream import open_sog_stream
+from splatree.stream.readers.playcanvas import select_by_errors, select_playcanvas
+from splatree.stream.readers.sog_stream import Ranges, open_sog_stream
 from splatree.stream.readers.spark import chunks_loaded, select_spark
 from splatree.stream.result import Streamed
 
@@ -54,7 +57,7 @@ class ViewQuality:
     view: str
     """`near`, `middle`, `far`, or the name of a camera."""
     viewer: str
-    """`playcanvas`, `spark` or `cesium`."""
+    """`playcanvas`, `spark` or `cesium`; `playcanvas 2.22` chooses by the errors of the stream, if it has them."""
     setting: float
     """The budget, Gaussians; of Cesium the error that it allows, px."""
     num_nodes: int
@@ -146,18 +149,23 @@ def report_stream(
         >>> len(report.views) > 0
         True
     """
+    with local_inputs([written.output]) as local:  # a zipped stream is unpacked
+        return _report(scene, replace(written, output=local.paths[0]), cameras, budgets)
+
+
+def _report(scene: Scene, written: Streamed, cameras: Sequence[Camera] | None, budgets: Sequence[int]) -> StreamReport:
     views = (
         dict(views_of(scene)) if cameras is None else {view.name or f"view {i}": view for i, view in enumerate(cameras)}
     )
-    viewer, choose = _chooser(scene, written)
-    settings: Sequence[float] = budgets if viewer != "cesium" else ERRORS_PX
-    if viewer != "cesium":
+    viewers = _viewers(scene, written)
+    settings: Sequence[float] = ERRORS_PX
+    if written.format != "3dtiles":
         settings = [b for b in budgets if b < scene.tree.num_leaves] or [scene.tree.num_leaves]
     found: list[ViewQuality] = []
     levels: list[LevelQuality] = []
     for name, camera in track(list(views.items()), f"judge {written.output.name}"):
         truth = _picture(scene, camera)
-        for setting in settings:
+        for (viewer, choose), setting in product(viewers.items(), settings):
             loaded = choose(camera, setting)
             count = len(loaded.gaussians)
             image = _picture(Scene.flat(loaded.gaussians, mode=scene.mode), camera)
@@ -178,27 +186,29 @@ def views_of(scene: Scene) -> Iterator[tuple[str, Camera]]:
         yield name, Camera.look_at(centre + distance * radius * direction, centre)
 
 
-def _chooser(scene: Scene, written: Streamed) -> tuple[str, Choose]:
-    """Which viewer reads the stream, and what it draws and loads in a view."""
+def _viewers(scene: Scene, written: Streamed) -> dict[str, Choose]:
+    """The viewers that read the stream, and what each draws and loads in a view."""
     if written.format == "sog":
         stream = open_sog_stream(written.output)
 
-        def of_playcanvas(camera: Camera, budget: float) -> _Loaded:
-            levels = select_playcanvas(stream.ranges, camera, int(budget))
+        def by(select: Callable[[Ranges, Camera, int], Array], camera: Camera, budget: float) -> _Loaded:
+            levels = select(stream.ranges, camera, int(budget))
             return _Loaded(stream.gaussians_of(levels), int(stream.file_bytes[stream.files_of(levels)].sum()))
 
-        return "playcanvas", of_playcanvas
+        viewers: dict[str, Choose] = {"playcanvas": partial(by, select_playcanvas)}
+        if stream.ranges.errors is not None:
+            viewers["playcanvas 2.22"] = partial(by, select_by_errors)
+        return viewers
     if written.format == "rad":
         tree = as_written(scene, written.options)
         back, nodes = read(written.output), nodes_of(tree, written.output)
-        starts = [chunk.payload for chunk in open_rad(written.output).chunks]
-        sizes = np.diff([*starts, written.output.stat().st_size])
+        sizes = np.array([chunk.num_bytes for chunk in open_rad(written.output).chunks])
 
         def of_spark(camera: Camera, budget: float) -> _Loaded:
             view = select_spark(tree, camera, int(budget))
             return _Loaded(back.gaussians.take(view.drawn), int(sizes[chunks_loaded(nodes, view)].sum()))
 
-        return "spark", of_spark
+        return {"spark": of_spark}
     tiles = open_tileset(written.output)
     decoded: dict[int, Gaussians] = {}
 
@@ -211,7 +221,7 @@ def _chooser(scene: Scene, written: Streamed) -> tuple[str, Choose]:
         drawn = Gaussians.concatenate(parts) if parts else Gaussians.empty(scene.gaussians.sh_degree)
         return _Loaded(drawn, int(tiles.bytes[chosen.loaded].sum()))
 
-    return "cesium", of_cesium
+    return {"cesium": of_cesium}
 
 
 def _exact_quality(scene: Scene, camera: Camera, budget: int, truth: Array) -> float | None:

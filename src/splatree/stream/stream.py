@@ -9,6 +9,7 @@ from splatree.errors import InputError
 from splatree.lod.build import build_lod
 from splatree.lod.options import BuildOptions
 from splatree.scene.scene import Scene
+from splatree.stream.archive import write_archive
 from splatree.stream.options import StreamFormat, StreamOptions
 from splatree.stream.rad import write_rad
 from splatree.stream.result import Streamed
@@ -34,7 +35,7 @@ def stream(
 
     Args:
         scene: the scene, with levels or without.
-        output: the folder (`sog`, `3dtiles`) or the file (`rad`) to write.
+        output: the folder (`sog`, `3dtiles`) or the file (`rad`, a zipped `sog`) to write.
         format: who reads it: `sog` for PlayCanvas, SuperSplat and Babylon.js, `rad` for Spark, `3dtiles` for CesiumJS.
         options: how the stream is cut; None: the defaults.
         force: replace an older stream.
@@ -76,6 +77,8 @@ def _written(
         return write_rad(scene, output, options, force=force)
     if format == "3dtiles":
         return write_tiles(scene, output, options, force=force, threads=threads)
+    if options.zip:
+        return write_archive(scene, output, options, force=force, threads=threads)
     return write_sog(scene, output, options, force=force, threads=threads)
 
 

@@ -35,6 +35,8 @@ class Ranges:
     """First row in the file."""
     counts: Int64[Array, "l c"]
     """Rows; 0 where the chunk does not have the level."""
+    errors: Float64[Array, "l c"] | None
+    """How far each level is from the finest; None: the stream does not say."""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -107,4 +109,6 @@ def _ranges(meta: dict[str, Any]) -> Ranges:
         for level, entry in leaf["lods"].items():
             table[:, int(level), chunk] = entry["file"], entry["offset"], entry["count"]
     boxes = np.array([[leaf["bound"]["min"], leaf["bound"]["max"]] for leaf in leaves], np.float64)
-    return Ranges(boxes, table[0], table[1], table[2])
+    tables = [leaf.get("errors") for leaf in leaves]
+    errors = None if None in tables else np.array(tables, np.float64).T.copy()
+    return Ranges(boxes, table[0], table[1], table[2], errors)
