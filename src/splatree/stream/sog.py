@@ -39,7 +39,7 @@ __all__ = ["write_sog"]
 _FINEST = 2
 """Levels whose units have ``unit_rows`` rows; those of coarser levels, which are loaded from afar, have twice as many."""
 
-_NODE_PX = 8.0
+_NODE_PX = 12.0
 """Extent at which PlayCanvas draws the nodes of the first coarser level (nodes.py)."""
 
 _ROWS_PER_ENTRY = 8
