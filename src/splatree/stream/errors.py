@@ -22,7 +22,7 @@ from splatree.scene.names import Mode
 from splatree.scene.scene import Scene
 from splatree.shapes import Array, Float32, Float64
 
-__all__ = ["errors_of_levels"]
+__all__ = ["chunk_pictures", "chunk_views", "errors_of_levels"]
 
 _DISTANCE = 200.0
 """Of the eye from the chunk's centre, in radii."""
@@ -41,21 +41,22 @@ _SIDE_MIN_PX, _SIDE_MAX_PX, _SIDE_STEP_PX = 64, 512, 16
 
 def errors_of_levels(levels: Sequence[Gaussians], box: Float64[Array, "2 3"], mode: Mode) -> Float64[Array, "l"]:
     """The error of each level of a chunk that lies in the box, finest first."""
-    cameras = _cameras(levels[0], box)
-    wanted = _pictures(levels[0], cameras, mode)
+    cameras = chunk_views(levels[0], box)
+    wanted = chunk_pictures(levels[0], cameras, mode)
     total = sum(float(np.square(picture, dtype=np.float64).sum()) for picture in wanted)
     errors = np.zeros(len(levels))
     for level, gaussians in enumerate(levels[1:], start=1):
-        pictures = _pictures(gaussians, cameras, mode)
+        pictures = chunk_pictures(gaussians, cameras, mode)
         apart = sum(float(np.square(a - b, dtype=np.float64).sum()) for a, b in zip(pictures, wanted, strict=True))
         errors[level] = apart / total if total > 0 else 0.0
     return np.asarray(np.maximum.accumulate(errors))
 
 
-def _cameras(finest: Gaussians, box: Float64[Array, "2 3"]) -> list[Camera]:
+def chunk_views(finest: Gaussians, box: Float64[Array, "2 3"], *, most_px: int = _SIDE_MAX_PX) -> list[Camera]:
+    """The six views of a chunk that lies in the box, of at most ``most_px`` a side."""
     radius = max(float(np.linalg.norm(box[1] - box[0])) / 2, 1e-12)
     small = np.quantile(np.exp(finest.log_scales.max(axis=1).astype(np.float64)), _SMALL)
-    side = float(np.clip(2 * radius / max(small, 1e-30), _SIDE_MIN_PX, _SIDE_MAX_PX))
+    side = float(np.clip(2 * radius / max(small, 1e-30), _SIDE_MIN_PX, most_px))
     side_px = int(np.ceil(side / _SIDE_STEP_PX)) * _SIDE_STEP_PX
     rotation, centre = _turn(), box.mean(axis=0)
     focal = side_px * _DISTANCE / (2 * _MARGIN)
@@ -82,8 +83,8 @@ def _turn() -> Float64[Array, "3 3"]:
     return product
 
 
-def _pictures(gaussians: Gaussians, cameras: Sequence[Camera], mode: Mode) -> list[Float32[Array, "h w 4"]]:
-    """Premultiplied RGBA."""
+def chunk_pictures(gaussians: Gaussians, views: Sequence[Camera], mode: Mode) -> list[Float32[Array, "h w 4"]]:
+    """The Gaussians in each view, premultiplied RGBA."""
     with open_session(Scene.flat(gaussians, mode=mode)) as session:
-        drawn = [session.draw(camera) for camera in cameras]
+        drawn = [session.draw(view) for view in views]
     return [np.concatenate([one.image, one.alpha[:, :, None]], axis=2) for one in drawn]

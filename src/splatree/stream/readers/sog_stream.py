@@ -71,12 +71,14 @@ class SogStream:
 
     def gaussians_of(self, levels: Array) -> Gaussians:
         """The rows of all chunks, each at its level "c", as decoded."""
-        r, parts = self.ranges, []
-        for chunk, level in enumerate(levels):
-            offset, count = r.offsets[level, chunk], r.counts[level, chunk]
-            if count:
-                parts.append(self._unit(int(r.files[level, chunk])).gaussians.rows(offset, offset + count))
+        parts = [self.rows_of(chunk, level) for chunk, level in enumerate(levels) if self.ranges.counts[level, chunk]]
         return Gaussians.concatenate(parts)
+
+    def rows_of(self, chunk: int, level: int) -> Gaussians:
+        """The rows of one level of a chunk, which has it."""
+        r = self.ranges
+        offset, count = r.offsets[level, chunk], r.counts[level, chunk]
+        return self._unit(int(r.files[level, chunk])).gaussians.rows(offset, offset + count)
 
     def _unit(self, file: int) -> Scene:
         if file not in self._decoded:
