@@ -1,6 +1,6 @@
 """``splatree stream``: a scene as viewers on the web load it, piece by piece."""
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -15,7 +15,7 @@ from splatree.io.replacing import check_target, replacing
 from splatree.stream.options import StreamFormat, StreamOptions
 from splatree.stream.report import StreamReport, ViewQuality, report_stream
 from splatree.stream.report_page import write_stream_report
-from splatree.stream.result import Streamed
+from splatree.stream.result import LevelWritten, Streamed
 from splatree.stream.stream import stream, with_levels
 
 
@@ -87,7 +87,7 @@ def run(command: Command) -> Result:
     if command.report is not None:
         cameras = None if command.cameras is None else list(read_cameras(command.cameras, origin=scene.source.origin))
         report = report_stream(scene, written, cameras)
-        if command.report.suffix == ".html":
+        if command.report.suffix.lower() in (".html", ".htm"):
             write_stream_report(report, scene, written, command.report, cameras, force=True)
         else:
             with replacing(command.report, force=True) as temporary:
@@ -125,10 +125,20 @@ def show(result: Result) -> str:
         *told(result.repairs, result.lost, result.notes),
     ]
     if len(written.levels) > 1:
-        lines = [table([asdict(level) for level in written.levels]), *lines]
+        lines = [table([_level_in_words(level) for level in written.levels]), *lines]
     if result.report is not None:
         lines.append(table([_in_words(view) for view in result.report.views]))
     return "\n".join(lines)
+
+
+def _level_in_words(level: LevelWritten) -> dict[str, str | int | float]:
+    return {
+        "level": level.level,
+        "nodes": level.num_nodes,
+        "extent": level.size,
+        "files": level.num_files,
+        "size": size(level.bytes),
+    }
 
 
 def _in_words(view: ViewQuality) -> dict[str, str | int | float | None]:

@@ -63,11 +63,20 @@ def stream(
     if format not in get_args(StreamFormat):
         raise InputError(f"format: found {format!r}, wanted one of {', '.join(get_args(StreamFormat))}")
     options.check_used(format)
+    _check_name(Path(output), format, options)
     degree = scene.gaussians.sh_degree if options.sh_degree is None else options.sh_degree
     if degree < scene.gaussians.sh_degree:
         scene = replace(scene, gaussians=scene.gaussians.with_sh_degree(degree), clusters=None)
     scene = with_levels(scene, threads=threads)
     return replace(_written(scene, Path(output), format, options, force=force, threads=threads), options=options)
+
+
+def _check_name(output: Path, format: StreamFormat, options: StreamOptions) -> None:
+    """Refuse the name of a file for a folder."""
+    if output.suffix == ".rad" and format != "rad":
+        raise InputError(f"{output}: found the name of a stream for Spark and the format {format}; choose the format rad")
+    if output.suffix == ".ssog" and not options.zip:
+        raise InputError(f"{output}: found the name of a zipped stream; choose the format sog with the option zip")
 
 
 def _written(
