@@ -74,7 +74,9 @@ def stream(
 def _check_name(output: Path, format: StreamFormat, options: StreamOptions) -> None:
     """Refuse the name of a file for a folder."""
     if output.suffix == ".rad" and format != "rad":
-        raise InputError(f"{output}: found the name of a stream for Spark and the format {format}; choose the format rad")
+        raise InputError(
+            f"{output}: found the name of a stream for Spark and the format {format}; choose the format rad"
+        )
     if output.suffix == ".ssog" and not options.zip:
         raise InputError(f"{output}: found the name of a zipped stream; choose the format sog with the option zip")
 
