@@ -6,7 +6,8 @@ The peer, splat-transform, makes each level by halving the one before and writes
 as PlayCanvas reads them (`splatree.stream.readers.playcanvas`), drawn by the library at 960 × 540, and compared with that of
 all Gaussians: PSNR, dB, with MB of whole files. The exact cut is that of the tree for as many nodes as our stream draws.
 
-The table of a `.rad` counts the chunks of 65,536 nodes that Spark loads, in our order and in breadth-first order.
+What Spark draws of a `.rad` is compared likewise, with the nodes as the tree stores them and as `stream` writes them. The last
+table counts the chunks of 65,536 nodes that Spark loads, in our order and in breadth-first order.
 """
 
 import argparse
@@ -25,12 +26,14 @@ import splatree
 from harness import DATA, Cost, measure, save, table
 from splatree.io.formats.rad.nodes import Nodes, nodes_of
 from splatree.maths.forests import links_from_preorder
+from splatree.stream.rad import as_written
 from splatree.stream.readers.playcanvas import select_playcanvas
 from splatree.stream.readers.sog_stream import SogStream, open_sog_stream
 from splatree.stream.readers.spark import chunks_loaded, select_spark
 from splatree.stream.report import views_of
 
 CITY = DATA / "trained" / "semarang_city"
+PLAYBOT = DATA / "trained" / "playbot"
 LEVELS = 7
 EVERY_ROW = splatree.SelectOptions(pixel_error=0)
 
@@ -76,6 +79,7 @@ def seen(stream: SogStream, camera: splatree.Camera, budget: int, truth: np.ndar
 
 def spark_chunks(name: str, tree: splatree.Scene) -> list[dict[str, Any]]:
     """Chunks of a .rad that a view needs, in our order and breadth-first."""
+    tree = as_written(tree, splatree.StreamOptions())
     nodes = nodes_of(tree, Path("a.rad"))
     links = links_from_preorder(tree.tree.depth)
     above = len(nodes.joined_root)
@@ -92,6 +96,23 @@ def spark_chunks(name: str, tree: splatree.Scene) -> list[dict[str, Any]]:
                 ours, theirs = (len(chunks_loaded(n, chosen)) for n in (nodes, breadth_first))
                 row = {"scene": name, "view": view, "budget": budget, "of": -(-len(nodes) // 65536)}
                 rows.append(row | {"our chunks": ours, "breadth-first": theirs})
+    return rows
+
+
+def spark_quality(name: str, tree: splatree.Scene) -> list[dict[str, Any]]:
+    """What Spark draws of a .rad whose nodes are as the tree stores them, and as `stream` writes them."""
+    scenes = {"stored": splatree.StreamOptions(node_px=0.0), "as drawn": splatree.StreamOptions()}
+    rows = []
+    for view, camera in views_of(tree):
+        truth = np.clip(splatree.render(tree, camera, select=EVERY_ROW).image, 0, 1)
+        for budget in (100_000, 300_000):
+            row: dict[str, Any] = {"scene": name, "view": view, "budget": budget}
+            for what, options in scenes.items():
+                scene = as_written(tree, options)
+                drawn = scene.gaussians.take(select_spark(scene, camera, budget).drawn)
+                image = splatree.render(splatree.Scene.flat(drawn, mode=scene.mode), camera, select=EVERY_ROW).image
+                row[f"{what}, dB"] = splatree.psnr(np.clip(image, 0, 1), truth)
+            rows.append(row)
     return rows
 
 
@@ -130,6 +151,9 @@ def main() -> None:
                 exact = splatree.render(tree, camera, select=select).image
                 rows.append(row | {"exact cut, dB": splatree.psnr(np.clip(exact, 0, 1), truth)})
         print(table(rows))
+    playbot = splatree.build_lod(splatree.read(PLAYBOT), splatree.BuildOptions(method="pairs"))
+    quality = spark_quality(arguments.chunk, tree) + spark_quality("playbot", playbot)
+    print(table(quality))
     chunks = spark_chunks(arguments.chunk, tree)
     if arguments.city:
         chunks += spark_chunks("city", splatree.build_lod(splatree.read(sorted(CITY.glob("5_*")))))
@@ -142,6 +166,8 @@ def main() -> None:
     save(
         "streams_cost", costs, about="What making the levels and writing the stream takes, and the bytes of all levels."
     )
+    about = "PSNR of what Spark draws of a .rad within a budget, with nodes as the tree stores them and as `stream` writes them."
+    save("streams_spark", quality, about=about)
     about = (
         "Chunks of 65,536 nodes of a .rad that Spark loads within a budget, in our order of nodes and breadth-first."
     )

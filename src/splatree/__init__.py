@@ -83,6 +83,7 @@ _NAMES = {
     "simplify.thin": ("Thinned", "thin"),
     "stream.options": ("StreamOptions",),
     "stream.report": ("StreamReport", "report_stream"),
+    "stream.report_page": ("write_stream_report",),
     "stream.result": ("Streamed",),
     "stream.serve": ("ServeOptions", "StreamServer", "serve"),
     "stream.stream": ("stream",),

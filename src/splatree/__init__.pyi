@@ -111,6 +111,7 @@ from splatree.simplify.thin import thin as thin
 from splatree.stream.options import StreamOptions as StreamOptions
 from splatree.stream.report import StreamReport as StreamReport
 from splatree.stream.report import report_stream as report_stream
+from splatree.stream.report_page import write_stream_report as write_stream_report
 from splatree.stream.result import Streamed as Streamed
 from splatree.stream.serve import ServeOptions as ServeOptions
 from splatree.stream.serve import StreamServer as StreamServer

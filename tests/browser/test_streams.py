@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 import splatree as st
+from splatree.io.formats.rad.container import open_rad
+from splatree.stream.rad import as_written
 from splatree.stream.readers.cesium import open_tileset, select_cesium
 from splatree.stream.readers.playcanvas import select_playcanvas
 from splatree.stream.readers.sog_stream import open_sog_stream
@@ -48,6 +50,7 @@ def served(tree, packages, tmp_path_factory):
     folder = tmp_path_factory.mktemp("streams")
     st.stream(tree, folder / "city")
     st.stream(tree, folder / "city.rad", "rad")
+    st.stream(tree, folder / "chunked.rad", "rad", st.StreamOptions(chunked=True))
     st.stream(tree, folder / "tiles", "3dtiles", st.StreamOptions(tile_nodes=16_000))
     with st.serve(folder, st.ServeOptions(port=0, packages=str(packages))) as server:
         yield server
@@ -130,12 +133,25 @@ def test_playcanvas_with_a_tenth_is_not_far_from_the_whole(browser, served, tree
 
 
 def test_spark_draws_our_rad_chunk_by_chunk(browser, served, tree, camera):
-    view = select_spark(tree, camera, BUDGET)
+    nodes = as_written(tree, st.StreamOptions())
+    view = select_spark(nodes, camera, BUDGET)
     settled = "window.splatree?.quietMs > 15_000"  # on a software GPU a sort takes seconds
     picture, said, loaded = shown(browser, served, "spark", "city.rad", camera, settled, budget=BUDGET)
     assert abs(said["chosen"] / len(view.drawn) - 1) <= 0.01
-    assert psnr(picture, drawn(tree.gaussians.take(view.drawn), camera)) >= 24
+    assert psnr(picture, drawn(nodes.gaussians.take(view.drawn), camera)) >= 24
     assert {name.rsplit("/", 1)[1] for name, _ in loaded} == {"city.rad"}
+
+
+def test_spark_loads_chunks_that_are_files_of_their_own(browser, served, tree, camera):
+    nodes = as_written(tree, st.StreamOptions())
+    view = select_spark(nodes, camera, BUDGET)
+    settled = "window.splatree?.quietMs > 15_000"
+    picture, said, loaded = shown(browser, served, "spark", "chunked.rad", camera, settled, budget=BUDGET)
+    assert abs(said["chosen"] / len(view.drawn) - 1) <= 0.01
+    assert psnr(picture, drawn(nodes.gaussians.take(view.drawn), camera)) >= 24
+    chunks = {chunk.path.name for chunk in open_rad(served.folder / "chunked.rad").chunks}
+    names = {name.rsplit("/", 1)[1] for name, _ in loaded}
+    assert "chunked.rad" in names and names - {"chunked.rad"} and names - {"chunked.rad"} <= chunks
 
 
 def test_cesium_draws_our_tiles(browser, served, tree, camera):

@@ -86,6 +86,24 @@ def test_an_antialiased_scene_is_drawn_as_one(browser, city_tree):
         page.close()
 
 
+def test_the_first_view_shows_the_scene_whole_in_a_narrow_window(browser, viewer):
+    """97 % of the middle of the scene lies between the window's sides; the key R comes back to this view."""
+    exhibit = viewer._server.exhibits[0]
+    means = exhibit.scene.gaussians.means[exhibit.scene.tree.is_leaf] - exhibit.centre
+    means = means[np.linalg.norm(means, axis=1) < exhibit.framing.radius]
+    for size in ((480, 270), (200, 400)):
+        page = browser.new_page()
+        page.open(f"{viewer.url}?noui&renderer=webgl&exact=0", size=size)
+        page.wait_for("window.splatree?.isReady")
+        asked = page.evaluate("splatree.request(splatree.layers[0])")
+        pose = np.array(asked["c2w"]).reshape(3, 4)
+        x, _, z = ((means - pose[:, 3]) @ pose[:, :3]).T
+        assert np.mean(np.abs(x) * asked["f"] < asked["w"] / 2 * z) > 0.97, size
+        page.evaluate("splatree.camera.orbit(0.3, 0.1), splatree.reset()")
+        page.wait_for("splatree.motion === null")
+        np.testing.assert_allclose(page.evaluate("splatree.camera.pose()"), asked["c2w"], atol=1e-6)
+
+
 def test_moving_and_the_slider_change_the_cut(browser, viewer):
     page = opened(browser, viewer, "&renderer=webgl&exact=0")
     before = page.evaluate("splatree.layers[0].header")

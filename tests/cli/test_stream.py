@@ -16,7 +16,7 @@ def test_stream_writes_a_folder_that_reads_back(splatree, small_tree, tmp_path):
     again = splatree("stream", small_tree, tmp_path / "out")
     assert again[0] == 1 and "holds a stream already" in again[2]
     code, out, _ = splatree("stream", small_tree, tmp_path / "out", "--levels", "3", "--chunk-leaves", "500", "--force")
-    assert code == 0 and "3 of them there already" in out and "num_nodes" in out
+    assert code == 0 and "3 of them there already" in out and "extent" in out
 
 
 def test_levels_are_built_where_there_are_none(splatree, small_ply, tmp_path):
@@ -46,6 +46,19 @@ def test_stream_for_spark_is_a_rad(splatree, small_tree, tmp_path):
 def test_wrong_command_lines_are_refused(splatree, small_tree, words, message):
     code, _, err = splatree("stream", *(word.format(tree=small_tree) for word in words))
     assert code == 2 and message in err
+
+
+@pytest.mark.parametrize(
+    ("name", "words", "message"),
+    [
+        ("out.rad", (), "choose the format rad"),
+        ("out.rad", ("--format", "3dtiles"), "choose the format rad"),
+        ("out.ssog", (), "choose the format sog with the option zip"),
+    ],
+)
+def test_the_name_of_a_file_makes_no_folder(splatree, small_tree, tmp_path, name, words, message):
+    code, _, err = splatree("stream", small_tree, tmp_path / name, *words)
+    assert code == 1 and message in err and not (tmp_path / name).exists()
 
 
 def test_a_rad_has_its_suffix(splatree, small_tree, tmp_path):

@@ -7,8 +7,8 @@ import pytest
 
 import splatree as st
 from splatree.stream.chunks import chunks_of_tree
-from splatree.stream.levels import levels_of_tree
-from splatree.stream.nodes import gaussians_of_level
+from splatree.stream.levels import Level, intervals_of, levels_of_tree
+from splatree.stream.nodes import gaussians_of_level, gaussians_of_tree
 
 COLUMNS = ("means", "quats", "log_scales", "logit_opacities", "sh")
 EVERY_ROW = st.SelectOptions(pixel_error=0)
@@ -80,6 +80,33 @@ def test_a_level_seen_from_near_is_nearer_to_the_leaves(city_tree, levels):
     as_stored, as_drawn = (st.psnr(image, truth) for image in images)
     assert as_drawn > as_stored + 1, (as_stored, as_drawn)
     assert abs(images[1].mean() / truth.mean() - 1) < 0.03
+
+
+def test_nodes_that_are_chosen_one_by_one_are_drawn_as_in_the_cut_at_their_size(city_tree):
+    """A node of a level, where the level is cut at the node's own size; leaves stay bit for bit."""
+    tree, found = city_tree.tree, gaussians_of_tree(city_tree, 4.0)
+    chunks = chunks_of_tree(city_tree, chunk_leaves=tree.num_leaves)  # no row is in the spine
+    intervals = intervals_of(tree, chunks)
+    inner = np.flatnonzero(~tree.is_leaf & (intervals.from_size < intervals.to_size))
+    for row in inner[:: len(inner) // 20]:
+        size = float(tree.extents[row])
+        level = Level(size, intervals.rows_at(size), np.zeros(1, np.int64))
+        alone = np.array([row])
+        assert same_bits(found.take(alone), gaussians_of_level(city_tree, level, alone, 4.0))
+    assert same_bits(found.take(tree.is_leaf), city_tree.gaussians.take(tree.is_leaf))
+    assert same_bits(gaussians_of_tree(city_tree, 0.0), city_tree.gaussians)
+
+
+def test_spark_comes_nearer_to_the_leaves(city_tree, tmp_path):
+    """Of 60,000 nodes in a view that shows most of them larger than they are stored for: 29.3 dB as stored, 30.6 dB as drawn."""
+    camera = st.orbit(city_tree, st.PathOptions(views=1, width=600, height=400))[0]
+    quality = []
+    for node_px in (0.0, None):
+        options = st.StreamOptions(node_px=node_px, sh_degree=0)
+        written = st.stream(city_tree, tmp_path / "city.rad", "rad", options, force=True)
+        bare = dataclasses.replace(city_tree, gaussians=city_tree.gaussians.with_sh_degree(0))
+        quality += [view.psnr_db for view in st.report_stream(bare, written, [camera], budgets=[60_000]).views]
+    assert quality[1] > quality[0] + 1, quality
 
 
 @pytest.mark.parametrize("option", [{"node_px": -1}, {"node_px": float("nan")}, {"tile_nodes": 0}, {"unit_rows": 0}])

@@ -8,6 +8,9 @@ import numpy as np
 import pytest
 
 import splatree as st
+from splatree.stream.chunk_quality import quality_of_chunks
+from splatree.stream.errors import chunk_views
+from splatree.stream.readers.sog_stream import open_sog_stream
 from splatree.stream.report import report_stream
 from splatree.stream.stream import stream
 
@@ -45,7 +48,7 @@ def test_finer_settings_load_more_and_come_nearer(scene, cameras, tmp_path, form
         assert all(0 < view.bytes <= written.bytes for view in views)
         if viewer != "cesium":
             assert [view.num_nodes <= view.setting for view in views] == [True, True]
-    assert bool(report.levels) == bool(report.nodes_per_chunk) == (format == "sog")
+    assert bool(report.levels) == bool(report.chunks) == (format == "sog")
     content = json.loads(report.to_json())
     assert len(content["views"]) == len(report.views)
 
@@ -58,7 +61,53 @@ def test_levels_are_judged_from_the_finest_down(scene, cameras, tmp_path):
     assert [level.bytes for level in report.levels] == [level.bytes for level in written.levels]
     assert report.levels[0].psnr_db == max(level.psnr_db for level in report.levels)
     assert report.levels[0].psnr_db > 35 and math.isfinite(report.levels[0].ssim)
-    assert np.sum(report.nodes_per_chunk, axis=0).tolist() == [level.num_nodes for level in written.levels]
+    counts = [chunk.num_nodes for chunk in report.chunks]
+    assert np.sum(counts, axis=0).tolist() == [level.num_nodes for level in written.levels]
+
+
+def test_a_chunk_is_judged_by_its_own_pictures(scene, tmp_path):
+    """PSNR of the pictures of one chunk, drawn here by themselves; nearest of all is the level next to the finest."""
+    written = stream(scene, tmp_path / "out", options=st.StreamOptions(chunk_leaves=60, levels=4))
+    opened = open_sog_stream(written.output)
+    found = quality_of_chunks(opened)
+    assert [chunk.chunk for chunk in found] == list(range(written.num_chunks))
+    assert all(chunk.psnr_db[0] is None for chunk in found)
+    finest, coarser = opened.rows_of(7, 0), opened.rows_of(7, 2)
+    views = chunk_views(finest, opened.ranges.boxes[7], most_px=256)
+    images = [
+        np.concatenate([np.clip(st.render(st.Scene.flat(part), view).image, 0, 1) for view in views])
+        for part in (coarser, finest)
+    ]
+    np.testing.assert_allclose(found[7].psnr_db[2], st.psnr(*images), atol=1e-3)  # sums in another order
+    by_level = np.median([[np.inf if db is None else db for db in chunk.psnr_db[1:]] for chunk in found], axis=0)
+    assert by_level[0] > by_level[1] > by_level[2]
+
+
+@pytest.mark.parametrize(
+    ("format", "name", "options"),
+    [
+        ("sog", "out", st.StreamOptions(chunk_leaves=60, unit_rows=200, levels=4, errors=True)),
+        ("sog", "out.ssog", st.StreamOptions(chunk_leaves=60, levels=3, zip=True)),
+        ("rad", "out.rad", st.StreamOptions()),
+        ("3dtiles", "out", st.StreamOptions(tile_nodes=150)),
+    ],
+)
+def test_the_page_shows_every_view_and_needs_no_other_file(scene, cameras, tmp_path, format, name, options):
+    written = stream(scene, tmp_path / name, format, options)
+    report = report_stream(scene, written, cameras, budgets=(200, 500))
+    st.write_stream_report(report, scene, written, tmp_path / "page.html", cameras)
+    page = (tmp_path / "page.html").read_text()
+    for view in report.views:
+        assert f"<td>{view.psnr_db:.2f}</td>" in page and f"<td>{view.num_nodes:,}</td>" in page
+    assert page.count("<polyline") == len({(view.view, view.viewer) for view in report.views})
+    assert page.count("data:image/jpeg;base64,") == 3 and "http" not in page and "$" not in page
+    worst = min(report.views, key=lambda view: view.psnr_db)
+    assert f"PSNR {worst.psnr_db:.2f}, FLIP" in page  # of the picture that is shown
+    assert ("<h2>Levels</h2>" in page) == (format == "sog")
+    with pytest.raises(st.OutputError, match="exists"):
+        st.write_stream_report(report, scene, written, tmp_path / "page.html", cameras)
+    with pytest.raises(st.InputError, match="wanted the report's own cameras"):
+        st.write_stream_report(report, scene, written, tmp_path / "other.html")
 
 
 def test_the_command_line_writes_the_report(tmp_path, capsys):
@@ -74,3 +123,5 @@ def test_the_command_line_writes_the_report(tmp_path, capsys):
     assert "exact cut, dB" in capsys.readouterr().out
     assert json.loads((tmp_path / "r.json").read_text())["views"][0]["viewer"] == "playcanvas"
     assert main([*words[:3], "--cameras", str(tmp_path / "c.json")]) == 2
+    words = [*words[:4], str(tmp_path / "r.html"), "--force", "--cameras", str(tmp_path / "c.json")]
+    assert main(words) == 0 and "<polyline" in (tmp_path / "r.html").read_text()

@@ -3,8 +3,9 @@
 import http.client
 import socket
 import threading
-from urllib.parse import urlsplit
+from urllib.parse import parse_qs, urlsplit
 
+import numpy as np
 import pytest
 
 import splatree as st
@@ -80,6 +81,25 @@ def test_the_address_lists_what_there_is(server):
         assert status == 200 and package in body and b"{{" not in body
         status, headers, _ = ask(server, f"/page/{viewer}.js")
         assert status == 200 and headers["content-type"].startswith("text/javascript")
+
+
+@pytest.mark.parametrize("stream", ["city/lod-meta.json", "city.rad"])
+def test_a_page_opens_with_the_first_view_of_its_stream(server, stream):
+    status, headers, _ = ask(server, f"/open/spark?stream={stream}&budget=5")
+    assert status == 307
+    query = parse_qs(urlsplit(headers["location"]).query)
+    assert query["stream"] == [stream] and query["budget"] == ["5"] and query["turn"] == ["1"]
+    eye, target = (np.array(query[name][0].split(","), float) for name in ("pos", "target"))
+    assert 0.5 < np.linalg.norm(eye - target) < 50  # of a scene of a few units
+    assert ask(server, f"/open/spark{headers['location']}")[0] == 200
+    assert ask(server, f"/open/spark?stream={stream}&pos=1,2,3")[0] == 200  # an address that names its view
+
+
+def test_a_stream_that_cannot_be_read_here_still_has_a_page(folder, tmp_path):
+    (tmp_path / "lod-meta.json").write_text("{}")
+    with st.serve(tmp_path, st.ServeOptions(port=0)) as server:
+        assert ask(server, "/open/playcanvas?stream=lod-meta.json")[0] == 200
+        assert ask(server, "/open/playcanvas?stream=../city.rad")[0] == 200
 
 
 @pytest.mark.parametrize(

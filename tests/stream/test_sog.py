@@ -1,6 +1,8 @@
 """Streamed SOG: what is in the files is what the levels say, the boxes hold, and a stream that stopped goes on."""
 
+import dataclasses
 import json
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -199,3 +201,38 @@ def test_units_have_whole_chunks_of_one_level():
         for unit in own:
             count = level.offsets[unit.end_chunk] - level.offsets[unit.first_chunk]
             assert count <= (150 if index < 2 else 300) or unit.end_chunk == unit.first_chunk + 1
+
+
+def test_a_zipped_stream_is_one_file_with_the_same_entries(scene, folder, tmp_path):
+    options = dataclasses.replace(OPTIONS, zip=True)
+    done = stream(scene, tmp_path / "city.ssog", options=options)
+    again = stream(scene, tmp_path / "again.ssog", options=options, threads=1)
+    assert done.output.read_bytes() == again.output.read_bytes() and done.bytes == done.output.stat().st_size
+    with zipfile.ZipFile(done.output) as bundle:
+        assert bundle.namelist()[0] == "lod-meta.json" and bundle.testzip() is None
+        assert {name: bundle.read(name) for name in bundle.namelist()} == bytes_of(folder)
+    assert {path.name for path in tmp_path.iterdir()} == {"city.ssog", "again.ssog"}
+    for level in (0, 2):
+        one, other = st.read(done.output, level=level), st.read(folder, level=level)
+        np.testing.assert_array_equal(one.gaussians.means, other.gaussians.means)
+    with pytest.raises(st.OutputError, match="exists"):
+        stream(scene, tmp_path / "city.ssog", options=options)
+    with pytest.raises(st.InputError, match=r"wanted one that ends in \.ssog"):
+        stream(scene, tmp_path / "city", options=options)
+
+
+def test_a_zipped_stream_is_judged_like_its_folder(scene, folder, tmp_path):
+    camera = st.Camera.look_at([0.5, 0.5, -3.0], [0.5, 0.5, 0.5], width=96, height=64)
+    found = [
+        st.report_stream(scene, stream(scene, tmp_path / name, options=options), [camera], budgets=[300])
+        for name, options in (("city", OPTIONS), ("city.ssog", dataclasses.replace(OPTIONS, zip=True)))
+    ]
+    assert found[0] == found[1]
+
+
+def test_a_zip_that_leads_out_of_its_folder_is_refused(tmp_path):
+    with zipfile.ZipFile(tmp_path / "evil.ssog", "w") as bundle:
+        bundle.writestr("lod-meta.json", "{}")
+        bundle.writestr("../evil.txt", "")
+    with pytest.raises(st.FormatError, match=r"\.\./evil\.txt"):
+        st.read(tmp_path / "evil.ssog")

@@ -88,6 +88,7 @@ def test_a_page_is_told_of_the_scene_first(page):
     assert facts["leaves"] == 2000
     assert facts["degree"] == 3
     assert len(facts["eye"]) == 3
+    assert 0.2 < facts["aspect"] < 3
 
 
 def test_a_cut_is_one_of_the_tree_and_fits_the_budget(page):

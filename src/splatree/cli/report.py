@@ -1,24 +1,21 @@
 """The demo's report: one HTML page that needs nothing else, and the same pictures beside it as PNG, without loss."""
 
-import base64
 import html
-import io
 import platform
 from collections.abc import Sequence
 from dataclasses import replace
-from importlib.resources import files
-from string import Template
 
 import numpy as np
 
 from splatree.bench.provenance import machine
-from splatree.cli.chart import quality_chart
 from splatree.cli.console import program_version
 from splatree.cli.flight import Demo, DemoView
 from splatree.constants import SH_C0
 from splatree.io.images import write_image
 from splatree.io.replacing import replacing
+from splatree.render.chart import quality_chart
 from splatree.render.evaluate import Evaluation
+from splatree.render.page import data_uri, filled
 from splatree.render.pipeline import trace
 from splatree.scene.scene import Scene
 from splatree.shapes import Array, Float32
@@ -58,11 +55,11 @@ def write_report(demo: Demo, scene: Scene, evaluations: Sequence[Evaluation]) ->
         y, x = _window(e.leaves.result.alpha)
         crops = {name: image[y, x] for name, image in pictures.items()}
         strip.append(np.concatenate([_resized(crops[name], STRIP_PX) for name in ("cut", "leaves", "levels")], axis=1))
-        sources = {name: _data_uri(crop) for name, crop in crops.items()}
+        sources = {name: data_uri(crop) for name, crop in crops.items()}
         enlarged = e.camera.width / (x.stop - x.start)
-        cards.append(_filled("report_view.html", enlarged=_enlarged(enlarged), **sources, **_words(view)))
+        cards.append(filled("report_view.html", enlarged=_enlarged(enlarged), **sources, **_words(view)))
     write_image(np.concatenate(strip[1::2] or strip), folder / "strip.png", force=True)
-    page = _filled(
+    page = filled(
         "report.html",
         gaussians=f"{demo.num_gaussians:,}",
         nodes=f"{demo.num_nodes:,}",
@@ -73,7 +70,7 @@ def write_report(demo: Demo, scene: Scene, evaluations: Sequence[Evaluation]) ->
         gain=f"{ERROR_GAIN:g}",
         cards="\n".join(cards),
         table=_table(demo.views),
-        chart=quality_chart(demo.views),
+        chart=_chart(demo.views),
         legend=_legend(scene),
         depths=" · ".join(f"{n:,}" for n in demo.nodes_per_depth),
         machine=html.escape(f"splatree {program_version()} · {machine()} · Python {platform.python_version()}"),
@@ -81,11 +78,6 @@ def write_report(demo: Demo, scene: Scene, evaluations: Sequence[Evaluation]) ->
     )
     with replacing(demo.report, force=True) as temporary:
         temporary.write_text(page, encoding="utf-8")
-
-
-def _filled(template: str, **values: str) -> str:
-    text = (files("splatree") / "data" / template).read_text(encoding="utf-8")
-    return Template(text).substitute(values)
 
 
 def with_level_colors(scene: Scene) -> Scene:
@@ -137,12 +129,10 @@ def _enlarged(factor: float) -> str:
     return f", shown {factor:.1f} × enlarged" if factor > 1.05 else ""
 
 
-def _data_uri(image: Float32[Array, "h w 3"]) -> str:
-    from PIL import Image
-
-    buffer = io.BytesIO()
-    Image.fromarray(_bytes(image)).save(buffer, "JPEG", quality=90, optimize=True)
-    return "data:image/jpeg;base64," + base64.b64encode(buffer.getvalue()).decode()
+def _chart(views: Sequence[DemoView]) -> str:
+    """Quality over nodes drawn, one line a distance."""
+    lines = {f"{v.distance:,.0f}": [(max(1, nodes), quality) for _, nodes, quality in v.curve] for v in views}
+    return quality_chart(lines, "PSNR over nodes drawn")
 
 
 def _words(view: DemoView) -> dict[str, str]:

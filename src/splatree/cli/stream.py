@@ -1,6 +1,6 @@
 """``splatree stream``: a scene as viewers on the web load it, piece by piece."""
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -14,7 +14,8 @@ from splatree.io.notes import origin_in_words
 from splatree.io.replacing import check_target, replacing
 from splatree.stream.options import StreamFormat, StreamOptions
 from splatree.stream.report import StreamReport, ViewQuality, report_stream
-from splatree.stream.result import Streamed
+from splatree.stream.report_page import write_stream_report
+from splatree.stream.result import LevelWritten, Streamed
 from splatree.stream.stream import stream, with_levels
 
 
@@ -38,7 +39,8 @@ class Command:
     force: bool = False
     """Replace an older stream."""
     report: Path | None = None
-    """Write a report as JSON: the quality of the picture against the bytes that a viewer loads for it, near, middle and far."""
+    """Write a report: the quality of the picture against the bytes that a viewer loads for it, near, middle and far, and of
+    each level and chunk. A page with a chart and a picture of the worst view if the name ends in .html, else JSON."""
     cameras: Path | None = None
     """Views of the report, in place of near, middle and far: a file of cameras."""
     reading: Annotated[Reading, arg(name="", help="")] = Reading()
@@ -85,8 +87,11 @@ def run(command: Command) -> Result:
     if command.report is not None:
         cameras = None if command.cameras is None else list(read_cameras(command.cameras, origin=scene.source.origin))
         report = report_stream(scene, written, cameras)
-        with replacing(command.report, force=True) as temporary:
-            temporary.write_text(report.to_json())
+        if command.report.suffix.lower() in (".html", ".htm"):
+            write_stream_report(report, scene, written, command.report, cameras, force=True)
+        else:
+            with replacing(command.report, force=True) as temporary:
+                temporary.write_text(report.to_json())
     origin = scene.source.origin
     relative = (
         [f"the origin {origin_in_words(origin)}: coordinates of the stream are relative to it"] if any(origin) else []
@@ -121,10 +126,20 @@ def show(result: Result) -> str:
         *told(result.repairs, result.lost, result.notes),
     ]
     if len(written.levels) > 1:
-        lines = [table([asdict(level) for level in written.levels]), *lines]
+        lines = [table([_level_in_words(level) for level in written.levels]), *lines]
     if result.report is not None:
         lines.append(table([_in_words(view) for view in result.report.views]))
     return "\n".join(lines)
+
+
+def _level_in_words(level: LevelWritten) -> dict[str, str | int | float]:
+    return {
+        "level": level.level,
+        "nodes": level.num_nodes,
+        "extent": level.size,
+        "files": level.num_files,
+        "size": size(level.bytes),
+    }
 
 
 def _in_words(view: ViewQuality) -> dict[str, str | int | float | None]:

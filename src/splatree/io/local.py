@@ -4,7 +4,8 @@ They are brought into a temporary folder under their own names, and that is read
 
 - ``https://…`` and ``http://…``, by the standard library;
 - ``-``, standard input, which has to be a .ply or an .spz;
-- ``a.ply.gz``, and a ``.zip`` that holds one scene file (a .sog is a ZIP of its own and stays as it is).
+- ``a.ply.gz``, and a ``.zip`` that holds one scene file (a .sog is a ZIP of its own and stays as it is);
+- a ``.ssog`` or ``.zip`` that holds the folder of a streamed SOG.
 
 Each has a limit: what a server sends, and what a few compressed bytes may become.
 """
@@ -24,6 +25,7 @@ from typing import BinaryIO
 from urllib.parse import unquote, urlsplit
 
 from splatree.errors import FormatError, InputError
+from splatree.io.untrusted import inner_path
 from splatree.progress import task
 
 __all__ = ["LocalInputs", "local_inputs"]
@@ -41,6 +43,8 @@ TIMEOUT_S = 30.0
 """A server that sends nothing for so long is given up."""
 
 _PIECE = 1 << 20
+_STREAM = "lod-meta.json"
+"""Its presence says that a ZIP holds a streamed SOG."""
 _STANDARD_INPUT = "-"
 
 
@@ -101,8 +105,8 @@ def _how_to_inflate(path: Path) -> Callable[[Path], Path] | None:
     suffix = path.suffix.lower()
     if suffix == ".gz" and path.is_file():
         return lambda folder: _gunzip(path, folder)
-    if suffix == ".zip" and path.is_file():
-        return _zip_of_one(path)
+    if suffix in (".zip", ".ssog") and path.is_file():
+        return _unzip(path)
     return None
 
 
@@ -172,41 +176,59 @@ def _gunzip(path: Path, folder: Path) -> Path:
     return target
 
 
-def _zip_of_one(path: Path) -> Callable[[Path], Path] | None:
-    """What unpacks a ZIP with one file; None for a bundle that is a scene of its own, or a checkpoint."""
+def _unzip(path: Path) -> Callable[[Path], Path] | None:
+    """What unpacks a ZIP with one file or a streamed SOG; None for a bundle that is a scene of its own, or a checkpoint."""
     try:
         with zipfile.ZipFile(path) as bundle:
             entries = [e for e in bundle.infolist() if not e.is_dir() and not _is_litter(e.filename)]
     except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as error:
         raise FormatError(f"{path}: not a whole ZIP ({error}); fetch it again") from error
     names = [entry.filename for entry in entries]
+    if _STREAM in names:
+        return lambda folder: _unzip_all(path, entries, folder)
     if any(name == "meta.json" or name.endswith("/data.pkl") for name in names):
         return None
     if len(entries) != 1:
         raise FormatError(
             f"{path}: found {len(names)} files in it ({', '.join(names[:5])}{', ...' if len(names) > 5 else ''}), wanted one "
-            "scene file; unpack it and name what to read"
+            f"scene file or a {_STREAM}; unpack it and name what to read"
         )
     (entry,) = entries
 
     def unpack(folder: Path) -> Path:
         target = folder / Path(entry.filename.replace("\\", "/")).name
         limit = max(INFLATED_ALWAYS, INFLATION_MAX * path.stat().st_size)
-        try:
-            with (
-                zipfile.ZipFile(path) as bundle,
-                bundle.open(entry) as packed,
-                target.open("wb") as file,
-                task(f"unpack {path.name}", entry.file_size) as advance,
-            ):
-                _copy(packed, file, limit, str(path), advance)  # type: ignore[arg-type]  # reads like any file
-        except (zipfile.BadZipFile, OSError, EOFError, RuntimeError, NotImplementedError, zlib.error) as error:
-            if isinstance(error, FormatError):
-                raise
-            raise FormatError(f"{path}: {entry.filename} cannot be unpacked ({error})") from error
+        _unzip_entry(path, entry, target, limit)
         return target
 
     return unpack
+
+
+def _unzip_all(path: Path, entries: Sequence[zipfile.ZipInfo], folder: Path) -> Path:
+    """A folder of all entries, whose names may not lead out of it."""
+    place = folder / path.stem
+    left = max(INFLATED_ALWAYS, INFLATION_MAX * path.stat().st_size)
+    for entry in entries:
+        target = place / inner_path(entry.filename, str(path))
+        target.parent.mkdir(parents=True, exist_ok=True)
+        left -= _unzip_entry(path, entry, target, left)
+    return place
+
+
+def _unzip_entry(path: Path, entry: zipfile.ZipInfo, target: Path, limit: int) -> int:
+    """Write one entry of a ZIP to a file; return its bytes."""
+    try:
+        with (
+            zipfile.ZipFile(path) as bundle,
+            bundle.open(entry) as packed,
+            target.open("wb") as file,
+            task(f"unpack {path.name}", entry.file_size) as advance,
+        ):
+            return _copy(packed, file, limit, str(path), advance)  # type: ignore[arg-type]  # reads like any file
+    except (zipfile.BadZipFile, OSError, EOFError, RuntimeError, NotImplementedError, zlib.error) as error:
+        if isinstance(error, FormatError):
+            raise
+        raise FormatError(f"{path}: {entry.filename} cannot be unpacked ({error})") from error
 
 
 def _is_litter(name: str) -> bool:

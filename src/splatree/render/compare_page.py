@@ -1,16 +1,12 @@
 """A comparison of two scenes as a folder: an HTML page that needs nothing else, and its pictures beside it as PNG."""
 
-import base64
 import html
-import io
 import math
 import os
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from importlib.resources import files
 from pathlib import Path
-from string import Template
 from typing import Final
 
 import numpy as np
@@ -19,9 +15,19 @@ from splatree.errors import InputError, OutputError
 from splatree.io.images import write_image
 from splatree.io.replacing import check_target, replacing
 from splatree.render.compare import ComparedView, Difference, summary_of
+from splatree.render.page import data_uri, filled
 from splatree.shapes import Array, Float32
 
-__all__ = ["PAGE", "Comparison", "check_comparison_folder", "decibels", "error_colors", "write_comparison"]
+__all__ = [
+    "PAGE",
+    "Comparison",
+    "card_of",
+    "check_comparison_folder",
+    "decibels",
+    "error_colors",
+    "number_cards",
+    "write_comparison",
+]
 
 PAGE: Final = "report.html"
 """Name of the page in its folder."""
@@ -104,21 +110,20 @@ def write_comparison(
         side_by_side = np.concatenate([view.reference, view.image, colors], axis=1)
         write_image(side_by_side, place / f"{name}_side_by_side.png", force=True)
         write_image(colors, place / f"{name}_error.png", force=True)
-        cards.append((view.difference.flip, _card(view, colors)))
+        cards.append((view.difference.flip, card_of(view, colors)))
     if not differences:
         raise InputError("write_comparison: found no view, wanted at least one")
     together = summary_of(differences)
     worst = max(differences, key=lambda difference: difference.flip).name
     if place is None:
         return Comparison(together, worst, tuple(differences))
-    text = _filled(
+    body = filled(
         "comparison.html",
-        title=html.escape(title),
-        about=html.escape(about),
-        numbers=_numbers(together, worst),
         table=_table([*differences, together]),
         cards="\n".join(card for _, card in sorted(cards, key=lambda card: -card[0])),
     )
+    numbers = number_cards(_numbers(together, worst))
+    text = filled("page.html", title=html.escape(title), about=html.escape(about), numbers=numbers, body=body)
     with replacing(place / PAGE, force=force) as temporary:
         temporary.write_text(text, encoding="utf-8")
     return Comparison(together, worst, tuple(differences), place / PAGE)
@@ -153,19 +158,21 @@ def decibels(value: float | None) -> str:
     return "equal" if math.isinf(value) else f"{value:.2f}"
 
 
-def _filled(template: str, **values: str) -> str:
-    return Template((files("splatree") / "data" / template).read_text(encoding="utf-8")).substitute(values)
+def number_cards(numbers: Mapping[str, str]) -> str:
+    """The numbers at the head of a page, by what they are; empty ones are left out."""
+    return "".join(
+        f"<div><b>{html.escape(value)}</b>{html.escape(name)}</div>" for name, value in numbers.items() if value
+    )
 
 
-def _numbers(together: Difference, worst: str) -> str:
-    shown = {
+def _numbers(together: Difference, worst: str) -> dict[str, str]:
+    return {
         "PSNR": decibels(together.psnr) + ("" if math.isinf(together.psnr) else " dB"),
         "PSNR covered": decibels(together.psnr_covered),
         "SSIM": "" if together.ssim is None else f"{together.ssim:.4f}",
         "FLIP": f"{together.flip:.4f}",
-        "worst view": html.escape(worst),
+        "worst view": worst,
     }
-    return "".join(f"<div><b>{value}</b>{name}</div>" for name, value in shown.items() if value)
 
 
 def _table(differences: Sequence[Difference]) -> str:
@@ -185,23 +192,15 @@ def _table(differences: Sequence[Difference]) -> str:
     return "\n".join(rows)
 
 
-def _card(view: ComparedView, colors: Array) -> str:
+def card_of(view: ComparedView, colors: Array) -> str:
+    """A view in HTML: both pictures with a slider between them, and the errors."""
     d = view.difference
-    return _filled(
+    return filled(
         "comparison_view.html",
         name=html.escape(d.name),
         words=f"PSNR {decibels(d.psnr)}, FLIP {d.flip:.4f}",
         white=f"{WHITE_AT:g}",
-        image=_data_uri(view.image),
-        reference=_data_uri(view.reference),
-        errors=_data_uri(colors),
+        image=data_uri(view.image),
+        reference=data_uri(view.reference),
+        errors=data_uri(colors),
     )
-
-
-def _data_uri(image: Float32[Array, "h w 3"]) -> str:
-    from PIL import Image
-
-    buffer = io.BytesIO()
-    pixels = np.rint(255 * np.clip(image, 0, 1)).astype(np.uint8)
-    Image.fromarray(pixels).save(buffer, "JPEG", quality=90, optimize=True)
-    return "data:image/jpeg;base64," + base64.b64encode(buffer.getvalue()).decode()

@@ -32,10 +32,20 @@ class StreamOptions:
     """For `sog`: Gaussians of a chunk, for which a viewer chooses one level."""
     unit_rows: int = 65_536
     """For `sog`: Gaussians of a file of the two finest levels; files of coarser levels have twice as many."""
-    node_px: float = 8.0
-    """For `sog`: extent, px, at which merged nodes of the first coarser level are expected to be drawn; at coarser
-    levels they are √2 larger for each halving of the nodes. A viewer with a budget draws nodes larger than they are stored for,
-    and shapes and opacities follow from that. 0 keeps those of the tree, for scenes that are only seen from afar."""
+    node_px: float | None = None
+    """For `sog` and `rad`: extent, px, at which merged nodes are expected to be drawn in a cut of half as many nodes as leaves;
+    in smaller cuts they are √2 larger for each halving of the nodes. A viewer with a budget draws nodes larger than they are
+    stored for, and shapes and opacities follow from that. None: 12 for `sog`, 4 for `rad`, whose nodes are chosen one by one.
+    0 keeps those of the tree, for scenes that are only seen from afar."""
+    errors: bool = False
+    """For `sog`: write how far each level of a chunk is from its finest one, by pictures from six sides. PlayCanvas 2.22 chooses
+    levels by it in the mode `error`; other versions do not read it."""
+    zip: bool = False
+    """For `sog`: write one file instead of a folder, a ZIP whose name ends in .ssog, for LichtFeld Studio. Viewers on the web
+    need the folder."""
+    chunked: bool = False
+    """For `rad`: write each chunk of 65,536 nodes as a file of its own beside the header, for hosts that do not answer requests
+    for ranges of bytes."""
     tile_nodes: int = 32_768
     """For `3dtiles`: largest number of Gaussians of a tile."""
     origin: tuple[float, float, float] | None = None
@@ -47,7 +57,7 @@ class StreamOptions:
     def __post_init__(self) -> None:
         for name, least in (("unit_rows", 1), ("node_px", 0), ("tile_nodes", 1)):
             value = getattr(self, name)
-            if not least <= value < math.inf:
+            if value is not None and not least <= value < math.inf:
                 raise InputError(f"{name}: found {value}, wanted at least {least}")
 
     def check_used(self, format: StreamFormat) -> None:
@@ -69,7 +79,10 @@ _USED_BY: dict[str, tuple[StreamFormat, ...]] = {
     "levels": ("sog",),
     "chunk_leaves": ("sog",),
     "unit_rows": ("sog",),
-    "node_px": ("sog",),
+    "node_px": ("sog", "rad"),
+    "errors": ("sog",),
+    "zip": ("sog",),
+    "chunked": ("rad",),
     "tile_nodes": ("3dtiles",),
     "origin": ("3dtiles",),
     "sh_degree": ("sog", "rad", "3dtiles"),

@@ -13,6 +13,8 @@ PACKAGES: Final = {"playcanvas": "2.23.3", "three": "0.180.0", "@sparkjsdev/spar
 VIEWERS: Final = {"lod-meta.json": "playcanvas", ".rad": "spark", "tileset.json": "cesium"}
 """Which viewer opens a manifest or a file that ends so."""
 
+_NAMES: Final = {"playcanvas": "PlayCanvas", "spark": "Spark", "cesium": "CesiumJS"}
+
 
 def viewer_page(viewer: str, base: str, *, has_versions: bool) -> str | None:
     """The page of a viewer whose packages lie at ``base``, with their versions in the address or not; None if there is none."""
@@ -31,7 +33,7 @@ def index_page(title: str, streams: tuple[str, ...]) -> str:
         viewer = next(viewer for end, viewer in VIEWERS.items() if stream.endswith(end))
         link = f"open/{viewer}?stream={quote(stream)}"
         items.append(
-            f'<li><a href="{escape(link)}">Open in {viewer.title()}</a> <a class="file" href="{escape(quote(stream))}">'
+            f'<li><a href="{escape(link)}">Open in {_NAMES[viewer]}</a> <a class="file" href="{escape(quote(stream))}">'
             f"{escape(stream)}</a></li>"
         )
     text = (files("splatree.stream") / "page" / "index.html").read_text()

@@ -9,12 +9,15 @@ that hold what is drawn. Beside it stands the exact cut of the tree with as many
 import json
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from itertools import product
 
 import numpy as np
 
 from splatree.io.formats.rad.container import open_rad
 from splatree.io.formats.rad.nodes import nodes_of
+from splatree.io.local import local_inputs
 from splatree.io.reading import read
 from splatree.lod.select import select
 from splatree.metrics.psnr import psnr
@@ -27,13 +30,24 @@ from splatree.scene.gaussians import Gaussians
 from splatree.scene.options import SelectOptions
 from splatree.scene.scene import Scene
 from splatree.shapes import Array
+from splatree.stream.chunk_quality import ChunkQuality, quality_of_chunks
+from splatree.stream.rad import as_written
 from splatree.stream.readers.cesium import open_tileset, select_cesium
-from splatree.stream.readers.playcanvas import select_playcanvas
-from splatree.stream.readers.sog_stream import open_sog_stream
+from splatree.stream.readers.playcanvas import select_by_errors, select_playcanvas
+from splatree.stream.readers.sog_stream import Ranges, open_sog_stream
 from splatree.stream.readers.spark import chunks_loaded, select_spark
 from splatree.stream.result import Streamed
 
-__all__ = ["LevelQuality", "StreamReport", "ViewQuality", "report_stream", "views_of"]
+__all__ = [
+    "EVERY_ROW",
+    "LevelQuality",
+    "StreamReport",
+    "ViewQuality",
+    "named_views",
+    "report_stream",
+    "viewers_of",
+    "views_of",
+]
 
 BUDGETS = (100_000, 300_000, 1_000_000, 3_000_000)
 """Gaussians that PlayCanvas and Spark may draw."""
@@ -43,7 +57,8 @@ ERRORS_PX = (256.0, 64.0, 16.0)
 
 _DISTANCES = {"near": 0.3, "middle": 1.0, "far": 3.0}
 _ELEVATION_DEG = 25.0
-_EVERY_ROW = SelectOptions(pixel_error=0)
+EVERY_ROW = SelectOptions(pixel_error=0)
+"""All leaves."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +68,7 @@ class ViewQuality:
     view: str
     """`near`, `middle`, `far`, or the name of a camera."""
     viewer: str
-    """`playcanvas`, `spark` or `cesium`."""
+    """`playcanvas`, `spark` or `cesium`; `playcanvas 2.22` chooses by the errors of the stream, if it has them."""
     setting: float
     """The budget, Gaussians; of Cesium the error that it allows, px."""
     num_nodes: int
@@ -98,29 +113,30 @@ class StreamReport:
     """Views by settings, coarse to fine."""
     levels: tuple[LevelQuality, ...]
     """Levels, finest first; none of other formats than sog."""
-    nodes_per_chunk: tuple[tuple[int, ...], ...]
-    """Gaussians of each level in each chunk, chunk by chunk; none of other formats than sog."""
+    chunks: tuple[ChunkQuality, ...]
+    """The levels of each chunk; none of other formats than sog."""
 
     def to_json(self) -> str:
         """The report as JSON; the PSNR of equal pictures, which is infinite, becomes null."""
+        return json.dumps({name: [_finite(asdict(row)) for row in rows] for name, rows in vars(self).items()}, indent=1)
 
-        def finite(rows: Sequence[ViewQuality] | Sequence[LevelQuality]) -> list[dict[str, object]]:
-            return [
-                {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in asdict(row).items()}
-                for row in rows
-            ]
 
-        content = {"views": finite(self.views), "levels": finite(self.levels), "nodes_per_chunk": self.nodes_per_chunk}
-        return json.dumps(content, indent=1)
+def _finite(row: dict[str, object]) -> dict[str, object]:
+    return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in row.items()}
 
 
 @dataclass(frozen=True, eq=False)
-class _Loaded:
+class Loaded:
+    """What a viewer chooses in a view."""
+
     gaussians: Gaussians
+    """What it draws, as decoded."""
     num_bytes: int
+    """What it loads for that."""
 
 
-Choose = Callable[[Camera, float], _Loaded]
+Choose = Callable[[Camera, float], Loaded]
+"""What a viewer chooses for a camera at one of its settings."""
 
 
 def report_stream(
@@ -145,18 +161,20 @@ def report_stream(
         >>> len(report.views) > 0
         True
     """
-    views = (
-        dict(views_of(scene)) if cameras is None else {view.name or f"view {i}": view for i, view in enumerate(cameras)}
-    )
-    viewer, choose = _chooser(scene, written)
-    settings: Sequence[float] = budgets if viewer != "cesium" else ERRORS_PX
-    if viewer != "cesium":
+    with local_inputs([written.output]) as local:  # a zipped stream is unpacked
+        return _report(scene, replace(written, output=local.paths[0]), cameras, budgets)
+
+
+def _report(scene: Scene, written: Streamed, cameras: Sequence[Camera] | None, budgets: Sequence[int]) -> StreamReport:
+    views, viewers = named_views(scene, cameras), viewers_of(scene, written)
+    settings: Sequence[float] = ERRORS_PX
+    if written.format != "3dtiles":
         settings = [b for b in budgets if b < scene.tree.num_leaves] or [scene.tree.num_leaves]
     found: list[ViewQuality] = []
     levels: list[LevelQuality] = []
     for name, camera in track(list(views.items()), f"judge {written.output.name}"):
         truth = _picture(scene, camera)
-        for setting in settings:
+        for (viewer, choose), setting in product(viewers.items(), settings):
             loaded = choose(camera, setting)
             count = len(loaded.gaussians)
             image = _picture(Scene.flat(loaded.gaussians, mode=scene.mode), camera)
@@ -164,8 +182,15 @@ def report_stream(
             found.append(ViewQuality(name, viewer, setting, count, loaded.num_bytes, *quality))
         if written.format == "sog" and not levels:
             levels = list(_levels(scene, written, name, camera, truth))
-    chunks = open_sog_stream(written.output).ranges.counts.T.tolist() if written.format == "sog" else []
-    return StreamReport(tuple(found), tuple(levels), tuple(tuple(counts) for counts in chunks))
+    chunks = quality_of_chunks(open_sog_stream(written.output)) if written.format == "sog" else ()
+    return StreamReport(tuple(found), tuple(levels), chunks)
+
+
+def named_views(scene: Scene, cameras: Sequence[Camera] | None) -> dict[str, Camera]:
+    """The views of a report by their names: the cameras, or near, middle and far."""
+    if cameras is None:
+        return dict(views_of(scene))
+    return {view.name or f"view {i}": view for i, view in enumerate(cameras)}
 
 
 def views_of(scene: Scene) -> Iterator[tuple[str, Camera]]:
@@ -177,39 +202,42 @@ def views_of(scene: Scene) -> Iterator[tuple[str, Camera]]:
         yield name, Camera.look_at(centre + distance * radius * direction, centre)
 
 
-def _chooser(scene: Scene, written: Streamed) -> tuple[str, Choose]:
-    """Which viewer reads the stream, and what it draws and loads in a view."""
+def viewers_of(scene: Scene, written: Streamed) -> dict[str, Choose]:
+    """The viewers that read the stream, and what each draws and loads in a view."""
     if written.format == "sog":
         stream = open_sog_stream(written.output)
 
-        def of_playcanvas(camera: Camera, budget: float) -> _Loaded:
-            levels = select_playcanvas(stream.ranges, camera, int(budget))
-            return _Loaded(stream.gaussians_of(levels), int(stream.file_bytes[stream.files_of(levels)].sum()))
+        def by(select: Callable[[Ranges, Camera, int], Array], camera: Camera, budget: float) -> Loaded:
+            levels = select(stream.ranges, camera, int(budget))
+            return Loaded(stream.gaussians_of(levels), int(stream.file_bytes[stream.files_of(levels)].sum()))
 
-        return "playcanvas", of_playcanvas
+        viewers: dict[str, Choose] = {"playcanvas": partial(by, select_playcanvas)}
+        if stream.ranges.errors is not None:
+            viewers["playcanvas 2.22"] = partial(by, select_by_errors)
+        return viewers
     if written.format == "rad":
-        back, nodes = read(written.output), nodes_of(scene, written.output)
-        starts = [chunk.payload for chunk in open_rad(written.output).chunks]
-        sizes = np.diff([*starts, written.output.stat().st_size])
+        tree = as_written(scene, written.options)
+        back, nodes = read(written.output), nodes_of(tree, written.output)
+        sizes = np.array([chunk.num_bytes for chunk in open_rad(written.output).chunks])
 
-        def of_spark(camera: Camera, budget: float) -> _Loaded:
-            view = select_spark(scene, camera, int(budget))
-            return _Loaded(back.gaussians.take(view.drawn), int(sizes[chunks_loaded(nodes, view)].sum()))
+        def of_spark(camera: Camera, budget: float) -> Loaded:
+            view = select_spark(tree, camera, int(budget))
+            return Loaded(back.gaussians.take(view.drawn), int(sizes[chunks_loaded(nodes, view)].sum()))
 
-        return "spark", of_spark
+        return {"spark": of_spark}
     tiles = open_tileset(written.output)
     decoded: dict[int, Gaussians] = {}
 
-    def of_cesium(camera: Camera, most_px: float) -> _Loaded:
+    def of_cesium(camera: Camera, most_px: float) -> Loaded:
         chosen = select_cesium(tiles, camera, most_px=most_px)
         for tile in chosen.drawn.tolist():
             if tile not in decoded:
                 decoded[tile] = read(written.output / tiles.names[tile]).gaussians
         parts = [decoded[tile] for tile in chosen.drawn.tolist()]
         drawn = Gaussians.concatenate(parts) if parts else Gaussians.empty(scene.gaussians.sh_degree)
-        return _Loaded(drawn, int(tiles.bytes[chosen.loaded].sum()))
+        return Loaded(drawn, int(tiles.bytes[chosen.loaded].sum()))
 
-    return "cesium", of_cesium
+    return {"cesium": of_cesium}
 
 
 def _exact_quality(scene: Scene, camera: Camera, budget: int, truth: Array) -> float | None:
@@ -233,4 +261,4 @@ def _levels(scene: Scene, written: Streamed, view: str, camera: Camera, truth: A
 
 
 def _picture(scene: Scene, camera: Camera) -> Array:
-    return np.clip(render(scene, camera, select=_EVERY_ROW).image, 0, 1)
+    return np.clip(render(scene, camera, select=EVERY_ROW).image, 0, 1)

@@ -1,10 +1,10 @@
 """What was written."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from splatree.scene.literals import check_literals
-from splatree.stream.options import StreamFormat
+from splatree.stream.options import StreamFormat, StreamOptions
 
 __all__ = ["LevelWritten", "Streamed"]
 
@@ -49,6 +49,8 @@ class Streamed:
     """Number of parts that were there already, from a run that was interrupted or had the same scene and options."""
     bytes: int
     """Size of all files, bytes."""
+    options: StreamOptions = field(default_factory=StreamOptions)
+    """How it was cut."""
 
     def __post_init__(self) -> None:
         check_literals(self)

@@ -14,16 +14,18 @@ from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import Final, Self
+from urllib.parse import urlencode
 
 from starlette.applications import Starlette
 from starlette.middleware import Middleware
 from starlette.middleware.cors import CORSMiddleware
 from starlette.requests import Request
-from starlette.responses import FileResponse, HTMLResponse, PlainTextResponse, Response
+from starlette.responses import FileResponse, HTMLResponse, PlainTextResponse, RedirectResponse, Response
 from starlette.routing import BaseRoute, Mount, Route
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from splatree.errors import InputError
+from splatree.errors import InputError, SplatreeError
+from splatree.stream.first_view import first_view
 from splatree.stream.http import LOOPBACK, HttpServer, host_name
 from splatree.stream.pages import index_page, viewer_page
 
@@ -98,6 +100,7 @@ class StreamServer:
             raise InputError(
                 f"{folder}: found no lod-meta.json, tileset.json or .rad in it; write one with splatree stream"
             )
+        self._views: dict[str, dict[str, str]] = {}
         self._options = options
         self._prefix = "" if options.is_local else f"/{secrets.token_urlsafe(16)}"
         packages = Path(options.packages)
@@ -151,12 +154,30 @@ class StreamServer:
     async def _index(self, request: Request) -> Response:
         return HTMLResponse(index_page(self.folder.name, self.streams), headers={"Cache-Control": "no-store"})
 
-    async def _viewer(self, request: Request) -> Response:
+    def _viewer(self, request: Request) -> Response:
+        stream = request.query_params.get("stream", "")
+        if "pos" not in request.query_params and stream in self.streams and (view := self._view_of(stream)):
+            return RedirectResponse(
+                f"?{urlencode(dict(request.query_params) | view)}", headers={"Cache-Control": "no-store"}
+            )
         base = f"{self._prefix}/packages" if self._packages is not None else self._options.packages
         text = viewer_page(request.path_params["viewer"], base, has_versions=self._packages is None)
         if text is None:
             return _not_found()
         return HTMLResponse(text, headers={"Cache-Control": "no-store"})
+
+    def _view_of(self, stream: str) -> dict[str, str]:
+        """What the address of a page says of the first view; nothing of a stream that cannot be read here."""
+        if stream not in self._views:
+            try:
+                framing = first_view(self.folder / stream)
+            except (SplatreeError, KeyError, TypeError, ValueError):  # of other tools: their pages choose a view
+                self._views[stream] = {}
+            else:
+                vectors = {"pos": framing.eye, "target": framing.target, "up": framing.up}
+                words = {name: ",".join(f"{x:.7g}" for x in vector) for name, vector in vectors.items()}
+                self._views[stream] = words | {"fov": f"{framing.fov_y_deg:g}", "turn": "1"}
+        return self._views[stream]
 
     async def _page(self, request: Request) -> Response:
         name = request.path_params["name"]

@@ -26,6 +26,7 @@ from splatree.scene.scene import Scene
 from splatree.shapes import Array
 from splatree.stream.boxes import box_around, outward
 from splatree.stream.chunks import TreeChunks, chunks_of_tree
+from splatree.stream.errors import errors_of_levels
 from splatree.stream.levels import Level, levels_of_tree
 from splatree.stream.nodes import gaussians_of_level
 from splatree.stream.options import StreamOptions
@@ -37,6 +38,9 @@ __all__ = ["write_sog"]
 
 _FINEST = 2
 """Levels whose units have ``unit_rows`` rows; those of coarser levels, which are loaded from afar, have twice as many."""
+
+_NODE_PX = 12.0
+"""Extent at which PlayCanvas draws the nodes of the first coarser level (nodes.py)."""
 
 _ROWS_PER_ENTRY = 8
 """Rows for each entry of the palette of harmonics of a unit: its entries then cost about as much as the labels of its rows."""
@@ -85,7 +89,8 @@ def write_sog(scene: Scene, output: Path, options: StreamOptions, *, force: bool
             num_there += written.was_there
             offsets = levels[unit.level].offsets
             advance(int(offsets[unit.end_chunk] - offsets[unit.first_chunk]))
-    manifest = _manifest(scene, options, levels, units, names, boxes)
+    errors = list(_errors(scene, options, levels, boxes, threads)) if options.errors else None
+    manifest = _manifest(scene, options, levels, names, _leaves(levels, units, errors), boxes)
     folder.finish(json.dumps(manifest, separators=(",", ":")), names)
     return _result(output, folder, chunks, levels, units, names, num_there)
 
@@ -109,7 +114,7 @@ def _write_unit(
     level = levels[unit.level]
     offsets = level.offsets[unit.first_chunk : unit.end_chunk + 1]
     rows = level.rows[offsets[0] : offsets[-1]]
-    g = gaussians_of_level(scene, level, rows, options.node_px)
+    g = gaussians_of_level(scene, level, rows, _node_px(options))
     settings = WriteOptions(sh_palette=_palette_size(len(g)) if g.sh_degree else None)
     name = f"{unit.level}_{unit.number}-{digest_of(g, scene.mode, settings)}"
     was_there = folder.has(name)
@@ -118,6 +123,10 @@ def _write_unit(
         folder.write_part(name, {**pictures, "meta.json": json.dumps(meta).encode()})
     starts = offsets[:-1] - offsets[0]
     return _Written(name, was_there, box_around(g, starts, sigmas=1.0))
+
+
+def _node_px(options: StreamOptions) -> float:
+    return _NODE_PX if options.node_px is None else options.node_px
 
 
 def _in_chunks(g: Gaussians, mode: Mode) -> Chunks:
@@ -131,20 +140,29 @@ def _palette_size(num_rows: int) -> int:
     return min(num_rows, max(1024, 1 << int(math.log2(max(1, num_rows / _ROWS_PER_ENTRY)))))
 
 
+def _errors(
+    scene: Scene, options: StreamOptions, levels: tuple[Level, ...], boxes: Array, threads: int
+) -> Iterator[list[float]]:
+    """The errors of each chunk's levels, with seven digits."""
+
+    def of_chunk(chunk: int) -> list[float]:
+        parts = [gaussians_of_level(scene, level, level.of_chunk(chunk), _node_px(options)) for level in levels]
+        return [float(f"{error:.7g}") for error in errors_of_levels(parts, boxes[chunk], scene.mode)]
+
+    with task("compare levels", len(boxes)) as advance:
+        for errors in in_order(of_chunk, range(len(boxes)), threads):
+            yield errors
+            advance(1)
+
+
 def _manifest(
     scene: Scene,
     options: StreamOptions,
     levels: tuple[Level, ...],
-    units: list[_Unit],
     names: list[str],
+    leaves: list[dict[str, Any]],
     boxes: Array,
 ) -> dict[str, Any]:
-    lods: list[dict[str, Any]] = [{} for _ in boxes]
-    for file, unit in enumerate(units):
-        offsets = levels[unit.level].offsets
-        for chunk in range(unit.first_chunk, unit.end_chunk):
-            offset, count = offsets[chunk] - offsets[unit.first_chunk], offsets[chunk + 1] - offsets[chunk]
-            lods[chunk][str(unit.level)] = {"file": file, "offset": int(offset), "count": int(count)}
     record = scene.tree.record
     tree = None if record is None else json.loads(record.to_json())
     ours = {"tree": tree, "ratio": options.ratio, "sizes": [level.size for level in levels]}
@@ -154,20 +172,32 @@ def _manifest(
         "count": sum(map(len, levels)),
         "counts": [len(level) for level in levels],
         "lodLevels": len(levels),
-        "lodErrors": False,
+        "lodErrors": options.errors,
         "filenames": [f"{name}/meta.json" for name in names],
-        "tree": _node(lods, boxes, 0, len(lods)),
+        "tree": _node(leaves, boxes, 0, len(leaves)),
     }
 
 
-def _node(lods: list[dict[str, Any]], boxes: Array, first: int, end: int) -> dict[str, Any]:
+def _leaves(levels: tuple[Level, ...], units: list[_Unit], errors: list[list[float]] | None) -> list[dict[str, Any]]:
+    """What the manifest says of each chunk."""
+    num_chunks = len(levels[0].offsets) - 1
+    lods: list[dict[str, Any]] = [{} for _ in range(num_chunks)]
+    for file, unit in enumerate(units):
+        offsets = levels[unit.level].offsets
+        for chunk in range(unit.first_chunk, unit.end_chunk):
+            offset, count = offsets[chunk] - offsets[unit.first_chunk], offsets[chunk + 1] - offsets[chunk]
+            lods[chunk][str(unit.level)] = {"file": file, "offset": int(offset), "count": int(count)}
+    return [{"lods": own} if errors is None else {"lods": own, "errors": errors[i]} for i, own in enumerate(lods)]
+
+
+def _node(leaves: list[dict[str, Any]], boxes: Array, first: int, end: int) -> dict[str, Any]:
     """Chunks as a binary tree: neighbours in the list are neighbours in space, so it is halved."""
     low, high = outward(boxes[first:end, 0].min(axis=0), boxes[first:end, 1].max(axis=0))
     node: dict[str, Any] = {"bound": {"min": low, "max": high}}
     if end - first == 1:
-        return node | {"lods": lods[first]}
+        return node | leaves[first]
     middle = (first + end) // 2
-    return node | {"children": [_node(lods, boxes, first, middle), _node(lods, boxes, middle, end)]}
+    return node | {"children": [_node(leaves, boxes, first, middle), _node(leaves, boxes, middle, end)]}
 
 
 def _result(

@@ -9,6 +9,7 @@ from splatree.errors import InputError
 from splatree.lod.build import build_lod
 from splatree.lod.options import BuildOptions
 from splatree.scene.scene import Scene
+from splatree.stream.archive import write_archive
 from splatree.stream.options import StreamFormat, StreamOptions
 from splatree.stream.rad import write_rad
 from splatree.stream.result import Streamed
@@ -34,7 +35,7 @@ def stream(
 
     Args:
         scene: the scene, with levels or without.
-        output: the folder (`sog`, `3dtiles`) or the file (`rad`) to write.
+        output: the folder (`sog`, `3dtiles`) or the file (`rad`, a zipped `sog`) to write.
         format: who reads it: `sog` for PlayCanvas, SuperSplat and Babylon.js, `rad` for Spark, `3dtiles` for CesiumJS.
         options: how the stream is cut; None: the defaults.
         force: replace an older stream.
@@ -62,15 +63,34 @@ def stream(
     if format not in get_args(StreamFormat):
         raise InputError(f"format: found {format!r}, wanted one of {', '.join(get_args(StreamFormat))}")
     options.check_used(format)
+    _check_name(Path(output), format, options)
     degree = scene.gaussians.sh_degree if options.sh_degree is None else options.sh_degree
     if degree < scene.gaussians.sh_degree:
         scene = replace(scene, gaussians=scene.gaussians.with_sh_degree(degree), clusters=None)
     scene = with_levels(scene, threads=threads)
+    return replace(_written(scene, Path(output), format, options, force=force, threads=threads), options=options)
+
+
+def _check_name(output: Path, format: StreamFormat, options: StreamOptions) -> None:
+    """Refuse the name of a file for a folder."""
+    if output.suffix == ".rad" and format != "rad":
+        raise InputError(
+            f"{output}: found the name of a stream for Spark and the format {format}; choose the format rad"
+        )
+    if output.suffix == ".ssog" and not options.zip:
+        raise InputError(f"{output}: found the name of a zipped stream; choose the format sog with the option zip")
+
+
+def _written(
+    scene: Scene, output: Path, format: StreamFormat, options: StreamOptions, *, force: bool, threads: int
+) -> Streamed:
     if format == "rad":
-        return write_rad(scene, Path(output), force=force)
+        return write_rad(scene, output, options, force=force)
     if format == "3dtiles":
-        return write_tiles(scene, Path(output), options, force=force, threads=threads)
-    return write_sog(scene, Path(output), options, force=force, threads=threads)
+        return write_tiles(scene, output, options, force=force, threads=threads)
+    if options.zip:
+        return write_archive(scene, output, options, force=force, threads=threads)
+    return write_sog(scene, output, options, force=force, threads=threads)
 
 
 def with_levels(scene: Scene, *, threads: int = 0) -> Scene:

@@ -8,12 +8,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from splatree.errors import InputError
 from splatree.kernels.devices import DeviceName
 from splatree.lod.build import build_lod
 from splatree.lod.select import Selector, select
 from splatree.progress import task
 from splatree.render.framing.frame import Framing, frame_scene
+from splatree.render.framing.trial import FOCUS_RADII
 from splatree.render.session import Session, open_session
 from splatree.scene.cameras import Camera
 from splatree.scene.frame import RenderResult, Selection
@@ -26,6 +29,12 @@ __all__ = ["Exhibit", "exhibit", "has_levels", "with_levels"]
 
 FLAT_MAX = 10_000
 """Scenes of more Gaussians get levels before they are shown: fewer fit into any budget as they are."""
+
+SAMPLE = 60_000
+"""Leaves of which the width of a scene is taken."""
+
+WIDE_SHARE = 0.99
+"""Share of the leaves that a window has to be wide enough for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,8 +119,22 @@ class Exhibit:
             "fov": framing.fov_y_deg,
             "eye": (framing.eye - framing.centre).tolist(),
             "target": (framing.target - framing.centre).tolist(),
+            "aspect": self._aspect(),
             "clusters": 0 if self.scene.clusters is None else len(self.scene.clusters),
         }
+
+    def _aspect(self) -> float:
+        """Width over height of a window that is just wide enough for the dense part of the scene in the first view."""
+        framing, camera = self.framing, self.framing.camera()
+        means = self.scene.gaussians.means[self.scene.tree.is_leaf]
+        means = means[:: -(-len(means) // SAMPLE)].astype(np.float64)
+        means = means[np.linalg.norm(means - framing.centre, axis=1) < FOCUS_RADII * framing.radius]
+        x, _, z = (means @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3]).T
+        is_ahead = z > camera.near
+        if not is_ahead.any():
+            return 1.0
+        half_height = np.tan(np.radians(framing.fov_y_deg) / 2)
+        return float(np.quantile(np.abs(x[is_ahead]) / z[is_ahead], WIDE_SHARE) / half_height)
 
 
 def exhibit(

@@ -1,7 +1,7 @@
 // A streamed SOG in the PlayCanvas engine. The scene is turned by half a circle about z, since the engine has y up.
 import * as pc from 'playcanvas';
 import { CameraControls } from 'controls';
-import { fail, fov, number, position, state, stream, target, up } from './query.js';
+import { fail, fov, number, position, state, stream, target, turns, up } from './query.js';
 
 const canvas = document.getElementById('canvas');
 const device = await pc.createGraphicsDevice(canvas, { deviceTypes: ['webgl2'], antialias: false });
@@ -41,7 +41,7 @@ asset.once('load', () => {
   app.root.addChild(camera);
   camera.setPosition(turned(eye));
   camera.lookAt(turned(aim), turned(up));
-  if (!position) {
+  if (turns) {
     camera.addComponent('script');
     camera.script.create(CameraControls)?.reset(turned(aim), turned(eye));
   }

@@ -6,6 +6,7 @@ export const stream = new URL('../' + query.get('stream'), location.href).href;
 export const position = vector('pos', null);
 export const target = vector('target', [0, 0, 0]);
 export const up = vector('up', [0, -1, 0]);
+export const turns = position === null || query.has('turn'); // whether the page can be turned by hand
 export const fov = Number(query.get('fov') ?? 50);
 export const number = (name, otherwise) => (query.has(name) ? Number(query.get(name)) : otherwise);
 

@@ -2,7 +2,7 @@
 import * as THREE from 'three';
 import { OrbitControls } from 'three/addons/controls/OrbitControls.js';
 import { SparkRenderer, SplatMesh } from '@sparkjsdev/spark';
-import { fail, fov, number, position, state, stream, target, up } from './query.js';
+import { fail, fov, number, position, state, stream, target, turns, up } from './query.js';
 
 const renderer = new THREE.WebGLRenderer({ antialias: false, preserveDrawingBuffer: true });
 renderer.setPixelRatio(1);
@@ -22,14 +22,14 @@ const mesh = new SplatMesh({ url: stream, paged: true });
 mesh.quaternion.set(1, 0, 0, 0);
 scene.add(spark, mesh);
 const turned = ([x, y, z]) => new THREE.Vector3(x, -y, -z);
-const controls = position ? null : new OrbitControls(camera, renderer.domElement);
 camera.position.copy(turned(position ?? [target[0], target[1] - 1, target[2] - 3]));
 camera.up.copy(turned(up));
 camera.lookAt(turned(target));
+const controls = turns ? new OrbitControls(camera, renderer.domElement) : null; // it takes the camera's up
 controls?.target.copy(turned(target));
 state.stop = () => renderer.setAnimationLoop(null);
 mesh.initialized.then(() => {
-  if (!controls) return;
+  if (position) return;
   const box = mesh.getBoundingBox?.(true);
   if (!box || box.isEmpty()) return;
   const centre = box.getCenter(new THREE.Vector3()).applyQuaternion(mesh.quaternion);

@@ -5,7 +5,14 @@ boxes, three quarters of what is longer are taken off first. A chunk behind the 
 distance is then scaled by tan(fov / 2) of the smaller field of view against that of 45°. The level is one of bands that each
 are three times as deep as the one before; all bands move together, to the finest place where the sum of all chunks fits the
 budget. A chunk without the level takes its next finer one, or its coarsest if it has none that coarse.
+
+PlayCanvas 2.22 can choose by tables of errors instead (`select_by_errors`). All chunks begin at their coarsest level. A step to a
+finer level is worth c Δerror / Δcount, at most what the step before it was worth; c = (r / (r + distance))² for a chunk of radius
+r. Steps are taken from the most worth down while they fit the budget. Levels that have more rows than another one and no smaller
+error are left out.
 """
+
+from itertools import pairwise
 
 import numpy as np
 
@@ -13,7 +20,7 @@ from splatree.scene.cameras import Camera
 from splatree.shapes import Array, Float64, Int64
 from splatree.stream.readers.sog_stream import Ranges
 
-__all__ = ["select_playcanvas"]
+__all__ = ["select_by_errors", "select_playcanvas"]
 
 _SHRINK, _BEHIND, _BAND = 0.75, 1.5, 3.0
 _HALVINGS = 40
@@ -44,6 +51,32 @@ def select_playcanvas(ranges: Ranges, camera: Camera, budget: int, *, band: floa
         middle = (coarse + fine) / 2
         coarse, fine = (middle, fine) if fits(levels_at(middle)) else (coarse, middle)
     return levels_at(coarse)
+
+
+def select_by_errors(ranges: Ranges, camera: Camera, budget: int) -> Int64[Array, "c"]:
+    """The level of each chunk by the errors of the stream, which has them and all levels of all chunks."""
+    assert ranges.errors is not None
+    radii = np.linalg.norm(ranges.boxes[:, 1] - ranges.boxes[:, 0], axis=1) / 2
+    coverages = (radii / (radii + _distances(ranges.boxes, camera))) ** 2
+    levels = np.empty(len(radii), np.int64)
+    steps: list[tuple[float, int, int, int, int]] = []  # − worth, chunk, from, to, rows
+    for chunk, (counts, errors) in enumerate(zip(ranges.counts.T.tolist(), ranges.errors.T.tolist(), strict=True)):
+        by_count = sorted(range(len(counts)), key=lambda level: (counts[level], errors[level]))
+        useful = by_count[:1]
+        for level in by_count[1:]:
+            if errors[level] < errors[useful[-1]]:
+                useful.append(level)
+        levels[chunk], worth = useful[0], np.inf
+        for coarse, fine in pairwise(useful):
+            rows = counts[fine] - counts[coarse]
+            worth = min(worth, float(coverages[chunk]) * (errors[coarse] - errors[fine]) / rows)
+            steps.append((-worth, chunk, coarse, fine, rows))
+    left = budget - int(ranges.counts[levels, np.arange(len(levels))].sum())
+    for _, chunk, coarse, fine, rows in sorted(steps, key=lambda step: step[0]):  # of equals the coarser step is first
+        if levels[chunk] == coarse and rows <= left:
+            levels[chunk] = fine
+            left -= rows
+    return levels
 
 
 def _distances(boxes: Float64[Array, "c 2 3"], camera: Camera) -> Float64[Array, "c"]:

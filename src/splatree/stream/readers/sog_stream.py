@@ -35,6 +35,8 @@ class Ranges:
     """First row in the file."""
     counts: Int64[Array, "l c"]
     """Rows; 0 where the chunk does not have the level."""
+    errors: Float64[Array, "l c"] | None
+    """How far each level is from the finest; None: the stream does not say."""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -69,12 +71,14 @@ class SogStream:
 
     def gaussians_of(self, levels: Array) -> Gaussians:
         """The rows of all chunks, each at its level "c", as decoded."""
-        r, parts = self.ranges, []
-        for chunk, level in enumerate(levels):
-            offset, count = r.offsets[level, chunk], r.counts[level, chunk]
-            if count:
-                parts.append(self._unit(int(r.files[level, chunk])).gaussians.rows(offset, offset + count))
+        parts = [self.rows_of(chunk, level) for chunk, level in enumerate(levels) if self.ranges.counts[level, chunk]]
         return Gaussians.concatenate(parts)
+
+    def rows_of(self, chunk: int, level: int) -> Gaussians:
+        """The rows of one level of a chunk, which has it."""
+        r = self.ranges
+        offset, count = r.offsets[level, chunk], r.counts[level, chunk]
+        return self._unit(int(r.files[level, chunk])).gaussians.rows(offset, offset + count)
 
     def _unit(self, file: int) -> Scene:
         if file not in self._decoded:
@@ -107,4 +111,6 @@ def _ranges(meta: dict[str, Any]) -> Ranges:
         for level, entry in leaf["lods"].items():
             table[:, int(level), chunk] = entry["file"], entry["offset"], entry["count"]
     boxes = np.array([[leaf["bound"]["min"], leaf["bound"]["max"]] for leaf in leaves], np.float64)
-    return Ranges(boxes, table[0], table[1], table[2])
+    tables = [leaf.get("errors") for leaf in leaves]
+    errors = None if None in tables else np.array(tables, np.float64).T.copy()
+    return Ranges(boxes, table[0], table[1], table[2], errors)

@@ -5,6 +5,7 @@ import { Layer } from './layer.js';
 import { Painter } from './painter.js';
 import { Page } from './page.js';
 import { readAddress, writeAddress } from './address.js';
+import { mix } from './vectors.js';
 
 const STILL_MS = 300; // without a change before the exact picture is asked for
 const FADE_MS = 250;
@@ -83,10 +84,9 @@ class App {
   /** A scene came, the first one or a new one in its place. */
   sceneCame(layer, isFirst) {
     if (layer === this.layers[0] && isFirst) {
-      this.home = { eye: layer.facts.eye, target: layer.facts.target };
       this.camera.up = layer.facts.up;
       this.camera.fov = layer.facts.fov;
-      this.camera.set(this.home.eye, this.home.target);
+      this.camera.set(this.firstEye(), layer.facts.target);
       this.controls.speed = layer.facts.radius * (layer.facts.inside ? 0.3 : 0.6);
       if (layer.facts.inside) this.page.fly.click(); // from within, one looks round
       readAddress(this.camera, this.state);
@@ -229,7 +229,13 @@ class App {
   reset() {
     this.camera.fov = this.facts.fov;
     this.camera.frame = null;
-    this.motion = glide(this.camera, this.home.eye, this.home.target);
+    this.motion = glide(this.camera, this.firstEye(), this.facts.target);
+  }
+
+  /** Where the first view is taken from: farther away in a narrow window, so that the scene's width is in it. */
+  firstEye() {
+    const { eye, target, inside, aspect } = this.facts;
+    return mix(target, eye, inside ? 1 : Math.max(1, (aspect * canvas.clientHeight) / canvas.clientWidth));
   }
 
   tick(now) {

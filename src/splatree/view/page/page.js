@@ -255,11 +255,15 @@ export class Page {
   }
 
   help() {
-    const rows = [
-      ['drag', 'turn about the scene, or look round while flying'], ['right drag, shift drag, two fingers', 'move across'], ['wheel, pinch', 'come nearer to what is under the pointer'],
-      ['double click, double tap', 'turn about this point'], ['W A S D, Q E', 'fly; with shift three times as fast'], ['arrows', 'turn'], ['R', 'first view'], ['1, 2', 'orbit, fly'],
-      ['K', 'add this camera to the list'], ['C', 'record a path'], ['P', 'save the picture'], ['L', 'copy the address of this view'], ['T', 'dark or light'], ['O', 'settings'],
+    const hands = [
+      ['drag', 'turn about the scene, or look round while flying'], ['right drag, shift drag, two fingers', 'move across'],
+      ['wheel, pinch', 'come nearer to what is under the pointer'], ['double click, double tap', 'turn about this point'],
     ];
+    const keys = [
+      ['W A S D, Q E', 'fly; with shift three times as fast'], ['arrows', 'turn'], ['R', 'first view'], ['1, 2', 'orbit, fly'], ['K', 'add this camera to the list'],
+      ['C', 'record a path'], ['P', 'save the picture'], ['L', 'copy the address of this view'], ['T', 'dark or light'], ['O', 'settings'],
+    ];
+    const rows = matchMedia('(pointer: coarse)').matches ? hands : [...hands, ...keys]; // a phone has no keys
     const close = button('Close', 'Close', () => at('help').close());
     at('help').replaceChildren(make('h2', {}, 'Moving about'), make('dl', {}, ...rows.flatMap(([key, text]) => [make('dt', {}, key), make('dd', {}, text)])), close);
     at('help').showModal();

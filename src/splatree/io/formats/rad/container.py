@@ -34,6 +34,7 @@ class RadChunk:
     """A chunk's header, checked."""
 
     path: Path
+    num_bytes: int
     payload: int  # byte of the file
     base: int
     count: int
@@ -179,7 +180,7 @@ def _parse_chunk(path: Path, file: BinaryIO, start: int, size: int, where: str) 
         if name in properties:
             raise FormatError(f"{where}: {name}: found it twice, wanted once")
         properties[name] = entry
-    return RadChunk(path, behind + 8, base, count, properties, where)
+    return RadChunk(path, size, behind + 8, base, count, properties, where)
 
 
 def values_of(chunk: RadChunk, name: str, num_rows: int | None = None) -> Array:

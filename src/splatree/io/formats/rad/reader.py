@@ -26,6 +26,7 @@ import numpy as np
 
 from splatree.constants import ALPHA_THRESHOLD, SH_C0
 from splatree.errors import FormatError
+from splatree.io.check import checked
 from splatree.io.chunks import Chunks
 from splatree.io.formats.rad.container import MAGIC, RadChunk, RadFile, open_rad, values_of
 from splatree.io.levels import FileLevels, preorder_of_file, scene_with_levels
@@ -80,6 +81,23 @@ def read(path: Path, options: ReadOptions) -> Scene:
     if file.comment:
         metadata["comment"] = file.comment
     return replace(scene, threshold=file.threshold, source=replace(scene.source, metadata=metadata))
+
+
+def read_first_chunk(path: Path) -> Scene:
+    """The first chunk alone, without levels: of a file with a tree the nodes of the chunk whose children begin beyond it."""
+    from concurrent.futures import ThreadPoolExecutor
+
+    file = open_rad(path)
+    if not file.chunks:
+        return Scene.flat(Gaussians.empty(file.degree), mode=file.mode)
+    chunk = file.chunks[0]
+    gaussians = columns_to_fill(chunk.count, file.degree)
+    with ThreadPoolExecutor(_core.hardware_threads()) as pool:
+        _fill(file, gaussians, _palette(file), slice(0, chunk.count), chunk, pool)
+    if file.has_levels:
+        starts, counts = (values_of(chunk, name)[:, 0] for name in ("child_start", "child_count"))
+        gaussians = gaussians.take(np.flatnonzero((counts == 0) | (starts >= chunk.count)))
+    return checked(Scene.flat(gaussians, mode=file.mode), str(path), repair=False)
 
 
 def read_chunks(path: Path, options: ReadOptions) -> Chunks | None:

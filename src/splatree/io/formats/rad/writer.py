@@ -6,7 +6,7 @@ Ranges of 8-bit codes are those of each chunk: nothing is clipped, and a chunk o
 
 import json
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -64,21 +64,41 @@ def write(scene: Scene, path: Path, options: WriteOptions) -> tuple[str, ...]:
     """
     g, n = scene.gaussians, len(scene)
     if scene.tree.num_leaves == n:
-        _write(path, _Head(n, g.sh_degree, scene.mode, scene.threshold), _parts(chunks_of(scene)), None, options)
+        _write(path, _Head(n, g.sh_degree, scene.mode, scene.threshold), _parts(chunks_of(scene)), options)
         return ()
+    head, parts = _with_levels(scene, path)
+    _write(path, head, parts, options)
+    return ()
+
+
+def write_chunked(scene: Scene, path: Path, write_chunk: Callable[[int, bytes], str]) -> None:
+    """Write a scene with levels as a header alone, and give ``write_chunk`` each chunk with its number, which names its file.
+
+    Raises:
+        InputError: a node has more than 65,535 children.
+    """
+    head, parts = _with_levels(scene, path)
+    encoder = _Encoder(head, WriteOptions(), path.name)
+    entries = [
+        {"offset": 0, "bytes": len(chunk), "filename": write_chunk(number, chunk)}
+        for number, chunk in enumerate(encoder.chunks(parts))
+    ]
+    text = encoder.header(entries)
+    path.write_bytes(MAGIC + len(text).to_bytes(4, "little") + text.ljust(padded(len(text)), b"\0"))
+
+
+def _with_levels(scene: Scene, path: Path) -> tuple["_Head", Iterator[Gaussians]]:
     refuse_unusable(scene.gaussians, "scene to write")
     nodes = nodes_of(scene, path)
     parts = (nodes.gaussians(scene, b, b + _CHUNK_ROWS) for b in range(0, len(nodes), _CHUNK_ROWS))
-    joins_roots = len(nodes.joined_root) > 0
-    head = _Head(len(nodes), g.sh_degree, scene.mode, scene.threshold, joins_roots, scene.tree.record)
-    _write(path, head, parts, nodes, options)
-    return ()
+    degree = scene.gaussians.sh_degree
+    return _Head(len(nodes), degree, scene.mode, scene.threshold, nodes, scene.tree.record), parts
 
 
 def write_chunks(chunks: Chunks, path: Path, options: WriteOptions) -> tuple[str, ...]:
     """The same of a scene without levels."""
     head = _Head(len(chunks), chunks.sh_degree, chunks.mode, ALPHA_THRESHOLD)
-    _write(path, head, _parts(chunks), None, options)
+    _write(path, head, _parts(chunks), options)
     return ()
 
 
@@ -102,7 +122,7 @@ def _parts(chunks: Chunks) -> Iterator[Gaussians]:
         yield part.rows(0, num_filled)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Head:
     """What is said of all chunks."""
 
@@ -110,53 +130,74 @@ class _Head:
     sh_degree: int
     mode: Mode
     threshold: float
-    joins_roots: bool = False
+    nodes: Nodes | None = None
     record: LevelRecord | None = None
 
     @property
     def ours(self) -> dict[str, Any]:
         """What the header says for splatree alone."""
         levels = {} if self.record is None else {"levels": json.loads(self.record.to_json())}
-        return {"mode": self.mode, "threshold": self.threshold, "joinsRoots": self.joins_roots, **levels}
+        joins_roots = self.nodes is not None and len(self.nodes.joined_root) > 0
+        return {"mode": self.mode, "threshold": self.threshold, "joinsRoots": joins_roots, **levels}
 
 
-def _write(path: Path, head: _Head, parts: Iterator[Gaussians], nodes: Nodes | None, options: WriteOptions) -> None:
-    """Write the Gaussians and their links part by part."""
-    from concurrent.futures import ThreadPoolExecutor
-
-    level = 2 if options.compression is None else options.compression
-    if level not in (0, 1, 2):
-        raise InputError(f"{path.name}: found compression {level}, wanted 0 (floats), 1 (half precision) or 2 (8 bits)")
+def _write(path: Path, head: _Head, parts: Iterator[Gaussians], options: WriteOptions) -> None:
+    """Write the Gaussians and their links part by part, and then the header before them."""
+    encoder = _Encoder(head, options, path.name)
     # Offsets are known when the chunks are; their list is padded with spaces to this size.
     header_bytes = padded(1000 + 44 * -(-head.count // _CHUNK_ROWS) + len(json.dumps(head.ours)))
-    every, sample = max(1, head.count // _SAMPLE), [Gaussians.empty(head.sh_degree)]
-    entries: list[dict[str, int]] = []
-    begin = offset = 0
-    with (
-        path.open("wb") as file,
-        task(f"write {path.name}", head.count) as advance,
-        ThreadPoolExecutor(_core.hardware_threads()) as pool,
-    ):
+    entries: list[dict[str, Any]] = []
+    with path.open("wb") as file:
         file.seek(8 + header_bytes)
-        for part in parts:
-            links = None if nodes is None else nodes.links(begin, begin + len(part))
-            chunk = _encode_chunk(part, links, level, begin, pool)
+        for chunk in encoder.chunks(parts):
+            entries.append({"offset": encoder.num_bytes - len(chunk), "bytes": len(chunk)})
             file.write(chunk)
-            sample.append(part.take(np.arange(-begin % every, len(part), every)))
-            entries.append({"offset": offset, "bytes": len(chunk)})
-            offset += len(chunk)
-            begin += len(part)
-            advance(len(part))
-        meta: dict[str, Any] = {"version": 1, "type": "gsplat", "count": head.count, "maxSh": head.sh_degree}
-        meta |= {"lodTree": True} if nodes is not None else {}
-        meta |= {"chunkSize": _CHUNK_ROWS, "allChunkBytes": offset, "chunks": entries}
-        ranges = _display_ranges(Gaussians.concatenate(sample), nodes is not None)
-        meta |= {"splatEncoding": ranges, "comment": "written by splatree"}
-        meta |= {"splatree": head.ours}
-        text = json.dumps(meta, separators=(",", ":")).encode()
+        text = encoder.header(entries)
         assert len(text) <= header_bytes
         file.seek(0)
         file.write(MAGIC + header_bytes.to_bytes(4, "little") + text.ljust(header_bytes))
+
+
+class _Encoder:
+    """Encodes the chunks of a file, and the header that speaks of all of them."""
+
+    def __init__(self, head: _Head, options: WriteOptions, name: str) -> None:
+        level = 2 if options.compression is None else options.compression
+        if level not in (0, 1, 2):
+            raise InputError(f"{name}: found compression {level}, wanted 0 (floats), 1 (half precision) or 2 (8 bits)")
+        self._head, self._level, self._name = head, level, name
+        self._sample = [Gaussians.empty(head.sh_degree)]
+        self.num_bytes = 0
+        """Bytes of the chunks so far."""
+
+    def chunks(self, parts: Iterator[Gaussians]) -> Iterator[bytes]:
+        """Each part as a chunk."""
+        from concurrent.futures import ThreadPoolExecutor
+
+        nodes, begin = self._head.nodes, 0
+        every = max(1, self._head.count // _SAMPLE)
+        with (
+            task(f"write {self._name}", self._head.count) as advance,
+            ThreadPoolExecutor(_core.hardware_threads()) as pool,
+        ):
+            for part in parts:
+                links = None if nodes is None else nodes.links(begin, begin + len(part))
+                chunk = _encode_chunk(part, links, self._level, begin, pool)
+                self._sample.append(part.take(np.arange(-begin % every, len(part), every)))
+                self.num_bytes += len(chunk)
+                begin += len(part)
+                yield chunk
+                advance(len(part))
+
+    def header(self, entries: list[dict[str, Any]]) -> bytes:
+        """The header of a file whose chunks are at these places."""
+        head, has_levels = self._head, self._head.nodes is not None
+        meta: dict[str, Any] = {"version": 1, "type": "gsplat", "count": head.count, "maxSh": head.sh_degree}
+        meta |= {"lodTree": True} if has_levels else {}
+        meta |= {"chunkSize": _CHUNK_ROWS, "allChunkBytes": self.num_bytes, "chunks": entries}
+        ranges = _display_ranges(Gaussians.concatenate(self._sample), has_levels)
+        meta |= {"splatEncoding": ranges, "comment": "written by splatree", "splatree": head.ours}
+        return json.dumps(meta, separators=(",", ":")).encode()
 
 
 def _encode_chunk(part: Gaussians, links: Links | None, level: int, begin: int, pool: "ThreadPoolExecutor") -> bytes:

@@ -1,0 +1,50 @@
+"""A streamed SOG as one file: a ZIP of its folder, `.ssog`, which LichtFeld Studio opens.
+
+Units are compressed already, so the ZIP stores them as they are. Its entries are in the order of the manifest, which comes first,
+and have no date: the same stream gives the same bytes.
+"""
+
+import json
+import tempfile
+import zipfile
+from dataclasses import replace
+from pathlib import Path
+
+from splatree.errors import InputError
+from splatree.io.formats.streamed_sog.format import MANIFEST
+from splatree.io.replacing import replacing
+from splatree.scene.scene import Scene
+from splatree.stream.options import StreamOptions
+from splatree.stream.result import Streamed
+from splatree.stream.sog import write_sog
+
+__all__ = ["write_archive"]
+
+
+def write_archive(
+    scene: Scene, output: Path, options: StreamOptions, *, force: bool = False, threads: int = 0
+) -> Streamed:
+    """Write a scene with levels as a streamed SOG in a ZIP.
+
+    Raises:
+        InputError: the name does not end in ``.ssog``, or the options cannot be met.
+        OutputError: there is a file already, or the disk fails.
+    """
+    if output.suffix != ".ssog":
+        raise InputError(f"{output}: found the name of a zipped stream, wanted one that ends in .ssog")
+    with (
+        replacing(output, force=force) as temporary,
+        tempfile.TemporaryDirectory(dir=output.parent, prefix=".") as made,
+    ):
+        folder = Path(made) / output.stem
+        written = write_sog(scene, folder, options, threads=threads)
+        _zip(folder, temporary)
+    return replace(written, output=output, bytes=output.stat().st_size)
+
+
+def _zip(folder: Path, target: Path) -> None:
+    units = [Path(name).parent for name in json.loads((folder / MANIFEST).read_text())["filenames"]]
+    names = [Path(MANIFEST), *(unit / file.name for unit in units for file in sorted((folder / unit).iterdir()))]
+    with zipfile.ZipFile(target, "w", zipfile.ZIP_STORED) as bundle:
+        for name in names:
+            bundle.writestr(zipfile.ZipInfo(name.as_posix()), (folder / name).read_bytes())

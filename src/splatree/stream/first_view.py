@@ -1,0 +1,31 @@
+"""From where a stream is looked at first: the view that the library would choose, found from the coarsest piece alone."""
+
+import json
+from pathlib import Path
+
+from splatree.io.formats.rad.reader import read_first_chunk
+from splatree.io.reading import read
+from splatree.render.framing.frame import Framing, frame_scene
+from splatree.scene.scene import Scene
+
+__all__ = ["first_view"]
+
+
+def first_view(stream: Path) -> Framing:
+    """The first view of a stream, given its manifest or its ``.rad``.
+
+    Raises:
+        InputError: it holds no Gaussians.
+        FormatError: it is damaged.
+    """
+    return frame_scene(_coarsest(stream))
+
+
+def _coarsest(stream: Path) -> Scene:
+    """The coarsest level, the root tile, or the nodes of the first chunk."""
+    if stream.suffix == ".rad":
+        return read_first_chunk(stream)
+    manifest = json.loads(stream.read_text())
+    if stream.name == "tileset.json":
+        return read(stream.parent / manifest["root"]["content"]["uri"])
+    return read(stream.parent, level=int(manifest["lodLevels"]) - 1)
