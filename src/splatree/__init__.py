@@ -65,6 +65,7 @@ _NAMES = {
     "render.paths": ("PathOptions", "flyout", "orbit", "through", "turn"),
     "render.pending": ("Pending",),
     "render.pipeline": ("render", "trace"),
+    "render.popping": ("Pop", "dolly", "measure_pops"),
     "render.session": ("Session", "open_session"),
     "render.tensors": ("TensorScene", "scene_from_tensors"),
     "render.timing": ("Timing", "time_frames"),

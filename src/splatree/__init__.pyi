@@ -80,6 +80,9 @@ from splatree.render.paths import turn as turn
 from splatree.render.pending import Pending as Pending
 from splatree.render.pipeline import render as render
 from splatree.render.pipeline import trace as trace
+from splatree.render.popping import Pop as Pop
+from splatree.render.popping import dolly as dolly
+from splatree.render.popping import measure_pops as measure_pops
 from splatree.render.session import Session as Session
 from splatree.render.session import open_session as open_session
 from splatree.render.tensors import TensorScene as TensorScene

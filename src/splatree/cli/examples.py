@@ -44,6 +44,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "bench fig7": ("splatree bench fig7", "splatree bench fig7 --scene city.splatree --frames 100 -o results/"),
     "bench clusters": ("splatree bench clusters", "splatree bench clusters --scene city.splatree -o results/"),
     "bench cullfuzz": ("splatree bench cullfuzz", "splatree bench cullfuzz --gaussians 1000000 --seed 1"),
+    "bench popping": (
+        "splatree bench popping",
+        "splatree bench popping --scene city.splatree --frames 60 --budget 200000",
+    ),
     "formats": ("splatree formats", "splatree formats --json"),
     "doctor": ("splatree doctor", "splatree doctor --json"),
 }
