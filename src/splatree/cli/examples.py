@@ -63,10 +63,11 @@ BASIC: dict[str, tuple[str, ...]] = {
     "calibrate": ("output", "cameras", "data", "loss-db", "held-out"),
     "render": (
         "output", "turntable", "video", "cameras", "view", "eye", "target", "up", "distance", "fov-y-deg", "look", "level",
-        "views", "width", "height", "background", "device", "depth", "alpha",
+        "views", "width", "height", "background", "device", "depth", "alpha", "quality",
     ),
     "eval": (
         "reference", "report", "cameras", "data", "held-out", "every", "scale", "frames", "views", "width", "height", "device",
+        "quality",
     ),
     "info": ("level", "repair"),
     "simulate": ("output", "cameras", "preset", "views"),

@@ -150,7 +150,7 @@ class Calibration:
     pixels: str
     """What splats drew in their tiles: `hard` or `taper`."""
     pixel_error: float | None
-    """τ_R of the selection, px; None if it was another selector."""
+    """τ_R of the selection, px; None if a quality chose it."""
     trials: tuple[Trial, ...]
     """Every τ that was tried, in order."""
 
@@ -228,7 +228,7 @@ def calibrate(
         options=options,
         tile_rule=tile_rule,
         pixels=render.pixels,
-        pixel_error=select.pixel_error,
+        pixel_error=select.pixel_error if select.quality is None else None,
         trials=tuple(trials),
     )
 

@@ -153,9 +153,11 @@ def measure_pops(
 
 
 def _cut(session: Session, camera: Camera, select: SelectOptions) -> Selection:
-    """All nodes of the cut of a view, in view or not; a budget is met by what is in view."""
-    pixel_error = session.select(camera, select=select).pixel_error if select.budget is not None else select.pixel_error
-    whole = replace(select, pixel_error=pixel_error, budget=None, view_test="none", cull="none")
+    """All nodes of the cut of a view, in view or not; a budget or a quality is met by what is in view."""
+    pixel_error = select.pixel_error
+    if select.budget is not None or select.quality is not None:
+        pixel_error = session.select(camera, select=select).pixel_error
+    whole = replace(select, pixel_error=pixel_error, budget=None, quality=None, view_test="none", cull="none")
     return session.select(camera, select=whole)
 
 
