@@ -80,6 +80,10 @@ from splatree.render.paths import turn as turn
 from splatree.render.pending import Pending as Pending
 from splatree.render.pipeline import render as render
 from splatree.render.pipeline import trace as trace
+from splatree.render.popping import Pop as Pop
+from splatree.render.popping import dolly as dolly
+from splatree.render.popping import measure_pops as measure_pops
+from splatree.render.quality import with_quality as with_quality
 from splatree.render.session import Session as Session
 from splatree.render.session import open_session as open_session
 from splatree.render.tensors import TensorScene as TensorScene
@@ -98,6 +102,7 @@ from splatree.scene.gaussians import Gaussians as Gaussians
 from splatree.scene.levels import LevelRecord as LevelRecord
 from splatree.scene.options import RenderOptions as RenderOptions
 from splatree.scene.options import SelectOptions as SelectOptions
+from splatree.scene.quality import QualityCurve as QualityCurve
 from splatree.scene.scene import Scene as Scene
 from splatree.scene.thinning import Groups as Groups
 from splatree.scene.thinning import MergeOptions as MergeOptions

@@ -49,7 +49,7 @@ def bench(splatree, small_tree):
             theirs = table["name"].endswith("_paper")
             assert ("theirs, RTX 4090" in table["source"]) == theirs
             assert (table["source"] == "measured in this run") != theirs
-        assert "no photographs" in found["about"]["compared with"]
+        assert ("no photographs" in found["about"]["compared with"]) == (name != "popping")
         return {table["name"]: table["rows"] for table in found["tables"]}, {Path(f).name for f in found["files"]}
 
     return run
@@ -119,6 +119,16 @@ def test_fig7_shows_where_detail_is_high_and_low(bench, tmp_path):
     assert {"fig7_high.png", "fig7_low.png"} <= files
 
 
+def test_popping_measures_each_frame_of_each_dolly(bench, tmp_path):
+    tables, files = bench("popping", "--frames", "4", "--step", "0.1", "--pixel-error", "20", "-o", tmp_path)
+    frames, dollies = tables["popping_frames"], tables["popping"]
+    assert (len(frames), len(dollies)) == (2 * 3, 2)
+    assert sum(row["switched"] for row in frames) > 0
+    assert max(row["tile"] for row in frames) == max(row["worst tile"] for row in dollies)
+    assert min(row["PSNR"] for row in frames) == min(row["worst PSNR"] for row in dollies)
+    assert files == {"popping.json", "popping.csv", "popping_frames.csv", "popping.png"}
+
+
 def test_scored_views_are_held_out_and_others_calibrated_on(small_tree, tmp_path):
     scene = read(small_tree)
     cameras = flyout(scene, PathOptions(views=9, width=64, height=36))
@@ -142,6 +152,9 @@ def test_options_out_of_range_are_a_wrong_command_line(splatree):
         ("table3", "--frames", "-1"),
         ("clusters", "--frames", "0"),
         ("cullfuzz", "--frames", "0"),
+        ("popping", "--frames", "1"),
+        ("popping", "--step", "0"),
+        ("popping", "--budget", "0"),
     ):
         code, _, err = splatree("bench", *words)
         assert code == 2

@@ -161,3 +161,27 @@ def test_orbit_is_still_there(draw, small_ply):
     camera = orbit(read(small_ply), PathOptions(views=2, width=64, height=36))[0]
     assert result["views"][0]["name"] == camera.name
     assert SelectOptions().pixel_error == result["views"][0]["pixel_error"]
+
+
+def test_a_quality_chooses_the_cut(splatree, small_ply, small_tree, tmp_path):
+    """Levels that `build` has measured can be asked for it; levels that nobody measured refuse it with advice."""
+    tree = tmp_path / "known.splatree"
+    code, words, err = splatree("build", small_ply, tree)
+    assert (code, err) == (0, "")
+    assert "quality: a cut at 3 px has about" in words
+    counts = []
+    for quality in ("28", "40"):
+        code, out, err = splatree("render", tree, "-o", tmp_path / f"{quality}.png", "--quality", quality, "--json")
+        assert (code, err) == (0, "")
+        counts.append(json.loads(out)["views"][0]["selected"])
+    assert counts[0] <= counts[1]
+    plain = tmp_path / "plain.splatree"
+    code, words, _ = splatree("build", small_ply, plain, "--no-measure-quality")
+    assert code == 0
+    assert "quality:" not in words
+    code, _, err = splatree("render", plain, "-o", tmp_path / "no.png", "--quality", "40")
+    assert code == 1
+    assert "build them with splatree build" in err
+    code, _, err = splatree("eval", tree, "--quality", "40", "--method", "flod")
+    assert code == 2
+    assert "--quality and --method" in err

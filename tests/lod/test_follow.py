@@ -10,6 +10,7 @@ import splatree as st
 from splatree.edit.edit import edit
 from splatree.edit.options import EditOptions
 from splatree.kernels.reference.project import follow
+from splatree.lod.follow import with_curves
 from splatree.maths.covariance import covariances_from_gaussians
 
 from ..scenes import surface
@@ -29,11 +30,10 @@ def area(variances: np.ndarray, dilation: float) -> np.ndarray:
 @pytest.mark.parametrize("method", METHODS)
 def test_a_node_shows_the_mass_of_its_leaves_at_any_distance(method):
     """By the definition, leaf by leaf: exact at h = 0 and at its level, and in between within the closed form's error."""
-    scene = built(method, visibility=False) if method == "pairs" else built(method)
-    if method == "radius":  # visibilities count in both methods: leave them out here
-        from splatree.lod.follow import with_curves
-
-        scene = with_curves(built(method, follow=False), visibility=False)
+    scene = built(method, follow=False)
+    all_seen = np.ones(len(scene), np.float32)
+    gaussians, tree = with_curves(scene.gaussians, scene.tree, all_seen)
+    scene = replace(scene, gaussians=gaussians, tree=tree, blocks=None)
     tree, g = scene.tree, scene.gaussians
     inner = np.flatnonzero(~tree.is_leaf)[::7]
     for row in inner:

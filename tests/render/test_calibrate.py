@@ -37,6 +37,32 @@ def test_target_is_the_largest_threshold_within_the_budget() -> None:
     assert found.psnr is not None and 44 < found.psnr < 49  # 46.3 dB in each view would lose 0.1 dB
 
 
+def test_worst_keeps_the_budget_in_each_view() -> None:
+    """A crowded view close by, one from far away and one of nothing at all: the mean hides what the worst loses."""
+    views = [*VIEWS, replace(st.Camera.look_at((0, 0, -40), (0, 0, 0), **SIZE), name="far")]
+    views.append(replace(st.Camera.look_at((0, 0, -5), (0, 0, -9), **SIZE), name="away"))
+    mean, worst = (st.calibrate(SCENE, views, st.CalibrateOptions(policy=policy)) for policy in ("target", "worst"))
+
+    def losses(threshold: float) -> dict[str, float]:
+        found = {}
+        for view in views:
+            ways = ((1 / 255, "ellipse"), (threshold, "balanced"))
+            each = [st.RenderOptions(threshold=tau, tile_rule=rule) for tau, rule in ways]  # type: ignore[arg-type]
+            lossless, shrunk = (np.clip(st.render(SCENE, view, options).image, 0, 1) for options in each)
+            found[view.name] = 10 * math.log10(1 + 1e3 * np.mean((lossless.astype(float) - shrunk) ** 2))
+        return found
+
+    for found in (mean, worst):
+        each = losses(found.threshold)
+        assert found.worst_view == max(each, key=each.__getitem__)
+        assert np.isclose(found.worst_loss_db, max(each.values()))
+        assert np.isclose(found.loss_db, np.mean(list(each.values())))
+    assert worst.worst_loss_db <= 0.1 < mean.worst_loss_db
+    assert max(losses(1.03 * worst.threshold).values()) > 0.1  # found to 2 %
+    assert worst.tile_rule == "balanced"
+    assert worst.threshold < mean.threshold
+
+
 def test_balanced_draws_fewer_pairs_than_equal_thresholds_for_the_same_loss() -> None:
     balanced, equal = (
         st.calibrate(SCENE, VIEWS, render=st.RenderOptions(tile_rule=tile_rule))

@@ -1,4 +1,4 @@
-"""``splatree bench <experiment>``: a table or figure of a paper, run again on any scene."""
+"""``splatree bench <experiment>``: a table or figure of a paper run again, or a test of levels, on any scene."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ from typing import Annotated, Generic, TypeVar
 
 from tyro.conf import arg
 
-from splatree.bench import clusters, cullfuzz, fig5, fig6, fig7, table1, table2, table3
+from splatree.bench import clusters, cullfuzz, fig5, fig6, fig7, popping, table1, table2, table3
 from splatree.bench.draw import check_drawable
 from splatree.bench.experiment import Report, Table
 from splatree.bench.files import write_report
@@ -38,6 +38,7 @@ COMMANDS = {
     "fig7": Command[fig7.Options],
     "clusters": Command[clusters.Options],
     "cullfuzz": Command[cullfuzz.Options],
+    "popping": Command[popping.Options],
 }
 """The experiments: modules of `splatree.bench`, whose ``Options`` say in their docstrings what is measured."""
 

@@ -145,6 +145,7 @@ def show(calibrated: Calibrated) -> str:
         {
             "τ": f"{trial.threshold:.5f}",
             "loss dB": f"{trial.loss_db:.4f}",
+            "worst view dB": f"{trial.worst_loss_db:.4f}",
             "PSNR to lossless": "" if trial.psnr is None else f"{trial.psnr:.2f}",
             "pairs": trial.num_pairs,
             "of lossless": f"{trial.num_pairs / max(1, c.num_pairs_lossless):.3f}",
@@ -174,5 +175,6 @@ def in_words(c: Calibration) -> str:
     )
     return (
         f"τ = {c.threshold:.5f} ({c.tile_rule}, {c.pixels}) by {c.policy}: {c.loss_db:.3f} dB lost against {truth}, "
+        f"{f'{c.worst_loss_db:.3f} dB in the worst view ({c.worst_view}), ' if c.worst_view else ''}"
         f"{c.num_pairs / max(1, c.num_pairs_lossless):.3f} × the pairs of lossless"
     )

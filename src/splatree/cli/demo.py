@@ -15,7 +15,7 @@ from typing import Annotated
 import numpy as np
 from tyro.conf import arg
 
-from splatree.cli.console import Console, counted, table
+from splatree.cli.console import Console, UsageError, counted, table
 from splatree.cli.eval import row_of, view_of
 from splatree.cli.flight import Demo, DemoView
 from splatree.cli.report import write_report
@@ -54,6 +54,10 @@ class Command:
 
 def run(command: Command) -> Demo:
     """Read, build, fly, compare, report."""
+    if command.select.quality is not None:
+        raise UsageError(
+            "found --quality, wanted --pixel-error or --budget: the demo shows what pixel errors look like"
+        )
     try:
         command.output.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -104,7 +108,9 @@ def _demo_view(scene: Scene, evaluation: Evaluation, select: SelectOptions) -> D
     covered = evaluation.leaves.result.alpha > 0.5
     curve = []
     for pixel_error in PIXEL_ERRORS:
-        frame = trace(scene, evaluation.camera, select=replace(select, pixel_error=pixel_error, budget=None))
+        frame = trace(
+            scene, evaluation.camera, select=replace(select, pixel_error=pixel_error, budget=None, quality=None)
+        )
         curve.append((pixel_error, len(frame.selection), psnr(np.clip(frame.result.image, 0, 1), leaves)))
     return DemoView(
         **vars(view_of(evaluation)),

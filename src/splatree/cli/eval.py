@@ -180,6 +180,8 @@ def run(command: Command) -> Evaluated | Comparison:
         compared_with = f"photographs of held-out views, {compared_with}{fewer}"
     select: SelectOptions | Baseline = command.select
     if command.method is not None:
+        if command.select.quality is not None:
+            raise UsageError("found --quality and --method, wanted one of them: published methods take --pixel-error")
         parameters = BaselineOptions(pixel_error=command.select.pixel_error)
         select = baseline(command.method, scene, training or held_out, parameters)
     network = Lpips(command.lpips, trunk=command.lpips_trunk, heads=command.lpips_heads) if command.lpips else None

@@ -48,6 +48,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "bench fig7": ("splatree bench fig7", "splatree bench fig7 --scene city.splatree --frames 100 -o results/"),
     "bench clusters": ("splatree bench clusters", "splatree bench clusters --scene city.splatree -o results/"),
     "bench cullfuzz": ("splatree bench cullfuzz", "splatree bench cullfuzz --gaussians 1000000 --seed 1"),
+    "bench popping": (
+        "splatree bench popping",
+        "splatree bench popping --scene city.splatree --frames 60 --budget 200000",
+    ),
     "formats": ("splatree formats", "splatree formats --json"),
     "doctor": ("splatree doctor", "splatree doctor --json"),
 }
@@ -63,10 +67,11 @@ BASIC: dict[str, tuple[str, ...]] = {
     "calibrate": ("output", "cameras", "data", "loss-db", "held-out"),
     "render": (
         "output", "turntable", "video", "cameras", "view", "eye", "target", "up", "distance", "fov-y-deg", "look", "level",
-        "views", "width", "height", "background", "device", "depth", "alpha",
+        "views", "width", "height", "background", "device", "depth", "alpha", "quality",
     ),
     "eval": (
         "reference", "report", "cameras", "data", "held-out", "every", "scale", "frames", "views", "width", "height", "device",
+        "quality",
     ),
     "info": ("level", "repair"),
     "simulate": ("output", "cameras", "preset", "views"),

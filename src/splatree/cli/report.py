@@ -46,7 +46,7 @@ def write_report(demo: Demo, scene: Scene, evaluations: Sequence[Evaluation]) ->
     coloured = with_level_colors(scene)
     cards, strip = [], []
     for i, (view, e) in enumerate(zip(demo.views, evaluations, strict=True)):
-        same_cut = replace(demo.select, pixel_error=view.pixel_error, budget=None)
+        same_cut = replace(demo.select, pixel_error=view.pixel_error, budget=None, quality=None)
         levels = trace(coloured, e.camera, select=same_cut).result.image
         error = ERROR_GAIN * np.abs(np.clip(e.cut.result.image, 0, 1) - np.clip(e.leaves.result.image, 0, 1))
         pictures = {"cut": e.cut.result.image, "leaves": e.leaves.result.image, "levels": levels, "error": error}

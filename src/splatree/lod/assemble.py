@@ -11,6 +11,7 @@ import numpy as np
 
 from splatree.kernels.cpu.build import merge as merge_kernel
 from splatree.kernels.cpu.frame.blocks import index_blocks
+from splatree.lod.follow import with_curves
 from splatree.lod.forest import Forest
 from splatree.lod.order import Order, preorder
 from splatree.lod.resolve import ResolvedBuild
@@ -20,18 +21,27 @@ from splatree.scene.roots import Roots
 from splatree.scene.scene import Scene, Source
 from splatree.scene.thinning import rules_of
 from splatree.scene.tree import GaussianTree
-from splatree.shapes import Array
+from splatree.shapes import Array, Float32
 
 __all__ = ["assemble"]
 
 
-def assemble(forest: Forest, scene: Scene, resolved: ResolvedBuild, *, threads: int = 0) -> Scene:
+def assemble(
+    forest: Forest,
+    scene: Scene,
+    resolved: ResolvedBuild,
+    *,
+    seen: Float32[Array, "n"] | None = None,
+    threads: int = 0,
+) -> Scene:
     """The scene with the levels of a forest that grew over its Gaussians.
 
     Args:
         forest: what `grow` made of `forest_of_leaves` of the same scene.
         scene: the flat scene; its Gaussians become the leaves, bit for bit.
         resolved: what was decided for the whole scene.
+        seen: visibility of each leaf in the order of its rank, by which merged Gaussians follow the pixel that they are drawn
+            at (lod/follow.py); None: they are drawn as they were merged.
         threads: threads to use; 0: all.
 
     Returns:
@@ -67,6 +77,10 @@ def assemble(forest: Forest, scene: Scene, resolved: ResolvedBuild, *, threads: 
     ids[row_from_leaf] = leaf_ids
     ids[row[num_leaves:]] = np.arange(first_id, first_id + n - num_leaves, dtype=np.uint32)
     tree = dataclasses.replace(order.tree, record=record_of(forest, resolved), roots=roots_of(forest, order, resolved))
+    if seen is not None and n > num_leaves:
+        seen_from_row = np.ones(n, np.float32)
+        seen_from_row[row[:num_leaves]] = seen
+        gaussians, tree = with_curves(gaussians, tree, seen_from_row, threads=threads)
     source = with_report(scene.source, resolved, list(forest.sizes), {"nodes": list(forest.counts)})
     return with_tree(scene, gaussians, tree, ids, source, threads=threads)
 

@@ -15,14 +15,14 @@ import dataclasses
 import numpy as np
 
 from splatree.lod.assemble import assemble
-from splatree.lod.blocks import with_blocks
-from splatree.lod.follow import with_curves
-from splatree.lod.forest import forest_of_leaves
+from splatree.lod.forest import Forest, forest_of_leaves
 from splatree.lod.grow import grow
 from splatree.lod.options import BuildOptions
 from splatree.lod.resolve import measure, resolve
 from splatree.scene.scene import Scene
+from splatree.shapes import Array, Float32
 from splatree.simplify.merge import check_finite
+from splatree.simplify.visibility import visibilities_in
 
 __all__ = ["build_lod"]
 
@@ -54,11 +54,19 @@ def build_lod(scene: Scene, options: BuildOptions | None = None, *, threads: int
     flat = _leaves_of(scene)
     check_finite(flat.gaussians)
     resolved = resolve(options, measure(flat.gaussians, options, flat.mode, threads=threads), flat.mode)
-    forest = grow(forest_of_leaves(flat, resolved, threads=threads), resolved, threads=threads)
-    tree = assemble(forest, flat, resolved, threads=threads)
-    if not options.follow or flat.mode != "classic" or tree.tree.num_levels < 2:
-        return tree
-    return with_blocks(with_curves(tree, visibility=options.visibility, threads=threads), threads=threads)
+    forest = forest_of_leaves(flat, resolved, threads=threads)
+    seen = _seen(flat, forest, options, threads) if options.follow and flat.mode == "classic" else None
+    forest = grow(forest, resolved, threads=threads)
+    return assemble(forest, flat, resolved, seen=seen, threads=threads)
+
+
+def _seen(flat: Scene, forest: Forest, options: BuildOptions, threads: int) -> Float32[Array, "n"]:
+    """Visibility of each leaf, in the order of its rank: as the forest has it, or measured."""
+    if forest.visibilities is not None:
+        return forest.visibilities
+    if not options.visibility:
+        return np.ones(len(flat), np.float32)
+    return visibilities_in(flat.mode, flat.gaussians, threads=threads)[forest.base.order]
 
 
 def _leaves_of(scene: Scene) -> Scene:

@@ -6,7 +6,7 @@ run in NumPy over all rows: they are there to be compared with.
 
 Rows of clusters that culling leaves out are not drawn; with the rule `exact` they could not be seen anyway.
 
-A budget is met by raising τ_R (lod/budget.py).
+A budget is met by raising τ_R (lod/budget.py). A quality chooses τ_R by what the levels are known to show (lod/quality.py).
 """
 
 from collections.abc import Callable
@@ -23,6 +23,7 @@ from splatree.kernels.cpu.frame import select as cpu
 from splatree.kernels.cpu.frame.blocks import index_blocks
 from splatree.kernels.reference import select as reference
 from splatree.lod.budget import meet_budget, meet_budget_from
+from splatree.lod.quality import pixel_error_for
 from splatree.lod.serial import select_serial
 from splatree.scene.cameras import Camera
 from splatree.scene.clusters import Culling
@@ -71,7 +72,7 @@ def select(
         scene: what is chosen from. Without ``blocks`` its index is made at each call (`lod.blocks.with_blocks` keeps it).
         view: a camera, for drawing with the options that the scene itself has; or a view, whose dilation and τ the view test
             `footprint` takes into account.
-        options: pixel error, budget, rule, profile and view test; None: the defaults.
+        options: pixel error, budget or quality, rule, profile and view test; None: the defaults.
         culling: what `cull_scene` found for the same view and options; None: it is found here.
         last: τ_R, px, of the view before, for the budget of a camera that moves: the search begins there and is content with
             90 % of the budget (lod/budget.py). None: a view alone.
@@ -82,7 +83,8 @@ def select(
         The selected rows, ascending, with the τ_R that chose them.
 
     Raises:
-        InputError: more roots are in view than the budget allows, or a rule of culling was named for a scene without clusters.
+        InputError: more roots are in view than the budget allows, a quality is asked of levels that have no curve of it, or a
+            rule of culling was named for a scene without clusters.
 
     Source:
         FilterGS (Wang 2026), §3.2, for the cut without a traversal; docs/explanation/select.md.
@@ -108,7 +110,7 @@ def select(
         choose = select_serial
 
     def rows_at(pixel_error: float) -> tuple[Array, int]:
-        at = replace(options, pixel_error=pixel_error)
+        at = replace(options, pixel_error=pixel_error, quality=None)
         rows, visited = choose(scene.gaussians, scene.tree, blocks, view, at, runs=runs, threads=threads)
         if at.max_radius is not None:
             largest = replace(at, pixel_error=at.max_radius)
@@ -116,6 +118,8 @@ def select(
         return rows, visited
 
     finest, smallest = options.pixel_error, smallest_radius(options.resolved_profile, view.dilation_px2)
+    if options.quality is not None:
+        finest = pixel_error_for(rows_at, scene, view.camera, options.quality, smallest)
     if options.budget is not None and last is not None:
         rows, visited, pixel_error = meet_budget_from(rows_at, options.budget, (finest, smallest), last, view.camera)
     else:

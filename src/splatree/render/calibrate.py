@@ -3,12 +3,13 @@
 Policies (FilterGS 2026, §3.3, Eq. 8; G is the mean contribution of a pair, render/contribution.py):
 
 - ``target`` (default): the largest τ whose mean loss of PSNR over the views is within a budget in dB, by bisection;
+- ``worst``: the largest τ at which no view loses more than the budget, so that near and far views keep the same promise;
 - ``paper``: τ = λ_G / G, as Eq. 8 says: crowded scenes, where G is small, are shrunk more;
 - ``release``: τ = λ_G · G, as the code of FilterGS computes: crowded scenes are shrunk less;
 - ``fixed``: the render option ``threshold``, or 1/255.
 
-Unless another tile rule is asked for, ``target`` takes `balanced`, the other policies the same τ for all splats, `ellipse`. No τ
-goes below 1/255, down to which the blend draws anyway, nor above 0.5.
+Unless another tile rule is asked for, ``target`` and ``worst`` take `balanced`, the others the same τ for all splats, `ellipse`.
+No τ goes below 1/255, down to which the blend draws anyway, nor above 0.5.
 
 What a loss of x dB means. With photographs: the mean over the views of PSNR(lossless, photo) − PSNR(shrunk, photo). Without: the
 lossless picture is taken to be Q dB from the truth (``scene_psnr``), and the error of shrinking independent of that one, so that
@@ -46,8 +47,11 @@ from splatree.shapes import Array
 
 __all__ = ["CalibrateOptions", "Calibration", "Policy", "Trial", "calibrate", "calibrated"]
 
-Policy = Literal["target", "paper", "release", "fixed"]
+Policy = Literal["target", "worst", "paper", "release", "fixed"]
 """Named ways to choose τ."""
+
+FOUND_BY_LOSS: Final = ("target", "worst")
+"""Policies that draw pictures at one τ after the other."""
 
 THRESHOLD_MAX: Final = 0.5
 """Largest τ that is chosen: above it splats of medium opacity vanish altogether."""
@@ -72,9 +76,10 @@ class CalibrateOptions:
     """
 
     policy: Policy = "target"
-    """`target` meets a loss of PSNR; `paper` is λ_G / G, and `release` λ_G · G; `fixed` is --threshold, or 1/255."""
+    """`target` meets a mean loss of PSNR, `worst` a loss that no view exceeds; `paper` is λ_G / G, and `release` λ_G · G;
+    `fixed` is --threshold, or 1/255."""
     loss_db: float = 0.1
-    """For `target`: mean loss of PSNR over the views that is allowed, dB."""
+    """For `target` the mean loss of PSNR over the views that is allowed, for `worst` that of each view, dB."""
     scene_psnr: float = 30.0
     """Without photographs: PSNR that the lossless pictures are assumed to have against the truth, dB."""
     lambda_g: float = 0.2
@@ -105,6 +110,10 @@ class Trial:
     """τ."""
     loss_db: float
     """Mean loss of PSNR, dB, as the head of this module defines it."""
+    worst_loss_db: float
+    """Largest loss of a view, dB."""
+    worst_view: str
+    """Name of that view, or its number if it has none; empty if nothing was drawn."""
     psnr: float | None
     """PSNR of the mean squared error against the lossless pictures, dB; None if they are equal or photographs are judged by."""
     num_pairs: int
@@ -127,6 +136,10 @@ class Calibration:
     """τ: opacity at which a splat ends."""
     loss_db: float
     """Mean loss of PSNR at this τ, dB."""
+    worst_loss_db: float
+    """Largest loss of a view at this τ, dB: what to expect of the worst view."""
+    worst_view: str
+    """Name of that view, or its number if it has none; empty if no τ above 1/255 is within the budget."""
     psnr: float | None
     """PSNR of the mean squared error against the lossless pictures, dB; None if the pictures are identical, or if the loss was
     measured against photographs."""
@@ -150,7 +163,7 @@ class Calibration:
     pixels: str
     """What splats drew in their tiles: `hard` or `taper`."""
     pixel_error: float | None
-    """τ_R of the selection, px; None if it was another selector."""
+    """τ_R of the selection, px; None if a quality chose it."""
     trials: tuple[Trial, ...]
     """Every τ that was tried, in order."""
 
@@ -201,7 +214,7 @@ def calibrate(
     options, render, select = options or CalibrateOptions(), render or RenderOptions(), select or SelectOptions()
     if render.tile_rule == "3sigma":
         raise InputError("tile_rule: found '3sigma', which does not depend on τ; wanted another")
-    tile_rule: TileRule = render.tile_rule or ("balanced" if options.policy == "target" else "ellipse")
+    tile_rule: TileRule = render.tile_rule or ("balanced" if options.policy in FOUND_BY_LOSS else "ellipse")
     render = replace(render, tile_rule=tile_rule)
     with_photo = [camera for camera in cameras if camera.name in photos] if photos else list(cameras)
     if not with_photo:
@@ -218,6 +231,8 @@ def calibrate(
         policy=options.policy,
         threshold=best.threshold,
         loss_db=best.loss_db,
+        worst_loss_db=best.worst_loss_db,
+        worst_view=best.worst_view,
         psnr=best.psnr,
         num_pairs=best.num_pairs,
         num_pairs_lossless=studio.num_pairs_lossless,
@@ -228,7 +243,7 @@ def calibrate(
         options=options,
         tile_rule=tile_rule,
         pixels=render.pixels,
-        pixel_error=select.pixel_error,
+        pixel_error=select.pixel_error if select.quality is None else None,
         trials=tuple(trials),
     )
 
@@ -300,7 +315,7 @@ class _Studio:
 
     def choose(self) -> tuple[Trial, list[Trial]]:
         """The trial that the policy asks for, and all that were made."""
-        if self.options.policy == "target":
+        if self.options.policy in FOUND_BY_LOSS:
             return self._largest_within_budget()
         wanted = {
             "paper": self.options.lambda_g / self.contribution if self.contribution else math.inf,
@@ -311,21 +326,26 @@ class _Studio:
         return trial, [trial]
 
     def _largest_within_budget(self) -> tuple[Trial, list[Trial]]:
-        best = Trial(ALPHA_THRESHOLD, 0.0, None, self.num_pairs_lossless)
+        best = Trial(ALPHA_THRESHOLD, 0.0, 0.0, "", None, self.num_pairs_lossless)
         if self.render.tile_rule == "tau":  # not what was drawn as lossless
             best = self.attempt(ALPHA_THRESHOLD)
         above = self.attempt(THRESHOLD_MAX)
         trials = [best, above]
-        if above.loss_db <= self.options.loss_db:
+        if self.keeps(above):
             return above, trials
         for _ in range(BISECTIONS):
             trial = self.attempt(math.sqrt(best.threshold * above.threshold))
             trials.append(trial)
-            if trial.loss_db <= self.options.loss_db:
+            if self.keeps(trial):
                 best = trial
             else:
                 above = trial
         return best, trials
+
+    def keeps(self, trial: Trial) -> bool:
+        """Whether a trial is within the budget."""
+        loss = trial.worst_loss_db if self.options.policy == "worst" else trial.loss_db
+        return loss <= self.options.loss_db
 
     def attempt(self, threshold: float) -> Trial:
         """Draw all views with one τ."""
@@ -339,7 +359,15 @@ class _Studio:
                 errors.append(10 ** (-psnr(_shown(frame), self.pictures[i]) / 10))
                 losses.append(10 * math.log10(1 + errors[-1] * 10 ** (self.options.scene_psnr / 10)))
         error = float(np.mean(errors)) if errors else 0.0
-        return Trial(threshold, float(np.mean(losses)), -10 * math.log10(error) if error else None, num_pairs)
+        worst = int(np.argmax(losses))
+        return Trial(
+            threshold=threshold,
+            loss_db=float(np.mean(losses)),
+            worst_loss_db=float(losses[worst]),
+            worst_view=self.views[worst].name or str(worst),
+            psnr=-10 * math.log10(error) if error else None,
+            num_pairs=num_pairs,
+        )
 
 
 def _shown(frame: Frame) -> Array:

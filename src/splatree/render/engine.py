@@ -62,7 +62,7 @@ class Engine:
             self.held is not None
             and self.scene.blocks is not None
             and isinstance(select, SelectOptions)
-            and (select.rule, select.budget, select.max_radius) == ("cut", None, None)
+            and (select.rule, select.budget, select.quality, select.max_radius) == ("cut", None, None, None)
             and cull_rule(self.scene, select) in ("none", "exact")
         )
 

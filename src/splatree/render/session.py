@@ -255,7 +255,7 @@ class Session:
         memory; once nothing keeps them, it serves the next picture. If torch is in use, all work goes to its current stream.
 
         Raises:
-            InputError: the device has no memory of its own, the options are not of the rule `cut` without a budget, or the
+            InputError: the device has no memory of its own, the options are not of the rule `cut` by a pixel error, or the
                 camera has a lens.
 
         Example:
@@ -268,7 +268,9 @@ class Session:
             if camera.lens is not None:
                 raise InputError(f"draw_on_device: camera {camera.name!r}: found a lens, wanted a pinhole; use draw")
             if not self._engine.is_whole(chosen):
-                raise InputError("draw_on_device: found a budget, a baseline or another rule than 'cut'; use draw")
+                raise InputError(
+                    "draw_on_device: found a budget, a quality, a baseline or another rule than 'cut'; use draw"
+                )
             return self._engine.held.enqueue(view, chosen).finish()
 
     def update(self, columns: Gaussians | Mapping[str, Array], *, keep_index: bool = False) -> None:

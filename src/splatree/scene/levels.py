@@ -16,6 +16,7 @@ from typing import Any, Literal
 from splatree.errors import InputError
 from splatree.scene.literals import check_literals
 from splatree.scene.names import Mode, Profile
+from splatree.scene.quality import QualityCurve
 from splatree.scene.thinning import Importance, MergeOptions
 
 __all__ = ["UNKNOWN_LEVELS", "LevelRecord", "LevelRule", "common_record", "record_from_fields"]
@@ -53,6 +54,8 @@ class LevelRecord:
     """`radius-thinning`: the distance in linear RGB that counts as much as the radius in space; None: colour did not count."""
     visibility: bool | None = None
     """`pairs`: whether hidden Gaussians counted less."""
+    quality: QualityCurve | None = None
+    """How good cuts of the levels look; None: it was not measured."""
 
     def __post_init__(self) -> None:
         check_literals(self)
@@ -102,6 +105,8 @@ def record_from_fields(fields: Any) -> LevelRecord:
     try:
         if fields.get("merge") is not None:
             fields["merge"] = MergeOptions(**fields["merge"])
+        if fields.get("quality") is not None:
+            fields["quality"] = QualityCurve(**fields["quality"])
         fields["steps"] = tuple(float(step) for step in fields.get("steps", ()))
         return LevelRecord(**fields)
     except (TypeError, ValueError) as error:

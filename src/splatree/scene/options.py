@@ -36,6 +36,9 @@ class SelectOptions:
     """τ_R, px: a node stands for its subtree if its radius on the screen is at most this; 0 draws all leaves."""
     budget: int | None = None
     """Largest number of nodes to draw; pixel_error is raised until the nodes in view fit. None: no limit."""
+    quality: float | None = None
+    """PSNR against all leaves that a view shall have, dB, in place of a pixel error: 30 is rough, 40 hard to tell from all
+    leaves. Needs levels whose quality `build` has measured. A budget goes before it. None: by pixel_error."""
     rule: Rule = "cut"
     """Rule of the selection: `cut` is exact and draws nothing twice; the others reproduce published methods."""
     profile: Profile | None = None
@@ -56,6 +59,15 @@ class SelectOptions:
             raise InputError(f"pixel_error: found {self.pixel_error}, wanted 0 px or more")
         if self.budget is not None and self.budget < 1:
             raise InputError(f"budget: found {self.budget}, wanted at least 1 node")
+        if self.quality is not None:
+            if not 0 < self.quality <= 200:
+                raise InputError(f"quality: found {self.quality}, wanted a PSNR above 0 dB, at most 200")
+            if self.pixel_error != PIXEL_ERROR:
+                raise InputError(
+                    f"quality: found {self.quality} beside pixel_error {self.pixel_error}, wanted one of them"
+                )
+            if self.rule != "cut":
+                raise InputError(f"quality: found rule {self.rule!r}, wanted 'cut', whose pictures were measured")
         if self.max_radius is not None and not self.max_radius > 0:
             raise InputError(f"max_radius: found {self.max_radius}, wanted more than 0 px")
 

@@ -6,6 +6,7 @@
 #include <string>
 #include <tuple>
 
+#include "cpu/build/curves.h"
 #include "cpu/build/merge.h"
 #include "cpu/build/pairs.h"
 #include "cpu/build/thin.h"
@@ -85,6 +86,24 @@ void merge_groups(nb::handle gaussians, nb::handle groups, In<float> weights, nb
   merge(job);
 }
 
+void fit_rows(nb::handle gaussians, In<int32_t> subtree_end, In<float> seen, double dilation_share,
+              std::optional<In<float>> extents, Out<float> curves, int threads) {
+  CurvesJob job{};
+  job.n = int64_t(nb::len(gaussians));
+  job.subtree_end = subtree_end.data();
+  job.seen = seen.data();
+  job.extents = extents ? extents->data() : nullptr;
+  job.dilation_share = dilation_share;
+  job.means = out_column<float>(gaussians, "means");
+  job.quats = out_column<float>(gaussians, "quats");
+  job.log_scales = out_column<float>(gaussians, "log_scales");
+  job.logit_opacities = out_column<float>(gaussians, "logit_opacities");
+  job.curves = curves.data();
+  job.threads = threads;
+  nb::gil_scoped_release release;
+  fit_curves(job);
+}
+
 }  // namespace
 
 void bind_thin(nb::module_& m) {
@@ -146,6 +165,8 @@ void bind_thin(nb::module_& m) {
     average_children(static_cast<int64_t>(subtree_end.shape(0)), width, subtree_end.data(), weights.data(), values.data(),
                      threads);
   });
+  m.def("fit_curves", &fit_rows, nb::arg("gaussians"), nb::arg("subtree_end"), nb::arg("seen"), nb::arg("dilation_share"),
+        nb::arg("extents").none(), nb::arg("curves"), nb::arg("threads"), "Overwrite the inner nodes, and fill their curves.");
 }
 
 }  // namespace splatree

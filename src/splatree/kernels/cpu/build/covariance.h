@@ -15,8 +15,9 @@ void rotation_from_quat(const float* quat, Real* R) {
 }
 
 // Σ = R diag(variance) Rᵀ as xx xy xz yy yz zz.
-inline void covariance_from(const float* quat, const float* variance, float* covariance) {
-  float R[9];
+template <class Real>
+void covariance_from(const float* quat, const Real* variance, Real* covariance) {
+  Real R[9];
   rotation_from_quat(quat, R);
   for (int i = 0, k = 0; i < 3; ++i)
     for (int j = i; j < 3; ++j, ++k)

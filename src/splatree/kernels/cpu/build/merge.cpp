@@ -10,6 +10,8 @@
 #include <vector>
 
 #include "cpu/build/covariance.h"
+#include "cpu/build/eigen.h"
+#include "cpu/build/subtrees.h"
 #include "cpu/runtime/pool.h"
 #include "shared/constants.h"
 
@@ -41,69 +43,6 @@ double dilated_area(const double* variance, double added) {
   double log_variance[3];
   for (int a = 0; a < 3; ++a) log_variance[a] = std::log(variance[a] + added);
   return mean_area(log_variance);
-}
-
-// Shepperd's method: the largest of the four squares is divided by, so no cancellation. w ≥ 0.
-void quat_from_rotation(const double* R, float* quat) {
-  const double trace = R[0] + R[4] + R[8];
-  double q[4];
-  if (trace > 0) {
-    const double s = 2 * std::sqrt(1 + trace);
-    q[0] = s / 4, q[1] = (R[7] - R[5]) / s, q[2] = (R[2] - R[6]) / s, q[3] = (R[3] - R[1]) / s;
-  } else if (R[0] >= R[4] && R[0] >= R[8]) {
-    const double s = 2 * std::sqrt(std::max(1 + R[0] - R[4] - R[8], 0.0));
-    q[0] = (R[7] - R[5]) / s, q[1] = s / 4, q[2] = (R[1] + R[3]) / s, q[3] = (R[2] + R[6]) / s;
-  } else if (R[4] >= R[8]) {
-    const double s = 2 * std::sqrt(std::max(1 + R[4] - R[0] - R[8], 0.0));
-    q[0] = (R[2] - R[6]) / s, q[1] = (R[1] + R[3]) / s, q[2] = s / 4, q[3] = (R[5] + R[7]) / s;
-  } else {
-    const double s = 2 * std::sqrt(std::max(1 + R[8] - R[0] - R[4], 0.0));
-    q[0] = (R[3] - R[1]) / s, q[1] = (R[2] + R[6]) / s, q[2] = (R[5] + R[7]) / s, q[3] = s / 4;
-  }
-  const double sign = q[0] < 0 ? -1 : 1;
-  for (int i = 0; i < 4; ++i) quat[i] = static_cast<float>(sign * q[i]);
-}
-
-// Eigenvalues, largest first, and eigenvectors (columns of a proper rotation V) of a symmetric 3×3 matrix: cyclic Jacobi. It
-// ends when each element off the diagonal is below 1e-10 of its two on it (Demmel and Veselić 1992): what is left changes an
-// eigenvalue by 1e-20 of itself, small ones too.
-void eigen_symmetric(double A[3][3], double* values, double* R) {
-  double V[3][3] = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}};
-  for (int sweep = 0; sweep < 16; ++sweep) {
-    bool rotated = false;
-    for (int p = 0; p < 2; ++p)
-      for (int q = p + 1; q < 3; ++q) {
-        if (A[p][q] * A[p][q] <= 1e-20 * std::abs(A[p][p] * A[q][q])) continue;
-        rotated = true;
-        const double theta = (A[q][q] - A[p][p]) / (2 * A[p][q]);
-        const double t = (theta >= 0 ? 1 : -1) / (std::abs(theta) + std::sqrt(theta * theta + 1));
-        const double c = 1 / std::sqrt(t * t + 1), s = t * c;
-        const double apq = A[p][q];
-        A[p][p] -= t * apq;
-        A[q][q] += t * apq;
-        A[p][q] = A[q][p] = 0;
-        const int r = 3 - p - q;
-        const double arp = A[r][p], arq = A[r][q];
-        A[r][p] = A[p][r] = c * arp - s * arq;
-        A[r][q] = A[q][r] = s * arp + c * arq;
-        for (int i = 0; i < 3; ++i) {
-          const double vip = V[i][p], viq = V[i][q];
-          V[i][p] = c * vip - s * viq;
-          V[i][q] = s * vip + c * viq;
-        }
-      }
-    if (!rotated) break;
-  }
-  int order[3] = {0, 1, 2};
-  std::sort(order, order + 3, [&](int a, int b) { return A[a][a] > A[b][b]; });
-  for (int a = 0; a < 3; ++a) {
-    values[a] = A[order[a]][order[a]];
-    for (int i = 0; i < 3; ++i) R[3 * i + a] = V[i][order[a]];
-  }
-  const double determinant =
-      R[0] * (R[4] * R[8] - R[5] * R[7]) - R[1] * (R[3] * R[8] - R[5] * R[6]) + R[2] * (R[3] * R[7] - R[4] * R[6]);
-  if (determinant < 0)
-    for (int i = 0; i < 3; ++i) R[3 * i + 2] = -R[3 * i + 2];
 }
 
 // Li₂(1 − e^−u) by its series in u (Bernoulli numbers), for 0 ≤ u ≤ 2: the first term left out is below 1e-12.
@@ -342,7 +281,7 @@ void group_rows(int64_t n, const int32_t* group_from_row, int64_t num_groups, in
 }
 
 void average_children(int64_t n, int64_t width, const int32_t* subtree_end, const float* weights, float* values, int threads) {
-  // Children of i start at i + 1 and follow each other; going backwards, they are finished before their parent.
+  // Children of i start at i + 1 and follow each other.
   const auto average = [&](int64_t i) {
     const int64_t end = subtree_end[i];
     if (end == i + 1) return;
@@ -356,22 +295,7 @@ void average_children(int64_t n, int64_t width, const int32_t* subtree_end, cons
       for (int64_t j = 0; j < width; ++j) mean[j] += share * value[j];
     }
   };
-  // Subtrees of at most GRAIN rows are independent of each other; what lies above them follows.
-  constexpr int64_t GRAIN = 1 << 14;
-  std::vector<int64_t> small, large;
-  for (int64_t i = 0; i < n;) {
-    if (subtree_end[i] - i <= GRAIN) {
-      small.push_back(i);
-      i = subtree_end[i];
-    } else {
-      large.push_back(i++);
-    }
-  }
-  parallel_ranges(static_cast<int64_t>(small.size()), 64, threads, [&](int64_t begin, int64_t end) {
-    for (int64_t s = begin; s < end; ++s)
-      for (int64_t i = subtree_end[small[s]] - 1; i >= small[s]; --i) average(i);
-  });
-  for (size_t s = large.size(); s-- > 0;) average(large[s]);
+  from_children_to_parents(n, subtree_end, threads, average);
 }
 
 }  // namespace splatree

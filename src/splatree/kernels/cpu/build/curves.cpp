@@ -1,0 +1,157 @@
+// Moments of the leaves below each node, and what they show at the pixel of its level (reference/curves.py).
+//
+// A first pass adds up the moments from children to parents: means and covariances of parts, so that nothing cancels. A second
+// finds each node's axes, then adds what its leaves show at its own dilation: a node's leaves are one run of the list of leaves.
+// Each sum is of one thread, in the order of the rows: the same bits for any number of threads.
+// Cost: a covariance a leaf, an eigen-decomposition a node, three roots for each leaf and node above it (0.6 CPU-seconds a
+// million leaves). Memory: 32 bytes a leaf, 104 an inner node.
+#include "cpu/build/curves.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "cpu/build/covariance.h"
+#include "cpu/build/eigen.h"
+#include "cpu/build/subtrees.h"
+#include "cpu/runtime/pool.h"
+#include "cpu/runtime/scratch.h"
+#include "shared/constants.h"
+
+namespace splatree {
+namespace {
+
+constexpr double LEAST_VARIANCE = 1e-24, LEAST_WEIGHT = 1e-12, LEAST_OPACITY = 1e-6, LARGEST = 1e15, WIDENING = 0.3;
+
+struct Leaf {
+  double variance[3];
+  float alpha, weight;  // opacity α, and α v
+};
+
+struct Moments {
+  double mean[3], covariance[6];   // of the mixture with the weights α v
+  double alpha, weight;            // Σ α, Σ α v
+  double bare_alpha, bare_weight;  // Σ α A(0), Σ α v A(0)
+};
+
+// 3 A(h)
+double area(const double* variance, double h) {
+  const double a = std::sqrt(variance[0] + h), b = std::sqrt(variance[1] + h), c = std::sqrt(variance[2] + h);
+  return a * b + b * c + a * c;
+}
+
+class Fitter {
+ public:
+  explicit Fitter(const CurvesJob& job) : job_(job), leaves_before_(allocate<int32_t>(job.n + 1)) {
+    leaves_before_[0] = 0;
+    for (int64_t i = 0; i < job.n; ++i) leaves_before_[i + 1] = leaves_before_[i] + (job.subtree_end[i] == i + 1);
+    leaves_ = allocate<Leaf>(leaves_before_[job.n]);
+    moments_ = allocate<Moments>(job.n - leaves_before_[job.n]);
+  }
+
+  void fit() {
+    from_children_to_parents(job_.n, job_.subtree_end, job_.threads, [&](int64_t row) {
+      if (is_leaf(row))
+        read_leaf(row);
+      else
+        add_children(row);
+    });
+    parallel_ranges(job_.n, 1 << 8, job_.threads, [&](int64_t begin, int64_t end) {
+      for (int64_t row = begin; row < end; ++row) {
+        if (is_leaf(row))
+          std::fill_n(job_.curves + 4 * row, 4, 0.f);
+        else
+          write(row);
+      }
+    });
+  }
+
+ private:
+  bool is_leaf(int64_t row) const { return job_.subtree_end[row] == row + 1; }
+  Moments& moments(int64_t row) const { return moments_[row - leaves_before_[row]]; }
+
+  void read_leaf(int64_t row) {
+    Leaf& leaf = leaves_[leaves_before_[row]];
+    for (int a = 0; a < 3; ++a)
+      leaf.variance[a] = std::exp(2 * std::min<double>(job_.log_scales[3 * row + a], constants::MERGED_LOG_SCALE_MAX));
+    const double alpha = 1 / (1 + std::exp(-static_cast<double>(job_.logit_opacities[row])));
+    leaf.alpha = static_cast<float>(alpha);
+    leaf.weight = static_cast<float>(std::max(alpha * job_.seen[row], LEAST_WEIGHT));
+  }
+
+  Moments of_leaf(int64_t row) const {
+    const Leaf& leaf = leaves_[leaves_before_[row]];
+    Moments m;
+    for (int a = 0; a < 3; ++a) m.mean[a] = job_.means[3 * row + a];
+    covariance_from(job_.quats + 4 * row, leaf.variance, m.covariance);
+    m.alpha = leaf.alpha, m.weight = leaf.weight;
+    const double bare = area(leaf.variance, 0) / 3;
+    m.bare_alpha = leaf.alpha * bare, m.bare_weight = leaf.weight * bare;
+    return m;
+  }
+
+  template <class Visit>
+  void each_child(int64_t row, const Visit& visit) const {
+    for (int64_t child = row + 1; child < job_.subtree_end[row]; child = job_.subtree_end[child])
+      visit(is_leaf(child) ? of_leaf(child) : moments(child));
+  }
+
+  void add_children(int64_t row) {
+    Moments sum{};
+    each_child(row, [&](const Moments& child) {
+      sum.alpha += child.alpha, sum.weight += child.weight;
+      sum.bare_alpha += child.bare_alpha, sum.bare_weight += child.bare_weight;
+      for (int a = 0; a < 3; ++a) sum.mean[a] += child.weight * child.mean[a];
+    });
+    for (double& x : sum.mean) x /= sum.weight;
+    each_child(row, [&](const Moments& child) {
+      const double share = child.weight / sum.weight;
+      double apart[3];
+      for (int a = 0; a < 3; ++a) apart[a] = child.mean[a] - sum.mean[a];
+      for (int i = 0, k = 0; i < 3; ++i)
+        for (int j = i; j < 3; ++j, ++k) sum.covariance[k] += share * (child.covariance[k] + apart[i] * apart[j]);
+    });
+    moments(row) = sum;
+  }
+
+  void write(int64_t row) const {
+    const Moments& m = moments(row);
+    const double* c = m.covariance;
+    double matrix[3][3] = {{c[0], c[1], c[2]}, {c[1], c[3], c[4]}, {c[2], c[4], c[5]}}, variance[3], rotation[9];
+    eigen_symmetric(matrix, variance, rotation);
+    for (double& v : variance) v = std::max(v, LEAST_VARIANCE);
+    const double size2 = job_.extents ? static_cast<double>(job_.extents[row]) * job_.extents[row] : variance[0];
+    const double h = std::max(job_.dilation_share * size2, 1e-30);
+
+    double alpha = 0, weight = 0;  // Σ α 3 A(h), Σ α v 3 A(h)
+    const int32_t end = leaves_before_[job_.subtree_end[row]];
+    for (int32_t i = leaves_before_[row]; i < end; ++i) {
+      const double shown = area(leaves_[i].variance, h);
+      alpha += leaves_[i].alpha * shown, weight += leaves_[i].weight * shown;
+    }
+    const double mass = std::sqrt(alpha * weight) / area(variance, h);  // G(h_l) = √(ρ ρ_v)
+    const double wide = std::pow(std::max(mass / constants::ALPHA_MAX, 1.0), WIDENING);
+    const double opacity = std::min(std::max(mass, LEAST_OPACITY), constants::ALPHA_MAX);
+
+    for (int a = 0; a < 3; ++a) {
+      job_.means[3 * row + a] = static_cast<float>(m.mean[a]);
+      const double log_scale = 0.5 * std::log(wide * variance[a] + (wide - 1) * h);
+      job_.log_scales[3 * row + a] = static_cast<float>(std::min(log_scale, constants::MERGED_LOG_SCALE_MAX));
+    }
+    quat_from_rotation(rotation, job_.quats + 4 * row);
+    job_.logit_opacities[row] = static_cast<float>(std::log(opacity) - std::log1p(-opacity));
+    const double curve[4] = {std::sqrt(m.bare_alpha * m.bare_weight), std::sqrt(m.alpha * m.weight), mass, h};
+    const bool is_sane = std::all_of(curve, curve + 4, [](double x) { return x < LARGEST; });
+    for (int k = 0; k < 4; ++k) job_.curves[4 * row + k] = is_sane ? static_cast<float>(curve[k]) : 0.f;
+  }
+
+  const CurvesJob& job_;
+  Scratch<int32_t> leaves_before_;
+  Scratch<Leaf> leaves_;
+  Scratch<Moments> moments_;
+};
+
+}  // namespace
+
+void fit_curves(const CurvesJob& job) { Fitter(job).fit(); }
+
+}  // namespace splatree

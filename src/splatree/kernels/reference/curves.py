@@ -1,0 +1,83 @@
+"""Merged Gaussians that follow the pixel they are drawn at: the definition. lod/follow.py says what the numbers are for.
+
+A node's leaves have opacities α, visibilities v and variances a, b, c along their axes. With the areas
+
+    A(h) = (√((a+h)(b+h)) + √((b+h)(c+h)) + √((a+h)(c+h))) / 3
+
+the node becomes the Gaussian with the moments of its leaves, weighted by α v. At the dilation h_l of its level it shows the mass
+
+    g = √(Σ α A(h_l) · Σ α v A(h_l)) / A_node(h_l),    w = max(1, g / 0.99)^0.3
+
+with the opacity min(0.99, g) and the variances w s + (w − 1) h_l, where s are those of the moments. Its curve is
+m = √(Σ α A(0) · Σ α v A(0)), n = √(Σ α · Σ α v), g, h_l.
+"""
+
+import numpy as np
+
+from splatree.constants import ALPHA_MAX, MERGED_LOG_SCALE_MAX
+from splatree.maths.covariance import covariances_from_gaussians
+from splatree.maths.rotations import quats_from_matrices
+from splatree.scene.gaussians import Gaussians
+from splatree.shapes import Array, Float32, Int32
+
+__all__ = ["fit_curves"]
+
+LEAST_VARIANCE = 1e-24
+"""Variances below this, world units², are taken for it: a logarithm is taken of them."""
+
+LEAST_WEIGHT = 1e-12
+"""A leaf that cannot be seen still has a place."""
+
+LEAST_OPACITY = 1e-6
+"""Opacities of nodes below this are taken for it: a logarithm is taken of them."""
+
+LARGEST = 1e15
+"""Areas beyond this, world units², are no longer told apart in float32, whose squares end at 1e38: all numbers of a curve are 0
+then, and the node is drawn as stored."""
+
+
+def fit_curves(
+    gaussians: Gaussians,
+    subtree_end: Int32[Array, "n"],
+    seen: Float32[Array, "n"],
+    dilation_share: float,
+    extents: Float32[Array, "n"] | None = None,
+) -> tuple[Gaussians, Float32[Array, "n 4"]]:
+    """The Gaussians with other inner nodes, and the curve of each row: m, n, g, h_l; 0 for leaves.
+
+    ``seen`` are visibilities; those of leaves count. h_l is ``dilation_share`` times the square of a node's extent, or without
+    extents times its variance along the longest axis.
+    """
+    columns = {name: getattr(gaussians, name).copy() for name in ("means", "quats", "log_scales", "logit_opacities")}
+    curves = np.zeros((len(gaussians), 4), np.float32)
+    is_leaf = subtree_end == np.arange(1, len(gaussians) + 1)
+    for row in np.flatnonzero(~is_leaf):
+        below = row + np.flatnonzero(is_leaf[row : subtree_end[row]])
+        alphas = gaussians.take(below).opacities().astype(np.float64)
+        weights = np.maximum(alphas * seen[below], LEAST_WEIGHT)
+        log_scales = np.minimum(gaussians.log_scales[below].astype(np.float64), MERGED_LOG_SCALE_MAX)
+        mean = weights @ gaussians.means[below].astype(np.float64) / weights.sum()
+        apart = gaussians.means[below] - mean
+        spread = covariances_from_gaussians(gaussians.quats[below], log_scales) + apart[:, :, None] * apart[:, None]
+        own, axes = np.linalg.eigh(np.tensordot(weights, spread, 1) / weights.sum())
+        own, axes = np.maximum(own[::-1], LEAST_VARIANCE), axes[:, ::-1]  # the longest first
+
+        h = max(dilation_share * float(own[0] if extents is None else np.float64(extents[row]) ** 2), 1e-30)
+        variances = np.exp(2 * log_scales)
+        bare, shown = (_areas(variances, at) for at in (0.0, h))
+        mass = np.sqrt((alphas @ shown) * (weights @ shown)) / _areas(own[None], h)[0]
+        wide = max(mass / ALPHA_MAX, 1.0) ** 0.3
+        opacity = np.clip(mass, LEAST_OPACITY, ALPHA_MAX)
+        columns["means"][row] = mean
+        columns["quats"][row] = quats_from_matrices((axes * [1, 1, np.sign(np.linalg.det(axes))])[None])[0]
+        columns["log_scales"][row] = np.minimum(np.log(wide * own + (wide - 1) * h) / 2, MERGED_LOG_SCALE_MAX)
+        columns["logit_opacities"][row] = np.log(opacity) - np.log1p(-opacity)
+        curve = np.sqrt((alphas @ bare) * (weights @ bare)), np.sqrt(alphas.sum() * weights.sum()), mass, h
+        if max(curve) < LARGEST:
+            curves[row] = curve
+    return Gaussians(**columns, sh=gaussians.sh), curves
+
+
+def _areas(variances: Array, h: float) -> Array:
+    a, b, c = np.sqrt(variances.T + h)
+    return np.asarray((a * b + b * c + a * c) / 3)
