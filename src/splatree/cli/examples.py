@@ -44,6 +44,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "bench fig7": ("splatree bench fig7", "splatree bench fig7 --scene city.splatree --frames 100 -o results/"),
     "bench clusters": ("splatree bench clusters", "splatree bench clusters --scene city.splatree -o results/"),
     "bench cullfuzz": ("splatree bench cullfuzz", "splatree bench cullfuzz --gaussians 1000000 --seed 1"),
+    "bench accelerator": ("splatree bench accelerator", "splatree bench accelerator --set step1.lanes=1 -o results/"),
     "formats": ("splatree formats", "splatree formats --json"),
     "doctor": ("splatree doctor", "splatree doctor --json"),
 }

@@ -11,7 +11,7 @@ from typing import Literal
 from splatree.errors import InputError
 from splatree.scene.literals import check_literals
 
-__all__ = ["BackEnd", "Dram", "Identification", "Machine", "Records", "Step1", "Step2"]
+__all__ = ["BackEnd", "Dram", "Format", "Identification", "Machine", "Records", "Step1", "Step2"]
 
 Fidelity = Literal["L0", "L1", "L2"]
 """How the DRAM is modelled: bandwidth and latency; with refresh, turns and jumps; with channels and banks."""
