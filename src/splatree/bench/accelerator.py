@@ -49,7 +49,7 @@ class Options:
     """Simulate the accelerator of Jo 2024 with Table I's rates: Table II, Figures 8 and 9, its speed-ups with verdicts."""
 
     preset: str = "jo2024"
-    """Machine to start from: jo2024, gscore-like or neo-like."""
+    """Machine to start from: jo2024, gscore-like, neo-like or splatree."""
     set: tuple[str, ...] = ()
     """Settings of the machine, such as step1.lanes=1 records.format=fp16."""
     share: float = 1.0
