@@ -14,7 +14,7 @@ from splatree.hardware.trace import SUBTILE_PX, FrameTrace
 from splatree.maths.morton import morton_codes
 from splatree.shapes import Array, Int32, Int64
 
-__all__ = ["Bounds", "Work", "bounds_of", "work_of"]
+__all__ = ["Bounds", "Work", "bounds_of", "dram_settings", "work_of"]
 
 FIDELITIES = {"L0": 0, "L1": 1, "L2": 2}
 ROWS_WITHOUT_CLUSTERS = 256
@@ -96,7 +96,7 @@ def work_of(machine: Machine, trace: FrameTrace, visits: Int32[Array, "s"]) -> W
             "draw all leaves with a pixel error of 0"
         )
     settings = {
-        "dram": _dram_of(machine),
+        "dram": dram_settings(machine),
         "identifies": machine.clustering,
         "interval": machine.identification.interval,
         "latency": machine.identification.latency,
@@ -142,7 +142,8 @@ def _engine_of(lanes: float, latency: int, capacity: int, halves: int) -> dict[s
     return {"lanes": lanes, "latency": latency, "capacity": capacity, "halves": halves}
 
 
-def _dram_of(machine: Machine) -> dict[str, Any]:
+def dram_settings(machine: Machine) -> dict[str, Any]:
+    """The DRAM in the numbers of the core: times in cycles of the machine's clock."""
     dram = machine.dram
     whole = ("line_bytes", "row_bytes", "channels", "banks", "interleave_bytes", "window", "write_batch")
     timed = (

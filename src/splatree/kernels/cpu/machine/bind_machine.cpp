@@ -133,6 +133,15 @@ std::vector<std::pair<int64_t, int64_t>> identify(In<bool> kept, In<bool> ready,
   return found;
 }
 
+// Cycles that the DRAM alone takes for lines at these addresses, in their order, all asked for at once.
+int64_t replay(nb::dict settings, In<int64_t> addresses) {
+  Dram dram(dram_of(Numbers(settings)));
+  for (size_t i = 0; i < addresses.shape(0); ++i) dram.ask(GEOMETRY, addresses.data()[i], 1);
+  int64_t now = 0;
+  while (!dram.is_idle()) dram.step(now++);
+  return now;
+}
+
 // LRU within each set; the youngest comes first. Without sets every access misses.
 void cache_misses(In<int32_t> splats, In<int64_t> start, In<int64_t> order, int64_t sets, int ways, Out<int64_t> misses) {
   nb::gil_scoped_release release;
@@ -164,6 +173,8 @@ void bind_machine(nb::module_& m) {
         "Step the accelerator through a frame; dictionaries of named numbers and columns (splatree/hardware/simulate.py).");
   m.def("identify", &identify, nb::arg("kept"), nb::arg("ready"), nb::arg("interval"), nb::arg("latency"),
         nb::arg("selected_fifo"), "Cycle and number of each cluster that leaves the identification alone.");
+  m.def("replay", &replay, nb::arg("settings"), nb::arg("addresses"),
+        "Cycles that the DRAM takes to read a line at each of the addresses.");
   m.def("cache_misses", &cache_misses, nb::arg("splats"), nb::arg("start"), nb::arg("order"), nb::arg("sets"), nb::arg("ways"),
         nb::arg("misses"), "Fill the lines that each tile misses in an LRU cache of so many sets and ways.");
 }
