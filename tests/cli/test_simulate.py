@@ -27,6 +27,10 @@ def test_a_scene_is_simulated_and_reported(splatree, small_ply, tmp_path):
     assert code == 0
     assert json.loads(out)["frames"] == result["frames"]
     assert splatree(*words)[0] == 1  # files are there already
+    other = tmp_path / "other"
+    assert splatree("simulate", small_ply, "--views", 1, "--clusters", 30, "--traces", other)[0] == 0
+    code, _, err = splatree("simulate", traces / "frame_000.npz", other / "frame_000.npz")
+    assert code == 1 and "found a frame of another scene than" in err
 
 
 def test_results_are_shown_in_words(splatree, small_ply):
@@ -34,6 +38,18 @@ def test_results_are_shown_in_words(splatree, small_ply):
     assert code == 0
     for words in ("bound by", "What each idea is worth", "order adversarial", "mJ: dram"):
         assert words in out
+
+
+def test_levels_of_detail_are_drawn_by_a_machine_that_selects_them(splatree, small_tree):
+    words = ("simulate", small_tree, "--views", 1, "--clusters", 20, "--pixel-error", 20, "--json")
+    code, _, err = splatree(*words)
+    assert code != 0 and "selects_levels=true" in err
+    code, out, _ = splatree(*words, "--set", "selects_levels=true")
+    assert code == 0
+    levels = json.loads(out)["frames"][0]
+    code, out, _ = splatree(*words[:-3], "--json")
+    assert 0 < levels["Gaussians read"] < json.loads(out)["frames"][0]["Gaussians read"]
+    assert levels["rows walked"] >= levels["Gaussians read"]
 
 
 def test_wrong_lines_are_refused(splatree, small_ply, tmp_path):

@@ -14,6 +14,7 @@ from splatree.hardware.events import front_cycles
 from splatree.hardware.order import visits_of
 from splatree.hardware.paper import speed_up_of_clustering
 from splatree.hardware.presets import preset
+from splatree.hardware.replay import front_addresses, replay_ms
 from splatree.hardware.simulate import simulate_frame
 from splatree.hardware.trace import FrameTrace, trace_of_rates
 
@@ -177,3 +178,28 @@ def test_the_papers_rates_give_its_speed_up_of_clustering():
     rates = speed_up_of_clustering(Machine(), share=0.05)
     assert rates.compulsory == pytest.approx(1.385, abs=0.015)
     assert rates.simulated == pytest.approx(1.31, abs=0.03)
+
+
+def test_the_dram_alone_keeps_its_timings():
+    """One bank, a row a line: a row cycle each; rows of banks in turn: the bus; both less what refresh takes."""
+    dram = Dram(fidelity="L2", channels=1, bandwidth_gbps=6.4, refresh_interval_ns=0, latency_ns=0)
+    machine = replace(JO, dram=dram)
+    number = 20_000
+    one_bank = np.arange(number) * dram.row_bytes * dram.banks
+    cycle = machine.cycles(max(dram.row_active_ns, dram.activate_ns) + dram.precharge_ns)
+    assert replay_ms(machine, one_bank) * machine.clock_mhz * 1e3 == pytest.approx(number * cycle, rel=0.15)
+    stream = np.arange(number) * dram.line_bytes
+    bus = dram.line_bytes / machine.bytes_per_cycle
+    assert replay_ms(machine, stream) * machine.clock_mhz * 1e3 == pytest.approx(number * bus, rel=0.01)
+    refreshed = replace(machine, dram=replace(dram, refresh_interval_ns=7213.8))
+    share = 1 - refreshed.dram.refresh_ns / refreshed.dram.refresh_interval_ns
+    assert replay_ms(machine, stream) / replay_ms(refreshed, stream) == pytest.approx(share, abs=0.01)
+
+
+def test_addresses_of_a_front_end_are_the_lines_that_the_simulator_asks_for():
+    trace = traced(2, rows=8000, clusters=40)
+    work = work_of(JO, trace, visits_of("index", [trace], 0))
+    found = front_addresses(JO, work, 1 << 30)
+    read = simulate_frame(replace(JO, step2=Step2(streamed_share=2)), [trace]).bytes
+    # Step 2 asks for a line again if two survivors lie in it; the addresses have it once.
+    assert 0.8 < len(found) * 64 / (read["geometry"] + read["color"]) <= 1.0

@@ -5,6 +5,7 @@ import pytest
 
 import splatree as st
 from splatree.bench import jo2024
+from splatree.hardware.area import area_of
 from splatree.hardware.config import BackEnd, Dram, Identification, Machine, Step1
 from splatree.hardware.energy import energy_of
 from splatree.hardware.paper import COUNTS, RATES
@@ -43,8 +44,18 @@ def test_settings_change_one_field_and_keep_the_others():
         ("clock_mhz=fast", "wanted a number"),
         ("back.renderers=1.5", "wanted a whole number"),
         ("clustering", "wanted NAME=VALUE"),
-        ("dram.bandwidth_gbps=-1", "wanted more than 0"),
-        ("step1.lanes=0", "wanted more than 0"),
+        ("dram.bandwidth_gbps=-1", "dram.bandwidth_gbps: found -1.0, wanted 0.01"),
+        ("step1.lanes=0", "step1.lanes: found 0.0, wanted 0.001"),
+        ("step1.lanes=nan", "found nan"),
+        ("back.renderers=0", "back.renderers: found 0, wanted 1"),
+        ("identification.interval=100000", "wanted 1 to 10000"),
+        ("dram.activate_ns=-4", "dram.activate_ns: found -4.0, wanted 0"),
+        ("dram.interleave_bytes=0", "dram.interleave_bytes: found 0, wanted 1"),
+        ("dram.latency_ns=40000", "found 20,000 cycles of the clock, wanted at most 10,000"),
+        ("dram.refresh_ns=9000", "wanted more than the 9000 of refresh_ns"),
+        ("step2.streamed_share=-1", "wanted 0"),
+        ("back.sort_kb=0.001", "wanted room for a pair of 8 bytes in each"),
+        ("back.cache_kb=0.1", "wanted 0 or a set of 8 lines of 64 bytes"),
         ("step1.buffer_kb=0.01", "a buffer that holds no record"),
         ("step1.buffer_kb=600", "wanted at least the"),
         ("clock_mhz.x=1", "is one setting"),
@@ -87,6 +98,15 @@ def test_a_trace_of_another_scene_is_refused():
         dataclasses.replace(trace, cluster_survivors=trace.cluster_rows + 1)
     with pytest.raises(st.InputError, match="negative counts"):
         dataclasses.replace(trace, tile_length=-trace.tile_length)
+    with pytest.raises(st.InputError, match="wanted 0 or more and 1 to 25"):
+        dataclasses.replace(trace, num_tiles_xy=-trace.num_tiles_xy)
+    start = np.zeros_like(trace.tile_start)
+    start[1], start[-1] = 9, 3
+    with pytest.raises(st.InputError, match="lists that are not those of its tiles"):
+        dataclasses.replace(trace, tile_start=start, pair_splats=np.zeros(3, np.int32))
+    start[1] = 3
+    with pytest.raises(st.InputError, match="lists that are not those of its tiles"):
+        dataclasses.replace(trace, tile_start=start, pair_splats=np.full(3, -1, np.int32))
 
 
 def test_a_simulation_that_cannot_go_on_says_where_each_engine_stands(monkeypatch):
@@ -119,6 +139,19 @@ def scene_and_camera() -> tuple[st.Scene, st.Camera]:
     )
     scene = st.build_clusters(st.Scene.flat(g), 50)
     return scene, st.Camera.look_at([0, 0, -2.5], [1.5, 0, 0], width=128, height=96)
+
+
+def test_the_circuits_rule_looks_at_spheres_and_boxes_exclude_more():
+    scene, camera = scene_and_camera()
+    spheres, boxes, paper = (
+        draw_traces(scene, [camera], Machine(identification=Identification(rule=rule)))[0]  # type: ignore[arg-type]
+        for rule in ("exact", "boxes", "paper")
+    )
+    assert np.all(spheres.cluster_kept >= boxes.cluster_kept)
+    assert boxes.exclusion > spheres.exclusion
+    np.testing.assert_array_equal(spheres.cluster_survivors, boxes.cluster_survivors)  # neither loses a survivor
+    assert paper.cluster_survivors.sum() <= spheres.cluster_survivors.sum()
+    assert area_of(Machine(identification=Identification(rule="boxes"))).mm2 > area_of(Machine()).mm2
 
 
 def test_counts_are_those_of_the_frame_that_was_drawn():

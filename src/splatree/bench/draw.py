@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from splatree.bench.experiment import Grid, Plot
+from splatree.bench.experiment import Grid, Lanes, Plot
 from splatree.errors import MissingExtraError
 
 __all__ = ["check_drawable", "draw"]
@@ -33,7 +33,7 @@ def check_drawable() -> None:
         raise MissingExtraError("matplotlib", "bench", "drawing figures") from error
 
 
-def draw(figure: Plot | Grid, path: Path, *, footer: str) -> None:
+def draw(figure: Plot | Lanes | Grid, path: Path, *, footer: str) -> None:
     """Draw a figure into a PNG; the footer says what it was measured on."""
     check_drawable()
     from matplotlib.figure import Figure
@@ -41,6 +41,8 @@ def draw(figure: Plot | Grid, path: Path, *, footer: str) -> None:
     canvas = Figure(dpi=DPI, layout="constrained")
     if isinstance(figure, Plot):
         _draw_plot(figure, canvas)
+    elif isinstance(figure, Lanes):
+        _draw_lanes(figure, canvas)
     else:
         _draw_grid(figure, canvas)
     canvas.suptitle(figure.title, fontsize=10)
@@ -62,6 +64,19 @@ def _draw_plot(plot: Plot, canvas: Any) -> None:
     axes.tick_params(which="both", labelsize=7)
     axes.grid(visible=True, linewidth=0.3)
     axes.legend(fontsize=7)
+
+
+def _draw_lanes(figure: Lanes, canvas: Any) -> None:
+    canvas.set_size_inches(7, 1.2 + 0.5 * len(figure.lanes))
+    axes = canvas.add_subplot()
+    for i, spans in enumerate(figure.lanes.values()):
+        # A white edge parts one stretch from the next.
+        axes.broken_barh(list(spans), (i - 0.35, 0.7), facecolors=[f"C{i}"], edgecolors="white", linewidth=0.4)
+    axes.set_yticks(range(len(figure.lanes)), list(figure.lanes), fontsize=8)
+    axes.invert_yaxis()
+    axes.set_xlabel(figure.x_label, fontsize=8)
+    axes.tick_params(axis="x", labelsize=7)
+    axes.grid(visible=True, axis="x", linewidth=0.3)
 
 
 def _draw_grid(grid: Grid, canvas: Any) -> None:

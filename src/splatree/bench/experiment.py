@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 from splatree.shapes import Array
 
-__all__ = ["MEASURED", "Curve", "Grid", "Panel", "Plot", "Report", "Row", "Table"]
+__all__ = ["MEASURED", "Curve", "Grid", "Lanes", "Panel", "Plot", "Report", "Row", "Table"]
 
 MEASURED = "measured in this run"
 """Source of a table whose numbers were computed here."""
@@ -70,6 +70,20 @@ class Plot:
     """The same for values."""
 
 
+@dataclass(frozen=True)
+class Lanes:
+    """Stretches of time, a lane for each of what works."""
+
+    name: str
+    """Name of its file, without suffix."""
+    title: str
+    """Heading."""
+    x_label: str
+    """Quantity and unit of time."""
+    lanes: Mapping[str, Sequence[tuple[float, float]]]
+    """Begin and length of each stretch, by the lane's name, from the top."""
+
+
 @dataclass(frozen=True, eq=False)
 class Panel:
     """A picture with its caption."""
@@ -104,5 +118,5 @@ class Report:
     """Scene, cameras, rules, machine, version: what a reader needs to run it again."""
     tables: Sequence[Table]
     """Measured ones first."""
-    figures: Sequence[Plot | Grid] = field(default=())
+    figures: Sequence[Plot | Lanes | Grid] = field(default=())
     """Drawn only when they are written to files."""

@@ -8,7 +8,7 @@ from typing import Annotated, Generic, TypeVar
 
 from tyro.conf import arg
 
-from splatree.bench import clusters, cullfuzz, fig5, fig6, fig7, popping, table1, table2, table3
+from splatree.bench import accelerator, clusters, cullfuzz, fig5, fig6, fig7, popping, table1, table2, table3
 from splatree.bench.draw import check_drawable
 from splatree.bench.experiment import Report, Table
 from splatree.bench.files import write_report
@@ -39,6 +39,7 @@ COMMANDS = {
     "clusters": Command[clusters.Options],
     "cullfuzz": Command[cullfuzz.Options],
     "popping": Command[popping.Options],
+    "accelerator": Command[accelerator.Options],
 }
 """The experiments: modules of `splatree.bench`, whose ``Options`` say in their docstrings what is measured."""
 

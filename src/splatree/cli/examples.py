@@ -52,6 +52,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "splatree bench popping",
         "splatree bench popping --scene city.splatree --frames 60 --budget 200000",
     ),
+    "bench accelerator": ("splatree bench accelerator", "splatree bench accelerator --set step1.lanes=1 -o results/"),
     "formats": ("splatree formats", "splatree formats --json"),
     "doctor": ("splatree doctor", "splatree doctor --json"),
 }

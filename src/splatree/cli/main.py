@@ -117,7 +117,8 @@ def _main(words: list[str]) -> int:
 def _run_one_of(verb: str, words: list[str], module: Any) -> int:
     """The command of a group that the next word names."""
     purposes = {name: _purpose_of(command) for name, command in module.COMMANDS.items()}
-    lines = "\n".join(f"  {name:9}{purpose.splitlines()[0]}" for name, purpose in purposes.items())
+    room = max(map(len, purposes)) + 1
+    lines = "\n".join(f"  {name:{room}}{purpose.splitlines()[0]}" for name, purpose in purposes.items())
     usage = GROUP_USAGE.format(verb=verb, commands=lines)
     if words[:1] in (["-h"], ["--help"]):
         _say(usage)

@@ -21,6 +21,7 @@ from splatree.hardware.trace import FrameTrace, read_trace, write_trace
 from splatree.io.cameras.files import read_cameras
 from splatree.io.replacing import replacing
 from splatree.render.paths import PathOptions, flyout
+from splatree.scene.options import SelectOptions
 from splatree.scene.scene import Scene
 
 
@@ -38,10 +39,12 @@ class Command:
     """File or folder of cameras; without, a flight out of the scene."""
     views: int = 4
     """Views of the flight, or of the cameras that are drawn, evenly chosen."""
+    pixel_error: float = 0.0
+    """Radius up to which levels of detail are drawn, px, on a machine with selects_levels=true; 0: all leaves."""
     clusters: int = 8192
     """Clusters to make if the scene has none."""
     preset: str = "jo2024"
-    """Machine to start from: jo2024, gscore-like or neo-like."""
+    """Machine to start from: jo2024, gscore-like, neo-like or splatree."""
     machine: Path | None = None
     """TOML file of a machine; fields that it leaves out are as in the preset that it names."""
     set: tuple[str, ...] = ()
@@ -147,7 +150,7 @@ def _traces_of(command: Command, machine: Machine) -> tuple[FrameTrace, ...]:
         raise UsageError("simulate: wanted a scene, traces (.npz), or --trace-from table1")
     check_inputs(command.paths)
     if all(path.suffix == ".npz" for path in command.paths):
-        return tuple(read_trace(path) for path in command.paths)
+        return _one_scene(command.paths)
     scene: Scene = read_scene(command.paths, command.reading)
     if scene.clusters is None:
         scene = build_clusters(scene, min(command.clusters, len(scene)))
@@ -159,7 +162,16 @@ def _traces_of(command: Command, machine: Machine) -> tuple[FrameTrace, ...]:
         else list(flyout(scene, PathOptions(views=command.views)))
     )
     chosen = np.unique(np.linspace(0, len(views) - 1, min(command.views, len(views))).round().astype(int))
-    return draw_traces(scene, [views[i] for i in chosen], machine)
+    return draw_traces(scene, [views[i] for i in chosen], machine, select=SelectOptions(command.pixel_error))
+
+
+def _one_scene(paths: Sequence[Path]) -> tuple[FrameTrace, ...]:
+    """Traces of files, which the orders learn from each other."""
+    traces = tuple(read_trace(path) for path in paths)
+    for path, trace in zip(paths, traces, strict=True):
+        if not trace.is_of_scene_of(traces[0]):
+            raise InputError(f"{path}: found a frame of another scene than {paths[0]}, wanted frames of one scene")
+    return traces
 
 
 def _swept(sweep: str, machine: Machine, traces: Sequence[FrameTrace]) -> tuple[str, list[tuple[float, Simulation]]]:

@@ -49,6 +49,8 @@ SORTER = (0.07, 0.06)
 RENDERER = (1.81, 0.25)
 SRAM = (1.25 / 272, 0.04 / 272)
 IDENTIFICATION = (0.07, 0.02)
+BOXES = (0.07, 0.02)
+LEVEL_LANE = (0.025, 0.007)
 
 
 def area_of(machine: Machine) -> Area:
@@ -74,4 +76,9 @@ def area_of(machine: Machine) -> Area:
     ]
     if machine.clustering:
         blocks.insert(0, block("identification", 1, IDENTIFICATION, "our RTL: 93 k gates; power assumed"))
+        if machine.identification.rule == "boxes":
+            blocks.insert(1, block("boxes in the identification", 1, BOXES, "assumed: as many multipliers once more"))
+    if machine.selects_levels:
+        name = f"{machine.levels.lanes:g} lanes of the selection of levels"
+        blocks.insert(-1, block(name, machine.levels.lanes, LEVEL_LANE, "assumed: six of our RTL's multipliers each"))
     return Area(tuple(blocks))

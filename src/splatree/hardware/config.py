@@ -11,7 +11,7 @@ from typing import Literal
 from splatree.errors import InputError
 from splatree.scene.literals import check_literals
 
-__all__ = ["BackEnd", "Dram", "Identification", "Machine", "Records", "Step1", "Step2"]
+__all__ = ["BackEnd", "Dram", "Format", "Identification", "Levels", "Machine", "Records", "Step1", "Step2"]
 
 Fidelity = Literal["L0", "L1", "L2"]
 """How the DRAM is modelled: bandwidth and latency; with refresh, turns and jumps; with channels and banks."""
@@ -21,6 +21,12 @@ Order = Literal["index", "morton", "frequency", "previous-frame", "two-level", "
 
 Format = Literal["fp32", "fp16", "fixed"]
 """Number format of the records in DRAM."""
+
+
+MOST_CYCLES = 10_000
+"""Longest latency or wait: the core keeps what is on its way for that long."""
+RATES = (1e-3, 1e6)
+"""Items a cycle: a slower engine would take hours to simulate."""
 
 
 @dataclass(frozen=True)
@@ -66,25 +72,31 @@ class Dram:
 
     def __post_init__(self) -> None:
         check_literals(self)
-        _positive(
-            self, "dram", "bandwidth_gbps", "channels", "banks", "line_bytes", "row_bytes", "window", "write_batch"
-        )
-        _not_negative(self, "dram", "latency_ns", "refresh_ns", "refresh_interval_ns", "turn_ns")
+        _between(self, "dram", (0.01, 1e6), "bandwidth_gbps")
+        _between(self, "dram", (1, 64), "channels", "banks")
+        _between(self, "dram", (1, 4096), "line_bytes", "window", "write_batch")
+        _between(self, "dram", (1, 1 << 20), "row_bytes", "interleave_bytes")
+        timed = ("latency_ns", "activate_ns", "precharge_ns", "row_active_ns", "activate_gap_ns", "four_activates_ns")
+        _between(self, "dram", (0, 1e6), *timed, "turn_ns", "refresh_ns", "refresh_interval_ns")
+        if 0 < self.refresh_interval_ns <= self.refresh_ns:
+            raise InputError(
+                f"dram.refresh_interval_ns: found {self.refresh_interval_ns:g}, wanted more than the {self.refresh_ns:g} of "
+                "refresh_ns, or 0 for none"
+            )
         if self.row_bytes % self.line_bytes or self.interleave_bytes % self.line_bytes:
             raise InputError(
                 f"dram: found rows of {self.row_bytes} and turns of {self.interleave_bytes} bytes, wanted multiples of a "
                 f"line, {self.line_bytes}"
             )
-        if self.banks > 64:
-            raise InputError(f"dram.banks: found {self.banks}, wanted at most 64")
 
 
 @dataclass(frozen=True)
 class Identification:
     """Step 0: the cluster identification engine (CIE)."""
 
-    rule: Literal["exact", "paper"] = "exact"
-    """Four side planes, which lose nothing, or Eq. 3 of the paper without its division; the exact rule reads 8 bytes more."""
+    rule: Literal["exact", "paper", "boxes"] = "exact"
+    """`exact`: spheres and four side planes, which lose nothing; `paper`: Eq. 3 without its division, 8 bytes less a record;
+    `boxes` (ours): boxes and side planes, which lose nothing either, in the same bytes with twice the multipliers."""
     interval: int = 1
     """Cycles from one cluster to the next: 1 is four rows of multipliers, 16 one shared column (ours)."""
     latency: int = 9
@@ -96,12 +108,28 @@ class Identification:
 
     def __post_init__(self) -> None:
         check_literals(self)
-        _positive(self, "identification", "interval", "latency", "record_fifo", "selected_fifo")
+        _between(self, "identification", (1, MOST_CYCLES), "interval", "latency", "record_fifo", "selected_fifo")
         if self.latency < 5 or self.selected_fifo < 2:
             raise InputError(
                 f"identification: found a latency of {self.latency} cycles and {self.selected_fifo} selected clusters, wanted at "
                 f"least 5 and 2: each FIFO takes two cycles and holds two entries"
             )
+
+
+@dataclass(frozen=True)
+class Levels:
+    """Selection of levels of detail in front of step 1 (ours; the paper has none): kept clusters are walked in preorder."""
+
+    lanes: float = 4.0
+    """Rows a cycle (ours)."""
+    latency: int = 12
+    """Cycles of the pipeline (ours)."""
+    buffer_kb: float = 16.0
+    """One half of its ping-pong buffer, KiB (ours)."""
+
+    def __post_init__(self) -> None:
+        _between(self, "levels", RATES, "lanes", "buffer_kb")
+        _between(self, "levels", (1, MOST_CYCLES), "latency")
 
 
 @dataclass(frozen=True)
@@ -117,7 +145,8 @@ class Step1:
 
     def __post_init__(self) -> None:
         check_literals(self)
-        _positive(self, "step1", "lanes", "latency", "buffer_kb")
+        _between(self, "step1", RATES, "lanes", "buffer_kb")
+        _between(self, "step1", (1, MOST_CYCLES), "latency")
 
 
 @dataclass(frozen=True)
@@ -136,7 +165,9 @@ class Step2:
 
     def __post_init__(self) -> None:
         check_literals(self)
-        _positive(self, "step2", "lanes", "latency", "buffer_kb")
+        _between(self, "step2", RATES, "lanes", "buffer_kb")
+        _between(self, "step2", (1, MOST_CYCLES), "latency")
+        _between(self, "step2", (0, 1e6), "streamed_share")
 
 
 @dataclass(frozen=True)
@@ -172,8 +203,10 @@ class BackEnd:
 
     def __post_init__(self) -> None:
         check_literals(self)
-        _positive(self, "back", "pairs_per_cycle", "bin_kb", "sort_keys", "sort_kb", "renderers", "lanes", "cache_ways")
-        _not_negative(self, "back", "cache_kb", "sort_latency", "blend_latency")
+        _between(self, "back", RATES, "pairs_per_cycle", "bin_kb", "sort_kb")
+        _between(self, "back", (1, 1 << 16), "sort_keys", "renderers", "lanes", "cache_ways")
+        _between(self, "back", (0, MOST_CYCLES), "sort_latency", "blend_latency")
+        _between(self, "back", (0, 1e6), "cache_kb")
 
 
 @dataclass(frozen=True)
@@ -187,8 +220,13 @@ class Records:
         check_literals(self)
 
     def cluster(self, *, exact: bool) -> int:
-        """A cluster: centre, radius, first row, count; the exact rule also reads the radius of the means, padded."""
+        """A cluster: centre, radius, first row, count; exact rules also read the means' radius, padded, or half sizes."""
         return 32 if exact else 24
+
+    @property
+    def level(self) -> int:
+        """A row of the selection of levels: mean in fp32, extent rounded up, rows of the subtree; in each format."""
+        return 16
 
     @property
     def geometry(self) -> int:
@@ -228,6 +266,8 @@ class Machine:
     """Whether clusters are identified; without, every Gaussian is read."""
     ping_pong: bool = True
     """Whether the engines have two halves of a buffer, or one."""
+    selects_levels: bool = False
+    """Whether levels of detail are selected on the chip; without, all leaves are drawn (ours)."""
     order: Order = "frequency"
     """Order in which clusters are visited (Jo, §4.3: "high usage frequencies")."""
     sram_kb: float = 1024.0
@@ -238,6 +278,8 @@ class Machine:
     """The memory beside the chip."""
     identification: Identification = field(default_factory=Identification)
     """Step 0."""
+    levels: Levels = field(default_factory=Levels)
+    """Selection of levels; used if ``selects_levels``."""
     step1: Step1 = field(default_factory=Step1)
     """Projection."""
     step2: Step2 = field(default_factory=Step2)
@@ -249,19 +291,46 @@ class Machine:
 
     def __post_init__(self) -> None:
         check_literals(self)
-        _positive(self, "machine", "clock_mhz", "sram_kb")
-        _not_negative(self, "machine", "static_w")
-        if self.rows_of_step1 < 1 or self.rows_of_step2(1) < 1:
+        _between(self, "machine", (1, 1e5), "clock_mhz")
+        _between(self, "machine", (1, 1e6), "sram_kb")
+        _between(self, "machine", (0, 1e4), "static_w")
+        self._check_waits()
+        if min(self.rows_of_step1, self.rows_of_step2(1), self.rows_of_levels) < 1:
             raise InputError(
                 "machine: found a buffer that holds no record, wanted room for at least one; enlarge buffer_kb"
             )
+        if 1024 * min(self.back.bin_kb, self.back.sort_kb) < self.records.pair:
+            raise InputError(
+                f"back: found {self.back.bin_kb:g} KiB of bins and {self.back.sort_kb:g} KiB of lists, wanted room for a pair of "
+                f"{self.records.pair} bytes in each"
+            )
+        if 0 < 1024 * self.back.cache_kb < self.back.cache_ways * self.dram.line_bytes:
+            raise InputError(
+                f"back.cache_kb: found {self.back.cache_kb:g} KiB, wanted 0 or a set of {self.back.cache_ways} lines of "
+                f"{self.dram.line_bytes} bytes"
+            )
         halves = 2 if self.ping_pong else 1
-        buffers = halves * (self.step1.buffer_kb + self.step2.buffer_kb + self.back.sort_kb)
+        walk_kb = self.levels.buffer_kb if self.selects_levels else 0.0
+        buffers = halves * (walk_kb + self.step1.buffer_kb + self.step2.buffer_kb + self.back.sort_kb)
         buffers += self.back.bin_kb + self.back.cache_kb
         if buffers > self.sram_kb:
             raise InputError(
                 f"machine.sram_kb: found {self.sram_kb:g} KiB, wanted at least the {buffers:g} KiB of its buffers"
             )
+
+    def _check_waits(self) -> None:
+        for name in (
+            "latency_ns",
+            "turn_ns",
+            "refresh_ns",
+            "activate_ns",
+            "precharge_ns",
+            "row_active_ns",
+            "four_activates_ns",
+        ):
+            found = self.cycles(getattr(self.dram, name))
+            if found > MOST_CYCLES:
+                raise InputError(f"dram.{name}: found {found:,.0f} cycles of the clock, wanted at most {MOST_CYCLES:,}")
 
     def cycles(self, nanoseconds: float) -> float:
         """Cycles of the chip's clock."""
@@ -273,6 +342,11 @@ class Machine:
         return self.dram.bandwidth_gbps * 1e3 / self.clock_mhz
 
     @property
+    def rows_of_levels(self) -> int:
+        """Rows in one half of the buffer of the selection of levels."""
+        return int(self.levels.buffer_kb * 1024 // self.records.level)
+
+    @property
     def rows_of_step1(self) -> int:
         """Gaussians in one half of the buffer of step 1."""
         return int(self.step1.buffer_kb * 1024 // self.records.geometry)
@@ -282,13 +356,9 @@ class Machine:
         return int(self.step2.buffer_kb * 1024 // (self.records.color(coefficients) + self.records.splat))
 
 
-def _positive(options: object, group: str, *names: str) -> None:
+def _between(options: object, group: str, limits: tuple[float, float], *names: str) -> None:
+    low, high = limits
     for name in names:
-        if not 0 < getattr(options, name) < 1e12:
-            raise InputError(f"{group}.{name}: found {getattr(options, name)!r}, wanted more than 0")
-
-
-def _not_negative(options: object, group: str, *names: str) -> None:
-    for name in names:
-        if not 0 <= getattr(options, name) < 1e12:
-            raise InputError(f"{group}.{name}: found {getattr(options, name)!r}, wanted 0 or more")
+        value = getattr(options, name)
+        if not low <= value <= high:
+            raise InputError(f"{group}.{name}: found {value!r}, wanted {low:g} to {high:g}")

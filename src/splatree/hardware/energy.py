@@ -64,6 +64,8 @@ class Energy:
     """Buffers and caches on the chip."""
     step0: float
     """Arithmetic of the identification."""
+    levels: float
+    """Arithmetic of the selection of levels."""
     step1: float
     """Arithmetic of the projection."""
     step2: float
@@ -80,17 +82,18 @@ class Energy:
     @property
     def total(self) -> float:
         """All of them."""
-        return self.dram + self.sram + self.step0 + self.step1 + self.step2 + self.blend + self.exp + self.static
+        return sum(self.stack.values())
 
     @property
     def stack(self) -> dict[str, float]:
         """By name, in the order of a stacked bar."""
-        names = ("dram", "sram", "step0", "step1", "step2", "blend", "exp", "static")
+        names = ("dram", "sram", "step0", "levels", "step1", "step2", "blend", "exp", "static")
         return {name: getattr(self, name) for name in names}
 
 
 # Multiplications, additions and divisions of one item (spec of the accelerator: zero-skipping Jacobian in step 1).
 STEP0_OPERATIONS = (12, 26, 0)
+LEVEL_OPERATIONS = (6, 4, 0)  # e² (f + τ)² against τ² d², without a root
 STEP1_OPERATIONS = (100, 70, 3)
 STEP2_OPERATIONS = (70, 70, 0)
 EVALUATION_OPERATIONS = (6, 6, 0)
@@ -129,6 +132,7 @@ def energy_of(time: FrameTime, num_blended: int, technology: Technology | None =
         dram=dram,
         sram=1e-9 * (buffered * table.sram_pj_per_byte + small * table.small_sram_pj_per_byte),
         step0=arithmetic(time.units["identification"].items, STEP0_OPERATIONS),
+        levels=arithmetic(time.num_walked, LEVEL_OPERATIONS),
         step1=arithmetic(time.num_rows, STEP1_OPERATIONS),
         step2=arithmetic(time.num_survivors, STEP2_OPERATIONS),
         blend=arithmetic(time.num_evaluations, EVALUATION_OPERATIONS) + arithmetic(num_blended, BLEND_OPERATIONS),

@@ -6,13 +6,15 @@ from typing import Any
 
 import numpy as np
 
+from splatree.errors import InputError
 from splatree.hardware.cache import misses_of
 from splatree.hardware.config import Machine
+from splatree.hardware.levels import RECORDS_PER_UNIT
 from splatree.hardware.trace import SUBTILE_PX, FrameTrace
 from splatree.maths.morton import morton_codes
 from splatree.shapes import Array, Int32, Int64
 
-__all__ = ["Bounds", "Work", "bounds_of", "work_of"]
+__all__ = ["Bounds", "Work", "bounds_of", "dram_settings", "work_of"]
 
 FIDELITIES = {"L0": 0, "L1": 1, "L2": 2}
 ROWS_WITHOUT_CLUSTERS = 256
@@ -45,6 +47,8 @@ class Bounds:
     """Bytes of the front end over the bandwidth."""
     identification: float
     """Clusters times the interval."""
+    selection: float
+    """Rows that the selection of levels looks at, over its lanes."""
     step1: float
     """Rows of kept clusters over the lanes."""
     step2: float
@@ -61,7 +65,7 @@ class Bounds:
     @property
     def front(self) -> float:
         """The front end's least time: the largest of its bounds."""
-        return max(self.dram, self.identification, self.step1, self.step2, self.distribution)
+        return max(self.dram, self.identification, self.selection, self.step1, self.step2, self.distribution)
 
     @property
     def back(self) -> float:
@@ -71,7 +75,7 @@ class Bounds:
     @property
     def named(self) -> str:
         """What bounds the front end."""
-        names = ("dram", "identification", "step1", "step2", "distribution")
+        names = ("dram", "identification", "selection", "step1", "step2", "distribution")
         return max(names, key=lambda name: float(getattr(self, name)))
 
 
@@ -86,14 +90,22 @@ def work_of(machine: Machine, trace: FrameTrace, visits: Int32[Array, "s"]) -> W
     halves = 2 if machine.ping_pong else 1
     colors = records.color(trace.num_coefficients)
     geometry_base = 1 << 30
+    if trace.has_levels and not machine.selects_levels:
+        raise InputError(
+            f"simulate: found a frame of levels of detail, but {machine.name!r} cannot select them; set selects_levels=true, or "
+            "draw all leaves with a pixel error of 0"
+        )
     settings = {
-        "dram": _dram_of(machine),
+        "dram": dram_settings(machine),
         "identifies": machine.clustering,
         "interval": machine.identification.interval,
         "latency": machine.identification.latency,
         "record_fifo": machine.identification.record_fifo,
         "selected_fifo": machine.identification.selected_fifo,
-        "record_bytes": records.cluster(exact=machine.identification.rule == "exact"),
+        "record_bytes": records.cluster(exact=machine.identification.rule != "paper"),
+        "selects_levels": trace.has_levels,
+        "levels": _engine_of(machine.levels.lanes, machine.levels.latency, machine.rows_of_levels, halves)
+        | {"row_bytes": records.level, "base": 2 * geometry_base},
         "geometry": _engine_of(machine.step1.lanes, machine.step1.latency, machine.rows_of_step1, halves)
         | {"row_bytes": records.geometry, "base": geometry_base},
         "color": _engine_of(
@@ -115,7 +127,10 @@ def work_of(machine: Machine, trace: FrameTrace, visits: Int32[Array, "s"]) -> W
     clusters = {
         "visits": np.ascontiguousarray(visits, np.int32),
         "first_row": trace.cluster_first_row,
+        "span_rows": trace.cluster_span,
         "rows": trace.cluster_rows,
+        "walked": trace.cluster_walked,
+        "walk_lines": -(-trace.cluster_walk_units * RECORDS_PER_UNIT * records.level // line),
         "survivors": trace.cluster_survivors,
         "pairs": trace.cluster_pairs,
     }
@@ -127,7 +142,8 @@ def _engine_of(lanes: float, latency: int, capacity: int, halves: int) -> dict[s
     return {"lanes": lanes, "latency": latency, "capacity": capacity, "halves": halves}
 
 
-def _dram_of(machine: Machine) -> dict[str, Any]:
+def dram_settings(machine: Machine) -> dict[str, Any]:
+    """The DRAM in the numbers of the core: times in cycles of the machine's clock."""
     dram = machine.dram
     whole = ("line_bytes", "row_bytes", "channels", "banks", "interleave_bytes", "window", "write_batch")
     timed = (
@@ -181,12 +197,13 @@ def bounds_of(machine: Machine, work: Work, lines: dict[str, int]) -> Bounds:
     line, width = machine.dram.line_bytes, machine.bytes_per_cycle
     clusters, tiles = work.clusters, work.tiles
     visited = clusters["visits"][clusters["visits"] >= 0]
-    front = ("records", "geometry", "color", "projected", "pairs")
+    front = ("records", "levels", "geometry", "color", "projected", "pairs")
     back = ("lists", "splats", "frame")
     rows, survivors, pairs = (float(clusters[name][visited].sum()) for name in ("rows", "survivors", "pairs"))
     return Bounds(
         dram=sum(lines[name] for name in front) * line / width,
         identification=float(len(clusters["visits"]) * machine.identification.interval) if machine.clustering else 0.0,
+        selection=float(clusters["walked"][visited].sum()) / machine.levels.lanes,
         step1=rows / machine.step1.lanes,
         step2=survivors / machine.step2.lanes,
         distribution=pairs / machine.back.pairs_per_cycle,

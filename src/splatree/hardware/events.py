@@ -28,11 +28,13 @@ class _Piece:
     pairs: float
     first_row: float
     span_rows: float
+    cluster: int = -1
 
     def without(self, first: "_Piece") -> "_Piece":
         """What follows the first part."""
         rows, survivors, pairs = self.rows - first.rows, self.survivors - first.survivors, self.pairs - first.pairs
-        return _Piece(rows, survivors, pairs, self.first_row + first.span_rows, self.span_rows - first.span_rows)
+        begin, span = self.first_row + first.span_rows, self.span_rows - first.span_rows
+        return _Piece(rows, survivors, pairs, begin, span, self.cluster)
 
 
 @dataclass
@@ -72,9 +74,8 @@ class _Engine:
                 piece = self.queue.popleft()
                 taken = min(piece.rows, self.capacity - half.rows)
                 share = taken / piece.rows
-                part = _Piece(
-                    taken, piece.survivors * share, piece.pairs * share, piece.first_row, piece.span_rows * share
-                )
+                survivors, pairs, span = (share * n for n in (piece.survivors, piece.pairs, piece.span_rows))
+                part = _Piece(taken, survivors, pairs, piece.first_row, span, piece.cluster)
                 if share < 1:
                     self.queue.appendleft(piece.without(part))
                 half.pieces.append(part)
@@ -114,17 +115,17 @@ class _Front:
     def __init__(self, work: Work) -> None:
         self.s, self.columns = work.settings, work.clusters
         self.line = self.s["dram"]["line_bytes"]
-        self.step1 = _Engine(
-            self.s["geometry"], lambda piece: self._run(self.s["geometry"], piece.first_row, piece.rows)
-        )
+        self.levels = _Engine(self.s["levels"], lambda piece: piece.span_rows * self.line)
+        self.step1 = _Engine(self.s["geometry"], self._geometry)
+        self.walked = 0.0  # rows of the cluster that is being walked
         self.step2 = _Engine(self.s["color"], self._colors)
         self.visits = self.columns["visits"].tolist()
         self.visited = 0.0  # records identified, with the share of the next
-        self.selected: deque[_Piece] = deque()
+        self.selected: deque[int] = deque()
         self.timers: list[tuple[float, int, Callable[[], None]]] = []
         self.count = 0
         self.now = self.written = self.to_write = self.backlog = 0.0
-        self.in_pipes = [0, 0, 0]  # identification, step 1, step 2
+        self.in_pipes = [0, 0, 0, 0]  # identification, step 1, step 2, selection of levels
 
     def run(self) -> float:
         while True:
@@ -145,44 +146,76 @@ class _Front:
             ((begin + rows * numbers["row_bytes"] + self.line - 1) // self.line - begin // self.line) * self.line
         )
 
+    @property
+    def first(self) -> _Engine:
+        """What kept clusters go to."""
+        return self.levels if self.s["selects_levels"] else self.step1
+
+    def _touched(self, size: int) -> float:
+        """Lines of a row, on average over where rows begin."""
+        return float(1 + (size - math.gcd(size, self.line)) / self.line)
+
+    def _geometry(self, piece: _Piece) -> float:
+        size = self.s["geometry"]["row_bytes"]
+        gathered = piece.rows * self._touched(size)
+        if piece.rows >= piece.span_rows - _NOTHING or gathered >= piece.span_rows * size / self.line:
+            return self._run(self.s["geometry"], piece.first_row, piece.span_rows)
+        return float(gathered * self.line)
+
     def _colors(self, piece: _Piece) -> float:
         if piece.rows >= self.s["streamed_share"] * piece.span_rows:
             return self._run(self.s["color"], piece.first_row, piece.span_rows)
-        size = self.s["color"]["row_bytes"]
-        touched = 1 + (size - math.gcd(size, self.line)) / self.line  # on average over where records begin
-        return float(piece.rows * touched * self.line)
+        return float(piece.rows * self._touched(self.s["color"]["row_bytes"]) * self.line)
 
     def _after(self, delay: float, action: Callable[[], None]) -> None:
         self.count += 1
         heapq.heappush(self.timers, (self.now + delay, self.count, action))
 
     def _piece_of(self, cluster: int) -> _Piece:
-        rows, survivors, pairs, first = (
-            float(self.columns[name][cluster]) for name in ("rows", "survivors", "pairs", "first_row")
-        )
-        return _Piece(rows, survivors, pairs, first, rows)
+        names = ("rows", "survivors", "pairs", "first_row", "span_rows")
+        rows, survivors, pairs, first_row, span_rows = (float(self.columns[name][cluster]) for name in names)
+        return _Piece(rows, survivors, pairs, first_row, span_rows, cluster)
+
+    def _enter(self, cluster: int) -> None:
+        """A kept cluster goes to the engine that is first; the span of a walk is its lines."""
+        if not self.s["selects_levels"]:
+            self._push(self.step1, self._piece_of(cluster))
+            return
+        walked, lines = (float(self.columns[name][cluster]) for name in ("walked", "walk_lines"))
+        self._push(self.levels, _Piece(walked, 0.0, 0.0, 0.0, lines, cluster))
+
+    def _push(self, engine: _Engine, piece: _Piece) -> None:
+        if piece.rows > _NOTHING:
+            engine.queue.append(piece)
 
     def _advance_states(self) -> None:
         """Everything that takes no time."""
         while True:
-            before = (len(self.selected), len(self.step1.queue), len(self.step2.queue), len(self.timers))
+            before = self._counts()
             while self.timers and self.timers[0][0] <= self.now + _NOTHING:
                 heapq.heappop(self.timers)[2]()
             if not self.s["identifies"]:
-                while self.visited < len(self.visits) and len(self.step1.queue) < _Engine.QUEUE:
-                    self.step1.queue.append(self._piece_of(self.visits[int(self.visited)]))
+                while self.visited < len(self.visits) and len(self.first.queue) < _Engine.QUEUE:
+                    self._enter(self.visits[int(self.visited)])
                     self.visited += 1
-            while self.selected and len(self.step1.queue) < _Engine.QUEUE:
-                self.step1.queue.append(self.selected.popleft())
-            at_end = self.visited >= len(self.visits)
-            self.step1.closed = at_end and not self.selected and not self.in_pipes[0]
+            while self.selected and len(self.first.queue) < _Engine.QUEUE:
+                self._enter(self.selected.popleft())
+            self.first.closed = self.visited >= len(self.visits) and not self.selected and not self.in_pipes[0]
+            if self.s["selects_levels"]:
+                self.levels.fill()
+                self.levels.start()
+                self.step1.closed = self.levels.is_done and not self.in_pipes[3]
             self.step1.fill()
             self.step1.start()
             self.step2.closed = self.step1.is_done and not self.in_pipes[1]
             self.step2.fill()
             self.step2.start()
-            if before == (len(self.selected), len(self.step1.queue), len(self.step2.queue), len(self.timers)):
+            if before == self._counts():
                 return
+
+    def _counts(self) -> tuple[int, ...]:
+        engines = (self.levels, self.step1, self.step2)
+        return len(self.selected), len(self.timers), *(len(engine.queue) for engine in engines)
 
     def _is_done(self) -> bool:
         return self.step2.is_done and not self.in_pipes[2] and self.backlog <= _NOTHING and self.to_write <= _NOTHING
@@ -198,9 +231,16 @@ class _Front:
         if self._identifies():
             rates["identification"] = min(1 / self.s["interval"], width / self.s["record_bytes"])
             width -= rates["identification"] * self.s["record_bytes"]
-        waiting = {"geometry": self.step1.transfers, "color": self.step2.transfers, "write": self.to_write > _NOTHING}
+        waiting = {
+            "levels": self.levels.transfers,
+            "geometry": self.step1.transfers,
+            "color": self.step2.transfers,
+            "write": self.to_write > _NOTHING,
+        }
         active = [name for name, has in waiting.items() if has]
         rates |= {name: width / len(active) for name in active}
+        if self.levels.computing and len(self.step1.queue) < _Engine.QUEUE:
+            rates["selection"] = self.levels.lanes
         if self.step1.computing and len(self.step2.queue) < _Engine.QUEUE:
             rates["step1"] = self.step1.lanes
         if self.step2.computing and self.backlog <= self.s["pair_backlog"]:
@@ -212,9 +252,11 @@ class _Front:
     def _remaining(self, rates: dict[str, float]) -> list[tuple[float, float]]:
         left = {
             "identification": 1 - self.visited % 1,
+            "levels": self.levels.transfers[0][0][0] if self.levels.transfers else 0.0,
             "geometry": self.step1.transfers[0][0][0] if self.step1.transfers else 0.0,
             "color": self.step2.transfers[0][0][0] if self.step2.transfers else 0.0,
             "write": self.to_write,
+            "selection": self.levels.left,
             "step1": self.step1.left,
             "step2": self.step2.left,
             "distribution": self.backlog,
@@ -235,6 +277,7 @@ class _Front:
             self.backlog -= pairs
             self.to_write += pairs * self.s["list_lines_per_pair"] * self.line
         for engine, stream, compute, emit in (
+            (self.levels, "levels", "selection", self._select),
             (self.step1, "geometry", "step1", self._pass_on),
             (self.step2, "color", "step2", self._write),
         ):
@@ -264,9 +307,21 @@ class _Front:
 
         def select() -> None:
             self.in_pipes[0] -= 1
-            self.selected.append(self._piece_of(cluster))
+            self.selected.append(cluster)
 
         self._after(self.s["latency"], select)
+
+    def _select(self, piece: _Piece, latency: float) -> None:
+        self.in_pipes[3] += 1
+
+        def emit() -> None:
+            self.in_pipes[3] -= 1
+            self.walked += piece.rows
+            if self.walked >= self.columns["walked"][piece.cluster] - _NOTHING:
+                self.walked = 0.0
+                self._push(self.step1, self._piece_of(piece.cluster))
+
+        self._after(latency, emit)
 
     def _pass_on(self, piece: _Piece, latency: float) -> None:
         if piece.survivors <= _NOTHING:
@@ -275,7 +330,9 @@ class _Front:
 
         def emit() -> None:
             self.in_pipes[1] -= 1
-            self.step2.queue.append(_Piece(piece.survivors, piece.survivors, piece.pairs, piece.first_row, piece.rows))
+            self.step2.queue.append(
+                _Piece(piece.survivors, piece.survivors, piece.pairs, piece.first_row, piece.span_rows)
+            )
 
         self._after(latency, emit)
 

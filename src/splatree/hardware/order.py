@@ -32,18 +32,17 @@ def visits_of(order: Order, traces: Sequence[FrameTrace], frame: int) -> Int32[A
     if order == "morton":
         rank = morton_codes(trace.cluster_centers).astype(np.float64)
     elif order == "frequency":
-        others = [t.cluster_kept for i, t in enumerate(traces) if i != frame and len(t.cluster_kept) == len(kept)]
+        others = [t.cluster_kept for i, t in enumerate(traces) if i != frame and t.is_of_scene_of(trace)]
         rank = -np.asarray(np.sum(others, axis=0, dtype=np.float64)) if others else np.zeros(len(kept))
     elif order == "previous-frame":
-        before = (
-            traces[frame - 1].cluster_kept if frame and len(traces[frame - 1].cluster_kept) == len(kept) else kept[:0]
-        )
-        rank = -before.astype(np.float64) if len(before) else np.zeros(len(kept))
+        known = frame > 0 and traces[frame - 1].is_of_scene_of(trace)
+        rank = -traces[frame - 1].cluster_kept.astype(np.float64) if known else np.zeros(len(kept))
     elif order in ("oracle", "adversarial"):
         rank = np.where(kept, 0.0, 1.0) * (1 if order == "oracle" else -1)
     else:
         rank = np.zeros(len(kept))
-    clusters = np.argsort(rank, kind="stable").astype(np.int32)
+    # Clusters above others are walked before these, whatever the order.
+    clusters = np.lexsort([rank, ~trace.cluster_is_above]).astype(np.int32)
     return np.where(kept[clusters], clusters, np.int32(-1)).astype(np.int32)
 
 

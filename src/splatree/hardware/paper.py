@@ -12,7 +12,17 @@ from splatree.hardware.config import Machine
 from splatree.hardware.simulate import simulate_frame
 from splatree.hardware.trace import FrameTrace, trace_of_rates
 
-__all__ = ["COUNTS", "RATES", "Rates", "SpeedUp", "speed_up_of_clustering", "traces_of_table_i"]
+__all__ = [
+    "COUNTS",
+    "RATES",
+    "Rates",
+    "SpeedUp",
+    "compulsory_ms",
+    "compulsory_speed_up",
+    "fitted_common_ms",
+    "speed_up_of_clustering",
+    "traces_of_table_i",
+]
 
 
 @dataclass(frozen=True)
@@ -49,6 +59,9 @@ COUNTS: Mapping[str, int] = {
 }
 """Gaussians of 3DGS's models (humansensinglab/taming-3dgs)."""
 
+COEFFICIENTS = 16
+"""Harmonics of a channel in these models: degree 3."""
+
 
 @dataclass(frozen=True)
 class SpeedUp:
@@ -60,6 +73,8 @@ class SpeedUp:
     """By the simulator: lines of 64 bytes that are read in part, projected records written, fills."""
     of_scene: Mapping[str, float]
     """The simulated one, scene by scene."""
+    milliseconds: Mapping[str, tuple[float, float]]
+    """Simulated front end without and with clusters, scene by scene."""
 
 
 def traces_of_table_i(
@@ -81,6 +96,41 @@ def traces_of_table_i(
     }
 
 
+def compulsory_ms(machine: Machine, scene: str, *, clustering: bool, num_clusters: int = 8192) -> float:
+    """Least time of a scene's frame: bytes that must be read over the bandwidth, or Gaussians over the lanes if that is longer.
+
+    Args:
+        machine: the accelerator.
+        scene: a name of Table I.
+        clustering: whether clusters are identified.
+        num_clusters: records that are read then.
+    """
+    records, count, rates = machine.records, COUNTS[scene], RATES[scene]
+    read = count * (1 - rates.exclusion if clustering else 1.0)
+    survivors = count * (1 - rates.ideal)
+    size = read * records.geometry + survivors * records.color(COEFFICIENTS)
+    size += num_clusters * records.cluster(exact=False) if clustering else 0
+    cycles = max(read / machine.step1.lanes, survivors / machine.step2.lanes)
+    return max(size / machine.dram.bandwidth_gbps / 1e6, cycles / machine.clock_mhz / 1e3)
+
+
+def compulsory_speed_up(machine: Machine, common_ms: float = 0.0) -> float:
+    """The speed-up of clustering by these least times, each scene with ``common_ms`` that clusters do not change."""
+    without, having = (
+        sum(compulsory_ms(machine, scene, clustering=clustering) + common_ms for scene in COUNTS)
+        for clustering in (False, True)
+    )
+    return without / having
+
+
+def fitted_common_ms(machine: Machine, speed_up: float) -> float:
+    """The common time with which the least times give a speed-up: (Σ without + n c) / (Σ with + n c) = s, solved for c."""
+    without, having = (
+        sum(compulsory_ms(machine, scene, clustering=clustering) for scene in COUNTS) for clustering in (False, True)
+    )
+    return (without - speed_up * having) / (len(COUNTS) * (speed_up - 1))
+
+
 def speed_up_of_clustering(machine: Machine, *, share: float = 1.0, common_ms: float = 0.0) -> SpeedUp:
     """How much faster the front end is with clusters than without, with Table I's rates.
 
@@ -90,21 +140,16 @@ def speed_up_of_clustering(machine: Machine, *, share: float = 1.0, common_ms: f
         common_ms: time of a frame that is the same with and without clusters, of a whole scene.
     """
     plain = replace(machine, dram=replace(machine.dram, fidelity="L0"))
-    records = machine.records
-    times, must = {}, np.zeros(2)
+    times = {}
     for name, trace in traces_of_table_i(share=share, pairs_per_survivor=0.0).items():
-        found = [
+        without, having = (
             simulate_frame(replace(plain, clustering=clustering), [trace]).front_milliseconds + share * common_ms
             for clustering in (False, True)
-        ]
-        times[name] = found
-        survivors = int(trace.cluster_survivors.sum()) * records.color(trace.num_coefficients)
-        kept = int(trace.cluster_rows[trace.cluster_kept].sum())
-        read = len(trace.cluster_rows) * records.cluster(exact=False)
-        must += [trace.num_rows * records.geometry + survivors, read + kept * records.geometry + survivors]
-    without, having = np.sum(list(times.values()), axis=0)
+        )
+        times[name] = (without, having)
     return SpeedUp(
-        compulsory=float(must[0] / must[1]),
-        simulated=float(without / having),
+        compulsory=compulsory_speed_up(machine, common_ms),
+        simulated=sum(pair[0] for pair in times.values()) / sum(pair[1] for pair in times.values()),
         of_scene={name: pair[0] / pair[1] for name, pair in times.items()},
+        milliseconds=times,
     )

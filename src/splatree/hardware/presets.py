@@ -34,9 +34,16 @@ PRESETS: Mapping[str, Machine] = {
         back=BackEnd(renderers=4),
         records=Records("fp16"),
     ),
+    "splatree": Machine(
+        name="splatree",
+        dram=Dram(line_bytes=32),
+        back=BackEnd(overlaps=True),
+        records=Records("fixed"),
+    ),
 }
 """`jo2024` is the paper's; `gscore-like` has GSCore's units and memory, `neo-like` the four renderers of Neo, both without
-identification of clusters."""
+identification of clusters. `splatree` is ours, with the area and the bandwidth of `jo2024`: records of 8 and 24 bits, the DRAM's
+bursts of 32 bytes as requests, and frames that overlap."""
 
 
 def preset(name: str) -> Machine:

@@ -49,6 +49,7 @@ def frame_rows(simulation: Simulation) -> list[Row]:
             "front end ms": frame.front_milliseconds,
             "front end bound ms": frame.bounds.front / clock,
             "bound by": frame.bounds.named,
+            "rows walked": frame.num_walked,
             "Gaussians read": frame.num_rows,
             "survivors": frame.num_survivors,
             "pairs": frame.num_pairs,

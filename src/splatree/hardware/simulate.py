@@ -16,11 +16,11 @@ from splatree.kernels.cpu import _core
 
 __all__ = ["DeadlockError", "Fifo", "FrameTime", "Span", "Unit", "simulate_frame"]
 
-STREAMS = ("records", "geometry", "color", "projected", "pairs", "lists", "splats", "frame")
-"""What moves between the chip and its DRAM: records of clusters, columns of steps 1 and 2, projected records and lists written;
-lists and projected records read; the picture written."""
+STREAMS = ("records", "levels", "geometry", "color", "projected", "pairs", "lists", "splats", "frame")
+"""What moves between the chip and its DRAM: records of clusters, of levels, columns of steps 1 and 2; projected records and lists
+written; lists and projected records read; the picture written."""
 
-UNITS = ("identification", "step1", "step2", "distribution", "sort", "blend")
+UNITS = ("identification", "selection", "step1", "step2", "distribution", "sort", "blend")
 """Engines, in the order of the data."""
 
 
@@ -104,6 +104,8 @@ class FrameTime:
     """Share of lines that found their row open."""
     bounds: Bounds
     """Least cycles, by what bounds them."""
+    num_walked: int
+    """Rows that the selection of levels looked at."""
     num_rows: int
     """Gaussians read in step 1."""
     num_survivors: int
@@ -173,6 +175,7 @@ def simulate_frame(machine: Machine, traces: Sequence[FrameTrace], frame: int = 
         activations=opened,
         row_hit_rate=max(0.0, 1 - opened / max(sum(lines.values()), 1)) if hits else 0.0,
         bounds=bounds_of(machine, work, lines),
+        num_walked=found["units"]["selection"]["items"],
         num_rows=found["rows_in"],
         num_survivors=found["survivors_out"],
         num_pairs=found["pairs_out"],

@@ -74,7 +74,7 @@ def simulate(
     Args:
         scene: a scene with clusters (`build_clusters`).
         cameras: the views, in the order in which they are seen.
-        machine: a `Machine`, or the name of a preset: `jo2024`, `gscore-like`, `neo-like`.
+        machine: a `Machine`, or the name of a preset: `jo2024`, `gscore-like`, `neo-like`, `splatree`.
         select: nodes of the tree that are drawn; None: all leaves.
 
     Returns:
@@ -100,13 +100,17 @@ def draw_traces(
 ) -> tuple[FrameTrace, ...]:
     """Draw the views with the machine's rule of identification, and count."""
     chosen = select or SelectOptions(pixel_error=0.0)
-    chosen = replace(chosen, cull=machine.identification.rule)
+    rule = machine.identification.rule
+    chosen = replace(chosen, cull="paper" if rule == "paper" else "exact")
     views = list(cameras)
     if not views:
         raise InputError("simulate: found no cameras, wanted at least one")
     wanted = Wanted(last_pair=True)  # so that entries are counted up to the one that finishes each pixel
     with open_session(scene, select=chosen) as session:
-        return tuple(trace_frame(scene, session.trace(view, wanted)) for view in track(views, "draw frames"))
+        return tuple(
+            trace_frame(scene, session.trace(view, wanted), boxes=rule == "boxes")
+            for view in track(views, "draw frames")
+        )
 
 
 def on_machine(machine: Machine, traces: Sequence[FrameTrace]) -> Simulation:

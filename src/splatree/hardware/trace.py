@@ -4,15 +4,18 @@ A trace is taken from a frame that was drawn (`trace_frame`), so that its number
 rates of exclusion (`trace_of_rates`), such as those of Jo 2024, Table I. It is a few MB as .npz.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
 
+from splatree.clusters.cull import cull
 from splatree.constants import TILE_PX
 from splatree.errors import InputError
+from splatree.hardware.levels import unwalked, walk_of
 from splatree.io.replacing import replacing
 from splatree.render.counters import frame_counters
+from splatree.scene.clusters import ClusterIndex
 from splatree.scene.frame import Frame, Splats, TileBins
 from splatree.scene.scene import Scene
 from splatree.shapes import Array, Bool, Float32, Int32, Int64, check_fields
@@ -32,8 +35,16 @@ class FrameTrace:
 
     cluster_first_row: Int64[Array, "c"]
     """First row of each cluster."""
+    cluster_span: Int64[Array, "c"]
+    """All rows of each cluster, levels included."""
     cluster_rows: Int64[Array, "c"]
-    """Gaussians of each cluster that are read if it is kept."""
+    """Gaussians of each cluster that are read if it is kept: all, or those of the cut."""
+    cluster_walked: Int64[Array, "c"]
+    """Rows that the selection of levels looks at; 0 everywhere if the frame was drawn without levels."""
+    cluster_walk_units: Int64[Array, "c"]
+    """Pieces of 64 bytes in which the records of these rows lie."""
+    cluster_is_above: Bool[Array, "c"]
+    """Whether the cluster has descendants in other clusters, so that it must be walked before these."""
     cluster_kept: Bool[Array, "c"]
     """Whether identification keeps it."""
     cluster_survivors: Int64[Array, "c"]
@@ -64,13 +75,32 @@ class FrameTrace:
         tiles = int(self.num_tiles_xy[0] * self.num_tiles_xy[1])
         if tiles != len(self.tile_length):
             raise InputError(f"trace: found {len(self.tile_length)} tiles, wanted {tiles}: num_tiles_xy disagrees")
-        counts = (self.cluster_rows, self.cluster_survivors, self.cluster_pairs, self.tile_length, self.tile_consumed)
+        if min(self.num_tiles_xy) < 0 or not 1 <= self.num_coefficients <= 25:
+            raise InputError(
+                f"trace: found {self.num_tiles_xy} tiles and {self.num_coefficients} harmonics, wanted 0 or more and 1 to 25"
+            )
+        columns = ("first_row", "walk_units", "walked", "rows", "survivors", "pairs")
+        counts = (*(getattr(self, f"cluster_{name}") for name in columns), self.tile_length, self.tile_consumed)
         if any(np.any(column < 0) for column in counts):
             raise InputError("trace: found negative counts, wanted 0 or more")
-        if np.any(self.cluster_survivors > self.cluster_rows):
+        if np.any(self.cluster_survivors > self.cluster_rows) or np.any(self.cluster_rows > self.cluster_span):
             raise InputError(
                 "trace: found clusters with more survivors than rows; the trace is of another scene or version"
             )
+        starts, listed = self.tile_start, self.pair_splats
+        if len(listed) and (
+            starts[0] != 0 or np.any(np.diff(starts) < 0) or starts[-1] != len(listed) or listed.min() < 0
+        ):
+            raise InputError("trace: found lists that are not those of its tiles; the file is damaged, write it anew")
+
+    def is_of_scene_of(self, other: "FrameTrace") -> bool:
+        """Whether both frames are of the same scene, judged by its clusters."""
+        return np.array_equal(self.cluster_span, other.cluster_span)
+
+    @property
+    def has_levels(self) -> bool:
+        """Whether a cut of levels of detail was drawn."""
+        return bool(self.cluster_walked.any())
 
     @property
     def num_rows(self) -> int:
@@ -88,15 +118,16 @@ class FrameTrace:
         return 1 - float(self.cluster_survivors.sum()) / max(self.num_rows, 1)
 
 
-def trace_frame(scene: Scene, frame: Frame) -> FrameTrace:
+def trace_frame(scene: Scene, frame: Frame, *, boxes: bool = False) -> FrameTrace:
     """Take the counts of a traced frame.
 
     Args:
         scene: the scene that was drawn, with clusters.
         frame: what `trace` left, drawn with a rule of culling.
+        boxes: whether the exact rule may look at the boxes of clusters, as `st.cull` does; else at their spheres alone.
 
     Returns:
-        The trace. Of a scene with levels the rows of a cluster are those that the cut chose.
+        The trace. If levels of detail were drawn, the rows of a cluster are those of the cut.
 
     Raises:
         InputError: the scene has no clusters.
@@ -109,14 +140,24 @@ def trace_frame(scene: Scene, frame: Frame) -> FrameTrace:
     splats = frame.bins.splat_from_pair[pairs]
     tiles = np.repeat(np.arange(len(consumed)), consumed)
     touched = _touched_subtiles(frame.splats, frame.bins, splats, tiles)
-    rows = counters.cluster_rows.astype(np.int64)
-    if scene.tree.num_levels > 1:
-        chosen = np.searchsorted(scene.clusters.start, frame.selection.rows, side="right") - 1
-        rows = np.bincount(chosen, minlength=len(rows)).astype(np.int64)
+    clusters, kept = scene.clusters, counters.cluster_kept
+    if frame.culling is not None and frame.culling.rule == "exact" and not boxes:
+        kept = cull(_without_boxes(clusters), frame.view).kept
+    if scene.tree.num_levels > 1 and frame.selection.pixel_error > 0:
+        walk, span = walk_of(scene, frame), clusters.counts.astype(np.int64)
+        kept = kept & (walk.walked > 0)
+    else:  # the leaves are known beforehand, and lie together
+        walk = unwalked(np.add.reduceat(scene.tree.is_leaf, clusters.start[:-1], dtype=np.int64))
+        span = walk.rows
+        kept = kept & (span > 0)
     return FrameTrace(
-        cluster_first_row=scene.clusters.start[:-1].astype(np.int64),
-        cluster_rows=rows,
-        cluster_kept=counters.cluster_kept & (rows > 0),
+        cluster_first_row=np.cumsum(span) - span,
+        cluster_span=span,
+        cluster_rows=walk.rows,
+        cluster_walked=walk.walked,
+        cluster_walk_units=walk.units,
+        cluster_is_above=walk.is_above,
+        cluster_kept=kept,
         cluster_survivors=counters.cluster_survivors,
         cluster_pairs=counters.cluster_pairs,
         cluster_centers=scene.clusters.centers,
@@ -129,6 +170,12 @@ def trace_frame(scene: Scene, frame: Frame) -> FrameTrace:
         num_tiles_xy=counters.num_tiles_xy,
         num_coefficients=scene.gaussians.sh.shape[1],
     )
+
+
+def _without_boxes(clusters: ClusterIndex) -> ClusterIndex:
+    """An infinite box excludes nothing."""
+    everywhere = np.full_like(clusters.box_low, np.inf)
+    return replace(clusters, box_low=-everywhere, box_high=everywhere)
 
 
 def _consumed_pairs(start: Array, consumed: Array) -> Array:
@@ -187,9 +234,14 @@ def trace_of_rates(
     tiles = num_tiles_xy[0] * num_tiles_xy[1]
     length = np.full(tiles, pairs.sum() // tiles, np.int64)
     length[: pairs.sum() % tiles] += 1
+    walk = unwalked(sizes.astype(np.int64))
     return FrameTrace(
         cluster_first_row=np.cumsum(sizes) - sizes,
-        cluster_rows=sizes.astype(np.int64),
+        cluster_span=walk.rows,
+        cluster_rows=walk.rows,
+        cluster_walked=walk.walked,
+        cluster_walk_units=walk.units,
+        cluster_is_above=walk.is_above,
         cluster_kept=kept,
         cluster_survivors=survivors.astype(np.int64),
         cluster_pairs=pairs,

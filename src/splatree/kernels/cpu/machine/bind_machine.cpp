@@ -52,6 +52,8 @@ Settings settings_of(const Numbers& n) {
   s.dram = dram_of(n.group("dram"));
   s.identifies = n.flag("identifies"), s.interval = n.count("interval"), s.latency = n.count("latency");
   s.record_fifo = n.count("record_fifo"), s.selected_fifo = n.count("selected_fifo"), s.record_bytes = n.whole("record_bytes");
+  s.selects_levels = n.flag("selects_levels");
+  s.levels = engine_of(n.group("levels"));
   s.geometry = engine_of(n.group("geometry")), s.color = engine_of(n.group("color"));
   s.streamed_share = n.real("streamed_share");
   s.splat_bytes = n.whole("splat_bytes"), s.pair_bytes = n.whole("pair_bytes");
@@ -81,10 +83,14 @@ nb::dict simulate_frame(nb::dict settings, nb::dict clusters, nb::dict tiles) {
   const auto visits = nb::cast<In<int32_t>>(clusters["visits"]);
   const auto first_row = column(clusters, "first_row"), rows = column(clusters, "rows");
   const auto survivors = column(clusters, "survivors"), pairs = column(clusters, "pairs");
+  const auto span_rows = column(clusters, "span_rows");
+  const auto walked = column(clusters, "walked"), walk_lines = column(clusters, "walk_lines");
   const auto list_lines = column(tiles, "list_lines"), sort_cycles = column(tiles, "sort_cycles");
   const auto projected_lines = column(tiles, "projected_lines"), blend_cycles = column(tiles, "blend_cycles");
   const auto frame_lines = column(tiles, "frame_lines");
-  const Clusters c{visits.data(), int64_t(visits.shape(0)), first_row.data(), rows.data(), survivors.data(), pairs.data()};
+  const Clusters c{visits.data(),    int64_t(visits.shape(0)), first_row.data(), span_rows.data(),
+                   rows.data(),      survivors.data(),         pairs.data(),     walked.data(),
+                   walk_lines.data()};
   const Tiles t{list_lines.data(),   sort_cycles.data(), projected_lines.data(),
                 blend_cycles.data(), frame_lines.data(), int64_t(list_lines.shape(0))};
   Result r;
@@ -92,9 +98,9 @@ nb::dict simulate_frame(nb::dict settings, nb::dict clusters, nb::dict tiles) {
     nb::gil_scoped_release release;
     r = simulate(s, c, t);
   }
-  static const char* const units[NUM_UNITS] = {"identification", "step1", "step2", "distribution", "sort", "blend"};
-  static const char* const streams[NUM_STREAMS] = {"records", "geometry",  "color", "lists",
-                                                   "splats",  "projected", "pairs", "frame"};
+  static const char* const units[NUM_UNITS] = {"identification", "selection", "step1", "step2", "distribution", "sort", "blend"};
+  static const char* const streams[NUM_STREAMS] = {"records", "levels",    "geometry", "color", "lists",
+                                                   "splats",  "projected", "pairs",    "frame"};
   nb::dict found, of_units, of_streams;
   for (int i = 0; i < NUM_UNITS; ++i) of_units[units[i]] = dict_of(r.units[i]);
   for (int i = 0; i < NUM_STREAMS; ++i) of_streams[streams[i]] = r.lines[i];
@@ -125,6 +131,15 @@ std::vector<std::pair<int64_t, int64_t>> identify(In<bool> kept, In<bool> ready,
     identifier.step(visit, ready.data()[now]);
   }
   return found;
+}
+
+// Cycles that the DRAM alone takes for lines at these addresses, in their order, all asked for at once.
+int64_t replay(nb::dict settings, In<int64_t> addresses) {
+  Dram dram(dram_of(Numbers(settings)));
+  for (size_t i = 0; i < addresses.shape(0); ++i) dram.ask(GEOMETRY, addresses.data()[i], 1);
+  int64_t now = 0;
+  while (!dram.is_idle()) dram.step(now++);
+  return now;
 }
 
 // LRU within each set; the youngest comes first. Without sets every access misses.
@@ -158,6 +173,8 @@ void bind_machine(nb::module_& m) {
         "Step the accelerator through a frame; dictionaries of named numbers and columns (splatree/hardware/simulate.py).");
   m.def("identify", &identify, nb::arg("kept"), nb::arg("ready"), nb::arg("interval"), nb::arg("latency"),
         nb::arg("selected_fifo"), "Cycle and number of each cluster that leaves the identification alone.");
+  m.def("replay", &replay, nb::arg("settings"), nb::arg("addresses"),
+        "Cycles that the DRAM takes to read a line at each of the addresses.");
   m.def("cache_misses", &cache_misses, nb::arg("splats"), nb::arg("start"), nb::arg("order"), nb::arg("sets"), nb::arg("ways"),
         nb::arg("misses"), "Fill the lines that each tile misses in an LRU cache of so many sets and ways.");
 }

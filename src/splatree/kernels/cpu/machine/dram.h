@@ -14,8 +14,8 @@
 
 namespace splatree::machine {
 
-enum Stream { RECORDS, GEOMETRY, COLOR, LISTS, SPLATS, PROJECTED, PAIRS, FRAME, NUM_STREAMS };
-constexpr bool IS_WRITE[NUM_STREAMS] = {false, false, false, false, false, true, true, true};
+enum Stream { RECORDS, LEVELS, GEOMETRY, COLOR, LISTS, SPLATS, PROJECTED, PAIRS, FRAME, NUM_STREAMS };
+constexpr bool IS_WRITE[NUM_STREAMS] = {false, false, false, false, false, false, true, true, true};
 
 struct DramSettings {
   int fidelity;            // 0, 1, 2

@@ -65,7 +65,7 @@ class Engine {
       if (taken.rows < next.rows) {
         taken.survivors = int64_t(double(next.survivors) * share);
         taken.pairs = int64_t(double(next.pairs) * share);
-        taken.span_rows = int64_t(double(next.span_rows) * share);
+        taken.span_rows = next.span_rows * taken.rows / next.rows;
       }
       lines_of(taken);
       half.last_line = dram_.asked(stream_);

@@ -1,6 +1,7 @@
-// Step 0 to the lists of the tiles: identification, step 1, step 2, distribution.
+// Step 0 to the lists of the tiles: identification, selection of levels, step 1, step 2, distribution.
 #pragma once
 #include <deque>
+#include <numeric>
 
 #include "cpu/machine/engine.h"
 #include "cpu/machine/identifier.h"
@@ -14,6 +15,7 @@ class Front {
         clusters_(clusters),
         dram_(dram),
         result_(result),
+        selection_(s.levels, dram, LEVELS, result.units[SELECTION], result.spans, SELECTION),
         step1_(s.geometry, dram, GEOMETRY, result.units[STEP1], result.spans, STEP1),
         step2_(s.color, dram, COLOR, result.units[STEP2], result.spans, STEP2),
         record_lines_((clusters.num_visits * s.record_bytes + s.dram.line_bytes - 1) / s.dram.line_bytes),
@@ -25,15 +27,19 @@ class Front {
   bool step(int64_t now) {
     moved_ = false;
     identify(now);
-    feed_step1();
-    step1_.step(
-        now, [&](const Piece& p) { ask_rows(GEOMETRY, s_.geometry, p.first_row, p.rows); },
-        [&](const Piece& p) { return pass_on(p); });
+    feed();
+    if (s_.selects_levels) {
+      selection_.step(
+          now, [&](const Piece& p) { dram_.ask(LEVELS, s_.levels.base + p.first_row * s_.dram.line_bytes, p.span_rows); },
+          [&](const Piece& p) { return select(p); });
+      if (!closed1_ && selection_.is_done()) closed1_ = true, step1_.close();
+    }
+    step1_.step(now, [&](const Piece& p) { ask_geometry(p); }, [&](const Piece& p) { return pass_on(p); });
     if (!closed2_ && step1_.is_done()) closed2_ = true, step2_.close();
     step2_.step(now, [&](const Piece& p) { ask_colors(p); }, [&](const Piece& p) { return write(p); });
     distribute(now);
     is_done_ = step2_.is_done() && backlog_ < 1 && dram_.is_idle();
-    return moved_ | step1_.moved() | step2_.moved();
+    return moved_ | selection_.moved() | step1_.moved() | step2_.moved();
   }
 
  private:
@@ -54,7 +60,7 @@ class Front {
       const int32_t cluster = clusters_.visits[next_visit_];
       visit = Identifier::Visit{cluster, cluster >= 0};
     }
-    const bool takes = visit && identifier_.has_room(), is_ready = step1_.has_room();
+    const bool takes = visit && identifier_.has_room(), is_ready = first().has_room();
     if (takes) {
       ++next_visit_, ++time.items, ++result_.records.pops;
       result_.records.waited += now + 1 - records_since_.front();
@@ -89,24 +95,57 @@ class Front {
     fifo.most = std::max(fifo.most, occupancy);
   }
 
-  void feed_step1() {
-    if (closed1_) return;
-    if (!s_.identifies) {
-      if (next_visit_ < clusters_.num_visits && step1_.has_room()) {
-        const int32_t cluster = clusters_.visits[next_visit_++];
-        if (cluster >= 0) push(cluster);
-      }
-      if (next_visit_ == clusters_.num_visits) closed1_ = true, step1_.close();
-      return;
+  // What kept clusters go to.
+  Engine& first() { return s_.selects_levels ? selection_ : step1_; }
+
+  void feed() {
+    if (closed_) return;
+    if (!s_.identifies && next_visit_ < clusters_.num_visits && first().has_room()) {
+      const int32_t cluster = clusters_.visits[next_visit_++];
+      if (cluster >= 0) push(cluster);
     }
-    if (next_visit_ == clusters_.num_visits && identifier_.is_empty()) closed1_ = true, step1_.close();
+    if (next_visit_ < clusters_.num_visits || (s_.identifies && !identifier_.is_empty())) return;
+    closed_ = true;
+    first().close();
+    if (!s_.selects_levels) closed1_ = true;
   }
 
   void push(int64_t cluster) {
+    if (!s_.selects_levels) return push_step1(cluster);
+    const int64_t walked = clusters_.walked[cluster], line = s_.dram.line_bytes;
+    if (walked == 0) return;
+    const int64_t first = clusters_.first_row[cluster] * s_.levels.row_bytes / line;
+    selection_.push({cluster, walked, 0, 0, first, clusters_.walk_lines[cluster]});
+  }
+
+  void push_step1(int64_t cluster) {
     const int64_t rows = clusters_.rows[cluster];
     if (rows == 0) return;
     result_.rows_in += rows;
-    step1_.push({cluster, rows, clusters_.survivors[cluster], clusters_.pairs[cluster], clusters_.first_row[cluster], rows});
+    step1_.push({cluster, rows, clusters_.survivors[cluster], clusters_.pairs[cluster], clusters_.first_row[cluster],
+                 clusters_.span_rows[cluster]});
+  }
+
+  // A cluster goes on when the last of its rows was looked at.
+  bool select(const Piece& piece) {
+    const bool is_last = walked_ + piece.rows == clusters_.walked[piece.cluster];
+    if (is_last && !step1_.has_room()) return false;
+    walked_ = is_last ? 0 : walked_ + piece.rows;
+    if (is_last) push_step1(piece.cluster);
+    return true;
+  }
+
+  // Rows that lie apart are gathered, unless all between them take fewer lines.
+  void ask_geometry(const Piece& piece) {
+    const int64_t size = s_.geometry.row_bytes, line = s_.dram.line_bytes;
+    const double touched = 1 + double(size - std::gcd(size, line)) / double(line);  // on average over where rows begin
+    if (piece.rows == piece.span_rows || double(piece.rows) * touched >= double(piece.span_rows * size) / double(line))
+      return ask_rows(GEOMETRY, s_.geometry, piece.first_row, piece.span_rows);
+    gather(GEOMETRY, s_.geometry, piece);
+  }
+
+  void gather(Stream stream, const EngineSettings& engine, const Piece& piece) {
+    for (int64_t i = 0; i < piece.rows; ++i) ask_rows(stream, engine, piece.first_row + i * piece.span_rows / piece.rows, 1);
   }
 
   void ask_rows(Stream stream, const EngineSettings& engine, int64_t first, int64_t rows) {
@@ -119,7 +158,7 @@ class Front {
   bool pass_on(const Piece& piece) {
     if (piece.survivors == 0) return true;
     if (!step2_.has_room()) return false;
-    step2_.push({piece.cluster, piece.survivors, piece.survivors, piece.pairs, piece.first_row, piece.rows});
+    step2_.push({piece.cluster, piece.survivors, piece.survivors, piece.pairs, piece.first_row, piece.span_rows});
     return true;
   }
 
@@ -127,7 +166,7 @@ class Front {
   void ask_colors(const Piece& piece) {
     if (double(piece.rows) >= s_.streamed_share * double(piece.span_rows))
       return ask_rows(COLOR, s_.color, piece.first_row, piece.span_rows);
-    for (int64_t i = 0; i < piece.rows; ++i) ask_rows(COLOR, s_.color, piece.first_row + i * piece.span_rows / piece.rows, 1);
+    gather(COLOR, s_.color, piece);
   }
 
   bool write(const Piece& piece) {
@@ -178,13 +217,13 @@ class Front {
   const Clusters& clusters_;
   Dram& dram_;
   Result& result_;
-  Engine step1_, step2_;
+  Engine selection_, step1_, step2_;
   const int64_t record_lines_;
   Identifier identifier_;
   std::deque<int64_t> records_since_, selected_since_;
-  int64_t next_visit_ = 0, in_fifo_ = 0, splat_bytes_ = 0, splats_written_ = 0, lists_written_ = 0;
+  int64_t next_visit_ = 0, in_fifo_ = 0, splat_bytes_ = 0, splats_written_ = 0, lists_written_ = 0, walked_ = 0;
   double backlog_ = 0, distributed_ = 0;
-  bool closed1_ = false, closed2_ = false, is_done_ = false, is_flushed_ = false, moved_ = false;
+  bool closed_ = false, closed1_ = false, closed2_ = false, is_done_ = false, is_flushed_ = false, moved_ = false;
 };
 
 }  // namespace splatree::machine

@@ -9,11 +9,11 @@ namespace splatree::machine {
 namespace {
 
 constexpr int64_t PATIENCE = 1 << 20;  // cycles in which nothing moves
-const char* const UNIT_NAMES[NUM_UNITS] = {"identification", "step 1", "step 2", "distribution", "sort", "blend"};
+const char* const UNIT_NAMES[NUM_UNITS] = {"identification", "selection", "step 1", "step 2", "distribution", "sort", "blend"};
 
 std::string state_of(const Result& result, const Dram& dram, int64_t now) {
-  static const char* const streams[NUM_STREAMS] = {"records", "geometry",  "color", "lists",
-                                                   "splats",  "projected", "pairs", "frame"};
+  static const char* const streams[NUM_STREAMS] = {"records", "levels",    "geometry", "color", "lists",
+                                                   "splats",  "projected", "pairs",    "frame"};
   std::string text = "cycle " + std::to_string(now);
   for (int i = 0; i < NUM_UNITS; ++i)
     text += std::string("; ") + UNIT_NAMES[i] + " has done " + std::to_string(result.units[i].items);

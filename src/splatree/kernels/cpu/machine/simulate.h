@@ -23,7 +23,8 @@ struct Settings {
   bool identifies;
   int interval, latency, record_fifo, selected_fifo;
   int64_t record_bytes;
-  EngineSettings geometry, color;
+  bool selects_levels;  // whether kept clusters are walked for the nodes of a cut before step 1
+  EngineSettings levels, geometry, color;
   double streamed_share;  // of survivors in a cluster from which its whole run of colours is read
   int64_t splat_bytes, pair_bytes;
   double pairs_per_cycle;
@@ -38,7 +39,9 @@ struct Settings {
 struct Clusters {
   const int32_t* visits;  // cluster, or -1 for one that is dropped
   int64_t num_visits;
-  const int64_t *first_row, *rows, *survivors, *pairs;  // of each cluster
+  // Of each cluster: its rows in DRAM, those of them that step 1 reads, and what these become.
+  const int64_t *first_row, *span_rows, *rows, *survivors, *pairs;
+  const int64_t *walked, *walk_lines;  // rows that the walk looks at, and lines that these lie in
 };
 
 // Tiles in the order in which they are drawn.
@@ -47,7 +50,7 @@ struct Tiles {
   int64_t count;
 };
 
-enum Unit { CIE, STEP1, STEP2, DISTRIBUTION, SORT, BLEND, NUM_UNITS };
+enum Unit { CIE, SELECTION, STEP1, STEP2, DISTRIBUTION, SORT, BLEND, NUM_UNITS };
 
 struct UnitTime {
   int64_t busy = 0, stalled_on_input = 0, stalled_on_output = 0, idle = 0, first_start = -1, last_end = 0, items = 0;
