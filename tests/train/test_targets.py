@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import splatree as st
+from splatree.scene.lens import Lens
 from splatree.train import targets
 from splatree.train.targets import Targets, coarsest_division, divided, finest_division
 
@@ -84,3 +85,31 @@ def test_damaged_photographs_are_named(folder):
     (root / "a.png").write_bytes(data[: len(data) // 2])
     with pytest.raises(st.FormatError, match=r"a\.png: not a whole picture"):
         Targets(root, [CAMERA]).at(0, 1)
+
+
+def test_a_lens_is_straightened_photograph_and_mask_alike(tmp_path):
+    """A photograph that shows its own row numbers: straightened, each pixel shows the row that its direction came from."""
+    lens = Lens("brown", radial=(-0.15,))
+    bent = replace(CAMERA.resized(80, 60), lens=lens)
+    rows = np.repeat(np.arange(60, dtype=np.float32)[:, None, None] / 255, 80, axis=1)
+    st.write_image(np.repeat(rows, 3, axis=2), tmp_path / "a.png")
+    (tmp_path / "masks").mkdir()
+    mask = np.ones((60, 80, 3), np.float32)
+    mask[:10] = 0
+    st.write_image(mask, tmp_path / "masks" / "a.png")
+    target = Targets(tmp_path, [bent], masks=tmp_path / "masks").at(0, 1)
+    camera = target.camera
+    assert camera.lens is None and target.photo.shape[:2] == (camera.height, camera.width)
+    centre = np.stack(np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5), axis=-1)
+    slopes = (centre - camera.K[:2, 2]) / np.diag(camera.K)[:2]
+    row = lens.bent(slopes)[..., 1] * bent.K[1, 1] + bent.K[1, 2] - 0.5
+    assert np.abs(target.photo[..., 0] - row).max() <= 0.51  # rounded to whole numbers
+    np.testing.assert_array_equal(target.mask, row >= 9.999)
+
+
+def test_photographs_beyond_all_measure_are_refused(folder, monkeypatch):
+    from PIL import Image
+
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 37 * 22 // 3)
+    with pytest.raises(st.FormatError, match=r"a\.png: not a whole picture \(Image size .* exceeds limit"):
+        Targets(folder[0], [CAMERA])
