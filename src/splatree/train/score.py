@@ -9,9 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
+from splatree.constants import SSIM_WINDOW_PX
 from splatree.metrics.gain import psnr_with_gain
 from splatree.metrics.psnr import psnr
-from splatree.metrics.ssim import WINDOW_PX, ssim
+from splatree.metrics.ssim import ssim
 from splatree.scene.cameras import Camera
 from splatree.scene.gaussians import Gaussians
 from splatree.train.step import Drawing, drawn
@@ -65,5 +66,5 @@ class HeldOut:
         fitted = psnr_with_gain(image, photo, target.mask)
         if target.mask is not None:
             return psnr(clipped[target.mask][None], photo[target.mask][None]), fitted, None
-        is_large = min(image.shape[:2]) >= WINDOW_PX
+        is_large = min(image.shape[:2]) >= SSIM_WINDOW_PX
         return psnr(clipped, photo), fitted, ssim(clipped, photo) if is_large else None
