@@ -1,8 +1,11 @@
 """Scenes from photographs: quality on held-out photographs after a budget of processor seconds, one thread.
 
-``python benchmarks/train.py`` runs all; names of runs as arguments choose some, and keep the rows of the others.
+``python benchmarks/train.py`` runs all; names of runs as arguments choose some, and keep the rows of the others. The runs named
+``points`` and ``cells`` begin alike but for one thing: with the points of the cameras' model alone, or with a Gaussian in each
+empty cell of the photographs too.
 """
 
+import importlib
 import json
 import sys
 from dataclasses import dataclass
@@ -25,12 +28,20 @@ class Run:
     """Processor seconds."""
     max_gaussians: int
     """Gaussians at most."""
+    iterations: int | None = None
+    """Steps instead of seconds."""
+    fills_cells: bool = True
+    """Whether training begins in empty cells, too."""
 
 
 RUNS = {
     "plush-30": Run("snowmiku_plush_small", 30, 50_000),
     "drone-60": Run("caliterra_drone", 60, 120_000),
     "drone-240": Run("caliterra_drone", 240, 120_000),
+    "plush-points": Run("snowmiku_plush_small", 0, 50_000, iterations=400, fills_cells=False),
+    "plush-cells": Run("snowmiku_plush_small", 0, 50_000, iterations=400),
+    "drone-points": Run("caliterra_drone", 0, 50_000, iterations=400, fills_cells=False),
+    "drone-cells": Run("caliterra_drone", 0, 50_000, iterations=400),
 }
 
 EVERY = 6
@@ -58,7 +69,12 @@ def trained(name: str, run: Run) -> list[dict[str, Any]]:
     folder = harness.DATA / "images" / run.photographs
     if not folder.is_dir():
         sys.exit(f"{folder}: not found, wanted the shared photographs")
-    options = st.TrainOptions(minutes=run.cpu_s / 60, max_gaussians=run.max_gaussians)
+    if run.iterations is None:
+        options = st.TrainOptions(minutes=run.cpu_s / 60, max_gaussians=run.max_gaussians)
+    else:
+        options = st.TrainOptions(iterations=run.iterations, max_gaussians=run.max_gaussians)
+    prepare = importlib.import_module("splatree.train.prepare")
+    filled = prepare.fill_empty_cells
 
     def row(scored: st.Scored) -> dict[str, Any]:
         assert scored.score is not None
@@ -73,7 +89,12 @@ def trained(name: str, run: Run) -> list[dict[str, Any]]:
             "SSIM": scored.score.ssim,
         }
 
-    found = st.train(folder, options, threads=1, watch=lambda scored: print(row(scored), flush=True))
+    if not run.fills_cells:
+        prepare.fill_empty_cells = lambda gaussians, *others, **more: gaussians
+    try:
+        found = st.train(folder, options, threads=1, watch=lambda scored: print(row(scored), flush=True))
+    finally:
+        prepare.fill_empty_cells = filled
     rows = [row(scored) for scored in found.history]
     rows[-1]["training"] = known(found, folder)
     return rows
