@@ -17,6 +17,7 @@ PAGES = [page for page in PAGES if page.name not in ("cli.md", "use-a-gpu.md")] 
 MORE = (
     {"eval": ["--frames", "2", "--width", "64"]}
     | {verb: ["--force"] for verb in ("build", "convert", "render", "thin")}
+    | {"train": ["--force", "--iterations", "2", "--max-gaussians", "200"]}
     | {"render": ["--force", "--width", "64", "--height", "36"]}
 )
 """What keeps a command quick, and lets it write over the files of the folder."""

@@ -90,8 +90,11 @@ _NAMES = {
     "stream.result": ("Streamed",),
     "stream.serve": ("ServeOptions", "StreamServer", "serve"),
     "stream.stream": ("stream",),
+    "train.options": ("RunFiles", "TrainOptions"),
     "train.refine": ("Refined", "refine"),
     "train.refine_options": ("RefineOptions",),
+    "train.run": ("Trained", "train"),
+    "train.state": ("Scored",),
     "view.options": ("ViewOptions",),
     "view.viewer": ("Viewer", "view"),
 }

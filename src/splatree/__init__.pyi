@@ -122,9 +122,14 @@ from splatree.stream.serve import ServeOptions as ServeOptions
 from splatree.stream.serve import StreamServer as StreamServer
 from splatree.stream.serve import serve as serve
 from splatree.stream.stream import stream as stream
+from splatree.train.options import RunFiles as RunFiles
+from splatree.train.options import TrainOptions as TrainOptions
 from splatree.train.refine import Refined as Refined
 from splatree.train.refine import refine as refine
 from splatree.train.refine_options import RefineOptions as RefineOptions
+from splatree.train.run import Trained as Trained
+from splatree.train.run import train as train
+from splatree.train.state import Scored as Scored
 from splatree.view.options import ViewOptions as ViewOptions
 from splatree.view.viewer import Viewer as Viewer
 from splatree.view.viewer import view as view

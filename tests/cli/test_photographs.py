@@ -47,6 +47,15 @@ def test_masks_beside_the_photographs_change_no_score(evaluated):
     assert code == 0 and "photographs: 9 in images/" in out
 
 
+def test_the_exposure_of_photographs_is_told_apart(evaluated, data):
+    for path in (data / "images").iterdir():
+        write_image(0.8 * np.asarray(Image.open(path), np.float32) / 255, path, force=True)
+    mean = result_of(evaluated("--json"))["mean"]
+    assert mean["psnr_fitted_vs_photo"] > 48 > 30 > mean["psnr_vs_photo"]  # what is left is rounding to 8 bits, twice
+    assert mean["leaves_psnr_fitted_vs_photo"] > 48
+    assert "leaves fitted" in evaluated()[1]
+
+
 def test_a_missing_photograph_is_told_and_leaves_the_means(evaluated, data):
     (data / "images" / "view_0000.png").unlink()
     found = result_of(evaluated("--json"))

@@ -51,3 +51,19 @@ def test_what_cannot_be_a_picture_is_refused(tmp_path):
     splatree.write_image(good, tmp_path / "a.png")
     with pytest.raises(OutputError, match="exists already"):
         splatree.write_image(good, tmp_path / "a.png")
+
+
+def test_sixteen_bits_are_rounded_to_eight(tmp_path):
+    """Pillow alone would show all that is above 255 of 65,535 as white."""
+    grey = np.array([[0, 257, 32896, 65535]], np.uint16)
+    Image.fromarray(grey).save(tmp_path / "grey.png")
+    np.testing.assert_allclose(splatree.read_image(tmp_path / "grey.png")[0, :, 1], [0, 1 / 255, 128 / 255, 1])
+    Image.fromarray(np.ones((2, 2), np.float32)).save(tmp_path / "float.tif")
+    with pytest.raises(FormatError, match=r"float.tif: found 32 bits a pixel"):
+        splatree.read_image(tmp_path / "float.tif")
+
+
+def test_grey_pictures_have_three_equal_channels(tmp_path):
+    Image.fromarray(np.array([[7, 200]], np.uint8)).save(tmp_path / "grey.png")
+    image = splatree.read_image(tmp_path / "grey.png")
+    assert image.shape == (1, 2, 3) and (image == image[..., :1]).all()

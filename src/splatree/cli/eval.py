@@ -103,12 +103,16 @@ class View:
     """Wall time of each stage for all leaves."""
     psnr_vs_photo: float | None = None
     """Cut against the photograph, dB."""
+    psnr_fitted_vs_photo: float | None = None
+    """The same of the right half, with a gain for each channel fitted on the left half: exposure does not count."""
     ssim_vs_photo: float | None = None
-    """The same, structural similarity."""
+    """Cut against the photograph, structural similarity."""
     leaves_psnr_vs_photo: float | None = None
     """All leaves against the photograph, dB."""
+    leaves_psnr_fitted_vs_photo: float | None = None
+    """The same of the right half, with the gain fitted on the left half."""
     leaves_ssim_vs_photo: float | None = None
-    """The same, structural similarity."""
+    """All leaves against the photograph, structural similarity."""
     lpips_vs_photo: float | None = None
     """Cut against the photograph, LPIPS."""
     leaves_lpips_vs_photo: float | None = None
@@ -313,8 +317,10 @@ def view_of(e: Evaluation) -> View:
         leaves_pairs=e.leaves.result.counters.num_pairs,
         leaves_ms=e.leaves.result.milliseconds,
         psnr_vs_photo=e.cut_vs_photo.psnr if e.cut_vs_photo else None,
+        psnr_fitted_vs_photo=e.cut_vs_photo.psnr_fitted if e.cut_vs_photo else None,
         ssim_vs_photo=e.cut_vs_photo.ssim if e.cut_vs_photo else None,
         leaves_psnr_vs_photo=e.leaves_vs_photo.psnr if e.leaves_vs_photo else None,
+        leaves_psnr_fitted_vs_photo=e.leaves_vs_photo.psnr_fitted if e.leaves_vs_photo else None,
         leaves_ssim_vs_photo=e.leaves_vs_photo.ssim if e.leaves_vs_photo else None,
         lpips_vs_photo=e.cut_vs_photo.lpips if e.cut_vs_photo else None,
         leaves_lpips_vs_photo=e.leaves_vs_photo.lpips if e.leaves_vs_photo else None,
@@ -337,7 +343,8 @@ def row_of(view: View, *, verbose: bool = True) -> dict[str, object]:
     if verbose:
         row |= {f"{stage} ms": ms for stage, ms in view.ms.items()}
     if view.psnr_vs_photo is not None:
-        row |= {"PSNR photo": view.psnr_vs_photo, "leaves photo": view.leaves_psnr_vs_photo}
+        row |= {"PSNR photo": view.psnr_vs_photo, "fitted": view.psnr_fitted_vs_photo}
+        row |= {"leaves photo": view.leaves_psnr_vs_photo, "leaves fitted": view.leaves_psnr_fitted_vs_photo}
     return row
 
 

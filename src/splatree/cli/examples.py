@@ -5,6 +5,10 @@ __all__ = ["BASIC", "EXAMPLES"]
 EXAMPLES: dict[str, tuple[str, ...]] = {
     "demo": ("splatree demo", "splatree demo --output folder/"),
     "info": ("splatree info city.ply", "splatree info chunk_*/ --json"),
+    "train": (
+        "splatree train PHOTOGRAPHS -o scene.splatree --minutes 10",
+        "splatree train PHOTOGRAPHS -o scene.splatree --levels pairs --max-gaussians 500000 --minutes 60",
+    ),
     "convert": (
         "splatree convert city.ply city.sog",
         "splatree convert city.ply turned.spz --rotate -90 0 0 --min-opacity 2%",
@@ -75,6 +79,10 @@ BASIC: dict[str, tuple[str, ...]] = {
         "quality",
     ),
     "info": ("level", "repair"),
+    "train": (
+        "output", "minutes", "iterations", "max-gaussians", "size", "degree", "mode", "levels", "held-out", "masks", "exposure",
+        "cameras", "resume", "force",
+    ),
     "simulate": ("output", "cameras", "preset", "views"),
 }  # fmt: skip
 """Options that most people want, by verb; of other verbs all are."""

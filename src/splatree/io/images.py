@@ -1,8 +1,9 @@
 """Pictures: photographs read for evaluation, renders written as PNG. Colours are the file's own, sRGB as it is."""
 
 import os
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -10,10 +11,12 @@ from splatree.errors import FormatError, InputError, ShapeError
 from splatree.io.exr import SOFTWARE, write_exr
 from splatree.io.foreign import not_content
 from splatree.io.replacing import replacing
-from splatree.shapes import Array, Float32
+from splatree.shapes import Array, Float32, UInt8
 
 if TYPE_CHECKING:
-    from PIL import PngImagePlugin
+    from PIL import Image, PngImagePlugin
+
+    _Converted = TypeVar("_Converted", Image.Image, Image.Image | None)
 
 _HEAD_BYTES = 1024
 """Text entries stand before the pixels."""
@@ -45,21 +48,62 @@ def read_image(
         >>> st.read_image("white.png").shape
         (4, 6, 3)
     """
+    return read_pixels(path, size=size, turned=turned) / np.float32(255)
+
+
+def read_pixels(
+    path: str | os.PathLike[str], *, size: tuple[int, int] | None = None, turned: bool = False
+) -> UInt8[Array, "h w 3"]:
+    """As `read_image`, 0 to 255. Grey becomes RGB, and 16 bits a pixel are rounded to 8."""
+    return np.array(_loaded(path, _as_rgb, size, turned))
+
+
+def read_opacity(
+    path: str | os.PathLike[str], *, size: tuple[int, int] | None = None, turned: bool = False
+) -> UInt8[Array, "h w"] | None:
+    """The alpha channel of a picture, 0 to 255, resampled as `read_image` does; None if it has none."""
+    with_alpha = _loaded(path, lambda image: image.convert("RGBA") if _has_alpha(image) else None, size, turned)
+    return None if with_alpha is None else np.asarray(with_alpha)[..., 3].copy()
+
+
+def _loaded(
+    path: str | os.PathLike[str],
+    convert: "Callable[[Image.Image], _Converted]",
+    size: tuple[int, int] | None,
+    turned: bool,
+) -> "_Converted":
     from PIL import Image, ImageOps
 
     file = _existing(path)
     try:
         with Image.open(file) as opened:
-            image: Image.Image = ImageOps.exif_transpose(opened) if turned else opened
-            if image.mode in ("RGBA", "LA", "PA") or "transparency" in image.info:
-                rgba = image.convert("RGBA")
-                image = Image.alpha_composite(Image.new("RGBA", rgba.size, (0, 0, 0, 255)), rgba)
-            image = image.convert("RGB")
-            if size is not None and image.size != size:
+            image = convert(ImageOps.exif_transpose(opened) if turned else opened)
+            if image is not None and size is not None and image.size != size:
                 image = image.resize(size, Image.Resampling.BOX)
-            return np.asarray(image, np.float32) / np.float32(255)
+            return image
     except (OSError, SyntaxError, ValueError, EOFError, Image.DecompressionBombError) as error:
+        if isinstance(error, FormatError):
+            raise
         raise FormatError(f"{file}: {_fault(file, error)}") from error
+
+
+def _has_alpha(image: "Image.Image") -> bool:
+    return image.mode in ("RGBA", "LA", "PA") or "transparency" in image.info
+
+
+def _as_rgb(image: "Image.Image") -> "Image.Image":
+    from PIL import Image
+
+    if _has_alpha(image):
+        rgba = image.convert("RGBA")
+        image = Image.alpha_composite(Image.new("RGBA", rgba.size, (0, 0, 0, 255)), rgba)
+    elif image.mode.startswith("I;16") or (image.mode == "I" and image.format == "PNG"):  # Pillow would clip at 255
+        image = Image.fromarray(np.rint(np.asarray(image) / 257).astype(np.uint8))
+    elif image.mode in ("I", "F"):
+        raise FormatError(
+            f"{getattr(image, 'filename', 'picture')}: found 32 bits a pixel, which have no defined range; wanted 8 or 16 bits"
+        )
+    return image.convert("RGB")
 
 
 def image_head(path: str | os.PathLike[str]) -> tuple[tuple[int, int], int]:

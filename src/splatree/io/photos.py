@@ -9,12 +9,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from splatree.errors import InputError
-from splatree.io.images import read_image
+from splatree.io.images import read_image, read_opacity, read_pixels
 from splatree.io.photo_paths import find_photos
 from splatree.scene.cameras import Camera
 from splatree.scene.warp import filled_pinhole, straighten
-from splatree.shapes import Array
+from splatree.shapes import Array, Bool, UInt8
 
 __all__ = ["Photos", "PhotosUsed"]
 
@@ -101,15 +103,46 @@ class Photos(Mapping[str, Array]):
     def __getitem__(self, name: str) -> Array:
         if name not in self._paths:
             raise KeyError(name)
+        view, taken = self._views[name], self._read_as(name)
+        photo = read_image(self._paths[name], size=(taken.width, taken.height), turned=name in self._turned)
+        return photo if taken.lens is None else straighten(photo, taken, view)
+
+    def path_of(self, name: str) -> Path:
+        """The file of a photograph."""
+        return self._paths[name]
+
+    def pixels(self, name: str) -> UInt8[Array, "h w 3"]:
+        """A photograph with 8 bits a channel, as it is stored unless a lens was straightened."""
+        view, taken = self._views[name], self._read_as(name)
+        photo = read_pixels(self._paths[name], size=(taken.width, taken.height), turned=name in self._turned)
+        if taken.lens is None:
+            return photo
+        return np.rint(straighten(photo.astype(np.float32), taken, view)).astype(np.uint8)
+
+    def counting(self, name: str, mask: Path | None = None) -> Bool[Array, "h w"] | None:
+        """Pixels that are opaque in the photograph, and lighter than half in ``mask``; None if that is all of them."""
+        view, taken = self._views[name], self._read_as(name)
+        size = (taken.width, taken.height)
+        planes = (
+            []
+            if (alpha := read_opacity(self._paths[name], size=size, turned=name in self._turned)) is None
+            else [alpha > 254]
+        )
+        if mask is not None:
+            planes.append(read_pixels(mask, size=size).min(axis=2) > 127)
+        if not planes:
+            return None
+        counts = np.logical_and.reduce(planes)
+        if taken.lens is not None:
+            counts = straighten(counts.astype(np.float32), taken, view) > 0.999
+        return None if counts.all() else counts
+
+    def _read_as(self, name: str) -> Camera:
+        """The camera of a photograph, lens and all, at the size at which it is read for its view."""
         view, taken = self._views[name], self._taken[name]
         if taken.lens is None:
-            return self._read(name, view)
-        full = filled_pinhole(taken)
-        taken = taken.scaled(view.width / full.width)
-        return straighten(self._read(name, taken), taken, view)
-
-    def _read(self, name: str, camera: Camera) -> Array:
-        return read_image(self._paths[name], size=(camera.width, camera.height), turned=name in self._turned)
+            return view
+        return taken.scaled(view.width / filled_pinhole(taken).width)
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._paths)

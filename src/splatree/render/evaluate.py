@@ -13,6 +13,7 @@ import numpy as np
 from splatree.constants import ALPHA_THRESHOLD, SSIM_WINDOW_PX
 from splatree.kernels.devices import DeviceName
 from splatree.lod.select import Selector
+from splatree.metrics.gain import psnr_with_gain
 from splatree.metrics.psnr import psnr
 from splatree.metrics.ssim import ssim
 from splatree.progress import track
@@ -34,6 +35,8 @@ class Score:
     """Structural similarity (Wang 2004); None for pictures smaller than its window of 11 px."""
     lpips: float | None = None
     """Learned perceptual similarity (Zhang 2018), smaller is nearer; None if it was not asked for."""
+    psnr_fitted: float | None = None
+    """Against photographs: PSNR of the right half, dB, with a gain for each channel that is fitted on the left half."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,9 +107,15 @@ def evaluate(
                 cut,
                 leaves,
                 score(cut.result.image, leaves.result.image, lpips),
-                None if photo is None else score(cut.result.image, photo, lpips),
-                None if photo is None else score(leaves.result.image, photo, lpips),
+                None if photo is None else _photo_score(cut.result.image, photo, lpips),
+                None if photo is None else _photo_score(leaves.result.image, photo, lpips),
             )
+
+
+def _photo_score(image: Array, photo: Array, lpips: Callable[[Array, Array], float] | None) -> Score:
+    """The score against a photograph, whose exposure may be another."""
+    found = score(image, photo, lpips)
+    return replace(found, psnr_fitted=psnr_with_gain(image, photo)) if image.shape[1] > 1 else found
 
 
 def score(image: Array, reference: Array, lpips: Callable[[Array, Array], float] | None = None) -> Score:

@@ -1,1 +1,1 @@
-"""Learning from pictures: trees refined against renders of their own leaves."""
+"""Learning from pictures: scenes from photographs, and trees refined against renders of their own leaves."""

@@ -22,7 +22,7 @@ from splatree.scene.origin import NO_ORIGIN, Origin
 _SPLITS = ("transforms_train.json", "transforms_val.json", "transforms_test.json")
 """Files of synthetic scenes (Mildenhall 2020), a part of the views each."""
 
-_COLMAP_FOLDERS = ("sparse", "colmap/sparse", "")
+COLMAP_FOLDERS = ("sparse", "colmap/sparse", "")
 """Where a model or several numbered ones lie in a folder of pictures, in the order in which they are tried."""
 
 
@@ -60,7 +60,7 @@ def read_cameras(path: str | os.PathLike[str], *, origin: Origin = NO_ORIGIN) ->
 
 def _read(root: Path) -> Cameras:
     if root.is_dir():
-        for folder in _COLMAP_FOLDERS:
+        for folder in COLMAP_FOLDERS:
             if models := colmap.models_in(root / folder):
                 return nerfstudio.in_training_frame(_largest_model(models), root)
         if (root / "transforms.json").is_file():

@@ -24,7 +24,7 @@ from splatree.io.photo_paths import SUFFIXES
 from splatree.scene.cameras import Camera, Cameras
 from splatree.shapes import Array, Float64
 
-__all__ = ["DATAPARSER", "in_training_frame", "parse"]
+__all__ = ["DATAPARSER", "in_training_frame", "parse", "training_frame"]
 
 DATAPARSER = "dataparser_transforms.json"
 
@@ -54,10 +54,7 @@ def in_training_frame(
     path = folder / DATAPARSER
     if not path.is_file():
         return cameras
-    record = untrusted.as_object(untrusted.read_json(path), str(path))
-    matrix = np.eye(4)
-    matrix[:3] = untrusted.numbers(record, "transform", str(path), (3, 4))
-    scale = untrusted.number(record, "scale", str(path))
+    matrix, scale = training_frame(folder)
     if not (scale > 0 and applied_scale > 0):
         raise FormatError(f"{path}: found the scales {scale} and {applied_scale}, wanted more than 0")
     try:
@@ -78,6 +75,16 @@ def in_training_frame(
             raise FormatError(f"{path}: {error}") from error
     note = f"the cameras are moved into the frame of the training by {path.name}, which lies beside them"
     return replace(cameras, views=tuple(views), notes=(*cameras.notes, note))
+
+
+def training_frame(folder: Path) -> tuple[Float64[Array, "4 4"], float]:
+    """The move of dataparser_transforms.json, and the scale that comes after it; none and 1 without the file."""
+    path, matrix = folder / DATAPARSER, np.eye(4)
+    if not path.is_file():
+        return matrix, 1.0
+    record = untrusted.as_object(untrusted.read_json(path), str(path))
+    matrix[:3] = untrusted.numbers(record, "transform", str(path), (3, 4))
+    return matrix, untrusted.number(record, "scale", str(path))
 
 
 class _Sizes:

@@ -1,0 +1,205 @@
+"""``splatree train``: a scene from photographs."""
+
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+from typing import Annotated, Literal
+
+from tyro.conf import Positional, arg
+
+from splatree.cli.console import Console, UsageError, size, table
+from splatree.cli.files import lost_and_noted
+from splatree.errors import InputError, OutputError
+from splatree.io.photos import PhotosUsed
+from splatree.io.registry import format_to_write, formats, stored_bytes
+from splatree.io.replacing import check_target
+from splatree.io.writing import write
+from splatree.kernels.devices import DeviceName
+from splatree.lod.build import build_lod
+from splatree.lod.options import BuildOptions
+from splatree.train.checkpoint import CHECKPOINT
+from splatree.train.options import RunFiles, TrainOptions
+from splatree.train.run import train
+from splatree.train.state import Scored
+
+
+@dataclass(frozen=True)
+class Command:
+    """Train a scene from photographs whose cameras are known: photographs/ -o scene.splatree --minutes 10.
+
+    The first interruption (Ctrl-C) ends the run with a whole scene and a checkpoint, from which --resume goes on.
+    """
+
+    photos: Positional[Path]
+    """Folder of photographs, with a COLMAP model, transforms.json or cameras.json."""
+    output: Annotated[Path | None, arg(aliases=["-o"])] = None
+    """File to write."""
+    force: bool = False
+    """Replace the output, and the run beside it, if they exist."""
+    levels: Literal["none", "radius", "pairs"] = "none"
+    """Build levels of detail when the scene is trained, as `splatree build` does; `none`: all Gaussians are leaves."""
+    cameras: Path | None = None
+    """cameras.json, transforms.json or a COLMAP model; None: those in the folder of the photographs."""
+    run: Path | None = None
+    """Folder for the checkpoint, the log and the exposures; None: `scene.run` beside `scene.splatree`."""
+    resume: bool = False
+    """Go on from the checkpoint in the folder of the run, with the same options; the output is replaced."""
+    replay: Path | None = None
+    """log.json of an earlier run: make its steps again instead of reading the clock."""
+    device: DeviceName = "cpu"
+    """Where views are drawn."""
+    threads: int = 0
+    """Threads to use; 0: all. The scene is the same for any number, at equal steps."""
+    options: Annotated[TrainOptions, arg(name="", help="")] = TrainOptions()
+    console: Annotated[Console, arg(name="", help="")] = Console()
+
+
+@dataclass(frozen=True)
+class Result:
+    """What was trained and written."""
+
+    output: Path
+    """The file."""
+    run: Path
+    """Folder with the checkpoint, the log and the exposures."""
+    num_gaussians: int
+    """Gaussians that were trained."""
+    num_nodes: int
+    """Gaussians and merged nodes in the file."""
+    held_out: str
+    """Which photographs were held out, and of how many."""
+    history: tuple[Scored, ...]
+    """Scores in the course of the run."""
+    stopped: bool
+    """Whether the run was interrupted."""
+    bytes: int
+    """Size of the file."""
+    photographs: PhotosUsed
+    """Which photographs were trained on."""
+    lost: tuple[str, ...] = ()
+    """What the file does not hold, a sentence each."""
+    notes: tuple[str, ...] = ()
+    """What was chosen or left out that the user should know, a sentence each."""
+
+
+def run(command: Command) -> Result:
+    """Train, build levels, write."""
+    output = _output(command)
+    folder = command.run or output.with_name(f"{output.stem}.run")
+    if (folder / CHECKPOINT).exists() and not (command.resume or command.force):
+        raise OutputError(
+            f"{folder}: holds a run already; go on with --resume, replace it with --force, or name another with --run"
+        )
+    with _interruptions() as interrupted:
+        trained = train(
+            command.photos,
+            command.options,
+            cameras=command.cameras,
+            files=RunFiles(folder, command.resume, command.replay),
+            stop=interrupted,
+            watch=lambda scored: _tell(scored, command.console),
+            device=command.device,
+            threads=command.threads,
+        )
+    scene = trained.scene
+    if command.levels != "none":
+        scene = build_lod(scene, BuildOptions(method=command.levels), threads=command.threads)
+    lost, notes = lost_and_noted(scene, write(scene, output, force=command.force or command.resume))
+    return Result(
+        output,
+        folder,
+        num_gaussians=len(trained.scene),
+        num_nodes=len(scene),
+        held_out=trained.rule,
+        history=trained.history,
+        stopped=trained.stopped,
+        bytes=stored_bytes(output),
+        photographs=trained.photographs,
+        lost=lost,
+        notes=(*trained.notes, *notes),
+    )
+
+
+def _output(command: Command) -> Path:
+    """The file to write, checked before any work is done."""
+    if command.output is None:
+        raise UsageError("found no output, wanted a file to write: -o scene.splatree")
+    check_target(command.output)
+    try:
+        chosen = format_to_write(command.output)
+    except InputError as error:
+        raise UsageError(str(error)) from error
+    if command.levels != "none" and chosen.holds.levels != "tree":
+        suffixes = [suffix for f in formats() if f.holds.levels == "tree" for suffix in f.suffixes]
+        raise UsageError(
+            f"{command.output}: format {chosen.name} has no levels of detail, wanted {' or '.join(suffixes)}"
+        )
+    if command.output.exists() and not (command.force or command.resume):
+        raise OutputError(f"{command.output}: exists already; choose another name or replace it with --force")
+    return command.output
+
+
+@contextmanager
+def _interruptions() -> Iterator[Callable[[], bool]]:
+    """Whether the user has interrupted the program; the second interruption ends it at once."""
+    happened = threading.Event()
+    if threading.current_thread() is not threading.main_thread():
+        yield happened.is_set
+        return
+
+    def notice(number: int, frame: FrameType | None) -> None:
+        happened.set()
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+    before = signal.signal(signal.SIGINT, notice)
+    try:
+        yield happened.is_set
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _tell(scored: Scored, console: Console) -> None:
+    """Say on stderr how far the run has come."""
+    if console.quiet or sys.stderr is None or not (sys.stderr.isatty() or console.verbose):
+        return
+    quality = "" if scored.score is None else f", held-out PSNR {scored.score.psnr:.2f} dB"
+    fitted = "" if scored.score is None else f" ({scored.score.psnr_fitted:.2f} with the exposure fitted)"
+    print(
+        f"{scored.share:.0%}: {scored.iterations:,} steps, {scored.num_gaussians:,} Gaussians, loss {scored.loss:.4f}"
+        f"{quality}{fitted}",
+        file=sys.stderr,
+        flush=True,
+    )
+
+
+def show(result: Result) -> str:
+    """The result in words."""
+    rows = [_row(scored) for scored in result.history]
+    nodes = "" if result.num_nodes == result.num_gaussians else f", {result.num_nodes:,} nodes"
+    lines = [table(rows)] if rows else []
+    lines.append(f"wrote {result.output}: {result.num_gaussians:,} Gaussians{nodes}, {size(result.bytes)}")
+    lines.append(f"held out: {result.held_out}")
+    lines += result.photographs.in_words()
+    lines += [f"note: {note}" for note in result.notes]
+    lines += [f"lost: {sentence}" for sentence in result.lost]
+    if result.stopped:
+        lines.append(f"interrupted: the run goes on from {result.run} with --resume")
+    return "\n".join(lines)
+
+
+def _row(scored: Scored) -> dict[str, object]:
+    row: dict[str, object] = {
+        "done": f"{scored.share:.0%}",
+        "CPU s": scored.cpu_s,
+        "steps": scored.iterations,
+        "Gaussians": scored.num_gaussians,
+        "loss": scored.loss,
+    }
+    if scored.score is not None:
+        row |= {"PSNR": scored.score.psnr, "fitted": scored.score.psnr_fitted, "SSIM": scored.score.ssim}
+    return row

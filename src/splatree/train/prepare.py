@@ -1,0 +1,112 @@
+"""What a run works with: cameras told apart, photographs of the training views alone, the start, the schedule."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from splatree.constants import NEAR
+from splatree.errors import InputError
+from splatree.io.cameras.files import read_cameras
+from splatree.io.cameras.points import Points, read_points
+from splatree.io.cameras.split import split_views
+from splatree.scene.cameras import Camera
+from splatree.scene.gaussians import Gaussians
+from splatree.scene.origin import origin_of
+from splatree.train.densify import along_curve
+from splatree.train.options import DIVISIONS, TrainOptions
+from splatree.train.schedule import Schedule, generator
+from splatree.train.score import HeldOut
+from splatree.train.start import extent_of, fill_empty_cells, random_points, start_from
+from splatree.train.targets import Targets, coarsest_division, finest_division
+from splatree.train.world import World
+
+__all__ = ["Work", "prepare"]
+
+NEAR_EXTENTS = 0.01
+"""Nearest depth that is drawn, in extents, where that is less than the usual one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Work:
+    """What a run works with."""
+
+    options: TrainOptions
+    """How the scene is trained."""
+    targets: Targets
+    """Photographs of the training views."""
+    held_out: HeldOut | None
+    """The held-out views; None if there are none, or scores are not asked for."""
+    rule: str
+    """Which views are held out, and of how many."""
+    schedule: Schedule
+    """What happens when."""
+    world: World
+    """Where the scene lies."""
+    points: Points
+    """Where it starts."""
+    notes: tuple[str, ...]
+    """What was chosen or left out that the user should know."""
+
+    def start(self) -> Gaussians:
+        """The Gaussians that the first step draws, along a Morton curve."""
+        rng, room = generator(self.options.seed, "start", 0), self.options.max_gaussians
+        gaussians = start_from(self.points, degree=self.options.degree, max_gaussians=room, rng=rng)
+        division = self.schedule.division(0.0)
+        gaussians = fill_empty_cells(
+            gaussians,
+            self.targets.cameras,
+            lambda i: self.targets.at(i, division).photo,
+            room=room - len(gaussians),
+        )
+        return gaussians.take(along_curve(gaussians))
+
+
+def prepare(folder: Path, options: TrainOptions, cameras: Path | None) -> Work:
+    """Read the cameras and find the photographs of the training views; of the held-out ones only the names are known.
+
+    Raises:
+        InputError: there are too few photographs, or none that belong to the cameras, or all were taken at one place.
+        FormatError: a file of cameras or points is damaged.
+    """
+    views = read_cameras(cameras or folder)
+    split = split_views(views.views, options.held_out)
+    if len(split.training) < 2:
+        raise InputError(
+            f"photos: found {len(views)} views of which {len(split.held_out)} are held out, wanted at least 2 to train on; hold "
+            "out fewer, or take more photographs"
+        )
+    targets = Targets(folder, split.training, masks=options.masks)
+    if len(targets) < 2:
+        raise InputError(
+            f"photos: found a photograph of {len(targets)} of the {len(split.training)} training views, wanted at least 2"
+        )
+    if options.masks is not None and not targets.num_masks:
+        raise InputError(
+            f"masks: none of the files in {options.masks} is named like one of the {len(targets)} photographs "
+            f"({targets.cameras[0].name!r}, ...)"
+        )
+    extent, notes = extent_of(targets.cameras), list(views.notes)
+    points = read_points(cameras if cameras is not None and cameras.is_dir() else folder)
+    if points is None:
+        notes.append("no points came with the cameras: training begins with random ones, which takes longer")
+        points = random_points(targets.cameras, extent, generator(options.seed, "points", 0))
+    world, points = _placed(points, extent)
+    targets.placed(world.near, np.asarray(world.origin))
+    held_out = HeldOut(folder, split.held_out, options.masks) if options.score and split.held_out else None
+    schedule = _schedule(options, targets.cameras)
+    return Work(options, targets, held_out, split.rule, schedule, world, points, tuple(notes))
+
+
+def _placed(points: Points, extent: float) -> tuple[World, Points]:
+    """The world whose numbers float32 can hold, and the points in it."""
+    sigma = np.full((len(points), 3), np.log(1e-3 * extent), np.float32)
+    origin = origin_of(points.places, sigma)
+    near = min(NEAR, NEAR_EXTENTS * extent)
+    return World(extent, near, origin), replace(points, places=points.places - np.asarray(origin))
+
+
+def _schedule(options: TrainOptions, cameras: Sequence[Camera]) -> Schedule:
+    finest = finest_division(cameras) if options.size is None else DIVISIONS[options.size]
+    return Schedule(options, finest, max(finest, coarsest_division(cameras)))

@@ -1,0 +1,70 @@
+"""Scores of a scene in training on photographs that are held out: always two numbers, as rendered and with the exposure fitted.
+
+Held-out photographs are opened here alone, when a score is taken; nothing of them comes back but numbers.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from splatree.constants import SSIM_WINDOW_PX
+from splatree.metrics.gain import psnr_with_gain
+from splatree.metrics.psnr import psnr
+from splatree.metrics.ssim import ssim
+from splatree.scene.cameras import Camera
+from splatree.scene.gaussians import Gaussians
+from splatree.train.step import Drawing, drawn
+from splatree.train.targets import Targets
+from splatree.train.world import World
+
+__all__ = ["HeldOut", "Score"]
+
+
+@dataclass(frozen=True)
+class Score:
+    """How near pictures are to the held-out photographs; means over these."""
+
+    psnr: float
+    """As rendered, dB."""
+    psnr_fitted: float
+    """With a gain for each channel that is fitted on the left half of each picture and scored on its right half, dB."""
+    ssim: float | None
+    """Structural similarity as rendered; None where pictures are smaller than its window, or masked."""
+
+
+class HeldOut:
+    """Held-out views of a folder, whose photographs are opened when they are scored."""
+
+    def __init__(self, folder: Path, cameras: Sequence[Camera], masks: Path | None = None) -> None:
+        self._folder, self._cameras, self._masks = folder, cameras, masks
+        self._targets: Targets | None = None
+
+    def score(self, gaussians: Gaussians, drawing: Drawing, division: int, world: World) -> Score:
+        """Draw each view and compare it with its photograph at a division.
+
+        Raises:
+            InputError: none of the views has a photograph.
+        """
+        if self._targets is None:
+            self._targets = Targets(self._folder, self._cameras, masks=self._masks)
+            self._targets.placed(world.near, np.asarray(world.origin))
+        found = [self._one(gaussians, drawing, i, division) for i in range(len(self._targets))]
+        structure = [ssim for _, _, ssim in found if ssim is not None]
+        return Score(
+            float(np.mean([psnr for psnr, _, _ in found])),
+            float(np.mean([fitted for _, fitted, _ in found])),
+            float(np.mean(structure)) if structure else None,
+        )
+
+    def _one(self, gaussians: Gaussians, drawing: Drawing, i: int, division: int) -> tuple[float, float, float | None]:
+        assert self._targets is not None
+        target = self._targets.at(i, division)
+        image = drawn(gaussians, drawing.view(target.camera), drawing)[2].image
+        photo, clipped = target.photo / np.float32(255), np.clip(image, 0, 1)
+        fitted = psnr_with_gain(image, photo, target.mask)
+        if target.mask is not None:
+            return psnr(clipped[target.mask][None], photo[target.mask][None]), fitted, None
+        is_large = min(image.shape[:2]) >= SSIM_WINDOW_PX
+        return psnr(clipped, photo), fitted, ssim(clipped, photo) if is_large else None

@@ -1,0 +1,121 @@
+"""One step: draw a view, compare it with its photograph, and move every Gaussian that was drawn.
+
+    project ─► bin ─► blend ─► loss ─► blend backward ─► project backward ─► step of the optimiser
+
+Training draws with the stages of `render`, at τ = 1/255 and exact tiles: what is learned is what is drawn.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol, cast
+
+import numpy as np
+
+from splatree.errors import InputError
+from splatree.kernels.contract import BackwardStages, FrameStages
+from splatree.kernels.devices import DeviceName, stages_of
+from splatree.scene.cameras import Camera
+from splatree.scene.frame import Picture, Splats, TileBins
+from splatree.scene.gaussians import Gaussians
+from splatree.scene.gradients import GaussianGradients, PhotoLoss, PictureGradients
+from splatree.scene.names import Mode
+from splatree.scene.view import View
+from splatree.shapes import Array, Float32, Float64
+from splatree.train.densify import Rows, Sightings
+from splatree.train.targets import Target
+
+__all__ = ["Drawing", "TrainStages", "drawn", "learn", "training_stages"]
+
+SSIM_WEIGHT = 0.2
+"""λ: share of structure in the loss (Kerbl 2023, Eq. 7)."""
+
+REGULARISER = 0.01
+"""Weight in the loss of the mean opacity and of the mean scale in extents (Kheradmand 2024, Eq. 11): what nothing needs fades."""
+
+
+class TrainStages(FrameStages, BackwardStages, Protocol):
+    """The stages of a back end that can train."""
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """How views are drawn in training."""
+
+    stages: TrainStages
+    """Of the back end."""
+    mode: Mode
+    """`classic` or `antialiased`."""
+    sh_degree: int
+    """Degree of the harmonics that are drawn."""
+    threads: int
+    """Threads; 0: all there are."""
+
+    def view(self, camera: Camera) -> View:
+        """The view of a camera."""
+        return View(camera, mode=self.mode, sh_degree=self.sh_degree)
+
+
+def training_stages(device: DeviceName) -> TrainStages:
+    """The stages of a back end.
+
+    Raises:
+        InputError: there is no such back end, or it cannot train.
+        DeviceError: the device is not there.
+    """
+    stages = stages_of(device)
+    missing = [
+        name for name in ("blend_backward", "project_backward", "photo_loss", "step") if not hasattr(stages, name)
+    ]
+    if missing:
+        raise InputError(f"device: {device!r} draws but cannot train, it has no {missing[0]}; wanted 'cpu'")
+    return cast(TrainStages, stages)
+
+
+def drawn(gaussians: Gaussians, view: View, drawing: Drawing) -> tuple[Splats, TileBins, Picture]:
+    """The picture of all Gaussians in a view, and what lies between."""
+    stages, threads = drawing.stages, drawing.threads
+    rows = np.arange(len(gaussians), dtype=np.int32)
+    splats = stages.project(gaussians, None, rows, view, threads=threads)
+    bins = stages.bin(splats, view, threads=threads)
+    return splats, bins, stages.blend(splats, bins, view, threads=threads)
+
+
+def learn(
+    rows: Rows,
+    seen: Sightings,
+    target: Target,
+    gain: Float64[Array, "3"],
+    rates: Float32[Array, "e"],
+    extent: float,
+    drawing: Drawing,
+) -> PhotoLoss:
+    """Make one step for one photograph: rows and what they were seen to do change in place.
+
+    Args:
+        rows: the scene and the optimiser's moments.
+        seen: what rows were seen to do since the last densification.
+        target: the photograph and its camera.
+        gain: what the picture is multiplied by before it is compared.
+        rates: of each number of a row.
+        extent: of the scene, world units.
+        drawing: how views are drawn.
+    """
+    view, stages, threads = drawing.view(target.camera), drawing.stages, drawing.threads
+    splats, bins, picture = drawn(rows.gaussians, view, drawing)
+    loss = stages.photo_loss(
+        picture.image, target.photo, gain, ssim_weight=SSIM_WEIGHT, mask=target.mask, threads=threads
+    )
+    upstream = PictureGradients(loss.image, errors=loss.errors)
+    by_splats = stages.blend_backward(splats, bins, view, picture, upstream, threads=threads)
+    seen.add(splats.rows, by_splats)
+    gradients = stages.project_backward(rows.gaussians, splats, by_splats, view, threads=threads)
+    _regularise(rows.gaussians, gradients, extent)
+    stages.step(rows.gaussians, gradients, rows.moments, rates, threads=threads)
+    return loss
+
+
+def _regularise(gaussians: Gaussians, gradients: GaussianGradients, extent: float) -> None:
+    """Add the derivatives of REGULARISER · (mean opacity + mean scale / extent), in place."""
+    weight = np.float32(REGULARISER / len(gaussians))
+    opacity = 1 / (1 + np.exp(-gaussians.logit_opacities[gradients.rows]))
+    gradients.logit_opacities[:] += weight * opacity * (1 - opacity)
+    gradients.log_scales[:] += weight / np.float32(extent) * np.exp(gaussians.log_scales[gradients.rows])

@@ -1,0 +1,139 @@
+"""A run that stops goes on with the same bits, or says why it cannot."""
+
+import errno
+import json
+import os
+
+import numpy as np
+import pytest
+
+import splatree as st
+from splatree.train import checkpoint
+
+from .test_run import bits
+
+OPTIONS = st.TrainOptions(iterations=130, max_gaussians=260, held_out=4)
+
+
+def stop_after(steps):
+    """Ask to stop once this many steps were made."""
+    left = iter(range(steps - 1, -1, -1))
+    return lambda: next(left) == 0
+
+
+@pytest.mark.parametrize("step", [1, 37, 100, 117])
+def test_a_run_that_stopped_goes_on_with_the_same_bits(photographs, tmp_path, step):
+    """In the middle of a round, and right after births."""
+    whole = st.train(photographs, OPTIONS)
+    folder = tmp_path / "a.run"
+    stopped = st.train(photographs, OPTIONS, files=st.RunFiles(folder), stop=stop_after(step))
+    assert stopped.stopped and json.loads(stopped.scene.source.metadata["training"])["iterations"] == step
+    resumed = st.train(photographs, OPTIONS, files=st.RunFiles(folder, resume=True))
+    assert bits(resumed) == bits(whole) != bits(stopped)
+    assert resumed.gains == whole.gains and resumed.log == whole.log
+    assert [scored.score for scored in resumed.history] == [scored.score for scored in whole.history]
+
+
+def test_a_run_that_ended_has_nothing_to_go_on_with(photographs, tmp_path):
+    files = st.RunFiles(tmp_path / "a.run")
+    options = st.TrainOptions(iterations=5, max_gaussians=260, held_out=4)
+    first = st.train(photographs, options, files=files)
+    again = st.train(photographs, options, files=st.RunFiles(tmp_path / "a.run", resume=True))
+    assert bits(first) == bits(again) and len(again.history) == len(first.history)
+
+
+def test_files_of_a_run_say_what_it_found(photographs, tmp_path):
+    trained = st.train(photographs, OPTIONS, files=st.RunFiles(tmp_path / "a.run"))
+    assert sorted(path.name for path in (tmp_path / "a.run").iterdir()) == [
+        "checkpoint.npz",
+        "exposure.json",
+        "log.json",
+    ]
+    gains = json.loads((tmp_path / "a.run" / "exposure.json").read_text())
+    assert {name: tuple(gain) for name, gain in gains.items()} == trained.gains
+    assert tuple(checkpoint.read_log(tmp_path / "a.run" / "log.json")) == trained.log
+
+
+@pytest.fixture
+def begun(photographs, tmp_path):
+    """A run that was stopped."""
+    folder = tmp_path / "a.run"
+    st.train(photographs, OPTIONS, files=st.RunFiles(folder), stop=stop_after(3))
+
+    def go_on(options=OPTIONS):
+        return st.train(photographs, options, files=st.RunFiles(folder, resume=True))
+
+    return go_on
+
+
+def test_changed_photographs_are_refused(begun, photographs):
+    path = photographs / "images" / "photo_2.png"
+    st.write_image(st.read_image(path) * 0.99, path, force=True)
+    with pytest.raises(st.InputError, match=r"photograph 'photo_2.png' has changed, or its camera has"):
+        begun()
+
+
+def test_missing_photographs_and_other_cameras_are_refused(begun, photographs):
+    images = photographs / "sparse" / "0" / "images.txt"
+    text = images.read_text()
+    images.write_text(text.replace(" 1 photo_3.png", " 1 photo_9.png"))
+    with pytest.raises(st.InputError, match=r"photograph 'photo_3.png', with which the run was begun, is missing"):
+        begun()
+    lines = text.splitlines()
+    words = lines[2].split()
+    words[5] = "0.123"
+    images.write_text("\n".join([*lines[:2], " ".join(words), *lines[3:]]) + "\n")
+    with pytest.raises(st.InputError, match=r"photograph 'photo_1.png' has changed, or its camera has"):
+        begun()
+
+
+def test_other_options_are_refused_by_name(begun):
+    with pytest.raises(st.InputError, match=r"begun with max_gaussians 260, found 270"):
+        begun(st.TrainOptions(iterations=130, max_gaussians=270, held_out=4))
+    begun(st.TrainOptions(iterations=130, max_gaussians=260, held_out=4, score=False))  # which changes no bit
+
+
+def test_damaged_checkpoints_are_refused(begun, tmp_path):
+    path = tmp_path / "a.run" / "checkpoint.npz"
+    whole = path.read_bytes()
+    for damaged in (whole[: len(whole) // 2], b"", b"no archive", whole[:100] + b"x" * 4000 + whole[4100:]):
+        path.write_bytes(damaged)
+        with pytest.raises(st.FormatError, match=r"checkpoint.npz: not a whole checkpoint"):
+            begun()
+    path.unlink()
+    with pytest.raises(st.InputError, match=r"checkpoint.npz: not found"):
+        begun()
+
+
+def test_a_full_disk_leaves_the_last_checkpoint_whole(begun, photographs, tmp_path, monkeypatch):
+    path = tmp_path / "a.run" / "checkpoint.npz"
+    before = path.read_bytes()
+
+    def full(file, **arrays):
+        file.write(b"half of it")
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(np, "savez", full)
+        with pytest.raises(st.OutputError, match=r"checkpoint.npz: could not be written \(No space left on device\)"):
+            begun()
+    assert path.read_bytes() == before
+    assert sorted(entry.name for entry in path.parent.iterdir()) == ["checkpoint.npz", "exposure.json", "log.json"]
+    assert begun().history[-1].iterations == 130
+
+
+def test_logs_that_are_none_are_refused(photographs, tmp_path):
+    path = tmp_path / "log.json"
+    for text, words in (
+        ("[]", "found no step"),
+        ('[{"step": 5, "share": 0, "growth": 0, "num_steps": 3}]', "found its first step 5, wanted 0"),
+        ('[{"step": 0}]', "no key"),
+        ("{", "not valid JSON"),
+    ):
+        path.write_text(text)
+        with pytest.raises(st.FormatError, match=words):
+            st.train(photographs, OPTIONS, files=st.RunFiles(replay=path))
+    with pytest.raises(st.InputError, match=r"not found; wanted log\.json"):
+        st.train(photographs, OPTIONS, files=st.RunFiles(replay=tmp_path / "no.json"))
+    with pytest.raises(st.InputError, match="found no folder of a run"):
+        st.RunFiles(resume=True)

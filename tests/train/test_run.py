@@ -1,0 +1,229 @@
+"""A run as a whole: it learns, the same way each time, and never looks at what is held out."""
+
+import json
+import shutil
+import sys
+from dataclasses import fields
+
+import numpy as np
+import pytest
+
+import splatree as st
+from splatree.io.cameras.files import read_cameras
+from splatree.train.step import Drawing, drawn, training_stages
+
+OPTIONS = st.TrainOptions(iterations=30, max_gaussians=260, held_out=4)
+
+
+def bits(trained):
+    """All columns of the scene, as bytes."""
+    gaussians = trained.scene.gaussians
+    return [getattr(gaussians, field.name).tobytes() for field in fields(gaussians)]
+
+
+class Watched:
+    """Which files are opened, while it is on."""
+
+    def __init__(self):
+        self.opened, self.is_on = [], False
+        sys.addaudithook(self._hook)
+
+    def _hook(self, event, arguments):
+        if self.is_on and event == "open":
+            self.opened.append(str(arguments[0]))
+
+
+@pytest.fixture(scope="module")
+def watched():
+    return Watched()
+
+
+def test_a_toy_is_learned(photographs):
+    """More than 10 dB in 400 steps on the photographs that are trained on: the smallest proof that all derivatives point down."""
+    options = st.TrainOptions(iterations=400, max_gaussians=300, held_out=4, exposure="none")
+    trained = st.train(photographs, options)
+
+    def quality(gaussians):
+        scores = []
+        for camera in read_cameras(photographs).views[1:]:
+            photo = st.read_image(photographs / "images" / camera.name)
+            scores.append(st.psnr(np.clip(st.render(st.Scene.flat(gaussians), camera).image, 0, 1), photo))
+        return np.mean(scores)
+
+    start = st.train(photographs, st.TrainOptions(iterations=1, max_gaussians=300, held_out=4))
+    assert quality(trained.scene.gaussians) > quality(start.scene.gaussians) + 10
+    assert trained.history[-1].score.psnr > 18  # and the view that was held out is drawn, too
+    assert 200 < len(trained.scene) <= 300
+
+
+def test_training_draws_what_render_draws(photographs):
+    trained = st.train(photographs, OPTIONS)
+    camera = read_cameras(photographs)[1]
+    for mode in ("classic", "antialiased"):
+        drawing = Drawing(training_stages("cpu"), mode, 1, 0)
+        picture = drawn(trained.scene.gaussians, drawing.view(camera), drawing)[2]
+        options = st.RenderOptions(mode=mode)
+        np.testing.assert_array_equal(picture.image, st.render(trained.scene, camera, options).image)
+
+
+def test_threads_change_no_bit(photographs):
+    options = st.TrainOptions(iterations=120, max_gaussians=260, held_out=4)  # with births at step 100
+    one, two, seven = (st.train(photographs, options, threads=threads) for threads in (1, 2, 7))
+    assert bits(one) == bits(two) == bits(seven)
+    assert len(one.scene) > one.history[0].num_gaussians or len(one.scene) == 260
+
+
+def test_held_out_photographs_are_never_opened(photographs, watched):
+    watched.opened.clear()
+    watched.is_on = True
+    try:
+        st.train(photographs, st.TrainOptions(iterations=3, max_gaussians=260, held_out=4, score=False))
+    finally:
+        watched.is_on = False
+    opened = [name for name in watched.opened if name.endswith(".png")]
+    assert {name.rsplit("/", 1)[1] for name in opened} == {"photo_1.png", "photo_2.png", "photo_3.png"}
+
+
+def test_what_is_held_out_changes_no_bit(photographs):
+    """Scores open them; the scene does not depend on what is in them, nor on whether there are scores."""
+    scored = st.train(photographs, OPTIONS)
+    noise = np.random.default_rng(1).random((64, 64, 3), np.float32)
+    st.write_image(noise, photographs / "images" / "photo_0.png", force=True)
+    other = st.train(photographs, OPTIONS)
+    assert other.history[-1].score != scored.history[-1].score
+    assert bits(other) == bits(scored)
+
+
+def test_a_scene_says_how_it_was_trained(photographs, tmp_path):
+    trained = st.train(photographs, OPTIONS)
+    st.write(trained.scene, tmp_path / "a.splatree")
+    record = json.loads(st.read(tmp_path / "a.splatree").source.metadata["training"])
+    assert record["options"]["max_gaussians"] == 260 and record["iterations"] == 30
+    assert record["photographs"] == 3 and record["held_out"] == "every 4th view from the first: 1 of 4"
+    assert record["score"]["psnr"] == trained.history[-1].score.psnr
+    assert [scored.share for scored in trained.history][-1] == 1.0
+
+
+def test_minutes_are_a_budget_and_their_log_repeats_the_run(photographs, tmp_path):
+    files = st.RunFiles(tmp_path / "a.run")
+    options = st.TrainOptions(minutes=0.01, max_gaussians=260, held_out=4)
+    first = st.train(photographs, options, files=files)
+    assert first.history[-1].cpu_s >= 0.6
+    again = st.train(photographs, options, files=st.RunFiles(replay=tmp_path / "a.run" / "log.json"))
+    assert bits(again) == bits(first) and again.log == first.log
+
+
+def test_exposure_is_told_apart_and_has_a_mean_of_one(photographs):
+    """One photograph is half as bright: its gain goes down, the others' up, and their geometric mean stays."""
+    path = photographs / "images" / "photo_2.png"
+    st.write_image(0.5 * st.read_image(path), path, force=True)
+    gains = st.train(photographs, st.TrainOptions(iterations=150, max_gaussians=260, held_out=4)).gains
+    ratio = np.array(gains["photo_2.png"]) / np.sqrt(np.array(gains["photo_1.png"]) * np.array(gains["photo_3.png"]))
+    assert (ratio < 0.8).all()
+    np.testing.assert_allclose(np.prod([*gains.values()], axis=0), 1, rtol=1e-9)
+    equal = st.train(photographs, st.TrainOptions(iterations=20, max_gaussians=260, held_out=4, exposure="none")).gains
+    assert set(equal.values()) == {(1.0, 1.0, 1.0)}
+
+
+def test_masked_pixels_are_not_learned(photographs):
+    """A photograph that is wrong where its mask is black trains the same scene, bit for bit."""
+    masks = photographs / "masks"
+    masks.mkdir()
+    mask = np.ones((64, 64, 3), np.float32)
+    mask[20:40, 10:30] = 0
+    for i in range(1, 4):
+        st.write_image(mask, masks / f"photo_{i}.png")
+    options = st.TrainOptions(iterations=20, max_gaussians=260, held_out=4, masks=masks)
+    right = st.train(photographs, options)
+    path = photographs / "images" / "photo_1.png"
+    photo = st.read_image(path)
+    photo[25:35, 15:25] = (
+        1,
+        0,
+        1,
+    )  # seen by no pixel that counts: further from the border than SSIM's window would reach
+    st.write_image(photo, path, force=True)
+    wrong = st.train(photographs, options)
+    unmasked = st.train(photographs, st.TrainOptions(iterations=20, max_gaussians=260, held_out=4))
+    assert bits(wrong) == bits(right) != bits(unmasked)
+
+
+def test_alpha_of_photographs_is_a_mask(photographs):
+    from PIL import Image
+
+    path = photographs / "images" / "photo_1.png"
+    pixels = np.asarray(Image.open(path)).copy()
+    alpha = np.full((64, 64), 255, np.uint8)
+    alpha[:, :20] = 0
+    options = st.TrainOptions(iterations=10, max_gaussians=260, held_out=4)
+    found = []
+    for value in (0, 255):
+        pixels[:, :20] = value
+        Image.fromarray(np.dstack([pixels, alpha])).save(path)
+        found.append(bits(st.train(photographs, options)))
+    assert found[0] == found[1]
+
+
+def test_one_photograph_is_too_few(photographs):
+    for i in range(1, 4):
+        (photographs / "images" / f"photo_{i}.png").unlink()
+    with pytest.raises(st.InputError, match=r"none of the 1 pictures .* is named like one of the 3 cameras"):
+        st.train(photographs, OPTIONS)
+    with pytest.raises(st.InputError, match="found a photograph of 1 of the 2 training views, wanted at least 2"):
+        held_out = photographs / "held_out.txt"
+        held_out.write_text("photo_1.png\nphoto_2.png\n")
+        st.train(photographs, st.TrainOptions(iterations=1, held_out=held_out))
+
+
+def test_a_run_without_points_says_so(photographs):
+    (photographs / "sparse" / "0" / "points3D.txt").unlink()
+    trained = st.train(photographs, st.TrainOptions(iterations=1, max_gaussians=100, held_out=4))
+    assert "no points came with the cameras" in trained.notes[-1] and len(trained.scene) == 100
+
+
+def test_poses_that_are_no_numbers_are_refused(photographs):
+    images = photographs / "sparse" / "0" / "images.txt"
+    lines = images.read_text().splitlines()
+    words = lines[2].split()
+    lines[2] = " ".join([words[0], "nan", *words[2:]])
+    images.write_text("\n".join(lines) + "\n")
+    with pytest.raises(st.FormatError, match=r"picture 'photo_1.png': found quaternion and translation"):
+        st.train(photographs, OPTIONS)
+
+
+def test_cameras_at_one_place_are_refused(photographs):
+    images = photographs / "sparse" / "0" / "images.txt"
+    pose = images.read_text().splitlines()[0].split()[1:8]
+    images.write_text("\n".join(f"{i + 1} {' '.join(pose)} 1 photo_{i}.png\n" for i in range(4)))
+    with pytest.raises(st.InputError, match="found all 3 training views at one place"):
+        st.train(photographs, OPTIONS)
+
+
+def test_coordinates_far_from_zero_lose_nothing(photographs, truth, tmp_path):
+    """Georeferenced cameras and points, at a northing where float32 has steps of half a unit."""
+    from .conftest import views, write_colmap
+
+    far = np.array([5e5, 4.5e6, 100.0])
+    shutil.rmtree(photographs / "sparse")
+    rng = np.random.default_rng(0)
+    points = truth.gaussians.means + rng.normal(0, 0.05, (len(truth), 3)) + far
+    write_colmap(photographs, [view.moved(-far) for view in views(4)], points, rng.integers(80, 176, (len(truth), 3)))
+    trained = st.train(photographs, st.TrainOptions(iterations=100, max_gaussians=260, held_out=4))
+    assert np.abs(trained.scene.source.origin - far).max() <= 100
+    assert trained.history[-1].score.psnr > 18
+
+
+def test_the_kernels_learn_what_the_definitions_learn(photographs):
+    """A few steps on either: float32 against float64, whose differences Adam lifts where a derivative is nearly zero."""
+    options = st.TrainOptions(iterations=4, max_gaussians=260, held_out=4, score=False)
+    fast, slow = (st.train(photographs, options, device=device).scene for device in ("cpu", "reference"))
+    camera = read_cameras(photographs)[0]
+    assert st.psnr(st.render(fast, camera).image, st.render(slow, camera).image) > 60
+
+
+def test_a_back_end_that_only_draws_is_refused(photographs, monkeypatch):
+    from splatree.kernels.cpu.frame import stages
+
+    monkeypatch.delattr(stages, "blend_backward")
+    with pytest.raises(st.InputError, match="'cpu' draws but cannot train, it has no blend_backward"):
+        st.train(photographs, OPTIONS)
