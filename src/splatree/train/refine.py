@@ -28,6 +28,7 @@ from splatree.kernels.devices import training_stages_of
 from splatree.lod.blocks import with_blocks
 from splatree.lod.select import select
 from splatree.progress import task
+from splatree.render.quality import with_quality
 from splatree.scene.cameras import Camera
 from splatree.scene.frame import Picture, Splats, TileBins
 from splatree.scene.gradients import PictureGradients, SplatGradients
@@ -106,7 +107,8 @@ def refine(
         threads: threads to use; 0: all.
 
     Returns:
-        The scene, and what was gained. Clusters and a calibrated τ are dropped, since they belong to the nodes as they were.
+        The scene, and what was gained. Clusters and a calibrated τ are dropped, since they belong to the nodes as they were. A
+        quality that was measured is measured anew.
 
     Raises:
         InputError: the scene has no levels, there are fewer than two cameras, or one has a lens.
@@ -127,6 +129,7 @@ def refine(
         raise InputError(
             f"refine: found {len(cameras)} camera, wanted at least 2: one to learn from and one to judge by"
         )
+    given = scene
     scene, notes = _bare(scene)
     scene = with_blocks(scene)
     views = made_views(scene, options.made_views, options.seed) if cameras is None else list(cameras)
@@ -147,12 +150,15 @@ def refine(
     careful = school.judge(judges, middle)
     if careful.mean() >= after.mean():
         whole, after = school.proxies.scene(), careful
-    if after.mean() <= before.mean():
-        whole, after = scene, before
     differs = _num_different(scene, whole)
-    metadata = {**whole.source.metadata, "refined": _record(options, iterations, float(np.mean(after - before)))}
-    if differs:
+    if after.mean() <= before.mean() or not differs:
+        whole, after, differs, notes = given, before, 0, ()
+    else:
+        metadata = {**whole.source.metadata, "refined": _record(options, iterations, float(np.mean(after - before)))}
         whole = replace(whole, source=replace(whole.source, metadata=metadata))
+        if given.tree.record is not None and given.tree.record.quality is not None:
+            whole, more = _measured(whole, cameras, threads)
+            notes = (*notes, *more)
     spent = time.process_time() - began
     return Refined(whole, iterations, before, after, differs, len(school.proxies.rows), spent, notes)
 
@@ -169,8 +175,19 @@ def _bare(scene: Scene) -> tuple[Scene, tuple[str, ...]]:
     if metadata.pop(CALIBRATION, None) is not None:
         notes.append("the τ of the scene was chosen for the nodes as they were: choose it again with calibrate")
         threshold, rule = ALPHA_THRESHOLD, None
-    source = replace(scene.source, metadata=metadata)
-    return replace(scene, clusters=None, threshold=threshold, tile_rule=rule, source=source), tuple(notes)
+    source, tree = replace(scene.source, metadata=metadata), scene.tree
+    if tree.record is not None:
+        tree = replace(tree, record=replace(tree.record, quality=None))
+    bare = replace(scene, tree=tree, clusters=None, threshold=threshold, tile_rule=rule, source=source)
+    return bare, tuple(notes)
+
+
+def _measured(scene: Scene, cameras: Sequence[Camera] | None, threads: int) -> tuple[Scene, tuple[str, ...]]:
+    """The scene with the quality of its levels measured anew, or why it could not be."""
+    try:
+        return with_quality(scene, cameras, threads=threads), ()
+    except InputError as error:
+        return scene, (f"--quality is no longer known: {error}",)
 
 
 def _num_different(a: Scene, b: Scene) -> int:
