@@ -36,3 +36,23 @@ def test_cameras_of_ones_own(splatree, tree, tmp_path):
 def test_a_scene_without_levels_is_refused_and_nothing_written(splatree, small_ply, tmp_path):
     code, _, err = splatree("refine", small_ply, tmp_path / "a.splatree")
     assert code == 1 and "build levels first" in err and not (tmp_path / "a.splatree").exists()
+
+
+def test_build_refines_at_once(splatree, small_ply, tmp_path):
+    words = (
+        "build",
+        small_ply,
+        tmp_path / "a.splatree",
+        "--method",
+        "pairs",
+        "--refine",
+        "0.02",
+        "--no-measure-quality",
+    )
+    code, out, err = splatree(*words)
+    assert code == 0, err
+    assert "merged nodes learned for" in out and "dB in views kept to judge by" in out
+    for wrong in ("--flat", "--max-memory"):
+        more = ("--clusters", "8") if wrong == "--flat" else ("1G",)
+        code, _, err = splatree(*words[:5], "--refine", "1", "--force", wrong, *more)
+        assert code == 2 and "--refine" in err

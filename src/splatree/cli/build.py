@@ -37,6 +37,8 @@ from splatree.render.quality import with_quality
 from splatree.scene.names import Mode
 from splatree.scene.quality import QualityCurve
 from splatree.scene.scene import Scene
+from splatree.train.refine import refine
+from splatree.train.refine_options import RefineOptions
 
 STEPS = {"radii": "radius", "pixel_sizes": "pixel"}
 """What each level was made by, in the record of the levels and in the table."""
@@ -60,6 +62,8 @@ class Command:
     """Number of clusters, which views then leave out whole; `auto`: one for 128 rows, 1,024 to 32,768. None: no clusters."""
     flat: bool = False
     """Make no levels: only clusters, of the Gaussians as they are; a scene that has levels keeps them."""
+    refine: float | None = None
+    """Let the merged nodes learn from pictures of the leaves for so many minutes of processor time, as `splatree refine` does."""
     measure_quality: bool = True
     """Measure how good cuts of the levels look, so that `--quality 40` can be asked for: pictures of nine made views, 2 to 5 CPU
     seconds."""
@@ -124,17 +128,21 @@ def run(command: Command) -> Built | BuiltFolder:
             or command.levels == "file"
             or command.clusters is not None
             or command.compact
+            or command.refine is not None
             or (command.views, command.calibration, command.reporting) != (Views(), CalibrateOptions(), Reporting())
         ):
             raise UsageError(
-                "found --max-memory, --workers or the size of parts with --flat, --levels file, --clusters, --compact, views or "
-                "--report, which need the scene in memory; wanted one of them"
+                "found --max-memory, --workers or the size of parts with --flat, --levels file, --clusters, --compact, --refine, "
+                "views or --report, which need the scene in memory; wanted one of them"
             )
         return run_through_files(command.files, command.options, command.running, command.mode)
     writing = WriteOptions(compact=command.compact)
     inputs, output = inputs_and_output(command.files, keeps_tree=True, options=writing)
     if command.flat and command.clusters is None:
         raise UsageError("found --flat without --clusters, which leaves nothing to build; wanted --clusters auto too")
+    if command.flat and command.refine is not None:
+        raise UsageError("found --flat and --refine, but without levels nothing can learn; wanted one of them")
+    learning = None if command.refine is None else RefineOptions(minutes=command.refine)
     if command.flat and command.levels == "file":
         raise UsageError("found --flat and --levels file, which contradict each other; wanted one of them")
     if (command.flat or command.levels == "file") and (changed := _changed(command.options)):
@@ -145,6 +153,15 @@ def run(command: Command) -> Built | BuiltFolder:
     command.reporting.check(force=command.files.force)
     views = training_views(command.views)
     scene = _linked(command, inputs) if command.levels == "file" else _read(command, inputs)
+    learned: tuple[str, ...] = ()
+    if learning is not None:
+        refined = refine(scene, learning)
+        scene = refined.scene
+        learned = (
+            f"merged nodes learned for {refined.cpu_seconds:.0f} s: {refined.before.mean():.2f} to "
+            f"{refined.after.mean():.2f} dB in views kept to judge by",
+            *refined.notes,
+        )
     if command.clusters is not None:
         scene = build_clusters(scene, command.clusters, command.clustering)
     calibration = None
@@ -174,7 +191,7 @@ def run(command: Command) -> Built | BuiltFolder:
         quality=None if scene.tree.record is None else scene.tree.record.quality,
         calibration=calibration,
         photographs=None if views is None else views.used,
-        notes=(*notes, *unknown, *(() if views is None else views.notes)),
+        notes=(*notes, *learned, *unknown, *(() if views is None else views.notes)),
         comparison=read_back(  # whose leaves are the input, bit for bit
             output, scene, command.reporting, made_from=", ".join(map(str, inputs)), force=command.files.force
         ),
