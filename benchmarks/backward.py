@@ -3,7 +3,7 @@
 ``python benchmarks/backward.py [scene] [--isa v3]``; without a scene, one chunk of the shared city, with harmonics of degree
 1. The least of seven steps counts. ``ns/px-splat`` are of the evaluations of a splat's opacity at a pixel that the blend
 counts, ``ns/px`` of the loss, ``µs/row`` of what is done for each visible Gaussian (backward of the projection, and the
-step). """
+step)."""
 
 import argparse
 import time
@@ -87,11 +87,8 @@ def main() -> None:
     eye = centre + np.array([0, -60, -80])
     rows = [steps(gaussians, st.Camera.look_at(eye, centre, width=width, height=height)) for width, height in SIZES]
     print(table(rows))
-    save(
-        "backward",
-        rows,
-        about=f"Processor milliseconds of the stages of a training step, one thread, instruction set {options.isa}:
-        {len(gaussians):,} " "Gaussians of degree 1.", )
+    what = f"{len(gaussians):,} Gaussians of degree 1, one thread, instruction set {options.isa}"
+    save("backward", rows, about=f"Processor milliseconds of the stages of a training step: {what}.")
 
 
 if __name__ == "__main__":
