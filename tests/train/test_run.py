@@ -10,7 +10,8 @@ import pytest
 
 import splatree as st
 from splatree.io.cameras.files import read_cameras
-from splatree.train.step import Drawing, drawn, training_stages
+from splatree.kernels.devices import training_stages_of
+from splatree.train.step import Drawing, drawn
 
 OPTIONS = st.TrainOptions(iterations=30, max_gaussians=260, held_out=4)
 
@@ -60,7 +61,7 @@ def test_training_draws_what_render_draws(photographs):
     trained = st.train(photographs, OPTIONS)
     camera = read_cameras(photographs)[1]
     for mode in ("classic", "antialiased"):
-        drawing = Drawing(training_stages("cpu"), mode, 1, 0)
+        drawing = Drawing(training_stages_of("cpu"), mode, 1, 0)
         picture = drawn(trained.scene.gaussians, drawing.view(camera), drawing)[2]
         options = st.RenderOptions(mode=mode)
         np.testing.assert_array_equal(picture.image, st.render(trained.scene, camera, options).image)
@@ -224,6 +225,6 @@ def test_the_kernels_learn_what_the_definitions_learn(photographs):
 def test_a_back_end_that_only_draws_is_refused(photographs, monkeypatch):
     from splatree.kernels.cpu.frame import stages
 
-    monkeypatch.delattr(stages, "blend_backward")
-    with pytest.raises(st.InputError, match="'cpu' draws but cannot train, it has no blend_backward"):
+    monkeypatch.delattr(stages, "project_backward")
+    with pytest.raises(st.InputError, match="found 'cpu', which cannot train"):
         st.train(photographs, OPTIONS)

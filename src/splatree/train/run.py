@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from splatree.io.photos import PhotosUsed
-from splatree.kernels.devices import DeviceName
+from splatree.kernels.devices import DeviceName, training_stages_of
 from splatree.progress import task
 from splatree.scene.scene import Scene, Source
 from splatree.train.checkpoint import Identity, load, read_log, save
@@ -24,7 +24,7 @@ from splatree.train.options import RunFiles, TrainOptions, plain
 from splatree.train.prepare import Work, prepare
 from splatree.train.schedule import BIRTHS_END, ROUND, LogEntry, count_target, generator, rates, round_of
 from splatree.train.state import Scored, State
-from splatree.train.step import Drawing, learn, training_stages
+from splatree.train.step import Drawing, learn
 
 __all__ = ["METADATA_KEY", "Trained", "train"]
 
@@ -107,7 +107,7 @@ def train(
     """
     options, files = options or TrainOptions(), files or RunFiles()
     work = prepare(Path(photos), options, cameras)
-    drawing = Drawing(training_stages(device), options.mode, 1, threads)
+    drawing = Drawing(training_stages_of(device), options.mode, 1, threads)
     identity = Identity.of(options, work.targets.digests(), work.targets.cameras)
     earlier = [] if files.replay is None else read_log(files.replay)
     if files.resume:

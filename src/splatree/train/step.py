@@ -6,13 +6,10 @@ Training draws with the stages of `render`, at τ = 1/255 and exact tiles: what 
 """
 
 from dataclasses import dataclass
-from typing import Protocol, cast
 
 import numpy as np
 
-from splatree.errors import InputError
-from splatree.kernels.contract import BackwardStages, FrameStages
-from splatree.kernels.devices import DeviceName, stages_of
+from splatree.kernels.contract import TrainingStages
 from splatree.scene.cameras import Camera
 from splatree.scene.frame import Picture, Splats, TileBins
 from splatree.scene.gaussians import Gaussians
@@ -23,7 +20,7 @@ from splatree.shapes import Array, Float32, Float64
 from splatree.train.densify import Rows, Sightings
 from splatree.train.targets import Target
 
-__all__ = ["Drawing", "TrainStages", "drawn", "learn", "training_stages"]
+__all__ = ["Drawing", "drawn", "learn"]
 
 SSIM_WEIGHT = 0.2
 """λ: share of structure in the loss (Kerbl 2023, Eq. 7)."""
@@ -32,15 +29,11 @@ REGULARISER = 0.01
 """Weight in the loss of the mean opacity and of the mean scale in extents (Kheradmand 2024, Eq. 11): what nothing needs fades."""
 
 
-class TrainStages(FrameStages, BackwardStages, Protocol):
-    """The stages of a back end that can train."""
-
-
 @dataclass(frozen=True)
 class Drawing:
     """How views are drawn in training."""
 
-    stages: TrainStages
+    stages: TrainingStages
     """Of the back end."""
     mode: Mode
     """`classic` or `antialiased`."""
@@ -52,22 +45,6 @@ class Drawing:
     def view(self, camera: Camera) -> View:
         """The view of a camera."""
         return View(camera, mode=self.mode, sh_degree=self.sh_degree)
-
-
-def training_stages(device: DeviceName) -> TrainStages:
-    """The stages of a back end.
-
-    Raises:
-        InputError: there is no such back end, or it cannot train.
-        DeviceError: the device is not there.
-    """
-    stages = stages_of(device)
-    missing = [
-        name for name in ("blend_backward", "project_backward", "photo_loss", "step") if not hasattr(stages, name)
-    ]
-    if missing:
-        raise InputError(f"device: {device!r} draws but cannot train, it has no {missing[0]}; wanted 'cpu'")
-    return cast(TrainStages, stages)
 
 
 def drawn(gaussians: Gaussians, view: View, drawing: Drawing) -> tuple[Splats, TileBins, Picture]:
