@@ -96,3 +96,12 @@ def test_threads_do_not_change_a_bit():
         results.append(g)
     for f in fields(results[0]):
         np.testing.assert_array_equal(getattr(results[0], f.name), getattr(results[1], f.name))
+
+
+@pytest.mark.parametrize("stages", (reference, cpu), ids=("reference", "cpu"))
+def test_a_view_of_nothing_changes_nothing(stages):
+    g, moments = cloud(4, degree=1), Moments.zeros(4, 4)
+    before = copied(g)
+    stages.step(g, derivatives(np.zeros(0, np.int32), 1), moments, rates_of(moments))
+    np.testing.assert_array_equal(g.means, before.means)
+    assert not moments.steps.any()

@@ -54,15 +54,20 @@ def step(
     change *= rates * np.minimum(1, t / ramp_steps)
     place = 0
     for name in COLUMNS:
-        column = getattr(gaussians, name).reshape(len(gaussians), -1)
+        column = _flat(getattr(gaussians, name))
         column[rows] -= change[:, place : place + column.shape[1]]
         place += column.shape[1]
 
 
 def _packed(gradients: GaussianGradients, num_rows: int, width: int) -> Array:
     """Derivatives side by side, as the moments lie."""
-    parts = [getattr(gradients, name).reshape(num_rows, -1).astype(np.float64) for name in COLUMNS]
+    parts = [_flat(getattr(gradients, name)).astype(np.float64) for name in COLUMNS]
     packed = np.zeros((num_rows, width))
     joined = np.concatenate(parts, axis=1)
     packed[:, : joined.shape[1]] = joined
     return packed
+
+
+def _flat(column: Array) -> Array:
+    """The numbers of a row side by side; a view, also of no rows."""
+    return column.reshape(len(column), int(np.prod(column.shape[1:])))
