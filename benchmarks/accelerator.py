@@ -1,10 +1,12 @@
 """The accelerator on real scenes: what clusters, buffers and orders are worth, and a machine that is faster at equal area.
 
     python benchmarks/accelerator.py [--views 4] [--clusters 8192] [--no-levels]
+    python benchmarks/accelerator.py --only-levels --scenes robot logo
 
-Two tables are kept. `accelerator`: clusters off, Eq. 3 of Jo 2024 and exact, with single and ping-pong buffers, in each order.
+Three tables are kept. `accelerator`: clusters off, Eq. 3 of Jo 2024 and exact, with single and ping-pong buffers, in each order.
 `accelerator_better`: changes of the machine, one after the other and all together, with their area and what they do to the
-picture. Scenes are those of ../shared/data; each scene's frames are drawn once for a rule, and all machines run on these.
+picture. `accelerator_levels`: levels of detail selected on the chip. Scenes are those of ../shared/data; each scene's frames are
+drawn once for a rule, and all machines run on these.
 """
 
 import argparse
@@ -63,34 +65,46 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--views", type=int, default=4, help="views of each scene")
     parser.add_argument("--clusters", type=int, default=8192, help="clusters of each scene")
+    parser.add_argument("--scenes", nargs="+", choices=SCENES, default=list(SCENES), help="scenes")
     parser.add_argument("--no-levels", action="store_true", help="leave out levels of detail, whose trees take minutes")
+    parser.add_argument("--only-levels", action="store_true", help="levels of detail alone")
     args = parser.parse_args()
     ideas: list[dict[str, object]] = []
     better: list[dict[str, object]] = []
-    for subject in track(list(subjects(args.views, args.clusters)), "scenes"):
-        ideas += idea_rows(subject)
-        better += better_rows(subject, with_levels=not args.no_levels, clusters=args.clusters)
-    print(table(ideas), table(better), sep="\n\n")
-    about = "means of the views; columns of orders: cycles against the oracle's, %. FPS: frames over the sum of their times."
-    save("accelerator", ideas, about=f"The accelerator of Jo 2024 on real scenes: {about}")
-    words = "PSNR: with the picture of all leaves in fp32, mean of the views, 100 dB: equal."
-    save(
-        "accelerator_better",
-        better,
-        about=f"Changes of the accelerator at equal bandwidth: means of the views. {words}",
-    )
+    levels: list[dict[str, object]] = []
+    for subject in track([subject_of(name, args.views, args.clusters) for name in args.scenes], "scenes"):
+        if not args.only_levels:
+            ideas += idea_rows(subject)
+            better += better_rows(subject)
+        if not args.no_levels:
+            levels += level_rows(subject, args.clusters)
+        keep(ideas, better, levels)  # after each scene: trees of large ones take minutes
+    print(*(table(rows) for rows in (ideas, better, levels) if rows), sep="\n\n")
 
 
-def subjects(views: int, clusters: int) -> Iterator[Subject]:
-    for name, (path, cameras) in SCENES.items():
-        scene = st.read(DATA / path)
-        leaves = st.Scene.flat(scene.gaussians.take(scene.tree.is_leaf), mode=scene.mode)
-        if cameras is None:
-            seen = list(st.flyout(leaves, st.PathOptions(views=views, width=1280, height=720)))
-        else:
-            known = list(read_cameras(DATA / cameras))
-            seen = [known[i] for i in np.linspace(0, len(known) - 1, views).round().astype(int)]
-        yield Subject(name, st.build_clusters(leaves, min(clusters, len(leaves))), tuple(seen))
+def keep(ideas: list[dict[str, object]], better: list[dict[str, object]], levels: list[dict[str, object]]) -> None:
+    means = "means of the views, FPS: frames over the sum of their times"
+    psnr = "PSNR: with the picture of all leaves in fp32, mean of the views, 100 dB: equal"
+    abouts = {
+        "accelerator": f"The accelerator of Jo 2024 on real scenes: {means}. Columns of orders: cycles against the oracle's, %.",
+        "accelerator_better": f"Changes of the accelerator at equal bandwidth: {means}. {psnr}.",
+        "accelerator_levels": f"Levels of detail selected on the accelerator, at equal bandwidth: {means}. {psnr}.",
+    }
+    for (name, about), rows in zip(abouts.items(), (ideas, better, levels), strict=True):
+        if rows:
+            save(name, rows, about=about)
+
+
+def subject_of(name: str, views: int, clusters: int) -> Subject:
+    path, cameras = SCENES[name]
+    scene = st.read(DATA / path)
+    leaves = st.Scene.flat(scene.gaussians.take(scene.tree.is_leaf), mode=scene.mode)
+    if cameras is None:
+        seen = list(st.flyout(leaves, st.PathOptions(views=views, width=1280, height=720)))
+    else:
+        known = list(read_cameras(DATA / cameras))
+        seen = [known[i] for i in np.linspace(0, len(known) - 1, views).round().astype(int)]
+    return Subject(name, st.build_clusters(leaves, min(clusters, len(leaves))), tuple(seen))
 
 
 def idea_rows(subject: Subject) -> Iterator[dict[str, object]]:
@@ -121,7 +135,7 @@ def idea_rows(subject: Subject) -> Iterator[dict[str, object]]:
             yield row
 
 
-def better_rows(subject: Subject, *, with_levels: bool, clusters: int) -> Iterator[dict[str, object]]:
+def better_rows(subject: Subject) -> Iterator[dict[str, object]]:
     """Changes of the machine at the bandwidth of `jo2024`; the first is the machine as it is."""
     drawn = {rule: subject.traces(changed(JO, [f"identification.rule={rule}"])) for rule in ("exact", "boxes")}
     pictures = [st.render(subject.scene, view).image for view in subject.views]
@@ -131,8 +145,16 @@ def better_rows(subject: Subject, *, with_levels: bool, clusters: int) -> Iterat
         machine = changed(JO, settings)
         psnr = {"fp32": PSNR_MAX, "fixed": coarse}.get(machine.records.format)
         yield change_row(subject.name, name, machine, drawn[machine.identification.rule], first.milliseconds, psnr)
-    if not with_levels:
-        return
+
+
+def level_rows(subject: Subject, clusters: int) -> Iterator[dict[str, object]]:
+    """The cut of levels by pairs on the paper's machine and on ours; the first row of each scene draws all leaves."""
+    pictures = [st.render(subject.scene, view).image for view in subject.views]
+    leaves = subject.traces(JO)
+    first = on_machine(JO, leaves)
+    yield change_row(subject.name, "jo2024, all leaves", JO, leaves, first.milliseconds, PSNR_MAX)
+    ours = PRESETS["splatree"]
+    yield change_row(subject.name, "splatree, all leaves", ours, leaves, first.milliseconds, None)
     tree = st.build_clusters(
         st.build_lod(subject.scene, st.BuildOptions(method="pairs")), min(clusters, len(subject.scene))
     )

@@ -86,7 +86,7 @@ output_level = 1
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--dramsim3", type=Path, help="dramsim3main")
-    parser.add_argument("--lines", type=int, default=100_000, help="bursts of each pattern")
+    parser.add_argument("--lines", type=int, default=20_000, help="bursts of each pattern")
     args = parser.parse_args()
     peak = DEVICE.dram.bandwidth_gbps
     rows: list[dict[str, object]] = []
@@ -118,6 +118,8 @@ def patterns(lines: int) -> dict[str, np.ndarray]:
         "stream": LINE * np.arange(lines),
         "16 KB blocks at random": LINE * (512 * blocks[:, None] + np.arange(512)).ravel(),
         "64 bytes at random": LINE * (2 * gathers[:, None] + np.arange(2)).ravel(),
+        "32 bytes at random": LINE * rng.permutation(space)[:lines],
+        "rows of one bank": DEVICE.dram.row_bytes * DEVICE.dram.banks * (np.arange(lines) % (1 << 16)),
         "front end of a frame": front_addresses(DEVICE, work, lines) % (1 << 30),
     }
 

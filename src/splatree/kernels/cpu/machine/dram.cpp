@@ -128,7 +128,8 @@ void Dram::fill_window(Channel& channel, int index) {
   }
 }
 
-// Opens the row of the oldest line of each bank whose open row no line in the window asks for.
+// Closes the row of each bank that no line in the window asks for, and opens that of its oldest line. A command is given when its
+// time has come: one that lay ahead would hold up those of other banks.
 void Dram::open_rows(Channel& channel) {
   uint64_t looked_at = 0;
   for (const Waiting& w : channel.window) {
@@ -140,9 +141,15 @@ void Dram::open_rows(Channel& channel) {
     bool is_wanted = false;
     for (const Waiting& other : channel.window) is_wanted |= other.bank == w.bank && other.row == bank.row;
     if (is_wanted) continue;
-    double at = std::max(double(now_), channel.last_activation + s_.activate_gap);
+    if (bank.row >= 0) {
+      const double from = std::max(bank.opened + s_.row_active, bank.ready);
+      if (from > double(now_)) continue;
+      bank.row = -1, bank.closed = std::max(from, double(now_) - 1) + s_.precharge;
+    }
+    double at = std::max(bank.closed, channel.last_activation + s_.activate_gap);
     at = std::max(at, channel.activations[channel.next_activation] + s_.four_activates);
-    if (bank.row >= 0) at = std::max(at, std::max(bank.opened + s_.row_active, bank.ready)) + s_.precharge;
+    if (at > double(now_)) continue;
+    at = std::max(at, double(now_) - 1);
     bank.row = w.row, bank.opened = at, bank.ready = at + s_.activate;
     channel.last_activation = at;
     channel.activations[channel.next_activation] = at;
@@ -190,7 +197,7 @@ void Dram::step_channels() {
     next_refresh_ += s_.refresh_interval;
     blocked_until_ = double(now_) + s_.refresh;
     for (Channel& channel : channels_)
-      for (Bank& bank : channel.banks) bank.row = -1, bank.ready = blocked_until_;
+      for (Bank& bank : channel.banks) bank.row = -1, bank.ready = bank.closed = blocked_until_;
   }
   bool used = false;
   for (size_t i = 0; i < channels_.size(); ++i) {

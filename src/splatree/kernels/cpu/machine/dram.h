@@ -51,7 +51,7 @@ class Dram {
   };
   struct Bank {
     int64_t row = -1;
-    double ready = 0, opened = -1e18;  // when its data may start; when its row was opened
+    double ready = 0, opened = -1e18, closed = 0;  // when its data may start; when its row was opened; from when one may be
   };
   struct Channel {
     std::vector<Waiting> window;
