@@ -36,8 +36,10 @@ if (tileset) {
   }
   let quiet = 0;
   scene.postRender.addEventListener(() => {
+    // Splats are sorted by a worker before they are drawn: a while after tiles have come, fewer are drawn than are selected.
     const drawn = tileset.gaussianSplatPrimitive?._numSplats ?? 0;
-    quiet = drawn > 0 && tileset.tilesLoaded ? quiet + 1 : 0;
+    const selected = tileset._selectedTiles.reduce((sum, tile) => sum + (tile.content?.pointsLength ?? 0), 0);
+    quiet = drawn > 0 && drawn === selected && tileset.tilesLoaded ? quiet + 1 : 0;
     Object.assign(state, { drawn, tiles: tileset.statistics.selected, ready: quiet > 20 });
   });
 }
