@@ -95,7 +95,8 @@ SPLATREE_FN void backward_cell(const Brush& brush, int cell, const Limits& limit
     const float left = behind[l] - light;
     behind[l] = left;
     const float moved = light - left * alpha / (1.f - alpha);
-    const float h = drawn & (whole <= limits.alpha_max) ? moved : 0.f;
+    const bool moves = drawn & (whole <= limits.alpha_max);
+    const float h = moves ? moved : 0.f;
     const float hu = h * u, hv = h * v;
     lanes.sum[SUM_H][l] += h;
     lanes.sum[SUM_HU][l] += hu;

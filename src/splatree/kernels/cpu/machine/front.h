@@ -39,7 +39,7 @@ class Front {
     step2_.step(now, [&](const Piece& p) { ask_colors(p); }, [&](const Piece& p) { return write(p); });
     distribute(now);
     is_done_ = step2_.is_done() && backlog_ < 1 && dram_.is_idle();
-    return moved_ | selection_.moved() | step1_.moved() | step2_.moved();
+    return moved_ || selection_.moved() || step1_.moved() || step2_.moved();
   }
 
  private:
