@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 import splatree as st
-from splatree.scene.gradients import GaussianGradients
+from splatree.kernels.devices import training_stages_of
+from splatree.scene.frame import Splats
+from splatree.scene.gradients import GaussianGradients, PictureGradients, SplatGradients
 from splatree.train.lessons import lessons_of, made_views
 from splatree.train.proxies import Proxies
 
@@ -115,9 +117,7 @@ def test_a_node_that_forgets_has_its_first_bits(tree):
             for name in ("means", "quats", "log_scales", "logit_opacities", "sh")
         ),
     )
-    from splatree.kernels.devices import stages_of
-
-    stages_of("cpu").step(proxies.learned, found, proxies.moments, proxies.rates(1.0))
+    training_stages_of("cpu").step(proxies.learned, found, proxies.moments, proxies.rates(1.0))
     proxies.forget(rows)
     changed = proxies.scene().gaussians.sh[:, 0] != tree.gaussians.sh[:, 0]
     assert not changed[rows].any() and changed[proxies.rows[1::2]].any(axis=1).all()
@@ -169,3 +169,40 @@ def test_scenes_and_cameras_that_cannot_be_are_refused(tree):
         st.refine(st.Scene.flat(cloud(50)), FEW)
     with pytest.raises(st.InputError, match="found 1 camera, wanted at least 2"):
         st.refine(tree, FEW, cameras=made_views(tree, 1, 0))
+
+
+@pytest.mark.parametrize("name", ["logit_opacities", "sh", "log_scales"])
+def test_what_nodes_learn_from_is_the_slope_of_the_loss(tree, name):
+    """Along the derivative itself: the loss in two scenes a little to either side, against the sum of its squares."""
+    stages, gain = training_stages_of("cpu"), np.ones(3)
+    lesson = lessons_of(tree, made_views(tree, 1, seed=2), "same")[0]
+    view = st.open_session(tree).view(lesson.camera)
+    rows = st.select(tree, lesson.camera, st.SelectOptions(pixel_error=12)).rows
+    proxies = Proxies(tree)
+    if name == "log_scales" and not proxies.rates(1.0)[7]:
+        pytest.skip("levels by a radius do not learn shapes")
+
+    def drawn():
+        nodes = proxies.draw(view, rows)
+        splats = stages.project(proxies.drawn, None, rows, view)
+        bins = stages.bin(splats, view)
+        picture = stages.blend(splats, bins, view)
+        return nodes, splats, bins, picture, stages.photo_loss(picture.image, lesson.picture, gain, ssim_weight=0.9)
+
+    nodes, splats, bins, picture, loss = drawn()
+    sums = stages.blend_backward(splats, bins, view, picture, PictureGradients(loss.image))
+    chosen = proxies.is_node(splats.rows)
+    few = Splats(splats.rows[chosen], splats.records[chosen], np.arange(chosen.sum(), dtype=np.int32))
+    of_few = SplatGradients(sums.moments[chosen], sums.colors[chosen])
+    found = proxies.derivatives(nodes, few, stages.project_backward(proxies.drawn, few, of_few, view))
+    slopes, column = getattr(found, name), getattr(proxies.learned, name)
+    first, step = column.copy(), 0.02 / np.abs(slopes).max()
+    values, ends = [], []
+    for sign in (-1, 1):
+        column[:] = first
+        column[found.rows] += np.float32(sign * step) * slopes
+        values.append(drawn()[4].value)
+        ends.append(column[found.rows].astype(float))  # where the mass of a node is held, drawing holds it
+    expected = float(np.sum(slopes * (ends[1] - ends[0])))
+    # |x| has a kink, opacities end at 1/255, and A(v, h) is taken to change as A(v, h_l) does.
+    assert values[1] - values[0] == pytest.approx(expected, rel=0.25)
