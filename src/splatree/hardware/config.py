@@ -63,8 +63,8 @@ class Dram:
     """tRRD: between two activations of a channel (JEDEC LPDDR4)."""
     four_activates_ns: float = 40.0
     """tFAW: window of four activations (JEDEC LPDDR4)."""
-    turn_ns: float = 7.5
-    """Turn between reading and writing (ours)."""
+    turn_ns: float = 14.2
+    """Turn between reading and writing, mean of both (LPDDR4: CWL + tWTR to reading, CL - CWL + 1 to writing, 17 cycles)."""
     refresh_ns: float = 326.5
     """tRFC: length of a refresh (LPDDR4, 392 cycles)."""
     refresh_interval_ns: float = 7213.8

@@ -5,7 +5,7 @@ import numpy as np
 from splatree.hardware.config import Machine
 from splatree.hardware.engines import Work, dram_settings
 from splatree.kernels.cpu import _core
-from splatree.shapes import Array, Int64
+from splatree.shapes import Array, Bool, Int64
 
 __all__ = ["front_addresses", "replay_ms"]
 
@@ -34,7 +34,14 @@ def front_addresses(machine: Machine, work: Work, most: int) -> Int64[Array, "a"
     return np.concatenate([np.zeros(0, np.int64), *parts])[:most].astype(np.int64)
 
 
-def replay_ms(machine: Machine, addresses: Int64[Array, "a"]) -> float:
-    """Milliseconds in which the DRAM reads a line at each address, in their order, asked for as fast as it takes them."""
-    cycles = _core.replay(dram_settings(machine), np.ascontiguousarray(addresses, np.int64))
+def replay_ms(machine: Machine, addresses: Int64[Array, "a"], writes: Bool[Array, "a"] | None = None) -> float:
+    """Milliseconds in which the DRAM serves a line at each address, asked for as fast as it takes them.
+
+    Args:
+        machine: the accelerator.
+        addresses: of the lines, in bytes; reads are taken in their order, and so are writes.
+        writes: which lines are written; None: none.
+    """
+    is_write = np.zeros(len(addresses), bool) if writes is None else np.ascontiguousarray(writes, bool)
+    cycles = _core.replay(dram_settings(machine), np.ascontiguousarray(addresses, np.int64), is_write)
     return float(cycles / machine.clock_mhz / 1e3)

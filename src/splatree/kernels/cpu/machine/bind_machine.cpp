@@ -134,9 +134,9 @@ std::vector<std::pair<int64_t, int64_t>> identify(In<bool> kept, In<bool> ready,
 }
 
 // Cycles that the DRAM alone takes for lines at these addresses, in their order, all asked for at once.
-int64_t replay(nb::dict settings, In<int64_t> addresses) {
+int64_t replay(nb::dict settings, In<int64_t> addresses, In<bool> writes) {
   Dram dram(dram_of(Numbers(settings)));
-  for (size_t i = 0; i < addresses.shape(0); ++i) dram.ask(GEOMETRY, addresses.data()[i], 1);
+  for (size_t i = 0; i < addresses.shape(0); ++i) dram.ask(writes.data()[i] ? PAIRS : GEOMETRY, addresses.data()[i], 1);
   int64_t now = 0;
   while (!dram.is_idle()) dram.step(now++);
   return now;
@@ -173,8 +173,8 @@ void bind_machine(nb::module_& m) {
         "Step the accelerator through a frame; dictionaries of named numbers and columns (splatree/hardware/simulate.py).");
   m.def("identify", &identify, nb::arg("kept"), nb::arg("ready"), nb::arg("interval"), nb::arg("latency"),
         nb::arg("selected_fifo"), "Cycle and number of each cluster that leaves the identification alone.");
-  m.def("replay", &replay, nb::arg("settings"), nb::arg("addresses"),
-        "Cycles that the DRAM takes to read a line at each of the addresses.");
+  m.def("replay", &replay, nb::arg("settings"), nb::arg("addresses"), nb::arg("writes"),
+        "Cycles that the DRAM takes to read or write a line at each of the addresses.");
   m.def("cache_misses", &cache_misses, nb::arg("splats"), nb::arg("start"), nb::arg("order"), nb::arg("sets"), nb::arg("ways"),
         nb::arg("misses"), "Fill the lines that each tile misses in an LRU cache of so many sets and ways.");
 }
