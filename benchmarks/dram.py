@@ -36,7 +36,9 @@ DEVICE = Machine(
         activate_ns=15 * CLOCK_NS,
         precharge_ns=15 * CLOCK_NS,
         row_active_ns=32 * CLOCK_NS,
-        turn_ns=((14 + 16) + (17 - 14 + 1)) / 2 * CLOCK_NS,  # CWL + tWTR_L to reading, CL - CWL + 1 to writing; the mean
+        turn_ns=((14 + 16) + (17 - 14 + 1))
+        / 2
+        * CLOCK_NS,  # CWL + tWTR_L to reading, CL - CWL + 1 to writing; the mean
         activate_gap_ns=8 * CLOCK_NS,
         four_activates_ns=32 * CLOCK_NS,
         refresh_ns=392 * CLOCK_NS,
@@ -96,7 +98,12 @@ def main() -> None:
     for name, (addresses, writes) in patterns(args.lines).items():
         size = len(addresses) * LINE
         ours = size / replay_ms(DEVICE, addresses, writes) / 1e6
-        row: dict[str, object] = {"pattern": name, "bursts": len(addresses), "writes %": 100 * writes.mean(), "ours % of peak": 100 * ours / peak}
+        row: dict[str, object] = {
+            "pattern": name,
+            "bursts": len(addresses),
+            "writes %": 100 * writes.mean(),
+            "ours % of peak": 100 * ours / peak,
+        }
         if args.dramsim3:
             theirs = size / theirs_ms(args.dramsim3.resolve(), addresses, writes) / 1e6
             row |= {"DRAMsim3 % of peak": 100 * theirs / peak, "ours / theirs": ours / theirs}
@@ -149,7 +156,9 @@ def theirs_ms(program: Path, addresses: np.ndarray, writes: np.ndarray) -> float
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder)
         (root / "device.ini").write_text(INI)
-        words = [f"0x{a:x} {'WRITE' if w else 'READ'} 0\n" for a, w in zip(addresses.tolist(), writes.tolist(), strict=True)]
+        words = [
+            f"0x{a:x} {'WRITE' if w else 'READ'} 0\n" for a, w in zip(addresses.tolist(), writes.tolist(), strict=True)
+        ]
         (root / "trace.txt").write_text("".join(words))
         wanted = len(addresses) - (KEPT_WRITES if writes.any() else 0)
 

@@ -48,7 +48,7 @@ VERBS = {
     "serve": "serve streams to viewers on the web",
     "eval": "compare the levels of detail with all leaves, or with photographs",
     "simulate": "simulate an accelerator on the frames of a scene, cycle by cycle",
-    "rtl": "write the identification engine of the accelerator as Verilog",
+    "rtl": "write circuits of the accelerator as Verilog",
     "bench": "run a table or a figure of a paper again",
     "formats": "list the formats that are read and written",
     "doctor": "say what this machine can draw with: processor, GPU, driver, compiler",
