@@ -77,8 +77,10 @@ def test_kernels_keep_their_budgets_on_every_architecture(compiler: Compiler) ->
 def test_structs_are_laid_out_as_the_runtime_packs_them(compiler: Compiler, monkeypatch: pytest.MonkeyPatch) -> None:
     numbers = pack_numbers(View(camera()), SelectOptions(), degree=0)
     jobs = {("cuda/job.h", "FrameJob"): len(numbers), ("cuda/kmeans.h", "KmeansJob"): 0}
+    jobs |= {("cuda/loss.h", "LossJob"): 0, ("cuda/optimise.h", "StepJob"): 0}
     lines = [
-        '#include "cuda/kmeans.h"',
+        '#include "cuda/device.h"',
+        *(f'#include "{header}"' for header, _ in jobs),
         "using namespace splatree;",
         f"static_assert(sizeof(FrameNumbers) == {len(numbers)});",
     ]

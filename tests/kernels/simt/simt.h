@@ -182,7 +182,7 @@ T shuffle(const char* name, uint32_t mask, T value, int from) {
 #define blockDim simt::block_size
 #define gridDim simt::grid_size
 #define SPLATREE_SHARED(type, name, size) static simt::Shared<type, (size)> name(#name)
-#define SPLATREE_KERNEL(threads) extern "C" void
+#define SPLATREE_KERNEL(threads, thread_blocks) extern "C" void
 
 struct float4 {
   float x, y, z, w;

@@ -67,7 +67,7 @@ class Baselines:
         while count:
             self._work.run([Launch("serial_level", -(-count // 256), count << 1 | from_b)])
             counts = self._work.counts()
-            self._work.set_count("num_selected", counts["num_selected"])
+            self._work.set_counts(num_selected=counts["num_selected"])
             count, from_b = counts["num_frontier"], 1 - from_b
 
     def run_paper(self) -> None:

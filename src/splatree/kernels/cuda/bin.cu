@@ -59,7 +59,7 @@ SPLATREE_FN void store_pair(const FrameJob* job, long long at, int tile, unsigne
 using namespace splatree;
 
 // `tapers`: also the opacity at which each splat is tapered off.
-SPLATREE_KERNEL(256) count_tiles(const FrameJob* job, int tapers) {
+SPLATREE_KERNEL(256, 1) count_tiles(const FrameJob* job, int tapers) {
   const long long i = index_of_thread();
   if (i >= held(job->counters[NUM_SELECTED], job->row_capacity)) return;
   unsigned count = 0;
@@ -84,20 +84,20 @@ SPLATREE_KERNEL(256) count_tiles(const FrameJob* job, int tapers) {
 }
 
 // `from_b`: the side on which the sort of the splats ended.
-SPLATREE_KERNEL(256) keep_order(const FrameJob* job, int from_b) {
+SPLATREE_KERNEL(256, 1) keep_order(const FrameJob* job, int from_b) {
   const long long i = index_of_thread();
   if (i >= held(job->counters[NUM_SELECTED], job->row_capacity)) return;
   job->order[i] = from_b ? job->values_b[i] : job->values_a[i];
 }
 
-SPLATREE_KERNEL(256) scan_pairs(const FrameJob* job, int which) {
+SPLATREE_KERNEL(256, 4) scan_pairs(const FrameJob* job, int which) {
   scan(
       job, which, held(job->counters[NUM_SELECTED], job->row_capacity), NUM_PAIRS,
       [&](long long i) { return job->num_tiles[job->order[i]]; },
       [&](long long i, unsigned first) { job->first_pair[i] = first; });
 }
 
-SPLATREE_KERNEL(256) list_pairs(const FrameJob* job) {
+SPLATREE_KERNEL(256, 1) list_pairs(const FrameJob* job) {
   const long long i = index_of_thread();
   const long long num_splats = held(job->counters[NUM_SELECTED], job->row_capacity);
   const int num_tiles_x = job->numbers.num_tiles_x;
@@ -127,18 +127,9 @@ SPLATREE_KERNEL(256) list_pairs(const FrameJob* job) {
   }
 }
 
-SPLATREE_KERNEL(256) start_tiles(const FrameJob* job, int from_b) {
+SPLATREE_KERNEL(256, 1) start_tiles(const FrameJob* job, int from_b) {
   const long long tile = index_of_thread();
   if (tile > (long long)job->numbers.num_tiles_x * job->numbers.num_tiles_y) return;
   const Global<const unsigned> keys = from_b ? job->keys_b : job->keys_a;
-  // The first pair of this tile or a later one, by bisection.
-  long long low = 0, high = held(job->counters[NUM_PAIRS], job->pair_capacity);
-  while (low < high) {
-    const long long middle = (low + high) / 2;
-    if (keys[middle] < tile)
-      low = middle + 1;
-    else
-      high = middle;
-  }
-  job->tile_start[tile] = (unsigned)low;
+  job->tile_start[tile] = (unsigned)place_of_key(keys, held(job->counters[NUM_PAIRS], job->pair_capacity), tile);
 }

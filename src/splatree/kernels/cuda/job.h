@@ -92,6 +92,18 @@ struct FrameJob {
   Global<unsigned long long> counters;  // NUM_COUNTERS
   Global<unsigned> tickets;             // one a scan of the frame
   Global<unsigned long long> chains;    // chain_stride a scan of the frame
+  // Backward: derivatives by the picture, sums, derivatives by the rows of the splats.
+  Global<const float> by_image;      // h w 3
+  Global<const float> by_alpha;      // h w
+  Global<const float> by_depth;      // h w
+  Global<const float> pixel_errors;  // h w
+  Global<float> pair_sums;           // m NUM_SUMS
+  Global<float> splat_sums;          // v NUM_SUMS
+  Global<float> by_means;            // v 3
+  Global<float> by_quats;            // v 4
+  Global<float> by_log_scales;       // v 3
+  Global<float> by_logit_opacities;  // v
+  Global<float> by_sh;               // v k 3
   // Baselines.
   Global<const int> ancestor_table;  // n num_levels, root first, -1 behind the last
   Global<unsigned char> states;      // n

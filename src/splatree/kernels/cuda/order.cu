@@ -28,9 +28,15 @@ SPLATREE_FN long long count_of(const FrameJob* job, const Pass& pass) {
 
 SPLATREE_FN long long tiles_of(long long count) { return (count + SORT_TILE - 1) / SORT_TILE; }
 
-// The place of a lane's i-th key: a warp takes 512 keys in a row, so that its rounds are in their order.
-SPLATREE_FN long long place_of(int i) {
-  return (long long)blockIdx.x * SORT_TILE + warp_of() * (WARP * ITEMS) + i * WARP + lane_of();
+// The keys of a lane, every 32nd from a place on: a warp takes 512 keys in a row, so that its rounds are in their order.
+struct Part {
+  long long begin;
+  int left;  // places from there to the last key
+};
+
+SPLATREE_FN Part part_of_lane(long long count) {
+  const long long begin = (long long)blockIdx.x * SORT_TILE + warp_of() * (WARP * ITEMS) + lane_of();
+  return {begin, count - begin < SORT_TILE ? int(count - begin) : SORT_TILE};
 }
 
 }  // namespace
@@ -39,7 +45,7 @@ SPLATREE_FN long long place_of(int i) {
 using namespace splatree;
 
 // Depth keys of splats in the order of their rows; `by_id`: the ids, which are sorted first.
-SPLATREE_KERNEL(256) order_splats(const FrameJob* job, int by_id) {
+SPLATREE_KERNEL(256, 1) order_splats(const FrameJob* job, int by_id) {
   const long long i = index_of_thread();
   if (i >= held(job->counters[NUM_SELECTED], job->row_capacity)) return;
   job->keys_a[i] = by_id ? job->ids[job->rows[i]] : job->depth_keys[i];
@@ -47,7 +53,7 @@ SPLATREE_KERNEL(256) order_splats(const FrameJob* job, int by_id) {
 }
 
 // After the ids were sorted: the depths of the splats in the order of their ids.
-SPLATREE_KERNEL(256) order_by_depth(const FrameJob* job, int from_b) {
+SPLATREE_KERNEL(256, 1) order_by_depth(const FrameJob* job, int from_b) {
   const long long i = index_of_thread();
   if (i >= held(job->counters[NUM_SELECTED], job->row_capacity)) return;
   const unsigned splat = from_b ? job->values_b[i] : job->values_a[i];
@@ -57,7 +63,7 @@ SPLATREE_KERNEL(256) order_by_depth(const FrameJob* job, int from_b) {
     job->keys_a[i] = job->depth_keys[splat];
 }
 
-SPLATREE_KERNEL(256) count_digits(const FrameJob* job, int packed) {
+SPLATREE_KERNEL(256, 1) count_digits(const FrameJob* job, int packed) {
   SPLATREE_SHARED(unsigned, counts, DIGITS);
   const Pass pass = pass_of(packed);
   const long long count = count_of(job, pass), num_tiles = tiles_of(count);
@@ -65,22 +71,21 @@ SPLATREE_KERNEL(256) count_digits(const FrameJob* job, int packed) {
   const Global<const unsigned> keys = pass.from_b ? job->keys_b : job->keys_a;
   counts[threadIdx.x] = 0;
   __syncthreads();
-  for (int i = 0; i < ITEMS; ++i) {
-    const long long at = place_of(i);
-    if (at < count) atomicAdd(&counts[keys[at] >> pass.shift & (DIGITS - 1)], 1u);
-  }
+  const Part part = part_of_lane(count);
+  for (int i = 0; i < ITEMS; ++i)
+    if (i * WARP < part.left) atomicAdd(&counts[keys[part.begin + i * WARP] >> pass.shift & (DIGITS - 1)], 1u);
   __syncthreads();
   job->digits[threadIdx.x * num_tiles + blockIdx.x] = counts[threadIdx.x];
 }
 
-SPLATREE_KERNEL(256) scan_digits(const FrameJob* job, int packed) {
+SPLATREE_KERNEL(256, 4) scan_digits(const FrameJob* job, int packed) {
   const Pass pass = pass_of(packed);
   scan(
       job, pass.scan, DIGITS * tiles_of(count_of(job, pass)), -1, [&](long long i) { return job->digits[i]; },
       [&](long long i, unsigned first) { job->digits[i] = first; });
 }
 
-SPLATREE_KERNEL(256) move_digits(const FrameJob* job, int packed) {
+SPLATREE_KERNEL(256, 4) move_digits(const FrameJob* job, int packed) {
   SPLATREE_SHARED(unsigned, places, THREADS / WARP * DIGITS);  // of each warp and digit
   const Pass pass = pass_of(packed);
   const long long count = count_of(job, pass), num_tiles = tiles_of(count);
@@ -94,18 +99,17 @@ SPLATREE_KERNEL(256) move_digits(const FrameJob* job, int packed) {
   __syncwarp();
 
   // The rank of each key among those of its digit in the warp's part.
-  unsigned key[ITEMS], value[ITEMS], rank[ITEMS];
+  const Part part = part_of_lane(count);
+  unsigned short rank[ITEMS];
 #pragma unroll
   for (int i = 0; i < ITEMS; ++i) {
-    const long long at = place_of(i);
-    const bool there = at < count;
-    key[i] = there ? keys[at] : 0;
-    value[i] = there ? values[at] : 0;
-    const unsigned digit = key[i] >> pass.shift & (DIGITS - 1);
+    const bool there = i * WARP < part.left;
+    const unsigned key = there ? keys[part.begin + i * WARP] : 0;
+    const unsigned digit = key >> pass.shift & (DIGITS - 1);
     const unsigned peers = __match_any_sync(ALL_LANES, there ? digit : DIGITS);
     const unsigned earlier = there ? places[own + digit] : 0;
     __syncwarp();
-    rank[i] = earlier + __popc(peers & lanes_before());
+    rank[i] = (unsigned short)(earlier + __popc(peers & lanes_before()));
     if (there && !(peers & lanes_before())) places[own + digit] = earlier + __popc(peers);
     __syncwarp();
   }
@@ -121,9 +125,11 @@ SPLATREE_KERNEL(256) move_digits(const FrameJob* job, int packed) {
   __syncthreads();
 #pragma unroll
   for (int i = 0; i < ITEMS; ++i) {
-    if (place_of(i) >= count) continue;
-    const unsigned to = places[own + (key[i] >> pass.shift & (DIGITS - 1))] + rank[i];
-    to_keys[to] = key[i];
-    to_values[to] = value[i];
+    if (i * WARP >= part.left) continue;
+    // Read again, from the cache: 16 keys and values would take 32 registers meanwhile.
+    const unsigned key = keys[part.begin + i * WARP];
+    const unsigned to = places[own + (key >> pass.shift & (DIGITS - 1))] + rank[i];
+    to_keys[to] = key;
+    to_values[to] = values[part.begin + i * WARP];
   }
 }

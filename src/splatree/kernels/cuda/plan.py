@@ -9,7 +9,10 @@ from typing import Literal, NamedTuple
 
 from splatree.scene.view import Wanted
 
-__all__ = ["SCAN_CHUNK", "SORT_TILE", "Blend", "Launch", "Sizes", "bin_pairs", "blend", "order", "project", "select"]
+__all__ = [
+    *("SCAN_CHUNK", "SORT_TILE", "Blend", "Launch", "Sizes"),
+    *("bin_pairs", "blend", "blend_backward", "order", "project", "project_backward", "select"),
+]
 
 Blend = Literal["blend_16", "blend_8"]
 """The kernels that blend (blend.cu)."""
@@ -19,6 +22,8 @@ SORT_TILE = SCAN_CHUNK = 4096
 NOTHING = Wanted()
 """No output beside colour, alpha and depth."""
 DIGITS, DIGIT_BITS = 256, 8
+SPLATS_SUMMED = 16
+"""Splats of a thread block of `sum_splats` (blend_backward.cu)."""
 MAX_PASSES = 4
 FIRST_SPLAT_SCAN, PAIR_SCAN = 1, 1 + 2 * MAX_PASSES
 FIRST_PAIR_SCAN = PAIR_SCAN + 1
@@ -115,6 +120,22 @@ def blend(sizes: Sizes, kernel: Blend, wanted: Wanted = NOTHING) -> list[Launch]
         kept = "pixels" if not wanted.contributions else "both" if wanted.of_pixels else "pairs"
         blocks_per_tile, name = 1, f"{kept}_taper_16" if sizes.tapers else f"{kept}_16"
     return [Launch(name, sizes.num_tiles * blocks_per_tile, pair_side(sizes))]
+
+
+def blend_backward(sizes: Sizes) -> list[Launch]:
+    """The sums of each splat over its pixels; pairs are then sorted by splat, so their lists are gone."""
+    side, bits = pair_side(sizes), max(sizes.rows - 1, 0).bit_length()
+    return [
+        Launch("blend_backward", sizes.num_tiles, side),
+        Launch("key_by_splat", _over(sizes.pairs, 256), side),
+        *_passes(sizes.pairs, bits, FIRST_PAIR_SCAN, from_b=False, pairs=True),
+        Launch("sum_splats", _over(sizes.rows, SPLATS_SUMMED), _side_after(bits)),
+    ]
+
+
+def project_backward(sizes: Sizes) -> list[Launch]:
+    """Derivatives by the rows of the splats."""
+    return [Launch("project_backward", _over(sizes.rows, 128))]
 
 
 def pair_side(sizes: Sizes) -> int:

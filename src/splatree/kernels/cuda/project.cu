@@ -11,14 +11,6 @@ namespace {
 
 constexpr int MAX_COEFFICIENTS = 16;
 
-// Choices that are made before a function is compiled.
-struct Yes {
-  static constexpr bool value = true;
-};
-struct No {
-  static constexpr bool value = false;
-};
-
 // Σ Y_k(d) sh_k + ½, not below 0. Four coefficients of three channels are three vectors of four floats.
 template <int DEGREE>
 SPLATREE_FN Vector color_of(const FrameJob* job, const Point& p, long long row) {
@@ -51,7 +43,7 @@ SPLATREE_FN Vector color_of(const FrameJob* job, const Point& p, long long row) 
 
 using namespace splatree;
 
-SPLATREE_KERNEL(128) project(const FrameJob* job) {
+SPLATREE_KERNEL(128, 1) project(const FrameJob* job) {
   const long long i = index_of_thread();
   const bool asked = i < held(job->counters[NUM_SELECTED], job->row_capacity);
   bool visible = false;

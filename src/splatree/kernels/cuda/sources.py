@@ -11,7 +11,10 @@ from pathlib import Path
 __all__ = ["STAGES", "headers", "kernels_of", "source", "stage_of", "threads_of"]
 
 ROOT = Path(__file__).parent.parent
-STAGES = ("select", "project", "order", "bin", "blend", "baselines", "kmeans")
+STAGES = (
+    *("select", "project", "order", "bin", "blend", "baselines", "kmeans"),
+    *("blend_backward", "project_backward", "loss", "optimise"),
+)
 """Files of kernels; each is compiled on its own."""
 
 
@@ -32,7 +35,8 @@ def source(stage: str) -> str:
 def kernels_of(stage: str) -> dict[str, int]:
     """Kernels of a file, with the threads of a thread block."""
     return {
-        name: int(threads) for threads, name in re.findall(r"^SPLATREE_KERNEL\((\d+)\) (\w+)\(", source(stage), re.M)
+        name: int(threads)
+        for threads, name in re.findall(r"^SPLATREE_KERNEL\((\d+), \d\) (\w+)\(", source(stage), re.M)
     }
 
 

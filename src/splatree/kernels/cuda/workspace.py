@@ -177,10 +177,11 @@ class Workspace:
         """The counters; waits for the device."""
         return dict(zip(COUNTERS, self.arrays["counters"].numpy()[:, 0].tolist(), strict=False))
 
-    def set_count(self, name: str, value: int) -> None:
-        """Give a counter a value, for stages whose input comes from the host."""
+    def set_counts(self, **counts: int) -> None:
+        """Give counters their values and 0 to all others, for stages whose input comes from the host."""
         values = np.zeros((len(self.arrays["counters"]), 1), np.uint64)
-        values[COUNTERS.index(name)] = value
+        for name, count in counts.items():
+            values[COUNTERS.index(name)] = count
         self.arrays["counters"].fill(values)
 
 
