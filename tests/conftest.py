@@ -37,6 +37,7 @@ def emulator(compiled_emulator: Emulator) -> Iterator[Emulator]:
     """The emulator as each test finds it."""
     compiled_emulator.seed(1)
     yield compiled_emulator
+    compiled_emulator.interleave(1)
     compiled_emulator.limit_memory(1 << 30)
     compiled_emulator.forget_failure()
 

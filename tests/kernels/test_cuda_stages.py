@@ -17,6 +17,7 @@ from splatree.scene.view import Wanted
 
 from ..scenes import camera, gaussians
 from .conftest import SCENES, absurd
+from .simt_device import Emulator
 from .test_bin import pairs_of, splats_of
 from .test_blend import BACKGROUND, EVERYTHING, assert_outputs_are_those_of_the_reference, same_bits
 from .test_project import MODES, all_rows, aspect, assert_at_a_step, seen
@@ -88,6 +89,20 @@ def test_order_of_more_than_a_tile_of_the_sort(device: Device) -> None:
     splats = Stages(device).project(g, None, np.arange(9000, dtype=np.int32), seen(camera()))
     assert len(splats) > 8192
     np.testing.assert_array_equal(splats.order, np.lexsort((splats.rows, splats.depths)))
+
+
+def test_thread_blocks_that_take_turns_find_the_same_order_and_lists(emulator: Emulator) -> None:
+    """Sums over three chunks look back while the chunk before is at work, and see late what it has published."""
+    g = gaussians(11000, 3, log_scales=(-6, -3))
+    rows, found = np.arange(11000, dtype=np.int32), []
+    for seed, num_resident in ((1, 1), (2, 3), (3, 4)):
+        emulator.seed(seed)
+        emulator.interleave(num_resident)
+        splats = Stages(emulator).project(g, None, rows, seen(camera()))
+        bins = Stages(emulator).bin(splats, seen(camera()))
+        found.append((splats.order.tobytes(), bins.tile_start.tobytes(), bins.splat_from_pair.tobytes()))
+    assert len(splats) > 8192
+    assert found[0] == found[1] == found[2]
 
 
 def test_pairs_are_those_of_the_reference(view: tuple[st.Scene, st.Camera], device: Device) -> None:

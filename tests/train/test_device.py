@@ -66,8 +66,9 @@ def test_a_device_trains_the_scene_of_the_processor(photographs: Path, at_hand: 
 
 def test_schedule_changes_no_bit_of_a_step(emulator: Emulator) -> None:
     found = []
-    for seed in (1, 2):
+    for seed, num_resident in ((1, 1), (2, 3)):
         emulator.seed(seed)
+        emulator.interleave(num_resident)
         rows, _, losses = steps_on(Stages(emulator), "classic", 2)
         found.append((losses, [getattr(rows.gaussians, field.name).tobytes() for field in fields(st.Gaussians)]))
     assert found[0] == found[1]
