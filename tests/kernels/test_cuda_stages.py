@@ -82,13 +82,16 @@ def test_order_is_by_depth_and_then_by_id(device: Device) -> None:
         np.testing.assert_array_equal(splats.order, np.lexsort((tie, splats.depths)))
 
 
-def test_order_of_more_than_a_tile_of_the_sort(device: Device) -> None:
+@pytest.mark.parametrize("has_ids", [False, True])
+def test_order_of_more_than_a_tile_of_the_sort(has_ids: bool, device: Device) -> None:
     g = gaussians(9000, 3)
     g.log_scales[:] = -1
     g.means[4000:] = g.means[:5000]  # ties across tiles
-    splats = Stages(device).project(g, None, np.arange(9000, dtype=np.int32), seen(camera()))
+    ids = np.random.default_rng(1).permutation(9000).astype(np.uint32) if has_ids else None
+    splats = Stages(device).project(g, ids, np.arange(9000, dtype=np.int32), seen(camera()))
     assert len(splats) > 8192
-    np.testing.assert_array_equal(splats.order, np.lexsort((splats.rows, splats.depths)))
+    tie = splats.rows if ids is None else ids[splats.rows]
+    np.testing.assert_array_equal(splats.order, np.lexsort((tie, splats.depths)))
 
 
 def test_thread_blocks_that_take_turns_find_the_same_order_and_lists(emulator: Emulator) -> None:

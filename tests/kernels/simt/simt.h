@@ -261,6 +261,11 @@ inline unsigned long long read_published(simt::Pointer<unsigned long long> word)
   return simt::published_word(reinterpret_cast<const uint64_t*>(word.element));
 }
 
+inline float4 load_four(simt::Global<const float> column, long long at) {
+  if (at % 4) simt::fail("load_four: found place " + std::to_string(at) + ", wanted a multiple of four");
+  return {column[at], column[at + 1], column[at + 2], column[at + 3]};
+}
+
 namespace splatree {
 using simt::Global;
 }

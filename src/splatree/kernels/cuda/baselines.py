@@ -21,7 +21,7 @@ class Baselines:
         self.device = device
         self._work = Workspace(device, scene)
         n = max(scene.num_rows, 1)
-        self._sizes = Sizes(scene.num_blocks, n, 0, 1, 0, False, device.num_multiprocessors)
+        self._sizes = Sizes(scene.num_blocks, n, 0, 1, False, False, device.num_multiprocessors)
         self._work.fit(self._sizes)
         self._num_roots = int((tree.depth == 0).sum())
         rows, first_child, num_children = child_table(tree)

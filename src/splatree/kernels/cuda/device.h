@@ -32,6 +32,9 @@ static __device__ __forceinline__ void publish(unsigned long long* word, unsigne
 static __device__ __forceinline__ unsigned long long read_published(const unsigned long long* word) {
   return *(const volatile unsigned long long*)word;
 }
+
+// Four numbers at once; their place is a multiple of four.
+static __device__ __forceinline__ float4 load_four(const float* column, long long at) { return *(const float4*)(column + at); }
 #endif
 
 #include "cuda/job.h"
@@ -40,6 +43,7 @@ namespace splatree {
 namespace {
 
 constexpr unsigned ALL_LANES = 0xffffffffu;
+constexpr unsigned NOT_VISIBLE = 0xffffffffu;  // in the place of a depth, behind all others
 constexpr int WARP = 32;
 
 // Choices that are made before a function is compiled.

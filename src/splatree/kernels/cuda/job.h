@@ -70,10 +70,8 @@ struct FrameJob {
   // Splats: a record of 16 floats each, the order, and the two sides of the sort.
   Global<float4> records;       // v 4
   Global<unsigned> depth_keys;  // v; all ones: not visible
-  Global<unsigned> num_tiles;   // v
   Global<float> floors;         // v, opacity at which each is tapered off
   Global<unsigned> order;       // v: splats from the nearest to the farthest
-  Global<unsigned> first_pair;  // v, in depth order
   Global<unsigned> keys_a;      // max(v, m)
   Global<unsigned> keys_b;
   Global<unsigned> values_a;

@@ -19,13 +19,15 @@ Blend = Literal["blend_16", "blend_8"]
 
 SORT_TILE = SCAN_CHUNK = 4096
 """Keys of a tile of the sort, values of a chunk of a scan (order.cu, scan.h)."""
+SCAN_THREADS = 256
+"""Threads of a thread block of a scan; `list_pairs` takes a splat each."""
 NOTHING = Wanted()
 """No output beside colour, alpha and depth."""
-DIGITS, DIGIT_BITS = 256, 8
+DIGITS, DIGIT_BITS, DEPTH_BITS = 256, 8, 32
 SPLATS_SUMMED = 16
 """Splats of a thread block of `sum_splats` (blend_backward.cu)."""
 MAX_PASSES = 4
-FIRST_SPLAT_SCAN, PAIR_SCAN = 1, 1 + 2 * MAX_PASSES
+FIRST_SPLAT_SCAN, PAIR_SCAN = 1, 1 + MAX_PASSES
 FIRST_PAIR_SCAN = PAIR_SCAN + 1
 NUM_SCANS = FIRST_PAIR_SCAN + MAX_PASSES
 """Places of a frame's scans: that of the selection is 0."""
@@ -54,8 +56,8 @@ class Sizes:
     """Pairs of splat and tile."""
     num_tiles: int
     """Tiles of the image."""
-    id_bits: int
-    """Bits of the largest id; 0 where rows are their own ids."""
+    has_ids: bool
+    """Whether rows have ids; else they are their own."""
     tapers: bool
     """Whether splats are tapered off."""
     num_multiprocessors: int
@@ -64,10 +66,8 @@ class Sizes:
     @property
     def chain_stride(self) -> int:
         """Chunks of the longest scan."""
-        longest = max(
-            self.num_blocks, self.rows, DIGITS * _over(self.rows, SORT_TILE), DIGITS * _over(self.pairs, SORT_TILE)
-        )
-        return _over(longest, SCAN_CHUNK)
+        longest = max(self.num_blocks, DIGITS * _over(self.rows, SORT_TILE), DIGITS * _over(self.pairs, SORT_TILE))
+        return max(_over(longest, SCAN_CHUNK), _over(self.rows, SCAN_THREADS))
 
 
 def select(sizes: Sizes) -> list[Launch]:
@@ -87,27 +87,21 @@ def project(sizes: Sizes) -> list[Launch]:
 
 
 def order(sizes: Sizes) -> list[Launch]:
-    """Splats by depth, equal depths by id: sorted by id first where ids are not the rows."""
+    """Splats by depth, equal depths by id."""
     threads = _over(sizes.rows, 256)
-    launches = [Launch("order_splats", threads, int(sizes.id_bits > 0))]
-    by_id = _passes(sizes.rows, sizes.id_bits, FIRST_SPLAT_SCAN, from_b=False, pairs=False)
-    side = _side_after(sizes.id_bits)
-    if sizes.id_bits:
-        launches += [*by_id, Launch("order_by_depth", threads, side)]
-    scan = FIRST_SPLAT_SCAN + _over(sizes.id_bits, DIGIT_BITS)
-    launches += _passes(sizes.rows, 32, scan, from_b=bool(side), pairs=False)
-    return [*launches, Launch("keep_order", threads, (side + _side_after(32)) % 2)]
+    assert not _side_after(DEPTH_BITS), "keep_order reads side a"
+    return [
+        Launch("order_splats", threads),
+        *_passes(sizes.rows, DEPTH_BITS, FIRST_SPLAT_SCAN, pairs=False),
+        Launch("keep_order", threads, int(sizes.has_ids)),
+    ]
 
 
 def bin_pairs(sizes: Sizes) -> list[Launch]:
     """The lists of the tiles."""
-    threads = _over(sizes.rows, 256)
-    bits = _tile_bits(sizes)
     return [
-        Launch("count_tiles", threads, int(sizes.tapers)),
-        Launch("scan_pairs", _over(sizes.rows, SCAN_CHUNK), PAIR_SCAN),
-        Launch("list_pairs", threads),
-        *_passes(sizes.pairs, bits, FIRST_PAIR_SCAN, from_b=False, pairs=True),
+        Launch("list_pairs", _over(sizes.rows, SCAN_THREADS), sizes.tapers | PAIR_SCAN << 1),
+        *_passes(sizes.pairs, _tile_bits(sizes), FIRST_PAIR_SCAN, pairs=True),
         Launch("start_tiles", _over(sizes.num_tiles + 1, 256), pair_side(sizes)),
     ]
 
@@ -128,7 +122,7 @@ def blend_backward(sizes: Sizes) -> list[Launch]:
     return [
         Launch("blend_backward", sizes.num_tiles, side),
         Launch("key_by_splat", _over(sizes.pairs, 256), side),
-        *_passes(sizes.pairs, bits, FIRST_PAIR_SCAN, from_b=False, pairs=True),
+        *_passes(sizes.pairs, bits, FIRST_PAIR_SCAN, pairs=True),
         Launch("sum_splats", _over(sizes.rows, SPLATS_SUMMED), _side_after(bits)),
     ]
 
@@ -147,12 +141,12 @@ def _tile_bits(sizes: Sizes) -> int:
     return (sizes.num_tiles - 1).bit_length()
 
 
-def _passes(capacity: int, num_bits: int, first_scan: int, *, from_b: bool, pairs: bool) -> list[Launch]:
-    """A sort by the lowest bits of the keys."""
+def _passes(capacity: int, num_bits: int, first_scan: int, *, pairs: bool) -> list[Launch]:
+    """A sort by the lowest bits of the keys, which begins on side a."""
     tiles = _over(capacity, SORT_TILE)
     launches = []
     for i in range(_over(num_bits, DIGIT_BITS)):
-        side = (from_b + i) % 2
+        side = i % 2
         # A launch has one number beside the job, and these kernels need four. The number is packed here and unpacked by `pass_of`
         # in order.cu, because a frame's launches are recorded once and replayed, so the job cannot change between them.
         packed = DIGIT_BITS * i | pairs << 5 | side << 6 | (first_scan + i) << 7

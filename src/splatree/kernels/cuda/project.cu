@@ -11,17 +11,30 @@ namespace {
 
 constexpr int MAX_COEFFICIENTS = 16;
 
-// Σ Y_k(d) sh_k + ½, not below 0. Four coefficients of three channels are three vectors of four floats.
+// Σ Y_k(d) sh_k + ½, not below 0. Four coefficients of three channels are read as three vectors of four floats, where rows begin
+// at a multiple of 16 bytes: with the harmonics of degree 1 and 3.
 template <int DEGREE>
 SPLATREE_FN Vector color_of(const FrameJob* job, const Point& p, long long row) {
+  constexpr int COUNT = (DEGREE + 1) * (DEGREE + 1);
   const float inverse = 1.f / __builtin_sqrtf(p.dx * p.dx + p.dy * p.dy + p.dz * p.dz);
   float basis[MAX_COEFFICIENTS];
   harmonics_of(p.dx * inverse, p.dy * inverse, p.dz * inverse, DEGREE, basis, 1);
   const long long first = row * job->num_coefficients * 3;
+  const bool in_fours = job->num_coefficients % 4 == 0;
   float color[3] = {0.5f, 0.5f, 0.5f};
 #pragma unroll
-  for (int k = 0; k < (DEGREE + 1) * (DEGREE + 1); ++k)
-    for (int c = 0; c < 3; ++c) color[c] += basis[k] * job->sh[first + 3 * k + c];
+  for (int k = 0; k < COUNT; k += 4) {
+    const int count = COUNT - k < 4 ? COUNT - k : 4;
+    float sh[12];
+    if (in_fours && count == 4)
+      for (int i = 0; i < 12; i += 4) {
+        const float4 four = load_four(job->sh, first + 3 * k + i);
+        sh[i] = four.x, sh[i + 1] = four.y, sh[i + 2] = four.z, sh[i + 3] = four.w;
+      }
+    else
+      for (int i = 0; i < 3 * count; ++i) sh[i] = job->sh[first + 3 * k + i];
+    for (int i = 0; i < 3 * count; ++i) color[i % 3] += basis[k + i / 3] * sh[i];
+  }
   return {greatest(color[0], 0.f), greatest(color[1], 0.f), greatest(color[2], 0.f)};
 }
 
@@ -43,7 +56,7 @@ SPLATREE_FN Vector color_of(const FrameJob* job, const Point& p, long long row) 
 
 using namespace splatree;
 
-SPLATREE_KERNEL(128, 1) project(const FrameJob* job) {
+SPLATREE_KERNEL(128, 6) project(const FrameJob* job) {
   const long long i = index_of_thread();
   const bool asked = i < held(job->counters[NUM_SELECTED], job->row_capacity);
   bool visible = false;
@@ -73,7 +86,7 @@ SPLATREE_KERNEL(128, 1) project(const FrameJob* job) {
                                        : shape(No{}, No{});
     visible = s.visible;
     // Depths of what is visible are positive: their bits order as they do.
-    job->depth_keys[i] = visible ? (unsigned)bits_of(p.z) : ~0u;
+    job->depth_keys[i] = visible ? (unsigned)bits_of(p.z) : NOT_VISIBLE;
     if (visible) {
       const Vector color = color_of(job, p, row);
       job->records[4 * i] = make_float4(image.x, image.y, s.a, s.b);

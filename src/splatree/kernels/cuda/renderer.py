@@ -244,7 +244,7 @@ class Renderer:
             rows=self._rows,
             pairs=self._pairs,
             num_tiles=num_x * num_y,
-            id_bits=self.scene.id_bits,
+            has_ids=self.scene.has_ids,
             tapers=view.tapers,
             num_multiprocessors=self.device.num_multiprocessors,
         )

@@ -211,8 +211,8 @@ class Stages:
         """A workspace whose input is as if so many rows had been selected, and so many pairs been listed if they are given."""
         num_x, num_y = tiles_of(view.camera)
         work = Workspace(self._device, scene)
-        id_bits = scene.id_bits if scene else 0
-        work.fit(Sizes(0, num_rows, pairs, num_x * num_y, id_bits, view.tapers, self._device.num_multiprocessors))
+        has_ids = scene is not None and scene.has_ids
+        work.fit(Sizes(0, num_rows, pairs, num_x * num_y, has_ids, view.tapers, self._device.num_multiprocessors))
         work.clear()
         work.set_counts(num_selected=num_rows, num_pairs=pairs if given_pairs else 0)
         self._write(work, view, degree=degree, whole_box=whole_box)

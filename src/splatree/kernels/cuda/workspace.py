@@ -1,6 +1,6 @@
 """The memory of a frame on a device, and the job that tells kernels where it lies.
 
-Arrays only grow. What a frame needs at once: 64 + 36 bytes a row, 24 a pair (pairs and rows share the sides of the sort),
+Arrays only grow. What a frame needs at once: 64 + 28 bytes a row, 24 a pair (pairs and rows share the sides of the sort),
 16 a pixel with 20 for the picture itself.
 """
 
@@ -42,7 +42,7 @@ class DeviceScene:
         """
         self.num_rows, self.sh_degree = len(gaussians), gaussians.sh_degree
         self.num_blocks = len(blocks) if blocks else 0
-        self.id_bits = int(ids.max(initial=0)).bit_length() if ids is not None else 0
+        self.has_ids = ids is not None
         columns: dict[str, Array | None] = {
             name: getattr(gaussians, name) for name in GAUSSIAN_COLUMNS if name not in on_device
         }
@@ -107,7 +107,7 @@ class Workspace:
             "first_kept": sizes.num_blocks,
             "rows": sizes.rows,
             "records": 4 * sizes.rows,
-            **dict.fromkeys(("depth_keys", "num_tiles", "first_pair", "order"), sizes.rows),
+            **dict.fromkeys(("depth_keys", "order"), sizes.rows),
             **dict.fromkeys(("keys_a", "keys_b", "values_a", "values_b"), both),
             "digits": DIGITS * -(-both // SORT_TILE),
             "floors": sizes.rows if sizes.tapers else 0,
