@@ -136,6 +136,16 @@ def test_splats_over_many_tiles_are_listed_in_depth_order(device: Device) -> Non
     np.testing.assert_array_equal(bins.splat_from_pair, wanted.splat_from_pair)
 
 
+def test_more_tiles_than_16_bits_number_are_listed_alike(device: Device) -> None:
+    # 4112 × 4112 px are 257 × 257 tiles: keys of 32 bits, in three passes.
+    scene, seen_by = st.Scene.flat(gaussians(30, 3, log_scales=(-6, -3))), camera(4112, 4112)
+    splats = splats_of(scene, seen_by)
+    wanted, bins = cpu.bin.bin(splats, seen(seen_by)), Stages(device).bin(splats, seen(seen_by))
+    assert wanted.num_tiles_x * wanted.num_tiles_y > 1 << 16
+    np.testing.assert_array_equal(bins.tile_start, wanted.tile_start)
+    np.testing.assert_array_equal(bins.splat_from_pair, wanted.splat_from_pair)
+
+
 @pytest.mark.parametrize("kernel", KERNELS)
 def test_picture_of_the_same_lists_is_that_of_the_reference(
     view: tuple[st.Scene, st.Camera], device: Device, kernel: Blend

@@ -47,9 +47,12 @@ SPLATREE_FN Tiles columns_of(const FrameJob* job, const Cover& cover, int row) {
   return tiles_in(reach_of(cover.ellipse, strip.low, strip.high), (float)job->numbers.width);
 }
 
-SPLATREE_FN void store_pair(const FrameJob* job, long long at, int tile, unsigned splat) {
+SPLATREE_FN void store_pair(const FrameJob* job, long long at, int tile, unsigned splat, bool in_16_bits) {
   if (at >= job->pair_capacity) return;
-  job->keys_a[at] = (unsigned)tile;
+  if (in_16_bits)
+    job->tile_keys_a[at] = (unsigned short)tile;
+  else
+    job->keys_a[at] = (unsigned)tile;
   job->values_a[at] = splat;
 }
 
@@ -58,15 +61,18 @@ SPLATREE_FN void store_pair(const FrameJob* job, long long at, int tile, unsigne
 
 using namespace splatree;
 
-// `tapers`: also the opacity at which each splat is tapered off.
+// Packed: whether also the opacity is asked for at which each splat is tapered off; whether tiles are numbers of 16 bits; the
+// scan.
 SPLATREE_KERNEL(256, 4) list_pairs(const FrameJob* job, int packed) {
-  const int which = packed >> 1, tapers = packed & 1;
+  const int which = packed >> 2;
+  const bool tapers = packed & 1, in_16_bits = packed >> 1 & 1;
   const long long num_splats = held(job->counters[NUM_SELECTED], job->row_capacity);
   const long long chunk = take_chunk(job, which), i = chunk * SCAN_THREADS + threadIdx.x;
   if (chunk * SCAN_THREADS >= num_splats) return;
   const FrameNumbers& n = job->numbers;
   const unsigned splat = i < num_splats ? job->order[i] : 0;
   Cover cover = {};
+  Tiles last = {0, 0};  // of the last row: for most splats there is no other
   unsigned count = 0;
   if (i < num_splats && job->depth_keys[splat] != NOT_VISIBLE) {
     cover = load_cover(job, splat);
@@ -74,6 +80,7 @@ SPLATREE_KERNEL(256, 4) list_pairs(const FrameJob* job, int packed) {
     for (int row = cover.rows.first; row < cover.rows.end; ++row) {
       const Tiles columns = columns_of(job, cover, row);
       count += columns.end - columns.first;
+      last = columns;
       if (tapers) {
         const float beside = nearest_beside(cover.ellipse, columns, strip_of(row, (float)n.height), n.num_tiles_x);
         nearest = least(beside, nearest);
@@ -92,8 +99,9 @@ SPLATREE_KERNEL(256, 4) list_pairs(const FrameJob* job, int packed) {
   if (count && count <= FEW_TILES) {
     long long at = first;
     for (int row = cover.rows.first; row < cover.rows.end; ++row) {
-      const Tiles columns = columns_of(job, cover, row);
-      for (int column = columns.first; column < columns.end; ++column) store_pair(job, at++, row * n.num_tiles_x + column, splat);
+      const Tiles columns = row + 1 == cover.rows.end ? last : columns_of(job, cover, row);
+      for (int column = columns.first; column < columns.end; ++column)
+        store_pair(job, at++, row * n.num_tiles_x + column, splat, in_16_bits);
     }
   }
   // The others one after the other: all lanes go along its rows together.
@@ -105,15 +113,18 @@ SPLATREE_KERNEL(256, 4) list_pairs(const FrameJob* job, int packed) {
     for (int row = wide.rows.first; row < wide.rows.end; ++row) {
       const Tiles columns = columns_of(job, wide, row);
       for (int column = columns.first + lane_of(); column < columns.end; column += WARP)
-        store_pair(job, at + column - columns.first, row * n.num_tiles_x + column, theirs);
+        store_pair(job, at + column - columns.first, row * n.num_tiles_x + column, theirs, in_16_bits);
       at += columns.end - columns.first;
     }
   }
 }
 
-SPLATREE_KERNEL(256, 1) start_tiles(const FrameJob* job, int from_b) {
-  const long long tile = index_of_thread();
+// Packed: the side on which the sort of the pairs ended; whether tiles are numbers of 16 bits.
+SPLATREE_KERNEL(256, 1) start_tiles(const FrameJob* job, int packed) {
+  const long long tile = index_of_thread(), count = held(job->counters[NUM_PAIRS], job->pair_capacity);
   if (tile > (long long)job->numbers.num_tiles_x * job->numbers.num_tiles_y) return;
-  const Global<const unsigned> keys = from_b ? job->keys_b : job->keys_a;
-  job->tile_start[tile] = (unsigned)place_of_key(keys, held(job->counters[NUM_PAIRS], job->pair_capacity), tile);
+  const bool from_b = packed & 1, in_16_bits = packed >> 1;
+  const long long place = in_16_bits ? place_of_key(from_b ? job->tile_keys_b : job->tile_keys_a, count, tile)
+                                     : place_of_key(from_b ? job->keys_b : job->keys_a, count, tile);
+  job->tile_start[tile] = (unsigned)place;
 }

@@ -138,7 +138,7 @@ SPLATREE_KERNEL(256, 1) key_by_splat(const FrameJob* job, int from_b) {
 SPLATREE_KERNEL(256, 1) sum_splats(const FrameJob* job, int from_b) {
   const long long splat = index_of_thread() / SUM_THREADS, k = index_of_thread() % SUM_THREADS;
   if (splat >= held(job->counters[NUM_SELECTED], job->row_capacity) || k >= NUM_SUMS) return;
-  const Global<const unsigned> keys = from_b ? job->keys_b : job->keys_a, pairs = from_b ? job->values_b : job->values_a;
+  const Global<unsigned> keys = from_b ? job->keys_b : job->keys_a, pairs = from_b ? job->values_b : job->values_a;
   const long long count = held(job->counters[NUM_PAIRS], job->pair_capacity);
   float sum = 0.f;
   for (long long at = place_of_key(keys, count, splat); at < count && keys[at] == splat; ++at)

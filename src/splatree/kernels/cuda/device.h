@@ -120,7 +120,8 @@ SPLATREE_FN float sums_of_warp(float (&values)[16]) {
 }
 
 // The place of the first key that is not below `key`, among sorted ones.
-SPLATREE_FN long long place_of_key(Global<const unsigned> keys, long long count, long long key) {
+template <class Key>
+SPLATREE_FN long long place_of_key(Global<Key> keys, long long count, long long key) {
   long long low = 0, high = count;
   while (low < high) {
     const long long middle = (low + high) / 2;

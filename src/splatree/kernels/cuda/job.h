@@ -72,9 +72,11 @@ struct FrameJob {
   Global<unsigned> depth_keys;  // v; all ones: not visible
   Global<float> floors;         // v, opacity at which each is tapered off
   Global<unsigned> order;       // v: splats from the nearest to the farthest
-  Global<unsigned> keys_a;      // max(v, m)
+  Global<unsigned> keys_a;      // v; max(v, m) where tiles need more than 16 bits
   Global<unsigned> keys_b;
-  Global<unsigned> values_a;
+  Global<unsigned short> tile_keys_a;  // m, where tiles need no more than 16 bits
+  Global<unsigned short> tile_keys_b;
+  Global<unsigned> values_a;  // max(v, m)
   Global<unsigned> values_b;
   Global<unsigned> digits;      // 256 a tile of the sort
   Global<unsigned> tile_start;  // t + 1

@@ -5,10 +5,11 @@
 // count_digits                256 threads a tile of 4096 keys: how many there are of each digit
 // scan_digits                 where each tile's keys of each digit go: digit by digit, and tile by tile in a digit
 // move_digits                 256 threads a tile: the keys go there; equal digits keep their order, by the ranks below
+// count_digits_16, move_digits_16   the same for keys of 16 bits: tiles of a picture that has no more than 65,536
 // keep_order                  a thread a splat: the order, kept before pairs are sorted; equal depths by id
 //
 // Equal depths are rare, so ids are not sorted: a splat counts the smaller ids among those of its depth. That costs the square of
-// a run of equal depths, 10 ms or so for 100,000 splats in one plane that is seen along its normal.
+// a run of equal depths: 10¹⁰ comparisons for 100,000 splats in one plane that is seen along its normal.
 #include "cuda/scan.h"
 
 namespace splatree {
@@ -16,7 +17,7 @@ namespace {
 
 constexpr int THREADS = 256, ITEMS = 16, SORT_TILE = THREADS * ITEMS, DIGITS = 256;
 
-// A pass of a sort; packed by kernels/cuda/frame.py.
+// A pass of a sort; packed by kernels/cuda/plan.py.
 struct Pass {
   int shift;    // of the digit
   int scan;     // number of the scan in the frame
@@ -32,6 +33,17 @@ SPLATREE_FN long long count_of(const FrameJob* job, const Pass& pass) {
 
 SPLATREE_FN long long tiles_of(long long count) { return (count + SORT_TILE - 1) / SORT_TILE; }
 
+// The two sides of the keys.
+template <class Key>
+struct Sides {
+  Global<Key> from, to;
+};
+
+template <class Key>
+SPLATREE_FN Sides<Key> sides_of(const Pass& pass, Global<Key> a, Global<Key> b) {
+  return pass.from_b ? Sides<Key>{b, a} : Sides<Key>{a, b};
+}
+
 // The keys of a lane, every 32nd from a place on: a warp takes 512 keys in a row, so that its rounds are in their order.
 struct Part {
   long long begin;
@@ -43,49 +55,26 @@ SPLATREE_FN Part part_of_lane(long long count) {
   return {begin, count - begin < SORT_TILE ? int(count - begin) : SORT_TILE};
 }
 
-}  // namespace
-}  // namespace splatree
-
-using namespace splatree;
-
-SPLATREE_KERNEL(256, 1) order_splats(const FrameJob* job) {
-  const long long i = index_of_thread();
-  if (i >= held(job->counters[NUM_SELECTED], job->row_capacity)) return;
-  job->keys_a[i] = job->depth_keys[i];
-  job->values_a[i] = (unsigned)i;
-}
-
-SPLATREE_KERNEL(256, 1) count_digits(const FrameJob* job, int packed) {
+template <class Key>
+SPLATREE_FN void count_digits(const FrameJob* job, const Pass& pass, const Sides<Key>& keys) {
   SPLATREE_SHARED(unsigned, counts, DIGITS);
-  const Pass pass = pass_of(packed);
   const long long count = count_of(job, pass), num_tiles = tiles_of(count);
   if (blockIdx.x >= num_tiles) return;
-  const Global<const unsigned> keys = pass.from_b ? job->keys_b : job->keys_a;
   counts[threadIdx.x] = 0;
   __syncthreads();
   const Part part = part_of_lane(count);
   for (int i = 0; i < ITEMS; ++i)
-    if (i * WARP < part.left) atomicAdd(&counts[keys[part.begin + i * WARP] >> pass.shift & (DIGITS - 1)], 1u);
+    if (i * WARP < part.left) atomicAdd(&counts[keys.from[part.begin + i * WARP] >> pass.shift & (DIGITS - 1)], 1u);
   __syncthreads();
   job->digits[threadIdx.x * num_tiles + blockIdx.x] = counts[threadIdx.x];
 }
 
-SPLATREE_KERNEL(256, 4) scan_digits(const FrameJob* job, int packed) {
-  const Pass pass = pass_of(packed);
-  scan(
-      job, pass.scan, DIGITS * tiles_of(count_of(job, pass)), -1, [&](long long i) { return job->digits[i]; },
-      [&](long long i, unsigned first) { job->digits[i] = first; });
-}
-
-SPLATREE_KERNEL(256, 4) move_digits(const FrameJob* job, int packed) {
+template <class Key>
+SPLATREE_FN void move_digits(const FrameJob* job, const Pass& pass, const Sides<Key>& keys) {
   SPLATREE_SHARED(unsigned, places, THREADS / WARP * DIGITS);  // of each warp and digit
-  const Pass pass = pass_of(packed);
   const long long count = count_of(job, pass), num_tiles = tiles_of(count);
   if (blockIdx.x >= num_tiles) return;
-  const Global<const unsigned> keys = pass.from_b ? job->keys_b : job->keys_a;
-  const Global<const unsigned> values = pass.from_b ? job->values_b : job->values_a;
-  const Global<unsigned> to_keys = pass.from_b ? job->keys_a : job->keys_b;
-  const Global<unsigned> to_values = pass.from_b ? job->values_a : job->values_b;
+  const Sides<unsigned> values = sides_of(pass, job->values_a, job->values_b);
   const int own = warp_of() * DIGITS;
   for (int digit = lane_of(); digit < DIGITS; digit += WARP) places[own + digit] = 0;
   __syncwarp();
@@ -96,7 +85,7 @@ SPLATREE_KERNEL(256, 4) move_digits(const FrameJob* job, int packed) {
 #pragma unroll
   for (int i = 0; i < ITEMS; ++i) {
     const bool there = i * WARP < part.left;
-    const unsigned key = there ? keys[part.begin + i * WARP] : 0;
+    const unsigned key = there ? keys.from[part.begin + i * WARP] : 0;
     const unsigned digit = key >> pass.shift & (DIGITS - 1);
     const unsigned peers = __match_any_sync(ALL_LANES, there ? digit : DIGITS);
     const unsigned earlier = there ? places[own + digit] : 0;
@@ -119,11 +108,50 @@ SPLATREE_KERNEL(256, 4) move_digits(const FrameJob* job, int packed) {
   for (int i = 0; i < ITEMS; ++i) {
     if (i * WARP >= part.left) continue;
     // Read again, from the cache: 16 keys and values would take 32 registers meanwhile.
-    const unsigned key = keys[part.begin + i * WARP];
+    const unsigned key = keys.from[part.begin + i * WARP];
     const unsigned to = places[own + (key >> pass.shift & (DIGITS - 1))] + rank[i];
-    to_keys[to] = key;
-    to_values[to] = values[part.begin + i * WARP];
+    keys.to[to] = Key(key);
+    values.to[to] = values.from[part.begin + i * WARP];
   }
+}
+
+}  // namespace
+}  // namespace splatree
+
+using namespace splatree;
+
+SPLATREE_KERNEL(256, 1) order_splats(const FrameJob* job) {
+  const long long i = index_of_thread();
+  if (i >= held(job->counters[NUM_SELECTED], job->row_capacity)) return;
+  job->keys_a[i] = job->depth_keys[i];
+  job->values_a[i] = (unsigned)i;
+}
+
+SPLATREE_KERNEL(256, 1) count_digits(const FrameJob* job, int packed) {
+  const Pass pass = pass_of(packed);
+  count_digits(job, pass, sides_of(pass, job->keys_a, job->keys_b));
+}
+
+SPLATREE_KERNEL(256, 1) count_digits_16(const FrameJob* job, int packed) {
+  const Pass pass = pass_of(packed);
+  count_digits(job, pass, sides_of(pass, job->tile_keys_a, job->tile_keys_b));
+}
+
+SPLATREE_KERNEL(256, 4) scan_digits(const FrameJob* job, int packed) {
+  const Pass pass = pass_of(packed);
+  scan(
+      job, pass.scan, DIGITS * tiles_of(count_of(job, pass)), -1, [&](long long i) { return job->digits[i]; },
+      [&](long long i, unsigned first) { job->digits[i] = first; });
+}
+
+SPLATREE_KERNEL(256, 4) move_digits(const FrameJob* job, int packed) {
+  const Pass pass = pass_of(packed);
+  move_digits(job, pass, sides_of(pass, job->keys_a, job->keys_b));
+}
+
+SPLATREE_KERNEL(256, 4) move_digits_16(const FrameJob* job, int packed) {
+  const Pass pass = pass_of(packed);
+  move_digits(job, pass, sides_of(pass, job->tile_keys_a, job->tile_keys_b));
 }
 
 // `by_id`: rows have ids; else the sort has left equal depths in the order of their rows.

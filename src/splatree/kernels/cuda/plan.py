@@ -64,6 +64,11 @@ class Sizes:
     """Of the device."""
 
     @property
+    def has_short_keys(self) -> bool:
+        """Whether the number of a tile has no more than 16 bits."""
+        return self.num_tiles <= 1 << 16
+
+    @property
     def chain_stride(self) -> int:
         """Chunks of the longest scan."""
         longest = max(self.num_blocks, DIGITS * _over(self.rows, SORT_TILE), DIGITS * _over(self.pairs, SORT_TILE))
@@ -99,10 +104,11 @@ def order(sizes: Sizes) -> list[Launch]:
 
 def bin_pairs(sizes: Sizes) -> list[Launch]:
     """The lists of the tiles."""
+    short = sizes.has_short_keys
     return [
-        Launch("list_pairs", _over(sizes.rows, SCAN_THREADS), sizes.tapers | PAIR_SCAN << 1),
-        *_passes(sizes.pairs, _tile_bits(sizes), FIRST_PAIR_SCAN, pairs=True),
-        Launch("start_tiles", _over(sizes.num_tiles + 1, 256), pair_side(sizes)),
+        Launch("list_pairs", _over(sizes.rows, SCAN_THREADS), sizes.tapers | short << 1 | PAIR_SCAN << 2),
+        *_passes(sizes.pairs, _tile_bits(sizes), FIRST_PAIR_SCAN, pairs=True, short=short),
+        Launch("start_tiles", _over(sizes.num_tiles + 1, 256), pair_side(sizes) | short << 1),
     ]
 
 
@@ -141,9 +147,9 @@ def _tile_bits(sizes: Sizes) -> int:
     return (sizes.num_tiles - 1).bit_length()
 
 
-def _passes(capacity: int, num_bits: int, first_scan: int, *, pairs: bool) -> list[Launch]:
+def _passes(capacity: int, num_bits: int, first_scan: int, *, pairs: bool, short: bool = False) -> list[Launch]:
     """A sort by the lowest bits of the keys, which begins on side a."""
-    tiles = _over(capacity, SORT_TILE)
+    tiles, bits = _over(capacity, SORT_TILE), "_16" if short else ""
     launches = []
     for i in range(_over(num_bits, DIGIT_BITS)):
         side = i % 2
@@ -151,9 +157,9 @@ def _passes(capacity: int, num_bits: int, first_scan: int, *, pairs: bool) -> li
         # in order.cu, because a frame's launches are recorded once and replayed, so the job cannot change between them.
         packed = DIGIT_BITS * i | pairs << 5 | side << 6 | (first_scan + i) << 7
         launches += [
-            Launch("count_digits", tiles, packed),
+            Launch(f"count_digits{bits}", tiles, packed),
             Launch("scan_digits", _over(DIGITS * tiles, SCAN_CHUNK), packed),
-            Launch("move_digits", tiles, packed),
+            Launch(f"move_digits{bits}", tiles, packed),
         ]
     return launches
 

@@ -149,6 +149,8 @@ class Stages:
                 work.ensure(name, camera.width * camera.height).clear()
             else:
                 work.fill(name, values.reshape(-1, 1))
+        for name in ("keys_a", "keys_b"):  # pairs are sorted by splat
+            work.ensure(name, pairs)
         work.ensure("pair_sums", NUM_SUMS * pairs)
         work.ensure("splat_sums", NUM_SUMS * len(splats))
         self._write(work, view)

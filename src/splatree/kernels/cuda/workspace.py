@@ -1,7 +1,7 @@
 """The memory of a frame on a device, and the job that tells kernels where it lies.
 
-Arrays only grow. What a frame needs at once: 64 + 28 bytes a row, 24 a pair (pairs and rows share the sides of the sort),
-16 a pixel with 20 for the picture itself.
+Arrays only grow. What a frame needs at once: 64 + 28 bytes a row, 12 a pair (16 in pictures of more than 65,536
+tiles; pairs and rows share the sides of the sort), 16 a pixel with 20 for the picture itself.
 """
 
 from collections.abc import Mapping, Sequence
@@ -108,7 +108,9 @@ class Workspace:
             "rows": sizes.rows,
             "records": 4 * sizes.rows,
             **dict.fromkeys(("depth_keys", "order"), sizes.rows),
-            **dict.fromkeys(("keys_a", "keys_b", "values_a", "values_b"), both),
+            **dict.fromkeys(("values_a", "values_b"), both),
+            **dict.fromkeys(("keys_a", "keys_b"), sizes.rows if sizes.has_short_keys else both),
+            **dict.fromkeys(("tile_keys_a", "tile_keys_b"), sizes.pairs if sizes.has_short_keys else 0),
             "digits": DIGITS * -(-both // SORT_TILE),
             "floors": sizes.rows if sizes.tapers else 0,
             "tile_start": sizes.num_tiles + 1,
