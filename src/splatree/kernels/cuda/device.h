@@ -46,14 +46,6 @@ constexpr unsigned ALL_LANES = 0xffffffffu;
 constexpr unsigned NOT_VISIBLE = 0xffffffffu;  // in the place of a depth, behind all others
 constexpr int WARP = 32;
 
-// Choices that are made before a function is compiled.
-struct Yes {
-  static constexpr bool value = true;
-};
-struct No {
-  static constexpr bool value = false;
-};
-
 SPLATREE_FN int lane_of() { return threadIdx.x % WARP; }
 SPLATREE_FN int warp_of() { return threadIdx.x / WARP; }
 SPLATREE_FN unsigned lanes_before() { return (1u << lane_of()) - 1; }

@@ -111,6 +111,7 @@ SPLATREE_KERNEL(256, 4) slope_of_loss(const LossJob* job) {
   float taps[LOSS_TAPS];
   for (int t = 0; t < LOSS_TAPS; ++t) taps[t] = job->numbers[TAP + t];
   float sums[16] = {};
+#pragma unroll
   for (int channel = 0; channel < 3; ++channel) {
     __syncthreads();
     for (int i = threadIdx.x; i < WIDE * WIDE; i += THREADS) {

@@ -51,6 +51,13 @@ SPLATREE_FN Vector color_of(const FrameJob* job, const Point& p, long long row) 
   }
 }
 
+template <bool ANTIALIASED, bool SQUARE>
+SPLATREE_FN Splat shape_of(const FrameNumbers& n, const Image& image, float z, const Factor& m, float sigmoid) {
+  View view = n.view;
+  view.log2_threshold = n.log2_pixel_threshold;  // the box holds every pixel that is drawn, the tiles those above τ
+  return splat_of<ANTIALIASED, SQUARE>(view, n.square, image.x, image.y, z, m.x, m.y, sigmoid);
+}
+
 }  // namespace
 }  // namespace splatree
 
@@ -75,15 +82,11 @@ SPLATREE_KERNEL(128, 6) project(const FrameJob* job) {
       scale = f.scale, sigmoid = f.opacity;
     }
     const Factor m = factor_of(image.tx, image.ty, quat.x, quat.y, quat.z, quat.w, scale);
-    View view = n.view;
-    view.log2_threshold = n.log2_pixel_threshold;  // the box holds every pixel that is drawn, the tiles those above τ
     const bool is_square = n.tile_rule == int(TileRule::SQUARE);
-    const auto shape = [&](auto antialiased, auto square) {
-      return splat_of<antialiased.value, square.value>(view, n.square, image.x, image.y, p.z, m.x, m.y, sigmoid);
-    };
-    const Splat s = n.view.antialiased ? is_square ? shape(Yes{}, Yes{}) : shape(Yes{}, No{})
-                    : is_square ? shape(No{}, Yes{})
-                                       : shape(No{}, No{});
+    const Splat s = n.view.antialiased ? is_square ? shape_of<true, true>(n, image, p.z, m, sigmoid)
+                                                   : shape_of<true, false>(n, image, p.z, m, sigmoid)
+                    : is_square ? shape_of<false, true>(n, image, p.z, m, sigmoid)
+                                       : shape_of<false, false>(n, image, p.z, m, sigmoid);
     visible = s.visible;
     // Depths of what is visible are positive: their bits order as they do.
     job->depth_keys[i] = visible ? (unsigned)bits_of(p.z) : NOT_VISIBLE;

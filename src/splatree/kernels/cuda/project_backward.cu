@@ -16,6 +16,14 @@ SPLATREE_FN void store_vector(Global<float> column, long long row, Vector v) {
   column[3 * row] = v.x, column[3 * row + 1] = v.y, column[3 * row + 2] = v.z;
 }
 
+template <bool ANTIALIASED>
+SPLATREE_FN GaussianBackward shape_backward(const FrameJob* job, long long row, const Point& p, const Moments& m, float factor_a,
+                                            float factor_b, float factor_c, float by_depth) {
+  const float4 quat = job->quats[row];
+  return gaussian_backward_of<ANTIALIASED>(job->numbers.view, p, load_vector(job->log_scales, row), quat.x, quat.y, quat.z,
+                                           quat.w, m, factor_a, factor_b, factor_c, by_depth);
+}
+
 // By the harmonics, and what the direction that they are seen in adds to the derivative by the mean.
 template <int DEGREE>
 SPLATREE_FN Vector harmonics_backward(const FrameJob* job, long long i, long long row, const Point& p, Vector by_color) {
@@ -54,20 +62,17 @@ SPLATREE_FN Vector harmonics_backward(const FrameJob* job, long long i, long lon
 
 using namespace splatree;
 
-SPLATREE_KERNEL(128, 5) project_backward(const FrameJob* job) {
+SPLATREE_KERNEL(128, 4) project_backward(const FrameJob* job) {
   const long long i = index_of_thread();
   if (i >= held(job->counters[NUM_SELECTED], job->row_capacity)) return;
   const FrameNumbers& n = job->numbers;
   const long long row = job->rows[i], sums = i * NUM_SUMS;
   const auto sum = [&](int k) { return float(job->splat_sums[sums + k]); };
-  const float4 a = job->records[4 * i], b = job->records[4 * i + 1], c = job->records[4 * i + 2], quat = job->quats[row];
+  const float4 a = job->records[4 * i], b = job->records[4 * i + 1], c = job->records[4 * i + 2];
   const Point p = load_point(job, row);
   const Moments m = {sum(SUM_H), sum(SUM_HU), sum(SUM_HV), sum(SUM_HUU), sum(SUM_HUV), sum(SUM_HVV)};
-  const auto backward = [&](auto antialiased) {
-    return gaussian_backward_of<antialiased.value>(n.view, p, load_vector(job->log_scales, row), quat.x, quat.y, quat.z, quat.w,
-                                                   m, a.z, a.w, b.x, sum(SUM_DEPTH));
-  };
-  const GaussianBackward g = n.view.antialiased ? backward(Yes{}) : backward(No{});
+  const GaussianBackward g = n.view.antialiased ? shape_backward<true>(job, row, p, m, a.z, a.w, b.x, sum(SUM_DEPTH))
+                                                : shape_backward<false>(job, row, p, m, a.z, a.w, b.x, sum(SUM_DEPTH));
   // A channel that is clipped at 0 takes no derivative.
   const Vector by_color = {b.w > 0.f ? sum(SUM_RED) : 0.f, c.x > 0.f ? sum(SUM_GREEN) : 0.f, c.y > 0.f ? sum(SUM_BLUE) : 0.f};
   const Vector turned = harmonics_backward(job, i, row, p, by_color);

@@ -22,13 +22,13 @@ STAGES = (
 def headers() -> dict[str, str]:
     """Text of each header by the name under which it is included."""
     paths = [*(ROOT / "shared").glob("*.h"), *(ROOT / "cuda").glob("*.h")]
-    return {path.relative_to(ROOT).as_posix(): path.read_text() for path in sorted(paths)}
+    return {path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8") for path in sorted(paths)}
 
 
 @cache
 def source(stage: str) -> str:
     """Text of a file of kernels."""
-    return (ROOT / "cuda" / f"{stage}.cu").read_text()
+    return (ROOT / "cuda" / f"{stage}.cu").read_text(encoding="utf-8")
 
 
 @cache
