@@ -12,6 +12,7 @@ gsplat draws the same Gaussians by its classic and its fastest path (gsplat_path
   rows; on synthetic trees (a relief, four children a node, seven levels, a tenth as thick as wide), from near, mid and far at
   1080p. Times hold everything from the upload of the view's numbers to the last kernel; the median of several runs.
 - frames: the bundled piece of a real city and a synthetic tree, at 1080p and 4K: stages one by one, and replayed frames.
+- train: a step of training on the city's leaves, stage by stage with its copies, beside the processor's on all its threads.
 - kmeans: a step on points of such a tree, beside the processor's.
 
 ``--dry FOLDER`` runs all of it on tiny sizes on the emulator of the tests, which is compiled into the folder, and keeps
@@ -45,6 +46,7 @@ from splatree.lod.blocks import with_blocks
 from splatree.maths.morton import morton_codes
 from splatree.scene.tree import GaussianTree
 from splatree.scene.view import view_of
+from training_step import train_row
 
 DEMO = ROOT / "src" / "splatree" / "data" / "semarang_5_9.sog"
 FAN_OUT = 4
@@ -72,9 +74,21 @@ class Plan:
     """Rows that renderers have room for at first."""
     kmeans: tuple[tuple[int, int], ...] = ((1_000_000, 8192), (6_000_000, 32768))
     """Points and clusters of K-means."""
+    photo: tuple[int, int] = (800, 600)
+    """Size of the picture that is trained on."""
 
 
-DRY = Plan(nodes=(200,), levels=4, sizes=((64, 48),), repeat=1, frames=2, leaves=100, rows=128, kmeans=((200, 40),))
+DRY = Plan(
+    nodes=(200,),
+    levels=4,
+    sizes=((64, 48),),
+    repeat=1,
+    frames=2,
+    leaves=100,
+    rows=128,
+    kmeans=((200, 40),),
+    photo=(48, 32),
+)
 
 
 def main() -> None:
@@ -84,7 +98,12 @@ def main() -> None:
     device, plan = (emulator(dry), DRY) if dry else (open_device(0), Plan())
     if not dry:
         check_parity()
-    rows = [*selection_rows(device, plan), *frame_rows(device, plan), *kmeans_rows(device, plan)]
+    rows = [
+        *selection_rows(device, plan),
+        *frame_rows(device, plan),
+        train_row(device, leaves_of(plan), plan.photo, plan.repeat),
+        *kmeans_rows(device, plan),
+    ]
     if dry:
         print(f"dry run: {len(rows)} rows, {len({row['what'] for row in rows})} kinds")
         return
@@ -114,7 +133,9 @@ def check_parity() -> None:
     files = [
         "tests/kernels/test_cuda_stages.py",
         "tests/kernels/test_cuda_renderer.py",
+        "tests/kernels/test_cuda_backward.py",
         "tests/kernels/test_cuda_kmeans.py",
+        "tests/train/test_device.py",
         "tests/laws/test_select_cuda.py",
     ]
     words = [
@@ -191,9 +212,7 @@ def selection_row(
 
 def frame_rows(device: Device, plan: Plan) -> Iterator[dict[str, Any]]:
     """Stages and replayed frames of a real scene, of its levels, and of a synthetic tree."""
-    real = st.read(DEMO)
-    if plan.leaves is not None:
-        real = st.Scene.flat(real.gaussians.take(np.arange(plan.leaves)), mode=real.mode)
+    real = leaves_of(plan)
     leaves, cut = st.SelectOptions(pixel_error=0.0), st.SelectOptions()
     city = with_blocks(st.build_lod(real))
     relief = synthetic(min(10_000_000, max(plan.nodes)), plan.levels)
@@ -242,6 +261,14 @@ def frame_row(
         "dB to the processor": st.psnr(picture.image.numpy(), wanted),
         "MB held": renderer.bytes_held / 1e6,
     }
+
+
+def leaves_of(plan: Plan) -> st.Scene:
+    """The piece of a real city, or as much of it as is planned."""
+    real = st.read(DEMO)
+    if plan.leaves is None:
+        return real
+    return st.Scene.flat(real.gaussians.take(np.arange(plan.leaves)), mode=real.mode)
 
 
 def kmeans_rows(device: Device, plan: Plan) -> Iterator[dict[str, Any]]:

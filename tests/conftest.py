@@ -1,13 +1,16 @@
 import shutil
 from collections.abc import Iterator
+from functools import partial
 
 import pytest
 from hypothesis import HealthCheck, settings
 
 from splatree.errors import DeviceError
 from splatree.kernels.cpu import _core
+from splatree.kernels.cuda import device as cuda_device
 from splatree.kernels.cuda.device import open_device
 from splatree.kernels.cuda.driver import Device
+from splatree.kernels.cuda.renderer import Renderer
 
 from .kernels.simt_device import Emulator, compile_emulator
 from .shown import shown_files, shown_folder
@@ -34,6 +37,7 @@ def emulator(compiled_emulator: Emulator) -> Iterator[Emulator]:
     """The emulator as each test finds it."""
     compiled_emulator.seed(1)
     yield compiled_emulator
+    compiled_emulator.interleave(1)
     compiled_emulator.limit_memory(1 << 30)
     compiled_emulator.forget_failure()
 
@@ -56,3 +60,11 @@ def device(request: pytest.FixtureRequest) -> Device:
         return open_device(0)
     except DeviceError as error:
         pytest.skip(f"no GPU: {error}")
+
+
+@pytest.fixture
+def at_hand(device: Device, monkeypatch: pytest.MonkeyPatch) -> Device:
+    """The device is every GPU that the library opens; with little room at first, as the emulator watches every word."""
+    monkeypatch.setattr(cuda_device, "open_device", lambda ordinal: device)
+    monkeypatch.setattr(cuda_device, "Renderer", partial(Renderer, rows=256, pairs=1024))
+    return device

@@ -14,4 +14,4 @@ def test_a_dry_run_goes_through_every_kind_of_row(emulator: Emulator) -> None:
     words = [sys.executable, "-W", "error", str(ROOT / "benchmarks" / "gpu.py"), "--dry", str(folder)]
     run = subprocess.run(words, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
-    assert run.stdout == "dry run: 8 rows, 4 kinds\n"
+    assert run.stdout == "dry run: 9 rows, 5 kinds\n"

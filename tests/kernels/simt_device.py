@@ -77,6 +77,10 @@ class Emulator(Device):
         """Choose the order in which threads and blocks run."""
         self.library.simt_seed(ctypes.c_uint32(value))
 
+    def interleave(self, num_resident: int) -> None:
+        """Choose how many blocks take turns; 1: they run one after the other."""
+        self.library.simt_interleave(ctypes.c_uint(num_resident))
+
     def limit_memory(self, num_bytes: int) -> None:
         """Choose how much memory there is."""
         self.library.simt_limit_memory(ctypes.c_size_t(num_bytes))

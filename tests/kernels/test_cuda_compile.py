@@ -6,7 +6,10 @@ anew, when a kernel is meant to take more.
 
 import json
 import multiprocessing
+import os
 import re
+import subprocess
+import sys
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -17,7 +20,7 @@ from splatree.errors import DeviceError
 from splatree.kernels.cuda import compile as cuda_compile
 from splatree.kernels.cuda.compile import Compiler, load_compiler
 from splatree.kernels.cuda.job import fields_of, pack_numbers
-from splatree.kernels.cuda.sources import STAGES, kernels_of
+from splatree.kernels.cuda.sources import STAGES, headers, kernels_of, source
 from splatree.scene.options import SelectOptions
 from splatree.scene.view import View
 
@@ -77,8 +80,10 @@ def test_kernels_keep_their_budgets_on_every_architecture(compiler: Compiler) ->
 def test_structs_are_laid_out_as_the_runtime_packs_them(compiler: Compiler, monkeypatch: pytest.MonkeyPatch) -> None:
     numbers = pack_numbers(View(camera()), SelectOptions(), degree=0)
     jobs = {("cuda/job.h", "FrameJob"): len(numbers), ("cuda/kmeans.h", "KmeansJob"): 0}
+    jobs |= {("cuda/loss.h", "LossJob"): 0, ("cuda/optimise.h", "StepJob"): 0}
     lines = [
-        '#include "cuda/kmeans.h"',
+        '#include "cuda/device.h"',
+        *(f'#include "{header}"' for header, _ in jobs),
         "using namespace splatree;",
         f"static_assert(sizeof(FrameNumbers) == {len(numbers)});",
     ]
@@ -89,6 +94,19 @@ def test_structs_are_laid_out_as_the_runtime_packs_them(compiler: Compiler, monk
         lines.append(f"static_assert(sizeof({struct}) == {begin + 8 * len(fields)});")
     monkeypatch.setattr(cuda_compile, "source", lambda stage: "\n".join(lines))
     compiler.compile("project", "sm_90")
+
+
+def test_sources_are_read_whatever_the_locale() -> None:
+    """NVRTC 12.4 sets the locale to C when it is loaded, and the sources have letters beyond ASCII."""
+    code = "from splatree.kernels.cuda.sources import *; headers(); [source(stage) for stage in STAGES]"
+    environment = os.environ | {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    subprocess.run([sys.executable, "-c", code], env=environment, check=True)
+
+
+def test_no_lambda_is_generic() -> None:
+    """NVRTC 13.0 takes such a lambda for a function of the host, and refuses it."""
+    for text in (*headers().values(), *map(source, STAGES)):
+        assert not re.search(r"\]\(auto\b|\]\([^)]*, auto\b", text)
 
 
 def test_compiled_code_is_kept_and_what_is_damaged_is_compiled_anew(compiler: Compiler, tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ from splatree.scene.view import Wanted
 
 from ..scenes import camera, gaussians
 from .conftest import SCENES, absurd
+from .simt_device import Emulator
 from .test_bin import pairs_of, splats_of
 from .test_blend import BACKGROUND, EVERYTHING, assert_outputs_are_those_of_the_reference, same_bits
 from .test_project import MODES, all_rows, aspect, assert_at_a_step, seen
@@ -81,13 +82,30 @@ def test_order_is_by_depth_and_then_by_id(device: Device) -> None:
         np.testing.assert_array_equal(splats.order, np.lexsort((tie, splats.depths)))
 
 
-def test_order_of_more_than_a_tile_of_the_sort(device: Device) -> None:
+@pytest.mark.parametrize("has_ids", [False, True])
+def test_order_of_more_than_a_tile_of_the_sort(has_ids: bool, device: Device) -> None:
     g = gaussians(9000, 3)
     g.log_scales[:] = -1
     g.means[4000:] = g.means[:5000]  # ties across tiles
-    splats = Stages(device).project(g, None, np.arange(9000, dtype=np.int32), seen(camera()))
+    ids = np.random.default_rng(1).permutation(9000).astype(np.uint32) if has_ids else None
+    splats = Stages(device).project(g, ids, np.arange(9000, dtype=np.int32), seen(camera()))
     assert len(splats) > 8192
-    np.testing.assert_array_equal(splats.order, np.lexsort((splats.rows, splats.depths)))
+    tie = splats.rows if ids is None else ids[splats.rows]
+    np.testing.assert_array_equal(splats.order, np.lexsort((tie, splats.depths)))
+
+
+def test_thread_blocks_that_take_turns_find_the_same_order_and_lists(emulator: Emulator) -> None:
+    """Sums over three chunks look back while the chunk before is at work, and see late what it has published."""
+    g = gaussians(11000, 3, log_scales=(-6, -3))
+    rows, found = np.arange(11000, dtype=np.int32), []
+    for seed, num_resident in ((1, 1), (2, 3), (3, 4)):
+        emulator.seed(seed)
+        emulator.interleave(num_resident)
+        splats = Stages(emulator).project(g, None, rows, seen(camera()))
+        bins = Stages(emulator).bin(splats, seen(camera()))
+        found.append((splats.order.tobytes(), bins.tile_start.tobytes(), bins.splat_from_pair.tobytes()))
+    assert len(splats) > 8192
+    assert found[0] == found[1] == found[2]
 
 
 def test_pairs_are_those_of_the_reference(view: tuple[st.Scene, st.Camera], device: Device) -> None:
@@ -115,6 +133,16 @@ def test_splats_over_many_tiles_are_listed_in_depth_order(device: Device) -> Non
     wanted, bins = cpu.bin.bin(splats, seen(seen_by)), Stages(device).bin(splats, seen(seen_by))
     assert len(bins.tile_start) > 256
     assert pairs_of(bins) == pairs_of(wanted)
+    np.testing.assert_array_equal(bins.splat_from_pair, wanted.splat_from_pair)
+
+
+def test_more_tiles_than_16_bits_number_are_listed_alike(device: Device) -> None:
+    # 4112 × 4112 px are 257 × 257 tiles: keys of 32 bits, in three passes.
+    scene, seen_by = st.Scene.flat(gaussians(30, 3, log_scales=(-6, -3))), camera(4112, 4112)
+    splats = splats_of(scene, seen_by)
+    wanted, bins = cpu.bin.bin(splats, seen(seen_by)), Stages(device).bin(splats, seen(seen_by))
+    assert wanted.num_tiles_x * wanted.num_tiles_y > 1 << 16
+    np.testing.assert_array_equal(bins.tile_start, wanted.tile_start)
     np.testing.assert_array_equal(bins.splat_from_pair, wanted.splat_from_pair)
 
 

@@ -37,8 +37,10 @@ FAULTS = {
 
 @pytest.mark.parametrize("fault", FAULTS)
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_a_fault_is_found_whatever_the_schedule(fault: str, seed: int, emulator: Emulator) -> None:
+@pytest.mark.parametrize("num_resident", [1, 3])
+def test_a_fault_is_found_whatever_the_schedule(fault: str, seed: int, num_resident: int, emulator: Emulator) -> None:
     emulator.seed(seed)
+    emulator.interleave(num_resident)
     emulator.add_kernel(fault, THREADS)
     arrays = {name: emulator.empty((THREADS,), np.float32, name=name) for name in ("alpha", "depth")}
     emulator.launch(fault, 2, job_of(emulator, arrays))
@@ -47,13 +49,49 @@ def test_a_fault_is_found_whatever_the_schedule(fault: str, seed: int, emulator:
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_code_without_a_fault_runs(seed: int, emulator: Emulator) -> None:
+@pytest.mark.parametrize("num_resident", [1, 3])
+def test_code_without_a_fault_runs(seed: int, num_resident: int, emulator: Emulator) -> None:
     emulator.seed(seed)
+    emulator.interleave(num_resident)
     emulator.add_kernel("no_fault", THREADS)
     arrays = {"alpha": emulator.empty((THREADS,), np.float32), "counters": emulator.upload(np.zeros(8, np.uint64))}
     emulator.launch("no_fault", 3, job_of(emulator, arrays))
     np.testing.assert_array_equal(arrays["alpha"].numpy(), np.arange(THREADS) ^ 32)
     assert arrays["counters"].numpy()[0] == 3 * THREADS
+
+
+def chained(emulator: Emulator, kernel: str, num_blocks: int, argument: int = 0) -> tuple[list[int], list[int]]:
+    """What a kernel of 64 threads leaves in the chains and the tickets."""
+    emulator.add_kernel(kernel, THREADS)
+    arrays = {
+        "chains": emulator.upload(np.zeros(num_blocks, np.uint64)),
+        "tickets": emulator.upload(np.zeros(3, np.uint32)),
+    }
+    emulator.launch(kernel, num_blocks, job_of(emulator, arrays), argument)
+    return arrays["chains"].numpy().tolist(), arrays["tickets"].numpy().tolist()
+
+
+@pytest.mark.parametrize("num_resident", [1, 2, 4])
+def test_as_many_blocks_take_turns_as_are_asked_for(num_resident: int, emulator: Emulator) -> None:
+    emulator.interleave(num_resident)
+    assert chained(emulator, "count_resident_blocks", 9)[1] == [9, 9, num_resident]
+
+
+def test_blocks_that_take_turns_show_who_does_not_wait(emulator: Emulator) -> None:
+    """A chain of sums that reads once what the block before may not have published yet."""
+    wanted = list(range(1, 9))
+    assert chained(emulator, "chain_without_waiting", 8)[0] == wanted  # one after the other, nobody has to wait
+    emulator.interleave(3)
+    for seed in range(3):
+        emulator.seed(seed)
+        assert chained(emulator, "chain_without_waiting", 8)[0] != wanted
+        assert chained(emulator, "chain_without_waiting", 8, 1)[0] == wanted
+
+
+def test_who_waits_for_a_block_that_has_not_started_waits_in_vain(emulator: Emulator) -> None:
+    emulator.interleave(2)
+    with pytest.raises(DeviceError, match="wait for what no resident block will do"):
+        chained(emulator, "wait_for_the_next_block", 6)
 
 
 def test_nothing_runs_before_the_host_waits(emulator: Emulator) -> None:

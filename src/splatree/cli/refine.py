@@ -12,6 +12,7 @@ from splatree.errors import InputError
 from splatree.io.cameras.files import read_cameras
 from splatree.io.registry import stored_bytes
 from splatree.io.writing import write
+from splatree.kernels.devices import DeviceName
 from splatree.render.overlap import overlap_hint
 from splatree.scene.cameras import Camera
 from splatree.train.refine import refine
@@ -29,6 +30,8 @@ class Command:
     cameras: Path | None = None
     """Learn from these views: cameras.json, transforms.json or a COLMAP model; for a room or a street, which is seen from within.
     None: views are made all round the scene."""
+    device: DeviceName = "cpu"
+    """Where steps are computed: `cpu`; `cuda`, an NVIDIA GPU; `reference`, the slow definitions to compare with."""
     options: Annotated[RefineOptions, arg(name="", help="")] = RefineOptions()
     console: Annotated[Console, arg(name="", help="")] = Console()
 
@@ -79,7 +82,7 @@ def run(command: Command) -> Result:
         found = read_cameras(command.cameras).relative_to(scene.source.origin)
         cameras, hint = found.views, overlap_hint(scene, found.views)
         seen = (*found.notes, *([hint] if hint else []))
-    refined = refine(scene, command.options, cameras=cameras)
+    refined = refine(scene, command.options, cameras=cameras, device=command.device)
     if not refined.num_learned:
         raise InputError(
             f"refine: pictures became no better in {refined.iterations:,} steps ({refined.before.mean():.2f} dB), so nothing was "

@@ -52,7 +52,7 @@ class Command:
     replay: Path | None = None
     """log.json of an earlier run: make its steps again instead of reading the clock."""
     device: DeviceName = "cpu"
-    """Where views are drawn."""
+    """Where steps are computed: `cpu`; `cuda`, an NVIDIA GPU; `reference`, the slow definitions to compare with."""
     threads: int = 0
     """Threads to use; 0: all. The scene is the same for any number, at equal steps."""
     options: Annotated[TrainOptions, arg(name="", help="")] = TrainOptions()

@@ -51,7 +51,7 @@ def training_stages_of(device: str) -> TrainingStages:
     """
     stages = stages_of(device)
     if not hasattr(stages, "project_backward"):
-        raise InputError(f"device: found {device!r}, which cannot train; wanted one of cpu, reference")
+        raise InputError(f"device: found {device!r}, which cannot train; wanted a device that can")
     return cast(TrainingStages, stages)
 
 

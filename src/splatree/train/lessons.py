@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from splatree.errors import InputError
+from splatree.kernels.devices import DeviceName
 from splatree.progress import track
 from splatree.render.framing.survey import survey_of
 from splatree.render.framing.upright import guess_up
@@ -53,7 +54,9 @@ class Lesson:
     """What all leaves look like in it, 0 to 255."""
 
 
-def lessons_of(scene: Scene, cameras: Sequence[Camera], teacher: Teacher, *, threads: int = 0) -> list[Lesson]:
+def lessons_of(
+    scene: Scene, cameras: Sequence[Camera], teacher: Teacher, *, device: DeviceName = "cpu", threads: int = 0
+) -> list[Lesson]:
     """Draw all leaves in each view.
 
     Raises:
@@ -61,7 +64,7 @@ def lessons_of(scene: Scene, cameras: Sequence[Camera], teacher: Teacher, *, thr
     """
     lessons = []
     everything = SelectOptions(pixel_error=0.0)
-    with open_session(scene, select=everything, threads=threads) as session:
+    with open_session(scene, device=device, select=everything, threads=threads) as session:
         for camera in track(cameras, "draw the teacher's pictures"):
             if camera.lens is not None:
                 raise InputError(f"refine: camera {camera.name!r}: found a lens, wanted a pinhole")

@@ -24,7 +24,8 @@ import numpy as np
 
 from splatree.constants import ALPHA_THRESHOLD
 from splatree.errors import InputError
-from splatree.kernels.devices import training_stages_of
+from splatree.kernels.contract import TrainingStages
+from splatree.kernels.devices import DeviceName, training_stages_of
 from splatree.lod.blocks import with_blocks
 from splatree.lod.select import select
 from splatree.progress import task
@@ -96,6 +97,7 @@ def refine(
     options: RefineOptions | None = None,
     *,
     cameras: Sequence[Camera] | None = None,
+    device: DeviceName = "cpu",
     threads: int = 0,
 ) -> Refined:
     """Let the inner nodes of a tree learn what the leaves below them look like.
@@ -104,6 +106,8 @@ def refine(
         scene: a scene with levels.
         options: time, teacher, range of cuts; None: the defaults.
         cameras: views to learn from; None: views are made all round the scene, for scenes that are seen from outside.
+        device: where pictures are drawn and steps are computed, `cpu`, `cuda` or `reference`; rows are selected on the
+            processor.
         threads: threads to use; 0: all.
 
     Returns:
@@ -112,6 +116,7 @@ def refine(
 
     Raises:
         InputError: the scene has no levels, there are fewer than two cameras, or one has a lens.
+        DeviceError: the device is not there, has failed, or has too little memory.
 
     Source:
         docs/explanation/refine.md; derivatives as in Kerbl 2023, Appendix A.
@@ -129,16 +134,16 @@ def refine(
         raise InputError(
             f"refine: found {len(cameras)} camera, wanted at least 2: one to learn from and one to judge by"
         )
-    given = scene
+    given, stages = scene, training_stages_of(device)
     scene, notes = _bare(scene)
     scene = with_blocks(scene)
     views = made_views(scene, options.made_views, options.seed) if cameras is None else list(cameras)
-    lessons = lessons_of(scene, views, options.teacher, threads=threads)
+    lessons = lessons_of(scene, views, options.teacher, device=device, threads=threads)
     held = {i for i in range(len(lessons)) if i % HELD_OUT == HELD_OUT // 2} or {len(lessons) - 1}
     learned_from = [lesson for i, lesson in enumerate(lessons) if i not in held]
     judges = [lessons[i] for i in sorted(held)]
 
-    school = _School(scene, threads)
+    school = _School(scene, stages, threads)
     middle = math.sqrt(options.finest * options.coarsest)
     before, errors_before = school.judge(judges, middle), school.errors(learned_from, middle)
     iterations = school.learn(learned_from, options, began)
@@ -215,8 +220,8 @@ def _record(options: RefineOptions, iterations: int, gain: float) -> str:
 class _School:
     """A scene whose inner nodes learn."""
 
-    def __init__(self, scene: Scene, threads: int) -> None:
-        self._scene, self._threads, self._stages = scene, threads, training_stages_of("cpu")
+    def __init__(self, scene: Scene, stages: TrainingStages, threads: int) -> None:
+        self._scene, self._threads, self._stages = scene, threads, stages
         self.proxies = Proxies(scene)
 
     def learn(self, lessons: list[Lesson], options: RefineOptions, began: float) -> int:

@@ -89,7 +89,7 @@ def train(
         files: where checkpoints of the run are kept; None: nowhere.
         stop: asked after each step; True ends the run there, with a checkpoint.
         watch: called with each score, as the run goes on.
-        device: where views are drawn; a device that cannot train is refused.
+        device: where steps are computed, `cpu`, `cuda` or `reference`. A run gives the same bits again on the same device.
         threads: threads to use; 0: all. The result is the same for any number, at equal steps.
 
     Returns:
@@ -99,6 +99,7 @@ def train(
         InputError: there are too few photographs, or none that belong to the cameras; or a run cannot go on.
         FormatError: a file of cameras, a photograph or a checkpoint is damaged.
         OutputError: a checkpoint cannot be written; the last one is whole.
+        DeviceError: the device is not there, has failed, or has too little memory.
 
     Example:
         >>> trained = st.train("photographs", st.TrainOptions(iterations=2, max_gaussians=200))
@@ -106,8 +107,8 @@ def train(
         ()
     """
     options, files = options or TrainOptions(), files or RunFiles()
-    work = prepare(Path(photos), options, cameras)
     drawing = Drawing(training_stages_of(device), options.mode, 1, threads)
+    work = prepare(Path(photos), options, cameras)
     identity = Identity.of(options, work.targets.digests(), work.targets.cameras)
     earlier = [] if files.replay is None else read_log(files.replay)
     if files.resume:

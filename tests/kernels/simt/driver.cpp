@@ -247,6 +247,7 @@ bool read_image(const char* image, CUmod_st& module) {
 
 // For tests.
 API void simt_seed(uint32_t value) { seed = value; }
+API void simt_interleave(unsigned num_resident) { simt::num_resident = num_resident; }
 API long long simt_waits() { return num_waits; }
 API long long simt_launches() { return num_launches; }
 API long long simt_allocations() { return num_allocations; }

@@ -1,8 +1,9 @@
 // The thread model of CUDA on a processor, to run device code of small scenes in tests.
 //
 // Each thread of a block is a fiber; barriers, votes and shuffles hand control back to a scheduler, which goes on with another
-// fiber in an order drawn from a seed. Blocks run one after the other, in such an order too. Every access to an array in device
-// or shared memory is checked:
+// fiber in an order drawn from a seed. Blocks run one after the other, in such an order too, or a few of them take turns
+// (`num_resident`). These see late, and in its order, what another of them publishes; who waits for a block that is not resident
+// waits in vain, as on a device. Every access to an array in device or shared memory is checked:
 //
 //   bounds      the element lies in the array
 //   defined     a word that is read was written before: by a copy, a kernel, or, in shared memory, by this block
@@ -50,7 +51,8 @@ struct Memory {
   char* data = nullptr;
   size_t bytes = 0;
   bool shared = false;
-  size_t grain = 4;  // bytes a word; 1 for arrays of bytes
+  bool touched = false;  // by the block that runs
+  size_t grain = 4;      // bytes a word; 1 for arrays of bytes
   std::vector<Word> words;
 };
 
@@ -58,6 +60,8 @@ struct Memory {
 extern std::map<const char*, Memory> device_memory;
 // What went wrong first; empty if nothing did.
 extern std::string failure;
+// How many blocks are at work at once.
+extern unsigned num_resident;
 // Runs a kernel, whose threads take turns in an order drawn from the seed.
 using Kernel = void (*)(const void*, int);
 void run_grid(Kernel kernel, const void* job, int argument, unsigned blocks, unsigned threads, uint32_t seed);
@@ -67,8 +71,11 @@ enum Access { READ, WRITE, ATOMIC };
 void touch(Memory& memory, size_t offset, size_t bytes, Access access);
 // The array that begins at an address.
 Memory& memory_at(const void* address);
-// Registers an array of the kernels' shared memory.
+// Registers an array of the kernels' shared memory, and gives it what the block that runs has in it.
 void add_shared(Memory& memory);
+// Writes a word that other blocks wait for, and reads one.
+void publish_word(uint64_t* word, uint64_t value);
+uint64_t published_word(const uint64_t* word);
 
 enum Barrier { BLOCK, WARP };
 // Waits for the others; gives all values that were brought, by thread of the block or lane of the warp.
@@ -142,19 +149,16 @@ class Shared {
  public:
   explicit Shared(const char* name) {
     memory_.name = name;
-    memory_.data = reinterpret_cast<char*>(data_);
-    memory_.bytes = sizeof data_;
+    memory_.bytes = SIZE * sizeof(T);
     memory_.shared = true;
-    memory_.words.resize((sizeof data_ + 3) / 4);
     add_shared(memory_);
   }
   Element<T> operator[](long long i) {
     if (i < 0 || i >= SIZE) fail(memory_.name + ": found index " + std::to_string(i) + " of " + std::to_string(SIZE));
-    return {memory_, data_ + i};
+    return {memory_, reinterpret_cast<T*>(memory_.data) + i};
   }
 
  private:
-  alignas(16) T data_[SIZE];
   Memory memory_;
 };
 
@@ -182,7 +186,7 @@ T shuffle(const char* name, uint32_t mask, T value, int from) {
 #define blockDim simt::block_size
 #define gridDim simt::grid_size
 #define SPLATREE_SHARED(type, name, size) static simt::Shared<type, (size)> name(#name)
-#define SPLATREE_KERNEL(threads) extern "C" void
+#define SPLATREE_KERNEL(threads, thread_blocks) extern "C" void
 
 struct float4 {
   float x, y, z, w;
@@ -249,10 +253,17 @@ T atomicMax(simt::Pointer<T> at, T value) {
 }
 
 inline void publish(simt::Pointer<unsigned long long> word, unsigned long long value) {
-  simt::change(word, [&](unsigned long long) { return value; });
+  simt::change(word, [](unsigned long long before) { return before; });
+  simt::publish_word(reinterpret_cast<uint64_t*>(word.element), value);
 }
 inline unsigned long long read_published(simt::Pointer<unsigned long long> word) {
-  return simt::change(word, [](unsigned long long value) { return value; });
+  simt::change(word, [](unsigned long long value) { return value; });
+  return simt::published_word(reinterpret_cast<const uint64_t*>(word.element));
+}
+
+inline float4 load_four(simt::Global<const float> column, long long at) {
+  if (at % 4) simt::fail("load_four: found place " + std::to_string(at) + ", wanted a multiple of four");
+  return {column[at], column[at + 1], column[at + 2], column[at + 3]};
 }
 
 namespace splatree {

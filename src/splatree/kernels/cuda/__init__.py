@@ -7,6 +7,7 @@
     device.py    the GPU of this process             job.py        the struct that every kernel takes
     plan.py      the launches of a frame             workspace.py  its arrays
     renderer.py  a frame that stays on the device    stages.py     the stages one by one, as other back ends have them
+    loss.py      the loss against a photograph       optimise.py   a step of the optimiser
 
 Nothing here is loaded by ``import splatree``.
 """
@@ -23,7 +24,7 @@ __all__ = ["borrow", "frame_stages", "hold", "kmeans_steps"]
 
 
 def frame_stages() -> "FrameStages":
-    """The stages of a frame on the first GPU."""
+    """The stages of a frame and of training on the first GPU."""
     from splatree.kernels.cuda.device import open_device
     from splatree.kernels.cuda.stages import Stages
 

@@ -28,13 +28,13 @@ SPLATREE_FN void append(const FrameJob* job, int counter, Global<int> list, long
 using namespace splatree;
 
 // Level 0 goes from the table of levels to side a.
-SPLATREE_KERNEL(256) serial_roots(const FrameJob* job) {
+SPLATREE_KERNEL(256, 1) serial_roots(const FrameJob* job) {
   const long long i = index_of_thread();
   if (i < job->num_roots) job->frontier_a[i] = job->children[i];
 }
 
 // `packed`: how many nodes of the level there are, and whether they are on side b.
-SPLATREE_KERNEL(256) serial_level(const FrameJob* job, int packed) {
+SPLATREE_KERNEL(256, 1) serial_level(const FrameJob* job, int packed) {
   const long long i = index_of_thread();
   if (i >= packed >> 1) return;
   const bool from_b = packed & 1;
@@ -49,13 +49,13 @@ SPLATREE_KERNEL(256) serial_level(const FrameJob* job, int packed) {
   for (int child = 0; child < count; ++child) next[at + child] = job->children[first + child];
 }
 
-SPLATREE_KERNEL(256) paper_small(const FrameJob* job) {
+SPLATREE_KERNEL(256, 1) paper_small(const FrameJob* job) {
   const long long row = index_of_thread();
   if (row >= job->num_rows) return;
   job->states[row] = !load_visible(job, row) ? UNSEEN : is_leaf(job, row) ? LARGE : load_small(job, row) ? SMALL : LARGE;
 }
 
-SPLATREE_KERNEL(256) paper_filter(const FrameJob* job) {
+SPLATREE_KERNEL(256, 1) paper_filter(const FrameJob* job) {
   const long long row = index_of_thread();
   if (row >= job->num_rows) return;
   const int state = job->states[row];

@@ -21,7 +21,7 @@ class Baselines:
         self.device = device
         self._work = Workspace(device, scene)
         n = max(scene.num_rows, 1)
-        self._sizes = Sizes(scene.num_blocks, n, 0, 1, 0, False, device.num_multiprocessors)
+        self._sizes = Sizes(scene.num_blocks, n, 0, 1, False, False, device.num_multiprocessors)
         self._work.fit(self._sizes)
         self._num_roots = int((tree.depth == 0).sum())
         rows, first_child, num_children = child_table(tree)
@@ -67,7 +67,7 @@ class Baselines:
         while count:
             self._work.run([Launch("serial_level", -(-count // 256), count << 1 | from_b)])
             counts = self._work.counts()
-            self._work.set_count("num_selected", counts["num_selected"])
+            self._work.set_counts(num_selected=counts["num_selected"])
             count, from_b = counts["num_frontier"], 1 - from_b
 
     def run_paper(self) -> None:

@@ -1,9 +1,9 @@
 // The tiles that each splat touches, and the lists of the tiles; kernels/reference/bin.py is the definition.
 //
-// count_tiles   a thread a splat: how many tiles, by two square roots a row of tiles
-// keep_order    the splats in depth order, before the pairs take the place of their sort
-// scan_pairs    where the pairs of each splat go, in depth order
-// list_pairs    a thread a splat in depth order; one that touches many tiles is listed by its warp, 32 tiles at a time
+// list_pairs    a thread a splat in depth order: how many tiles it touches, by two square roots a row of tiles; where its pairs
+// go, by
+//               looking back at the thread blocks before (scan.h); its pairs. A splat over many tiles is listed by its warp, 32
+//               tiles at a time.
 // start_tiles   a thread a tile, after the pairs were sorted by tile: where its list begins
 #include "cuda/scan.h"
 #include "shared/ellipse.h"
@@ -47,9 +47,12 @@ SPLATREE_FN Tiles columns_of(const FrameJob* job, const Cover& cover, int row) {
   return tiles_in(reach_of(cover.ellipse, strip.low, strip.high), (float)job->numbers.width);
 }
 
-SPLATREE_FN void store_pair(const FrameJob* job, long long at, int tile, unsigned splat) {
+SPLATREE_FN void store_pair(const FrameJob* job, long long at, int tile, unsigned splat, bool in_16_bits) {
   if (at >= job->pair_capacity) return;
-  job->keys_a[at] = (unsigned)tile;
+  if (in_16_bits)
+    job->tile_keys_a[at] = (unsigned short)tile;
+  else
+    job->keys_a[at] = (unsigned)tile;
   job->values_a[at] = splat;
 }
 
@@ -58,58 +61,47 @@ SPLATREE_FN void store_pair(const FrameJob* job, long long at, int tile, unsigne
 
 using namespace splatree;
 
-// `tapers`: also the opacity at which each splat is tapered off.
-SPLATREE_KERNEL(256) count_tiles(const FrameJob* job, int tapers) {
-  const long long i = index_of_thread();
-  if (i >= held(job->counters[NUM_SELECTED], job->row_capacity)) return;
+// Packed: whether also the opacity is asked for at which each splat is tapered off; whether tiles are numbers of 16 bits; the
+// scan.
+SPLATREE_KERNEL(256, 4) list_pairs(const FrameJob* job, int packed) {
+  const int which = packed >> 2;
+  const bool tapers = packed & 1, in_16_bits = packed >> 1 & 1;
+  const long long num_splats = held(job->counters[NUM_SELECTED], job->row_capacity);
+  const long long chunk = take_chunk(job, which), i = chunk * SCAN_THREADS + threadIdx.x;
+  if (chunk * SCAN_THREADS >= num_splats) return;
+  const FrameNumbers& n = job->numbers;
+  const unsigned splat = i < num_splats ? job->order[i] : 0;
+  Cover cover = {};
+  Tiles last = {0, 0};  // of the last row: for most splats there is no other
   unsigned count = 0;
-  if (job->depth_keys[i] != ~0u) {
-    const FrameNumbers& n = job->numbers;
-    const Cover cover = load_cover(job, i);
+  if (i < num_splats && job->depth_keys[splat] != NOT_VISIBLE) {
+    cover = load_cover(job, splat);
     float nearest = tapers ? nearest_above_or_below(cover.ellipse, cover.rows, n.num_tiles_y) : FAR;
     for (int row = cover.rows.first; row < cover.rows.end; ++row) {
       const Tiles columns = columns_of(job, cover, row);
       count += columns.end - columns.first;
+      last = columns;
       if (tapers) {
         const float beside = nearest_beside(cover.ellipse, columns, strip_of(row, (float)n.height), n.num_tiles_x);
         nearest = least(beside, nearest);
       }
     }
     if (tapers) {
-      const float4 p = job->records[4 * i], q = job->records[4 * i + 1];
-      job->floors[i] = floor_of(q.z, nearest, log2_threshold_of(n.log2_threshold, n.area_power, p.z, q.x));
+      const float4 p = job->records[4 * splat], q = job->records[4 * splat + 1];
+      job->floors[splat] = floor_of(q.z, nearest, log2_threshold_of(n.log2_threshold, n.area_power, p.z, q.x));
     }
   }
-  job->num_tiles[i] = count;
-}
+  unsigned of_warp;
+  const unsigned before = sum_before(count, of_warp);
+  const bool is_last = (chunk + 1) * SCAN_THREADS >= num_splats;
+  const long long first = sum_before_warp(job, which, chunk, of_warp, is_last, NUM_PAIRS) + (long long)before;
 
-// `from_b`: the side on which the sort of the splats ended.
-SPLATREE_KERNEL(256) keep_order(const FrameJob* job, int from_b) {
-  const long long i = index_of_thread();
-  if (i >= held(job->counters[NUM_SELECTED], job->row_capacity)) return;
-  job->order[i] = from_b ? job->values_b[i] : job->values_a[i];
-}
-
-SPLATREE_KERNEL(256) scan_pairs(const FrameJob* job, int which) {
-  scan(
-      job, which, held(job->counters[NUM_SELECTED], job->row_capacity), NUM_PAIRS,
-      [&](long long i) { return job->num_tiles[job->order[i]]; },
-      [&](long long i, unsigned first) { job->first_pair[i] = first; });
-}
-
-SPLATREE_KERNEL(256) list_pairs(const FrameJob* job) {
-  const long long i = index_of_thread();
-  const long long num_splats = held(job->counters[NUM_SELECTED], job->row_capacity);
-  const int num_tiles_x = job->numbers.num_tiles_x;
-  const unsigned splat = i < num_splats ? job->order[i] : 0;
-  const unsigned count = i < num_splats ? job->num_tiles[splat] : 0;
-  const long long first = count ? job->first_pair[i] : 0;
   if (count && count <= FEW_TILES) {
-    const Cover cover = load_cover(job, splat);
     long long at = first;
     for (int row = cover.rows.first; row < cover.rows.end; ++row) {
-      const Tiles columns = columns_of(job, cover, row);
-      for (int column = columns.first; column < columns.end; ++column) store_pair(job, at++, row * num_tiles_x + column, splat);
+      const Tiles columns = row + 1 == cover.rows.end ? last : columns_of(job, cover, row);
+      for (int column = columns.first; column < columns.end; ++column)
+        store_pair(job, at++, row * n.num_tiles_x + column, splat, in_16_bits);
     }
   }
   // The others one after the other: all lanes go along its rows together.
@@ -117,28 +109,22 @@ SPLATREE_KERNEL(256) list_pairs(const FrameJob* job) {
     const int lane = __ffs(many) - 1;
     const unsigned theirs = __shfl_sync(ALL_LANES, splat, lane);
     long long at = __shfl_sync(ALL_LANES, first, lane);
-    const Cover cover = load_cover(job, theirs);
-    for (int row = cover.rows.first; row < cover.rows.end; ++row) {
-      const Tiles columns = columns_of(job, cover, row);
+    const Cover wide = load_cover(job, theirs);
+    for (int row = wide.rows.first; row < wide.rows.end; ++row) {
+      const Tiles columns = columns_of(job, wide, row);
       for (int column = columns.first + lane_of(); column < columns.end; column += WARP)
-        store_pair(job, at + column - columns.first, row * num_tiles_x + column, theirs);
+        store_pair(job, at + column - columns.first, row * n.num_tiles_x + column, theirs, in_16_bits);
       at += columns.end - columns.first;
     }
   }
 }
 
-SPLATREE_KERNEL(256) start_tiles(const FrameJob* job, int from_b) {
-  const long long tile = index_of_thread();
+// Packed: the side on which the sort of the pairs ended; whether tiles are numbers of 16 bits.
+SPLATREE_KERNEL(256, 1) start_tiles(const FrameJob* job, int packed) {
+  const long long tile = index_of_thread(), count = held(job->counters[NUM_PAIRS], job->pair_capacity);
   if (tile > (long long)job->numbers.num_tiles_x * job->numbers.num_tiles_y) return;
-  const Global<const unsigned> keys = from_b ? job->keys_b : job->keys_a;
-  // The first pair of this tile or a later one, by bisection.
-  long long low = 0, high = held(job->counters[NUM_PAIRS], job->pair_capacity);
-  while (low < high) {
-    const long long middle = (low + high) / 2;
-    if (keys[middle] < tile)
-      low = middle + 1;
-    else
-      high = middle;
-  }
-  job->tile_start[tile] = (unsigned)low;
+  const bool from_b = packed & 1, in_16_bits = packed >> 1;
+  const long long place = in_16_bits ? place_of_key(from_b ? job->tile_keys_b : job->tile_keys_a, count, tile)
+                                     : place_of_key(from_b ? job->keys_b : job->keys_a, count, tile);
+  job->tile_start[tile] = (unsigned)place;
 }

@@ -16,36 +16,13 @@
 // what float32 may lose, so the test changes no pixel.
 //
 // The transmittance of a finished pixel is kept with a minus sign, so one comparison tells that it takes no more light.
-#include "cuda/device.h"
+#include "cuda/tile.h"
 #include "shared/blend.h"
-#include "shared/constants.h"
-#include "shared/ellipse.h"
 
 namespace splatree {
 namespace {
 
-constexpr int WARP_WIDTH = 8, WARP_HEIGHT = 4;
-constexpr float ALPHA_MAX = float(constants::ALPHA_MAX), ALPHA_THRESHOLD = float(constants::ALPHA_THRESHOLD);
-constexpr float TRANSMITTANCE_MIN = float(constants::TRANSMITTANCE_MIN), TAPER_SLOPE = float(constants::TAPER_SLOPE);
-constexpr float SQRT_HALF_LOG2E = 0.849321800f;  // √(½ log2 e): exp(-½ q²) = 2^-(this q)²
-
-// A splat in units in which the exponent is a power of 2.
-struct Brush {
-  float x, y, a, b, c, log2_opacity;
-};
-
-// Whether the splat may touch the pixel centres of a rectangle of half size (half_x, half_y) around (x, y): |L d| over it is
-// at least that at its centre less what the half sizes can add; `lost` is what float32 may lose.
-SPLATREE_FN bool may_touch(const Brush& s, float x, float y, float half_x, float half_y, float log2_threshold, float half_size_x,
-                           float half_size_y) {
-  const float dx = x - s.x, dy = y - s.y, abs_b = __builtin_fabsf(s.b);
-  const float u = s.a * dx + s.b * dy, v = s.c * dy;
-  const float u_reach = s.a * half_x + abs_b * half_y + 2e-6f * (s.a * (half_size_x + 16) + abs_b * (half_size_y + 16));
-  const float v_reach = s.c * half_y + 2e-6f * s.c * (half_size_y + 16);
-  const float u_least = greatest(__builtin_fabsf(u) - u_reach, 0.f), v_least = greatest(__builtin_fabsf(v) - v_reach, 0.f);
-  const float limit = (s.log2_opacity - log2_threshold) * (1 + 1e-5f) + 1e-5f;
-  return (u_least * u_least + v_least * v_least <= limit) & (__builtin_fabsf(dx) <= half_size_x * (1 + 1e-5f) + half_x + 1e-3f);
-}
+constexpr float TAPER_SLOPE = float(constants::TAPER_SLOPE);
 
 struct Pixel {
   float transmittance, red, green, blue, depth;
@@ -57,16 +34,6 @@ struct Kept {
   int finisher;  // entry that finished the pixel, 0 if none did
   float median;  // depth at which the transmittance fell below ½
 };
-
-SPLATREE_FN int sum_of_warp(int value) {
-  for (int step = WARP / 2; step; step /= 2) value += __shfl_xor_sync(ALL_LANES, value, step);
-  return value;
-}
-
-SPLATREE_FN float sum_of_warp(float value) {
-  for (int step = WARP / 2; step; step /= 2) value += __shfl_xor_sync(ALL_LANES, value, step);
-  return value;
-}
 
 // Draws a splat, an entry of the list, at a pixel; returns α T, 0 where it is not drawn.
 template <class Ends, class Keeps>
@@ -129,19 +96,16 @@ SPLATREE_FN void blend(const FrameJob* job, int from_b) {
     if (!__syncthreads_or(pixel.transmittance > 0.f)) break;
     // A batch. In a part of a tile those that miss it are left out, the others keep their order.
     const bool there = at + threadIdx.x < end;
-    float4 p = {}, q = {}, r = {};
-    float half_size_y = 0, floor = 0, ends = threshold;
+    Brush brush = {};
+    float floor = 0, ends = threshold;
     bool taken = there;
     if (there) {
       const long long splat = pairs[at + threadIdx.x];
-      p = job->records[4 * splat], q = job->records[4 * splat + 1], r = job->records[4 * splat + 2];
-      half_size_y = float4(job->records[4 * splat + 3]).x;
+      brush = load_brush(job, splat);
       if (TAPER) floor = job->floors[splat], ends = log2_of(floor);
-      p.z *= SQRT_HALF_LOG2E, p.w *= SQRT_HALF_LOG2E, q.x *= SQRT_HALF_LOG2E;
       const float half = 0.5f * (SIDE - 1);
       if (PARTS > 1)
-        taken = may_touch({p.x, p.y, p.z, p.w, q.x, q.z}, part_x + 0.5f * SIDE, part_y + 0.5f * SIDE, half, half, ends, r.w,
-                          half_size_y);
+        taken = may_touch(brush.geometry, brush.appearance, part_x + 0.5f * SIDE, part_y + 0.5f * SIDE, half, half, ends);
     }
     const unsigned lanes = __ballot_sync(ALL_LANES, taken);
     if (lane_of() == 0) num_loaded[warp_of()] = __popc(lanes);
@@ -152,9 +116,9 @@ SPLATREE_FN void blend(const FrameJob* job, int from_b) {
       loaded += num_loaded[warp];
     }
     if (taken) {
-      geometry[place] = p;
-      appearance[place] = make_float4(q.x, q.z, r.w, half_size_y);
-      color[place] = make_float4(q.w, r.x, r.y, r.z);
+      geometry[place] = brush.geometry;
+      appearance[place] = brush.appearance;
+      color[place] = brush.color;
       if (TAPER) floors[place] = floor;
     }
     if (CONTRIBUTIONS)
@@ -167,12 +131,8 @@ SPLATREE_FN void blend(const FrameJob* job, int from_b) {
       if (!__any_sync(ALL_LANES, pixel.transmittance > 0.f)) break;
       const int mine = first + lane_of();
       bool touches = mine < loaded;
-      if (touches) {
-        const float4 g = geometry[mine], a = appearance[mine];
-        touches =
-            may_touch({g.x, g.y, g.z, g.w, a.x, a.y}, warp_x + 0.5f * WARP_WIDTH, warp_y + 0.5f * WARP_HEIGHT,
-                      0.5f * (WARP_WIDTH - 1), 0.5f * (WARP_HEIGHT - 1), TAPER ? log2_of(floors[mine]) : threshold, a.z, a.w);
-      }
+      if (touches)
+        touches = may_touch_warp(geometry[mine], appearance[mine], warp_x, warp_y, TAPER ? log2_of(floors[mine]) : threshold);
       for (unsigned left = __ballot_sync(ALL_LANES, touches); left; left &= left - 1) {
         const int splat = first + __ffs(left) - 1;
         const float4 g = geometry[splat], a = appearance[splat];
@@ -230,13 +190,13 @@ SPLATREE_FN void blend(const FrameJob* job, int from_b) {
 
 using namespace splatree;
 
-SPLATREE_KERNEL(256) blend_16(const FrameJob* job, int from_b) { blend<16, Hard, PictureAlone>(job, from_b); }
-SPLATREE_KERNEL(64) blend_8(const FrameJob* job, int from_b) { blend<8, Hard, PictureAlone>(job, from_b); }
-SPLATREE_KERNEL(256) taper_16(const FrameJob* job, int from_b) { blend<16, Taper, PictureAlone>(job, from_b); }
-SPLATREE_KERNEL(64) taper_8(const FrameJob* job, int from_b) { blend<8, Taper, PictureAlone>(job, from_b); }
-SPLATREE_KERNEL(256) pixels_16(const FrameJob* job, int from_b) { blend<16, Hard, AndPixels>(job, from_b); }
-SPLATREE_KERNEL(256) pixels_taper_16(const FrameJob* job, int from_b) { blend<16, Taper, AndPixels>(job, from_b); }
-SPLATREE_KERNEL(256) pairs_16(const FrameJob* job, int from_b) { blend<16, Hard, AndPairs>(job, from_b); }
-SPLATREE_KERNEL(256) pairs_taper_16(const FrameJob* job, int from_b) { blend<16, Taper, AndPairs>(job, from_b); }
-SPLATREE_KERNEL(256) both_16(const FrameJob* job, int from_b) { blend<16, Hard, AndBoth>(job, from_b); }
-SPLATREE_KERNEL(256) both_taper_16(const FrameJob* job, int from_b) { blend<16, Taper, AndBoth>(job, from_b); }
+SPLATREE_KERNEL(256, 1) blend_16(const FrameJob* job, int from_b) { blend<16, Hard, PictureAlone>(job, from_b); }
+SPLATREE_KERNEL(64, 1) blend_8(const FrameJob* job, int from_b) { blend<8, Hard, PictureAlone>(job, from_b); }
+SPLATREE_KERNEL(256, 1) taper_16(const FrameJob* job, int from_b) { blend<16, Taper, PictureAlone>(job, from_b); }
+SPLATREE_KERNEL(64, 1) taper_8(const FrameJob* job, int from_b) { blend<8, Taper, PictureAlone>(job, from_b); }
+SPLATREE_KERNEL(256, 1) pixels_16(const FrameJob* job, int from_b) { blend<16, Hard, AndPixels>(job, from_b); }
+SPLATREE_KERNEL(256, 1) pixels_taper_16(const FrameJob* job, int from_b) { blend<16, Taper, AndPixels>(job, from_b); }
+SPLATREE_KERNEL(256, 1) pairs_16(const FrameJob* job, int from_b) { blend<16, Hard, AndPairs>(job, from_b); }
+SPLATREE_KERNEL(256, 1) pairs_taper_16(const FrameJob* job, int from_b) { blend<16, Taper, AndPairs>(job, from_b); }
+SPLATREE_KERNEL(256, 1) both_16(const FrameJob* job, int from_b) { blend<16, Hard, AndBoth>(job, from_b); }
+SPLATREE_KERNEL(256, 1) both_taper_16(const FrameJob* job, int from_b) { blend<16, Taper, AndBoth>(job, from_b); }

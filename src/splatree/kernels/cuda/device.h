@@ -19,8 +19,9 @@ using Global = T*;
 
 // An array that the threads of a thread block share.
 #define SPLATREE_SHARED(type, name, size) __shared__ type name[size]
-// One thread block a multiprocessor is all that is demanded: the assembler then has no reason to spill registers for a second.
-#define SPLATREE_KERNEL(threads) extern "C" __global__ void __launch_bounds__(threads, 1)
+// A kernel of so many threads a thread block, of which a multiprocessor is to hold so many at least: that bounds the registers.
+// With 1 the assembler takes what it likes; more is asked for where it can be had without a spill.
+#define SPLATREE_KERNEL(threads, thread_blocks) extern "C" __global__ void __launch_bounds__(threads, thread_blocks)
 
 // A word that other thread blocks wait for: written and read past the first-level cache.
 static __device__ __forceinline__ void publish(unsigned long long* word, unsigned long long value) {
@@ -31,6 +32,9 @@ static __device__ __forceinline__ void publish(unsigned long long* word, unsigne
 static __device__ __forceinline__ unsigned long long read_published(const unsigned long long* word) {
   return *(const volatile unsigned long long*)word;
 }
+
+// Four numbers at once; their place is a multiple of four.
+static __device__ __forceinline__ float4 load_four(const float* column, long long at) { return *(const float4*)(column + at); }
 #endif
 
 #include "cuda/job.h"
@@ -39,6 +43,7 @@ namespace splatree {
 namespace {
 
 constexpr unsigned ALL_LANES = 0xffffffffu;
+constexpr unsigned NOT_VISIBLE = 0xffffffffu;  // in the place of a depth, behind all others
 constexpr int WARP = 32;
 
 SPLATREE_FN int lane_of() { return threadIdx.x % WARP; }
@@ -80,6 +85,44 @@ SPLATREE_FN int max_before(int value, int first, int& largest) {
 SPLATREE_FN int largest_of_warp(int value) {
   for (int step = WARP / 2; step; step /= 2) value = larger(value, __shfl_xor_sync(ALL_LANES, value, step));
   return value;
+}
+
+template <class T>
+SPLATREE_FN T sum_of_warp(T value) {
+  for (int step = WARP / 2; step; step /= 2) value += __shfl_xor_sync(ALL_LANES, value, step);
+  return value;
+}
+
+// Hands half of 2 HALF values to another lane, and adds what it hands over of the half that is kept.
+template <int HALF>
+SPLATREE_FN void halve(float (&values)[16]) {
+  const bool upper = lane_of() & 2 * HALF;
+#pragma unroll
+  for (int k = 0; k < HALF; ++k) {
+    const float sent = upper ? values[k] : values[k + HALF], kept = upper ? values[k + HALF] : values[k];
+    values[k] = kept + __shfl_xor_sync(ALL_LANES, sent, 2 * HALF);
+  }
+}
+
+// Sums of 16 values over the lanes of a warp: lane l gets the sum of value l / 2. 16 shuffles instead of 80, always in the same
+// order.
+SPLATREE_FN float sums_of_warp(float (&values)[16]) {
+  halve<8>(values), halve<4>(values), halve<2>(values), halve<1>(values);
+  return values[0] + __shfl_xor_sync(ALL_LANES, values[0], 1);
+}
+
+// The place of the first key that is not below `key`, among sorted ones.
+template <class Key>
+SPLATREE_FN long long place_of_key(Global<Key> keys, long long count, long long key) {
+  long long low = 0, high = count;
+  while (low < high) {
+    const long long middle = (low + high) / 2;
+    if (keys[middle] < key)
+      low = middle + 1;
+    else
+      high = middle;
+  }
+  return low;
 }
 
 // Adds a count of the lanes to a counter, with one access a warp.

@@ -70,13 +70,13 @@ struct FrameJob {
   // Splats: a record of 16 floats each, the order, and the two sides of the sort.
   Global<float4> records;       // v 4
   Global<unsigned> depth_keys;  // v; all ones: not visible
-  Global<unsigned> num_tiles;   // v
   Global<float> floors;         // v, opacity at which each is tapered off
   Global<unsigned> order;       // v: splats from the nearest to the farthest
-  Global<unsigned> first_pair;  // v, in depth order
-  Global<unsigned> keys_a;      // max(v, m)
+  Global<unsigned> keys_a;      // v; max(v, m) where tiles need more than 16 bits
   Global<unsigned> keys_b;
-  Global<unsigned> values_a;
+  Global<unsigned short> tile_keys_a;  // m, where tiles need no more than 16 bits
+  Global<unsigned short> tile_keys_b;
+  Global<unsigned> values_a;  // max(v, m)
   Global<unsigned> values_b;
   Global<unsigned> digits;      // 256 a tile of the sort
   Global<unsigned> tile_start;  // t + 1
@@ -92,6 +92,18 @@ struct FrameJob {
   Global<unsigned long long> counters;  // NUM_COUNTERS
   Global<unsigned> tickets;             // one a scan of the frame
   Global<unsigned long long> chains;    // chain_stride a scan of the frame
+  // Backward: derivatives by the picture, sums, derivatives by the rows of the splats.
+  Global<const float> by_image;      // h w 3
+  Global<const float> by_alpha;      // h w
+  Global<const float> by_depth;      // h w
+  Global<const float> pixel_errors;  // h w
+  Global<float> pair_sums;           // m NUM_SUMS
+  Global<float> splat_sums;          // v NUM_SUMS
+  Global<float> by_means;            // v 3
+  Global<float> by_quats;            // v 4
+  Global<float> by_log_scales;       // v 3
+  Global<float> by_logit_opacities;  // v
+  Global<float> by_sh;               // v k 3
   // Baselines.
   Global<const int> ancestor_table;  // n num_levels, root first, -1 behind the last
   Global<unsigned char> states;      // n

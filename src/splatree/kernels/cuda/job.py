@@ -29,6 +29,7 @@ _DTYPES = {
     "int": (np.int32, 1),
     "int4": (np.int32, 4),
     "unsigned": (np.uint32, 1),
+    "unsigned short": (np.uint16, 1),
     "unsigned char": (np.uint8, 1),
     "unsigned long long": (np.uint64, 1),
 }

@@ -106,7 +106,7 @@ SPLATREE_FN int near_leaf(const KmeansJob* job, const Box& box, int num_leaves) 
 }  // namespace
 
 // A warp a leaf.
-SPLATREE_KERNEL(256) box_centers(const KmeansJob* job, int) {
+SPLATREE_KERNEL(256, 1) box_centers(const KmeansJob* job, int) {
   const long long leaf = index_of_thread() / WARP;
   if (leaf * WARP >= job->num_centers) return;
   const long long last = job->num_centers - 1, label = leaf * WARP + lane_of();
@@ -118,7 +118,7 @@ SPLATREE_KERNEL(256) box_centers(const KmeansJob* job, int) {
 }
 
 // A warp 64 points.
-SPLATREE_KERNEL(256) label_points(const KmeansJob* job, int) {
+SPLATREE_KERNEL(256, 1) label_points(const KmeansJob* job, int) {
   const long long warp = index_of_thread() / WARP, first = warp * POINTS_OF_WARP, last = job->num_points - 1;
   if (first > last) return;
   Points points;

@@ -26,7 +26,7 @@ OLDEST_DRIVER = 11040
 Handle = ctypes.c_void_p
 Address = ctypes.c_uint64
 
-_HEADER = (Path(__file__).parent / "driver.h").read_text()
+_HEADER = (Path(__file__).parent / "driver.h").read_text(encoding="utf-8")
 NUMBERS = {name: int(value) for name, value in re.findall(r"^  (CU\w+) = (\d+),", _HEADER, re.M)}
 """Numbers of cuda.h by name."""
 _TYPES = {

@@ -9,18 +9,25 @@ from typing import Literal, NamedTuple
 
 from splatree.scene.view import Wanted
 
-__all__ = ["SCAN_CHUNK", "SORT_TILE", "Blend", "Launch", "Sizes", "bin_pairs", "blend", "order", "project", "select"]
+__all__ = [
+    *("SCAN_CHUNK", "SORT_TILE", "Blend", "Launch", "Sizes"),
+    *("bin_pairs", "blend", "blend_backward", "order", "project", "project_backward", "select"),
+]
 
 Blend = Literal["blend_16", "blend_8"]
 """The kernels that blend (blend.cu)."""
 
 SORT_TILE = SCAN_CHUNK = 4096
 """Keys of a tile of the sort, values of a chunk of a scan (order.cu, scan.h)."""
+SCAN_THREADS = 256
+"""Threads of a thread block of a scan; `list_pairs` takes a splat each."""
 NOTHING = Wanted()
 """No output beside colour, alpha and depth."""
-DIGITS, DIGIT_BITS = 256, 8
+DIGITS, DIGIT_BITS, DEPTH_BITS = 256, 8, 32
+SPLATS_SUMMED = 16
+"""Splats of a thread block of `sum_splats` (blend_backward.cu)."""
 MAX_PASSES = 4
-FIRST_SPLAT_SCAN, PAIR_SCAN = 1, 1 + 2 * MAX_PASSES
+FIRST_SPLAT_SCAN, PAIR_SCAN = 1, 1 + MAX_PASSES
 FIRST_PAIR_SCAN = PAIR_SCAN + 1
 NUM_SCANS = FIRST_PAIR_SCAN + MAX_PASSES
 """Places of a frame's scans: that of the selection is 0."""
@@ -49,20 +56,23 @@ class Sizes:
     """Pairs of splat and tile."""
     num_tiles: int
     """Tiles of the image."""
-    id_bits: int
-    """Bits of the largest id; 0 where rows are their own ids."""
+    has_ids: bool
+    """Whether rows have ids; else they are their own."""
     tapers: bool
     """Whether splats are tapered off."""
     num_multiprocessors: int
     """Of the device."""
 
     @property
+    def has_short_keys(self) -> bool:
+        """Whether the number of a tile has no more than 16 bits."""
+        return self.num_tiles <= 1 << 16
+
+    @property
     def chain_stride(self) -> int:
         """Chunks of the longest scan."""
-        longest = max(
-            self.num_blocks, self.rows, DIGITS * _over(self.rows, SORT_TILE), DIGITS * _over(self.pairs, SORT_TILE)
-        )
-        return _over(longest, SCAN_CHUNK)
+        longest = max(self.num_blocks, DIGITS * _over(self.rows, SORT_TILE), DIGITS * _over(self.pairs, SORT_TILE))
+        return max(_over(longest, SCAN_CHUNK), _over(self.rows, SCAN_THREADS))
 
 
 def select(sizes: Sizes) -> list[Launch]:
@@ -82,28 +92,23 @@ def project(sizes: Sizes) -> list[Launch]:
 
 
 def order(sizes: Sizes) -> list[Launch]:
-    """Splats by depth, equal depths by id: sorted by id first where ids are not the rows."""
+    """Splats by depth, equal depths by id."""
     threads = _over(sizes.rows, 256)
-    launches = [Launch("order_splats", threads, int(sizes.id_bits > 0))]
-    by_id = _passes(sizes.rows, sizes.id_bits, FIRST_SPLAT_SCAN, from_b=False, pairs=False)
-    side = _side_after(sizes.id_bits)
-    if sizes.id_bits:
-        launches += [*by_id, Launch("order_by_depth", threads, side)]
-    scan = FIRST_SPLAT_SCAN + _over(sizes.id_bits, DIGIT_BITS)
-    launches += _passes(sizes.rows, 32, scan, from_b=bool(side), pairs=False)
-    return [*launches, Launch("keep_order", threads, (side + _side_after(32)) % 2)]
+    assert not _side_after(DEPTH_BITS), "keep_order reads side a"
+    return [
+        Launch("order_splats", threads),
+        *_passes(sizes.rows, DEPTH_BITS, FIRST_SPLAT_SCAN, pairs=False),
+        Launch("keep_order", threads, int(sizes.has_ids)),
+    ]
 
 
 def bin_pairs(sizes: Sizes) -> list[Launch]:
     """The lists of the tiles."""
-    threads = _over(sizes.rows, 256)
-    bits = _tile_bits(sizes)
+    short = sizes.has_short_keys
     return [
-        Launch("count_tiles", threads, int(sizes.tapers)),
-        Launch("scan_pairs", _over(sizes.rows, SCAN_CHUNK), PAIR_SCAN),
-        Launch("list_pairs", threads),
-        *_passes(sizes.pairs, bits, FIRST_PAIR_SCAN, from_b=False, pairs=True),
-        Launch("start_tiles", _over(sizes.num_tiles + 1, 256), pair_side(sizes)),
+        Launch("list_pairs", _over(sizes.rows, SCAN_THREADS), sizes.tapers | short << 1 | PAIR_SCAN << 2),
+        *_passes(sizes.pairs, _tile_bits(sizes), FIRST_PAIR_SCAN, pairs=True, short=short),
+        Launch("start_tiles", _over(sizes.num_tiles + 1, 256), pair_side(sizes) | short << 1),
     ]
 
 
@@ -117,6 +122,22 @@ def blend(sizes: Sizes, kernel: Blend, wanted: Wanted = NOTHING) -> list[Launch]
     return [Launch(name, sizes.num_tiles * blocks_per_tile, pair_side(sizes))]
 
 
+def blend_backward(sizes: Sizes) -> list[Launch]:
+    """The sums of each splat over its pixels; pairs are then sorted by splat, so their lists are gone."""
+    side, bits = pair_side(sizes), max(sizes.rows - 1, 0).bit_length()
+    return [
+        Launch("blend_backward", sizes.num_tiles, side),
+        Launch("key_by_splat", _over(sizes.pairs, 256), side),
+        *_passes(sizes.pairs, bits, FIRST_PAIR_SCAN, pairs=True),
+        Launch("sum_splats", _over(sizes.rows, SPLATS_SUMMED), _side_after(bits)),
+    ]
+
+
+def project_backward(sizes: Sizes) -> list[Launch]:
+    """Derivatives by the rows of the splats."""
+    return [Launch("project_backward", _over(sizes.rows, 128))]
+
+
 def pair_side(sizes: Sizes) -> int:
     """Whether the sorted pairs are on side b."""
     return _side_after(_tile_bits(sizes))
@@ -126,19 +147,19 @@ def _tile_bits(sizes: Sizes) -> int:
     return (sizes.num_tiles - 1).bit_length()
 
 
-def _passes(capacity: int, num_bits: int, first_scan: int, *, from_b: bool, pairs: bool) -> list[Launch]:
-    """A sort by the lowest bits of the keys."""
-    tiles = _over(capacity, SORT_TILE)
+def _passes(capacity: int, num_bits: int, first_scan: int, *, pairs: bool, short: bool = False) -> list[Launch]:
+    """A sort by the lowest bits of the keys, which begins on side a."""
+    tiles, bits = _over(capacity, SORT_TILE), "_16" if short else ""
     launches = []
     for i in range(_over(num_bits, DIGIT_BITS)):
-        side = (from_b + i) % 2
+        side = i % 2
         # A launch has one number beside the job, and these kernels need four. The number is packed here and unpacked by `pass_of`
         # in order.cu, because a frame's launches are recorded once and replayed, so the job cannot change between them.
         packed = DIGIT_BITS * i | pairs << 5 | side << 6 | (first_scan + i) << 7
         launches += [
-            Launch("count_digits", tiles, packed),
+            Launch(f"count_digits{bits}", tiles, packed),
             Launch("scan_digits", _over(DIGITS * tiles, SCAN_CHUNK), packed),
-            Launch("move_digits", tiles, packed),
+            Launch(f"move_digits{bits}", tiles, packed),
         ]
     return launches
 

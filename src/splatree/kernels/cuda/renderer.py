@@ -244,7 +244,7 @@ class Renderer:
             rows=self._rows,
             pairs=self._pairs,
             num_tiles=num_x * num_y,
-            id_bits=self.scene.id_bits,
+            has_ids=self.scene.has_ids,
             tapers=view.tapers,
             num_multiprocessors=self.device.num_multiprocessors,
         )
@@ -316,7 +316,7 @@ class Renderer:
         self._work.clear()
         if rows is not None:
             self._work.fill("rows", rows[:, None])
-            self._work.set_count("num_selected", len(rows))
+            self._work.set_counts(num_selected=len(rows))
         events[0].record()
         cpu = [time.process_time()]
         for launches, event in zip(stages.values(), events[1:], strict=True):

@@ -1,17 +1,36 @@
-"""What a frame leaves on a device, as the structs of the stages."""
+"""What the stages leave on a device, as their structs."""
 
+import math
 from typing import Any
 
 import numpy as np
 
 from splatree.kernels.cuda import plan
 from splatree.kernels.cuda.workspace import Workspace
+from splatree.kernels.reference.optimise import COLUMNS
 from splatree.scene.cameras import Camera
 from splatree.scene.frame import PIXEL_OUTPUTS, Splats, TileBins, TileWork, tiles_of
+from splatree.scene.gaussians import Gaussians
+from splatree.scene.gradients import GaussianGradients, PictureGradients, SplatGradients
 from splatree.scene.view import View
-from splatree.shapes import Array, Bool, Int32
+from splatree.shapes import Array, Bool, Float32, Int32
 
-__all__ = ["prepare_outputs", "read_bins", "read_outputs", "read_splats", "tile_work_of"]
+__all__ = [
+    *(
+        "NUM_SUMS",
+        "prepare_outputs",
+        "read_bins",
+        "read_gradients",
+        "read_outputs",
+        "read_splats",
+        "read_sums",
+        "sums_of",
+    ),
+    *("tile_work_of", "width_of"),
+]
+
+NUM_SUMS = 12
+"""Of a pair and of a splat: six moments, three colours, depth, weight, error (SplatSum in shared/sums.h)."""
 
 
 def prepare_outputs(work: Workspace, view: View, num_pairs: int) -> None:
@@ -61,6 +80,42 @@ def read_bins(work: Workspace, camera: Camera, visible: Bool[Array, "v"], num_ro
     slots = work.arrays[side].numpy(int(start[-1]))[:, 0]
     floors = work.arrays["floors"].numpy(num_rows)[visible, 0] if work.sizes.tapers else None
     return TileBins(start, _renumbered(visible)[slots], num_x, num_y, floors)
+
+
+def read_sums(work: Workspace, num_splats: int, upstream: PictureGradients) -> SplatGradients:
+    """The sums over the pixels of each splat, those that were asked for."""
+    sums = work.arrays["splat_sums"].numpy(NUM_SUMS * num_splats).reshape(num_splats, NUM_SUMS)
+    has_errors = upstream.errors is not None
+    return SplatGradients(
+        sums[:, :6].copy(),
+        sums[:, 6:9].copy(),
+        None if upstream.depth is None else sums[:, 9].copy(),
+        sums[:, 10].copy() if has_errors else None,
+        sums[:, 11].copy() if has_errors else None,
+    )
+
+
+def sums_of(gradients: SplatGradients) -> Float32[Array, "v 12"]:
+    """The sums side by side, as `project_backward` reads them."""
+    sums = np.zeros((len(gradients.moments), NUM_SUMS), np.float32)
+    sums[:, :6], sums[:, 6:9] = gradients.moments, gradients.colors
+    if gradients.depths is not None:
+        sums[:, 9] = gradients.depths
+    return sums
+
+
+def read_gradients(work: Workspace, rows: Int32[Array, "v"], gaussians: Gaussians) -> GaussianGradients:
+    """The derivatives by the columns of the rows."""
+    columns = []
+    for name in COLUMNS:
+        found = work.arrays[f"by_{name}"].numpy(len(rows) * width_of(gaussians, name))
+        columns.append(found.reshape(len(rows), *getattr(gaussians, name).shape[1:]))
+    return GaussianGradients(rows, *columns)
+
+
+def width_of(gaussians: Gaussians, name: str) -> int:
+    """Numbers of a row in a column."""
+    return math.prod(getattr(gaussians, name).shape[1:])
 
 
 def _renumbered(visible: Bool[Array, "v"]) -> Int32[Array, "v"]:

@@ -33,29 +33,22 @@ SPLATREE_FN unsigned long long sum_of_chunks_before(const FrameJob* job, long lo
   return sum;
 }
 
-// Calls store(i, sum of load(j) over j < i) for each i < count, and leaves the sum of all in a counter, if one is named. Run by
-// thread blocks of SCAN_THREADS, at least one for each SCAN_CHUNK of count.
-template <class Load, class Store>
-SPLATREE_FN void scan(const FrameJob* job, int which, long long count, int counter, const Load& load, const Store& store) {
+// The chunk that a thread block takes next.
+SPLATREE_FN long long take_chunk(const FrameJob* job, int which) {
   SPLATREE_SHARED(long long, chunk_of_thread_block, 1);
-  SPLATREE_SHARED(unsigned, warp_sums, SCAN_THREADS / WARP);
-  SPLATREE_SHARED(unsigned long long, sum_before_chunk, 1);
   if (threadIdx.x == 0) chunk_of_thread_block[0] = atomicAdd(&job->tickets[which], 1u);
   __syncthreads();
-  const long long chunk = chunk_of_thread_block[0], chain = which * job->chain_stride;
-  if (chunk * SCAN_CHUNK >= count) return;
+  return chunk_of_thread_block[0];
+}
 
-  // Warp by warp, so that neighbours read neighbours: lane l takes items l, l + 32, ... of its warp's part.
-  const long long begin = chunk * SCAN_CHUNK + warp_of() * (WARP * SCAN_ITEMS) + lane_of();
-  unsigned before[SCAN_ITEMS], sum = 0;
-#pragma unroll
-  for (int i = 0; i < SCAN_ITEMS; ++i) {
-    const long long at = begin + i * WARP;
-    unsigned total;
-    before[i] = sum + sum_before(at < count ? load(at) : 0u, total);
-    sum += total;
-  }
-  if (lane_of() == 0) warp_sums[warp_of()] = sum;
+// The sum of everything before a warp, which brings its own sum; asked by all warps of a thread block of SCAN_THREADS. The last
+// chunk leaves the sum of all in a counter, if one is named.
+SPLATREE_FN unsigned sum_before_warp(const FrameJob* job, int which, long long chunk, unsigned of_warp, bool is_last,
+                                     int counter) {
+  SPLATREE_SHARED(unsigned, warp_sums, SCAN_THREADS / WARP);
+  SPLATREE_SHARED(unsigned long long, sum_before_chunk, 1);
+  const long long chain = which * job->chain_stride;
+  if (lane_of() == 0) warp_sums[warp_of()] = of_warp;
   __syncthreads();
   if (warp_of() == 0) {
     unsigned total;
@@ -66,13 +59,32 @@ SPLATREE_FN void scan(const FrameJob* job, int which, long long count, int count
     if (warp == 0) {
       if (chunk) publish(&job->chains[chain + chunk], WHOLE_SUM | (earlier + total));
       sum_before_chunk[0] = earlier;
-      if (counter >= 0 && (chunk + 1) * SCAN_CHUNK >= count) job->counters[counter] = earlier + total;
+      if (counter >= 0 && is_last) job->counters[counter] = earlier + total;
     }
   }
   __syncthreads();
-  unsigned of_warps = 0;
-  for (int warp = 0; warp < warp_of(); ++warp) of_warps += warp_sums[warp];
-  const unsigned first = (unsigned)sum_before_chunk[0] + of_warps;
+  unsigned sum = (unsigned)sum_before_chunk[0];
+  for (int warp = 0; warp < warp_of(); ++warp) sum += warp_sums[warp];
+  return sum;
+}
+
+// Calls store(i, sum of load(j) over j < i) for each i < count, and leaves the sum of all in a counter, if one is named. Run by
+// thread blocks of SCAN_THREADS, at least one for each SCAN_CHUNK of count.
+template <class Load, class Store>
+SPLATREE_FN void scan(const FrameJob* job, int which, long long count, int counter, const Load& load, const Store& store) {
+  const long long chunk = take_chunk(job, which);
+  if (chunk * SCAN_CHUNK >= count) return;
+  // Warp by warp, so that neighbours read neighbours: lane l takes items l, l + 32, ... of its warp's part.
+  const long long begin = chunk * SCAN_CHUNK + warp_of() * (WARP * SCAN_ITEMS) + lane_of();
+  unsigned before[SCAN_ITEMS], sum = 0;
+#pragma unroll
+  for (int i = 0; i < SCAN_ITEMS; ++i) {
+    const long long at = begin + i * WARP;
+    unsigned total;
+    before[i] = sum + sum_before(at < count ? load(at) : 0u, total);
+    sum += total;
+  }
+  const unsigned first = sum_before_warp(job, which, chunk, sum, (chunk + 1) * SCAN_CHUNK >= count, counter);
 #pragma unroll
   for (int i = 0; i < SCAN_ITEMS; ++i)
     if (begin + i * WARP < count) store(begin + i * WARP, first + before[i]);

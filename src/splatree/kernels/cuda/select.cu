@@ -73,7 +73,7 @@ SPLATREE_FN int shadow_before(const FrameJob* job, long long block) {
 
 using namespace splatree;
 
-SPLATREE_KERNEL(256) select_blocks(const FrameJob* job) {
+SPLATREE_KERNEL(256, 1) select_blocks(const FrameJob* job) {
   const long long block = index_of_thread() / WARP;
   if (block >= job->num_blocks) return;
   const Placement placement = place(job, block);
@@ -91,7 +91,7 @@ SPLATREE_KERNEL(256) select_blocks(const FrameJob* job) {
   atomicAdd(&job->counters[NUM_VISITED], (unsigned long long)(end - (shadow > begin ? shadow : begin)));
 }
 
-SPLATREE_KERNEL(256) select_rows(const FrameJob* job) {
+SPLATREE_KERNEL(256, 1) select_rows(const FrameJob* job) {
   SPLATREE_SHARED(int, warp_ends, 8);
   const FrameNumbers& n = job->numbers;
   const long long num_open = (long long)job->counters[NUM_OPEN];
@@ -134,13 +134,13 @@ SPLATREE_KERNEL(256) select_rows(const FrameJob* job) {
   }
 }
 
-SPLATREE_KERNEL(256) scan_kept(const FrameJob* job) {
+SPLATREE_KERNEL(256, 4) scan_kept(const FrameJob* job) {
   scan(
       job, 0, job->num_blocks, NUM_SELECTED, [&](long long block) { return job->num_kept[block]; },
       [&](long long block, unsigned first) { job->first_kept[block] = first; });
 }
 
-SPLATREE_KERNEL(256) list_rows(const FrameJob* job) {
+SPLATREE_KERNEL(256, 1) list_rows(const FrameJob* job) {
   const long long block = index_of_thread() / WARP;
   if (block >= job->num_blocks || !job->num_kept[block]) return;
   long long place = job->first_kept[block];

@@ -11,7 +11,10 @@ from pathlib import Path
 __all__ = ["STAGES", "headers", "kernels_of", "source", "stage_of", "threads_of"]
 
 ROOT = Path(__file__).parent.parent
-STAGES = ("select", "project", "order", "bin", "blend", "baselines", "kmeans")
+STAGES = (
+    *("select", "project", "order", "bin", "blend", "baselines", "kmeans"),
+    *("blend_backward", "project_backward", "loss", "optimise"),
+)
 """Files of kernels; each is compiled on its own."""
 
 
@@ -19,20 +22,21 @@ STAGES = ("select", "project", "order", "bin", "blend", "baselines", "kmeans")
 def headers() -> dict[str, str]:
     """Text of each header by the name under which it is included."""
     paths = [*(ROOT / "shared").glob("*.h"), *(ROOT / "cuda").glob("*.h")]
-    return {path.relative_to(ROOT).as_posix(): path.read_text() for path in sorted(paths)}
+    return {path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8") for path in sorted(paths)}
 
 
 @cache
 def source(stage: str) -> str:
     """Text of a file of kernels."""
-    return (ROOT / "cuda" / f"{stage}.cu").read_text()
+    return (ROOT / "cuda" / f"{stage}.cu").read_text(encoding="utf-8")
 
 
 @cache
 def kernels_of(stage: str) -> dict[str, int]:
     """Kernels of a file, with the threads of a thread block."""
     return {
-        name: int(threads) for threads, name in re.findall(r"^SPLATREE_KERNEL\((\d+)\) (\w+)\(", source(stage), re.M)
+        name: int(threads)
+        for threads, name in re.findall(r"^SPLATREE_KERNEL\((\d+), \d\) (\w+)\(", source(stage), re.M)
     }
 
 

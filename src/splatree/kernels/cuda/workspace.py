@@ -1,7 +1,7 @@
 """The memory of a frame on a device, and the job that tells kernels where it lies.
 
-Arrays only grow. What a frame needs at once: 64 + 36 bytes a row, 24 a pair (pairs and rows share the sides of the sort),
-16 a pixel with 20 for the picture itself.
+Arrays only grow. What a frame needs at once: 64 + 28 bytes a row, 12 a pair (16 in pictures of more than 65,536
+tiles; pairs and rows share the sides of the sort), 16 a pixel with 20 for the picture itself.
 """
 
 from collections.abc import Mapping, Sequence
@@ -42,7 +42,7 @@ class DeviceScene:
         """
         self.num_rows, self.sh_degree = len(gaussians), gaussians.sh_degree
         self.num_blocks = len(blocks) if blocks else 0
-        self.id_bits = int(ids.max(initial=0)).bit_length() if ids is not None else 0
+        self.has_ids = ids is not None
         columns: dict[str, Array | None] = {
             name: getattr(gaussians, name) for name in GAUSSIAN_COLUMNS if name not in on_device
         }
@@ -107,8 +107,10 @@ class Workspace:
             "first_kept": sizes.num_blocks,
             "rows": sizes.rows,
             "records": 4 * sizes.rows,
-            **dict.fromkeys(("depth_keys", "num_tiles", "first_pair", "order"), sizes.rows),
-            **dict.fromkeys(("keys_a", "keys_b", "values_a", "values_b"), both),
+            **dict.fromkeys(("depth_keys", "order"), sizes.rows),
+            **dict.fromkeys(("values_a", "values_b"), both),
+            **dict.fromkeys(("keys_a", "keys_b"), sizes.rows if sizes.has_short_keys else both),
+            **dict.fromkeys(("tile_keys_a", "tile_keys_b"), sizes.pairs if sizes.has_short_keys else 0),
             "digits": DIGITS * -(-both // SORT_TILE),
             "floors": sizes.rows if sizes.tapers else 0,
             "tile_start": sizes.num_tiles + 1,
@@ -177,10 +179,11 @@ class Workspace:
         """The counters; waits for the device."""
         return dict(zip(COUNTERS, self.arrays["counters"].numpy()[:, 0].tolist(), strict=False))
 
-    def set_count(self, name: str, value: int) -> None:
-        """Give a counter a value, for stages whose input comes from the host."""
+    def set_counts(self, **counts: int) -> None:
+        """Give counters their values and 0 to all others, for stages whose input comes from the host."""
         values = np.zeros((len(self.arrays["counters"]), 1), np.uint64)
-        values[COUNTERS.index(name)] = value
+        for name, count in counts.items():
+            values[COUNTERS.index(name)] = count
         self.arrays["counters"].fill(values)
 
 

@@ -2,24 +2,9 @@
 #pragma once
 #include <cstdint>
 
-namespace splatree {
+#include "shared/sums.h"
 
-// What is summed over the pixels of a pair, and then over the pairs of a splat.
-enum SplatSum {
-  SUM_H,
-  SUM_HU,
-  SUM_HV,
-  SUM_HUU,
-  SUM_HUV,
-  SUM_HVV,
-  SUM_RED,
-  SUM_GREEN,
-  SUM_BLUE,
-  SUM_DEPTH,
-  SUM_WEIGHT,
-  SUM_ERROR,
-  NUM_SUMS,
-};
+namespace splatree {
 
 struct BlendBackwardJob {
   const float* records;            // v splats

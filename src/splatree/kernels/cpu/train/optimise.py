@@ -10,7 +10,7 @@ from splatree.scene.gaussians import Gaussians
 from splatree.scene.gradients import GaussianGradients, Moments
 from splatree.shapes import Array, Float32
 
-__all__ = ["step"]
+__all__ = ["corrections", "step"]
 
 
 def step(
@@ -24,11 +24,11 @@ def step(
 ) -> None:
     """Change the columns of the Gaussians and the moments in place."""
     settings = [1 / ramp_steps, BETA_1, BETA_2, EPSILON]
-    _core.step_rows(gaussians, gradients, moments.values, moments.steps, rates, _corrections(), settings, threads)
+    _core.step_rows(gaussians, gradients, moments.values, moments.steps, rates, corrections(), settings, threads)
 
 
 @cache
-def _corrections() -> Float32[Array, "65536 2"]:
+def corrections() -> Float32[Array, "65536 2"]:
     """1 / (1 − βᵗ) of both moments, for each number t of steps."""
     t = np.maximum(np.arange(65536), 1)[:, None]
     return np.asarray(1 / (1 - np.array([BETA_1, BETA_2]) ** t), np.float32)

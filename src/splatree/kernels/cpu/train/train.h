@@ -2,6 +2,8 @@
 #pragma once
 #include <cstdint>
 
+#include "shared/sums.h"
+
 namespace splatree {
 
 constexpr int LOSS_EDGE_Y = 64, LOSS_EDGE_X = 192;  // px of an area that is computed at once
@@ -21,8 +23,6 @@ struct LossJob {
   float* errors;    // h w
   double* sums;     // NUM_LOSS_SUMS of each area
 };
-
-enum LossSum { SUM_DIFFERENCE, SUM_INDEX, SUM_PRODUCT, SUM_SQUARE = SUM_PRODUCT + 3, NUM_LOSS_SUMS = SUM_SQUARE + 3 };
 
 struct StepJob {
   int64_t num_rows;     // v
