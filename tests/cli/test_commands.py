@@ -363,6 +363,8 @@ def test_build_through_files_refuses_what_needs_the_scene_in_memory(splatree, sm
     ):
         code, _, err = splatree("build", small_ply, target, "--workers", "2", *words)
         assert code == 2 and wanted in err
+    code, _, err = splatree("build", small_ply, target, "--workers", "2", "--scheduler", "tcp://here:1")
+    assert code == 2 and "found 2 processes of this machine and a scheduler" in err
     code, _, err = splatree("build", small_ply, tmp_path / "a.ply", "--workers", "2")
     assert code == 2 and "ends in .splatree" in err
     assert list(tmp_path.glob("a.*")) == []

@@ -20,15 +20,6 @@ from splatree.outofcore.options import Room, bytes_of, cell_bytes
 from ..laws.hard_scenes import hard_scene, hard_scenes
 from ..laws.test_parts import check_same_tree
 
-
-@pytest.fixture(scope="module")
-def ply(tmp_path_factory):
-    """A scene of a few hundred rows in a file."""
-    path = tmp_path_factory.mktemp("inputs") / "scene.ply"
-    st.write(st.Scene.flat(hard_scene(700, "surface", 3, degree=1)), path)
-    return path
-
-
 SMALL = st.FolderOptions(part_rows=200)
 
 
@@ -210,7 +201,7 @@ def test_memory_is_spent_on_rows_then_on_processes():
         for k in (1, 16):
             room = Room.of(st.FolderOptions(max_memory=memory, workers=3), k)
             assert room.workers * cell_bytes(room.part_rows, k) <= bytes_of(memory)
-    assert Room.of(st.FolderOptions(max_memory="64G", workers=3), 16) == Room(64 * 10**9, 1_000_000, 3)
+    assert Room.of(st.FolderOptions(max_memory="64G", workers=3), 16) == Room(64 * 10**9, 1_000_000, 3, 64 * 10**9)
 
 
 def test_what_does_not_fit_above_the_parts_is_grown_one_level_more_in_them(tmp_path, ply, monkeypatch):

@@ -132,8 +132,8 @@ def run(command: Command) -> Built | BuiltFolder:
             or (command.views, command.calibration, command.reporting) != (Views(), CalibrateOptions(), Reporting())
         ):
             raise UsageError(
-                "found --max-memory, --workers or the size of parts with --flat, --levels file, --clusters, --compact, --refine, "
-                "views or --report, which need the scene in memory; wanted one of them"
+                "found --max-memory, --workers, --scheduler or the size of parts with --flat, --levels file, --clusters, "
+                "--compact, --refine, views or --report, which need the scene in memory; wanted one of them"
             )
         return run_through_files(command.files, command.options, command.running, command.mode)
     writing = WriteOptions(compact=command.compact)

@@ -48,16 +48,6 @@ def progress_shown(console: Console) -> Iterator[None]:
         yield
 
 
-def program_version() -> str:
-    """Version of the installed package; "of a source tree" if it runs without being installed."""
-    from importlib.metadata import PackageNotFoundError, version  # 15 ms, which other commands need not wait for
-
-    try:
-        return version("splatree")
-    except PackageNotFoundError:
-        return "of a source tree"
-
-
 def size(num_bytes: int) -> str:
     """Bytes in words: of the largest unit of which it is at least one."""
     for power, unit in ((3, "GiB"), (2, "MiB"), (1, "KiB")):

@@ -1,8 +1,7 @@
 """``splatree build`` through files: a folder of parts, for scenes larger than memory."""
 
 from splatree.cli.console import UsageError, counted, size
-from splatree.cli.files import Files, inputs_and_folder, told
-from splatree.io.options import ReadOptions
+from splatree.cli.files import Files, inputs_and_folder, read_options, told
 from splatree.lod.options import BuildOptions
 from splatree.outofcore.build import BuiltFolder, build_folder
 from splatree.outofcore.options import FolderOptions
@@ -15,19 +14,16 @@ def run_through_files(files: Files, options: BuildOptions, running: FolderOption
     """Build the levels of the inputs through files."""
     if options.method != "radius":
         raise UsageError(
-            f"found --method {options.method} with --max-memory, --workers or the size of parts; wanted --method radius: pairs "
-            "are chosen from the whole scene in memory"
+            f"found --method {options.method} with --max-memory, --workers, --scheduler or the size of parts; wanted --method "
+            "radius: pairs are chosen from the whole scene in memory"
         )
     inputs, output = inputs_and_folder(files)
-    reading = files.reading
     return build_folder(
         inputs,
         output,
         options,
         running,
-        reading=ReadOptions(
-            repair=reading.repair, axes=reading.input_axes, ignore_properties=reading.ignore_properties
-        ),
+        reading=read_options(files.reading),
         mode=mode,
         force=files.force,
     )

@@ -24,6 +24,7 @@ from splatree.io.notes import notes_in
 from splatree.io.options import ReadOptions
 from splatree.io.registry import detect, files_of
 from splatree.lod.options import BuildOptions
+from splatree.outofcore.cluster import cluster_at
 from splatree.outofcore.options import MOST_LEVELS, PART_ROWS, FolderOptions, Room, cell_bytes, top_bytes
 from splatree.outofcore.plan import Plan, make_plan, read_plan, request_of
 from splatree.outofcore.run import Workers, run_cells
@@ -97,7 +98,9 @@ def build_folder(
 
     Raises:
         FormatError: an input does not hold what it promises.
-        InputError: an input is not read in chunks, an option does not suit, or a cell needs more memory than there is.
+        InputError: an input is not read in chunks, an option does not suit, a cell needs more memory than there is, or a cluster
+            cannot take part.
+        MissingExtraError: a scheduler is named, and Dask is not installed.
         OutputError: the output exists, or could not be written.
 
     Source:
@@ -109,6 +112,8 @@ def build_folder(
         True
     """
     options, running, reading = options or BuildOptions(), running or FolderOptions(), reading or ReadOptions()
+    if executor is not None and running.scheduler is not None:
+        raise InputError(f"executor: found one beside the scheduler {running.scheduler}, wanted one of them")
     if options.method != "radius":
         raise InputError(
             f"method: found {options.method!r} for a build through files, wanted 'radius': pairs are chosen from the whole scene"
@@ -129,7 +134,8 @@ def build_folder(
         with _errors_of_writing(work):
             work.begin()
             request = request_of([_identity(path) for path in found.paths], options, running, reading, chunks.mode)
-            plan, manifest, report = _built(work, chunks, options, running, request, executor)
+            with _runners(work, running, executor, chunks.sh_degree) as (workers, room):
+                plan, manifest, report = _built(work, chunks, options, running, request, workers, room)
             _take_place(work, target, force)
     return BuiltFolder(
         path=Path(output),
@@ -154,21 +160,19 @@ def _built(
     options: BuildOptions,
     running: FolderOptions,
     request: dict[str, Any],
-    executor: Executor | None,
+    workers: Workers,
+    room: Room,
 ) -> tuple[Plan, Manifest, dict[str, Any]]:
-    room = Room.of(running, (chunks.sh_degree + 1) ** 2)
-    threads = 0 if room.workers == 1 and executor is None else 1
     plan = _plan_to_go_on_with(work, request, room)
     if plan is None:
         _clear(work)
         plan = make_plan(work, chunks, options, request, room)
     make_slices(work, plan, chunks)
     _check_room(work, plan, room)
-    workers = Workers(room.workers, executor)
-    run_cells(work, plan, "cell", workers, threads=threads)
+    run_cells(work, plan, "cell", workers)
     num_levels = running.part_levels
     while True:
-        results = run_cells(work, plan, "grow", workers, num_levels=num_levels, threads=threads)
+        results = run_cells(work, plan, "grow", workers, num_levels=num_levels)
         left = [sum(counts) for counts in zip(*(result["counts"] for result in results), strict=True)]
         # A build in memory ends where few enough are left: parts may not have grown beyond that.
         ended = [level for level, num_left in enumerate(left[:-1]) if num_left <= plan.resolved.max_roots]
@@ -187,6 +191,20 @@ def _built(
     return plan, *finish_scene(work, plan, results, source)
 
 
+@contextmanager
+def _runners(
+    work: Work, running: FolderOptions, executor: Executor | None, sh_degree: int
+) -> Iterator[tuple[Workers, Room]]:
+    """Who grows the cells, and how much memory there is for each."""
+    num_coefficients = (sh_degree + 1) ** 2
+    if running.scheduler is None:
+        room = Room.of(running, num_coefficients)
+        yield Workers(room.workers, executor), room
+        return
+    with cluster_at(running.scheduler, work) as cluster:
+        yield Workers(1, cluster.executor, cluster.died), Room.of(running, num_coefficients, cluster.thread_bytes)
+
+
 def _plan_to_go_on_with(work: Work, request: dict[str, Any], room: Room) -> Plan | None:
     """The plan of an interrupted build of the same scene, whose cells fit into the memory; None: there is none."""
     if not work.plan.exists():
@@ -203,10 +221,11 @@ def _check_room(work: Work, plan: Plan, room: Room) -> None:
     sizes = cell_sizes(work, plan)
     largest = int(sizes.argmax())
     needed = cell_bytes(int(sizes[largest]), (plan.sh_degree + 1) ** 2)
-    if sizes[largest] > 2 * plan.part_rows and needed > room.max_bytes:
+    if sizes[largest] > 2 * plan.part_rows and needed > room.piece_bytes:
         raise InputError(
             f"cell {largest}: found {sizes[largest]} Gaussians so close together that they cannot be cut, for which about "
-            f"{needed // 10**6} MB are needed, wanted at most {room.max_bytes // 10**6} MB; raise --max-memory, or thin the scene"
+            f"{needed // 10**6} MB are needed, wanted at most {room.piece_bytes / 1e6:.0f} MB; raise --max-memory, or thin the "
+            "scene"
         )
 
 

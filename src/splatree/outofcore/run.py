@@ -4,10 +4,11 @@ Any executor of `concurrent.futures` will do, on this machine or on others that 
 files, returns nothing and may be done twice. Its mark says that it is done, so a piece with a mark is not run again.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import lru_cache
 from multiprocessing import get_context
 from pathlib import Path
@@ -24,82 +25,100 @@ from splatree.progress import task
 __all__ = ["Workers", "run_cells"]
 
 TRIES = 2
-"""How often a pool of processes may break before the build gives up."""
+"""How often processes may die before the build gives up."""
 
 
+@dataclass(frozen=True)
 class Workers:
     """Who runs the pieces: this process, processes of its own, or an executor that is given."""
 
-    def __init__(self, num_workers: int, executor: Executor | None) -> None:
-        self.num_workers = num_workers
-        """Pieces at the same time."""
-        self._given = executor
+    num_workers: int
+    """Processes to start, if no executor is given; 1: this process."""
+    executor: Executor | None = None
+    """The executor that is given."""
+    died: type[Exception] = BrokenProcessPool
+    """What the executor raises of a piece whose process died."""
+
+    @property
+    def threads(self) -> int:
+        """Threads that a piece may use; 0: all of the machine."""
+        return 0 if self.num_workers == 1 and self.executor is None else 1
 
     @contextmanager
     def pool(self) -> Iterator[Executor | None]:
         """The executor; None: run in this process."""
-        if self._given is not None or self.num_workers == 1:
-            yield self._given
+        if self.executor is not None or self.num_workers == 1:
+            yield self.executor
             return
         # Spawned: a forked process would inherit what this one has in memory, and its threads' locks.
         with ProcessPoolExecutor(self.num_workers, mp_context=get_context("spawn")) as executor:
             yield executor
 
 
-def run_cells(
-    work: Work, plan: Plan, kind: str, workers: Workers, *, num_levels: int = 0, threads: int = 0
-) -> list[dict[str, Any]]:
+def run_cells(work: Work, plan: Plan, kind: str, workers: Workers, *, num_levels: int = 0) -> list[dict[str, Any]]:
     """Do one kind of piece, ``cell`` or ``grow``, for all cells that have no mark for it.
 
     Returns:
         What came of each cell, in their order.
 
     Raises:
-        InputError: processes died again and again; the cells that were not done are named.
+        InputError: processes died again and again, or a piece is said to be done and its mark is not there; the cells are named.
     """
     cells = range(len(plan.cells))
     names = [_name(kind, number, num_levels) for number in cells]
-    jobs = [(str(work.folder), plan.run, kind, number, num_levels, threads) for number in cells]
+    jobs = [(str(work.folder), plan.run, kind, number, num_levels, workers.threads) for number in cells]
     say = {"cell": "put cells in order", "grow": "grow cells"}[kind]
     with task(say, float(len(cells))) as advance:
         missing = [number for number in cells if work.result(names[number], plan.run) is None]
         advance(float(len(cells) - len(missing)))
         for _ in range(TRIES):
-            try:
+            if missing:
                 with workers.pool() as executor:
-                    _run(executor, do_piece, [jobs[number] for number in missing], advance)
-                missing = []
-                break
-            except BrokenProcessPool:
+                    missing = _run(executor, {number: jobs[number] for number in missing}, workers.died, advance)
                 missing = [number for number in missing if work.result(names[number], plan.run) is None]
         if missing:
             raise InputError(
                 f"cells {missing[:8]}: found that the processes which worked on them died {TRIES} times, perhaps for lack of "
-                "memory; run the build again with a smaller --max-memory or fewer --workers, it goes on where it stopped"
+                "memory; run the build again with a smaller --part-rows or fewer --workers, it goes on where it stopped"
             )
-    results = [work.result(name, plan.run) for name in names]
-    return [result for result in results if result is not None]
+    results = {number: work.result(name, plan.run) for number, name in zip(cells, names, strict=True)}
+    if lost := [number for number, result in results.items() if result is None]:
+        raise InputError(
+            f"cells {lost[:8]}: found no mark in {work.folder} of what workers say they did, wanted a folder that is the same "
+            "for all of them; run the build again, it goes on where it stopped"
+        )
+    return [result for result in results.values() if result is not None]
 
 
 def _run(
     executor: Executor | None,
-    function: Callable[..., None],
-    jobs: Sequence[tuple[Any, ...]],
+    jobs: Mapping[int, tuple[Any, ...]],
+    died: type[Exception],
     advance: Callable[[float], None],
-) -> None:
+) -> list[int]:
+    """Do the jobs of some cells; returns the cells whose processes died."""
     if executor is None:
-        for job in jobs:
-            function(*job)
+        for job in jobs.values():
+            do_piece(*job)
             advance(1.0)
-        return
-    futures: list[Future[None]] = [executor.submit(function, *job) for job in jobs]
+        return []
+    futures: dict[Future[None], int] = {}
+    missing = []
     try:
+        for number, job in jobs.items():
+            futures[executor.submit(do_piece, *job)] = number
         for future in as_completed(futures):
-            future.result()
-            advance(1.0)
+            if isinstance(future.exception(), died):
+                missing.append(futures[future])
+            else:
+                future.result()
+                advance(1.0)
+    except died:  # while pieces were handed out: what is done has a mark
+        missing = list(jobs)
     finally:
         for future in futures:
             future.cancel()
+    return sorted(missing)
 
 
 def do_piece(folder: str, run: str, kind: str, number: int, num_levels: int, threads: int) -> None:

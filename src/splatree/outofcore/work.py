@@ -47,6 +47,11 @@ class Work:
         return self.folder / "plan.json"
 
     @property
+    def token(self) -> Path:
+        """Which of all folders this is: a worker that reads it sees the folder."""
+        return self.folder / "token"
+
+    @property
     def scene(self) -> Path:
         """The folder to be."""
         return self.folder / "scene"
