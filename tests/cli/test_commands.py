@@ -353,6 +353,20 @@ def test_build_through_files_writes_a_folder_that_every_verb_takes(splatree, sma
     assert code == 0 and "parts" in words and "nodes left" in words
 
 
+def test_a_build_that_does_not_fit_goes_through_files_by_itself(splatree, small_ply, tmp_path, monkeypatch):
+    monkeypatch.setattr("splatree.outofcore.needs.free_bytes", lambda: 200_000_000)
+    code, words, _ = splatree("build", small_ply, tmp_path / "a.splatree")
+    assert code == 0 and (tmp_path / "a.splatree").is_dir()
+    assert "note: the build takes about 0.1 GB in memory, more than half of the 0.2 GB that are free: a folder" in words
+    for name, more, why in (("b.splatree", ("--method", "pairs"), "--method pairs"), ("b.rad", (), ".rad")):
+        built = result_of(splatree("build", small_ply, tmp_path / name, *more, "--json"))
+        assert (tmp_path / name).is_file()
+        assert built["notes"][0].endswith(f"that are free, and it cannot go through files with {why}")
+    monkeypatch.setattr("splatree.outofcore.needs.free_bytes", lambda: 2_000_000_000)
+    assert result_of(splatree("build", small_ply, tmp_path / "c.splatree", "--json"))["notes"] == []
+    assert (tmp_path / "c.splatree").is_file()
+
+
 def test_build_through_files_refuses_what_needs_the_scene_in_memory(splatree, small_ply, tmp_path):
     target = tmp_path / "a.splatree"
     for words, wanted in (

@@ -1,6 +1,7 @@
 """Builds through files: the tree of a build in memory, whatever stops and starts."""
 
 import errno
+import gzip
 import json
 import multiprocessing
 import os
@@ -15,7 +16,8 @@ from hypothesis import strategies as hs
 
 import splatree as st
 from splatree.outofcore import run, shuffle, top
-from splatree.outofcore.options import Room, bytes_of, cell_bytes
+from splatree.outofcore.needs import needs_of
+from splatree.outofcore.options import PROCESS_BYTES, Room, _free_of_group, bytes_of, cell_bytes
 
 from ..laws.hard_scenes import hard_scene, hard_scenes
 from ..laws.test_parts import check_same_tree
@@ -202,6 +204,27 @@ def test_memory_is_spent_on_rows_then_on_processes():
             room = Room.of(st.FolderOptions(max_memory=memory, workers=3), k)
             assert room.workers * cell_bytes(room.part_rows, k) <= bytes_of(memory)
     assert Room.of(st.FolderOptions(max_memory="64G", workers=3), 16) == Room(64 * 10**9, 1_000_000, 3, 64 * 10**9)
+
+
+def test_a_container_has_what_its_limit_leaves(tmp_path):
+    unlimited = _free_of_group(tmp_path)  # there is no group
+    (tmp_path / "memory.max").write_text("4000000000\n")
+    (tmp_path / "memory.current").write_text("3000000000\n")
+    (tmp_path / "memory.stat").write_text("anon 1\ninactive_file 500000000\nactive_file 7\n")
+    assert _free_of_group(tmp_path) == 1_500_000_000
+    (tmp_path / "memory.max").write_text("max\n")
+    assert _free_of_group(tmp_path) == unlimited > 2**62
+
+
+def test_what_a_build_needs_is_known_from_the_heads(tmp_path, ply, monkeypatch):
+    monkeypatch.setattr("splatree.outofcore.needs.free_bytes", lambda: 200_000_000)
+    needs = needs_of([ply, ply], st.ReadOptions(repair=True))
+    assert needs.num_bytes == PROCESS_BYTES + 1400 * (550 + 3 * 30) and needs.are_large
+    (tmp_path / "scene.ply.gz").write_bytes(gzip.compress(ply.read_bytes()))
+    assert needs_of([tmp_path / "scene.ply.gz"], st.ReadOptions()) is None  # it would have to be unpacked
+    monkeypatch.setattr("splatree.outofcore.needs.free_bytes", lambda: 10**12)
+    monkeypatch.setattr("splatree.outofcore.needs.opened_chunks", None)
+    assert needs_of([ply], st.ReadOptions()) is None  # whatever it holds, it is small
 
 
 def test_what_does_not_fit_above_the_parts_is_grown_one_level_more_in_them(tmp_path, ply, monkeypatch):

@@ -3,12 +3,13 @@
 import math
 import os
 import re
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 from splatree.errors import InputError
 
-__all__ = ["FolderOptions", "Room", "bytes_of"]
+__all__ = ["FolderOptions", "Room", "bytes_of", "free_bytes"]
 
 SMALLEST_MEMORY = 250_000_000
 """Bytes below which not even small cells fit beside the program itself."""
@@ -102,7 +103,7 @@ class Room:
         Raises:
             InputError: these workers have too little.
         """
-        max_bytes = _free_bytes() // 2 if options.max_memory is None else bytes_of(options.max_memory)
+        max_bytes = free_bytes() // 2 if options.max_memory is None else bytes_of(options.max_memory)
         max_bytes = max(max_bytes, SMALLEST_MEMORY)
         if thread_bytes < SMALLEST_MEMORY:
             raise InputError(
@@ -141,8 +142,22 @@ def bytes_of(text: str) -> int:
     return int(float(match[1]) * 1000 ** " kmgt".index(match[2].lower() or " "))
 
 
-def _free_bytes() -> int:
-    """Bytes that processes may take without others having to give any up."""
+def free_bytes() -> int:
+    """Bytes that processes may take without others having to give any up: of the machine, and of the control group."""
+    return min(_free_of_machine(), _free_of_group())
+
+
+def _free_of_group(folder: Path = Path("/sys/fs/cgroup")) -> int:
+    """What the limit of a container leaves; what files back can be given up."""
+    try:
+        limit, used = (int((folder / name).read_text()) for name in ("memory.max", "memory.current"))
+        backed = re.search(r"^inactive_file (\d+)$", (folder / "memory.stat").read_text(), re.MULTILINE)
+    except (OSError, ValueError):  # no such group, or "max": no limit
+        return sys.maxsize
+    return max(0, limit - used + (int(backed[1]) if backed else 0))
+
+
+def _free_of_machine() -> int:
     info = Path("/proc/meminfo")
     if info.exists() and (found := re.search(r"^MemAvailable:\s+(\d+) kB", info.read_text(), re.MULTILINE)):
         return int(found[1]) * 1024
