@@ -367,6 +367,22 @@ def test_a_build_that_does_not_fit_goes_through_files_by_itself(splatree, small_
     assert (tmp_path / "c.splatree").is_file()
 
 
+def test_thin_through_files_writes_the_same_file(splatree, small_ply, tmp_path):
+    for amount in (("--radius", "20"), ("--keep", "0.3", "--method", "radius")):
+        whole = result_of(splatree("thin", small_ply, tmp_path / "whole.ply", *amount, "--json", "--force"))
+        parts = result_of(
+            splatree("thin", small_ply, tmp_path / "parts.ply", *amount, "--part-rows", "100", "--json", "--force")
+        )
+        assert (tmp_path / "parts.ply").read_bytes() == (tmp_path / "whole.ply").read_bytes()
+        assert parts["radius"] == whole["radius"] and parts["num_gaussians"] == whole["num_gaussians"]
+    code, words, _ = splatree("thin", small_ply, tmp_path / "more.ply", "--max-memory", "1G")
+    assert code == 0 and ", radius " in words
+    code, _, err = splatree("thin", small_ply, tmp_path / "out.ply", "--keep", "0.3", "--max-memory", "1G")
+    assert code == 2 and "wanted --method radius" in err
+    code, _, err = splatree("thin", small_ply, tmp_path / "out.ply", "--workers", "2", "--report", tmp_path / "r")
+    assert code == 2 and "found --report with --max-memory" in err
+
+
 def test_build_through_files_refuses_what_needs_the_scene_in_memory(splatree, small_ply, tmp_path):
     target = tmp_path / "a.splatree"
     for words, wanted in (

@@ -187,7 +187,7 @@ def test_a_cell_that_cannot_be_cut_and_does_not_fit_is_named(tmp_path, monkeypat
     st.write(st.Scene.flat(hard_scene(900, "one place", 1)), tmp_path / "in.ply")
     built = st.build_folder(tmp_path / "in.ply", tmp_path / "out.splatree", running=SMALL)  # it fits: one cell
     check_is_tree_of(built.path, tmp_path / "in.ply")
-    monkeypatch.setattr("splatree.outofcore.build.cell_bytes", lambda rows, k: rows * 10**9)
+    monkeypatch.setattr("splatree.outofcore.cut.cell_bytes", lambda rows, k: rows * 10**9)
     with pytest.raises(st.InputError, match="cell 0: found 900 Gaussians so close together that they cannot be cut"):
         st.build_folder(tmp_path / "in.ply", tmp_path / "more.splatree", running=SMALL)
 

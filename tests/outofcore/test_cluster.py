@@ -4,6 +4,7 @@ import os
 import signal
 import socket
 import threading
+from dataclasses import replace
 
 import pytest
 
@@ -56,7 +57,7 @@ def test_a_worker_that_is_killed_changes_nothing(tmp_path, ply, address, here):
         """On a worker: the first piece that grows is done but for its mark when the process dies."""
         from splatree.outofcore import run
 
-        whole = run.grow_cell
+        whole = run.KINDS["grow"].do
 
         def dying(*arguments):
             result = whole(*arguments)
@@ -66,7 +67,7 @@ def test_a_worker_that_is_killed_changes_nothing(tmp_path, ply, address, here):
                 return result
             os.kill(os.getpid(), signal.SIGKILL)
 
-        run.grow_cell = dying
+        run.KINDS["grow"] = replace(run.KINDS["grow"], do=dying)
 
     with distributed.Client(address, set_as_default=False) as client:
         client.wait_for_workers(2)

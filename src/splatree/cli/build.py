@@ -127,8 +127,8 @@ def run(command: Command) -> Built | BuiltFolder:
     if command.running != FolderOptions():
         if needing := _in_memory(command):
             raise UsageError(
-                f"found --max-memory, --workers, --scheduler or the size of parts with {', '.join(needing)}, which need the scene "
-                "in memory; wanted one of them"
+                f"found --max-memory, --workers, --scheduler or the size of parts with {', '.join(needing)}, which need the "
+                "scene in memory; wanted one of them"
             )
         return run_through_files(command.files, command.options, command.running, command.mode)
     writing = WriteOptions(compact=command.compact)

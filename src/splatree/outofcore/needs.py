@@ -50,14 +50,18 @@ def needs_of(inputs: Sequence[Path], options: ReadOptions) -> Needs | None:
     Heads of files say how many Gaussians they hold, where they are read in chunks. What has to be fetched or unpacked first is
     not asked.
     """
-    if not all(path.is_dir() or (path.is_file() and path.suffix.lower() not in (".gz", ".zip", ".ssog")) for path in inputs):
+    if not all(
+        path.is_dir() or (path.is_file() and path.suffix.lower() not in (".gz", ".zip", ".ssog")) for path in inputs
+    ):
         return None
     found = find_inputs(inputs, lambda path: detect(path) is not None)
     free = free_bytes()
     most_rows = sum(map(stored_bytes, found.paths)) // FEWEST_FILE_BYTES
     if not Needs(PROCESS_BYTES + most_rows * (ROW_BYTES + 15 * HARMONIC_BYTES), free).are_large:
         return None
-    heads = ReadOptions(axes=options.axes, ignore_properties=options.ignore_properties)  # to repair them is to read all rows
+    heads = ReadOptions(
+        axes=options.axes, ignore_properties=options.ignore_properties
+    )  # to repair them is to read all rows
     parts = opened_chunks(found.paths, heads)
     if parts is None:
         return None

@@ -19,6 +19,7 @@ from splatree.outofcore.fingerprint import fingerprint
 from splatree.outofcore.grow import grow_cell
 from splatree.outofcore.plan import Plan, read_plan
 from splatree.outofcore.shuffle import make_cell
+from splatree.outofcore.thin_cell import count_cell, thin_cell
 from splatree.outofcore.work import Work
 from splatree.progress import task
 
@@ -26,6 +27,25 @@ __all__ = ["Workers", "run_cells"]
 
 TRIES = 2
 """How often processes may die before the build gives up."""
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """A kind of piece."""
+
+    says: str
+    """What the user reads while it is done."""
+    do: Callable[[Work, Plan, int, Any, int], dict[str, Any]]
+    """Does the piece of a cell, given its argument and the number of threads; returns what the client has to know."""
+
+
+KINDS = {
+    "cell": _Kind("put cells in order", make_cell),
+    "grow": _Kind("grow cells", grow_cell),
+    "count": _Kind("count what a radius leaves", count_cell),
+    "thin": _Kind("thin cells", thin_cell),
+}
+"""All kinds of pieces."""
 
 
 @dataclass(frozen=True)
@@ -55,8 +75,15 @@ class Workers:
             yield executor
 
 
-def run_cells(work: Work, plan: Plan, kind: str, workers: Workers, *, num_levels: int = 0) -> list[dict[str, Any]]:
-    """Do one kind of piece, ``cell`` or ``grow``, for all cells that have no mark for it.
+def run_cells(work: Work, plan: Plan, kind: str, workers: Workers, *, argument: float = 0) -> list[dict[str, Any]]:
+    """Do one kind of piece for all cells that have no mark for it.
+
+    Args:
+        work: where the pieces are.
+        plan: what was decided for the whole scene.
+        kind: a name in `KINDS`.
+        workers: who does them.
+        argument: what the kind of piece needs to know besides.
 
     Returns:
         What came of each cell, in their order.
@@ -65,10 +92,9 @@ def run_cells(work: Work, plan: Plan, kind: str, workers: Workers, *, num_levels
         InputError: processes died again and again, or a piece is said to be done and its mark is not there; the cells are named.
     """
     cells = range(len(plan.cells))
-    names = [_name(kind, number, num_levels) for number in cells]
-    jobs = [(str(work.folder), plan.run, kind, number, num_levels, workers.threads) for number in cells]
-    say = {"cell": "put cells in order", "grow": "grow cells"}[kind]
-    with task(say, float(len(cells))) as advance:
+    names = [_name(kind, number, argument) for number in cells]
+    jobs = [(str(work.folder), plan.run, kind, number, argument, workers.threads) for number in cells]
+    with task(KINDS[kind].says, float(len(cells))) as advance:
         missing = [number for number in cells if work.result(names[number], plan.run) is None]
         advance(float(len(cells) - len(missing)))
         for _ in range(TRIES):
@@ -121,7 +147,7 @@ def _run(
     return sorted(missing)
 
 
-def do_piece(folder: str, run: str, kind: str, number: int, num_levels: int, threads: int) -> None:
+def do_piece(folder: str, run: str, kind: str, number: int, argument: float, threads: int) -> None:
     """Do one piece, unless it is done, and mark it; runs in any process that sees the folder.
 
     Raises:
@@ -134,19 +160,14 @@ def do_piece(folder: str, run: str, kind: str, number: int, num_levels: int, thr
             f"worker: found that it computes {fingerprint()} where the build began with {plan.fingerprint}; wanted processes of "
             "one version on processors of one kind, whose parts fit together"
         )
-    name = _name(kind, number, num_levels)
-    if work.result(name, run) is not None:
-        return
-    if kind == "cell":
-        make_cell(work, plan, number)
-        work.finish(name, run, {})
-    else:
-        work.finish(name, run, grow_cell(work, plan, number, num_levels, threads))
+    name = _name(kind, number, argument)
+    if work.result(name, run) is None:
+        work.finish(name, run, KINDS[kind].do(work, plan, number, argument, threads))
 
 
-def _name(kind: str, number: int, num_levels: int) -> str:
+def _name(kind: str, number: int, argument: float) -> str:
     """Of a piece, in the name of its mark; a cell that grows to other levels is another piece."""
-    return f"{kind}-{number:05}" if kind == "cell" else f"{kind}-{num_levels}-{number:05}"
+    return f"{kind}-{argument!r}-{number:05}"
 
 
 @lru_cache(maxsize=1)
