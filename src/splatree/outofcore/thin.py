@@ -109,7 +109,7 @@ def thin_file(
 
     Example:
         >>> st.thin_file("city.ply", "thin.ply", st.ThinOptions(method="radius", keep=0.5), force=True).num_written
-        126
+        127
     """
     options, running, reading = options or ThinOptions(), running or FolderOptions(), reading or ReadOptions()
     if options.chosen_method != "radius":
