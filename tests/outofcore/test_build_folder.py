@@ -8,6 +8,7 @@ import os
 import signal
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ import splatree as st
 from splatree.outofcore import run, shuffle, top
 from splatree.outofcore.needs import needs_of
 from splatree.outofcore.options import PROCESS_BYTES, Room, _free_of_group, bytes_of, cell_bytes
+from splatree.progress import listen
 
 from ..laws.hard_scenes import hard_scene, hard_scenes
 from ..laws.test_parts import check_same_tree
@@ -97,10 +99,14 @@ def test_an_interrupted_build_goes_on_where_it_stopped(tmp_path, ply, monkeypatc
     assert not (tmp_path / "out.splatree").exists()
     assert (tmp_path / "out.splatree.work" / "plan.json").exists()
 
-    again = []
+    again, events = [], []
     monkeypatch.setattr(run, "do_piece", lambda *job: (again.append(job), do_piece(*job)))
     monkeypatch.setattr(shuffle, "_make_slice", None)  # all slices are there
-    st.build_folder(ply, tmp_path / "out.splatree", running=SMALL)
+    with listen(events.append):
+        st.build_folder(ply, tmp_path / "out.splatree", running=SMALL)
+    of_cells = [event for event in events if event.name == "put cells in order"]
+    assert (of_cells[0].done > 0) == (pieces > 0)  # rows of the first run
+    assert {event.total for event in of_cells} == {700} and of_cells[-1].done == 700
     assert not {job[2:4] for job in again} & {job[2:4] for job in done}
     check_is_tree_of(tmp_path / "out.splatree", ply)
     assert [path.name for path in tmp_path.iterdir()] == ["out.splatree"]
@@ -134,6 +140,44 @@ def test_a_killed_build_goes_on(tmp_path, ply):
     check_is_tree_of(tmp_path / "out.splatree", ply)
     st.build_folder(ply, tmp_path / "whole.splatree", running=SMALL)
     assert files_in(tmp_path / "out.splatree") == files_in(tmp_path / "whole.splatree")
+
+
+def _build_and_die_at_rename(ply, output, number):
+    """In a process of its own: a build that is killed when it is about to give a file its name."""
+    left, names = [number], {name: getattr(Path, name) for name in ("replace", "rename")}
+
+    def dying(name):
+        def rename(self, target):
+            left[0] -= 1
+            if not left[0]:
+                os.kill(os.getpid(), signal.SIGKILL)
+            return names[name](self, target)
+
+        return rename
+
+    for name in names:
+        setattr(Path, name, dying(name))
+    st.build_folder(ply, output, running=SMALL)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGKILL")
+@pytest.mark.parametrize(
+    "number", [5, 6, 7]
+)  # a piece has at most four files, its mark among them: each run gets further
+def test_a_build_that_is_killed_again_and_again_ends_with_the_same_files(tmp_path, ply, number):
+    context = multiprocessing.get_context("fork")
+    exit_codes = []
+    while not exit_codes or exit_codes[-1] != 0:
+        process = context.Process(target=_build_and_die_at_rename, args=(ply, tmp_path / "out.splatree", number))
+        process.start()
+        process.join()
+        exit_codes.append(process.exitcode)
+        assert exit_codes[-1] in (0, -signal.SIGKILL) and len(exit_codes) < 40
+    assert len(exit_codes) > 4
+    st.build_folder(ply, tmp_path / "whole.splatree", running=SMALL)
+    assert files_in(tmp_path / "out.splatree") == files_in(tmp_path / "whole.splatree")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["out.splatree", "whole.splatree"]
 
 
 def test_what_another_scene_left_is_not_used(tmp_path, ply, monkeypatch):

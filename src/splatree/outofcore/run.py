@@ -18,7 +18,7 @@ from splatree.errors import InputError
 from splatree.outofcore.fingerprint import fingerprint
 from splatree.outofcore.grow import grow_cell
 from splatree.outofcore.plan import Plan, read_plan
-from splatree.outofcore.shuffle import make_cell
+from splatree.outofcore.shuffle import cell_sizes, make_cell
 from splatree.outofcore.thin_cell import count_cell, thin_cell
 from splatree.outofcore.work import Work
 from splatree.progress import task
@@ -94,13 +94,18 @@ def run_cells(work: Work, plan: Plan, kind: str, workers: Workers, *, argument: 
     cells = range(len(plan.cells))
     names = [_name(kind, number, argument) for number in cells]
     jobs = [(str(work.folder), plan.run, kind, number, argument, workers.threads) for number in cells]
-    with task(KINDS[kind].says, float(len(cells))) as advance:
-        missing = [number for number in cells if work.result(names[number], plan.run) is None]
-        advance(float(len(cells) - len(missing)))
+    missing = [number for number in cells if work.result(names[number], plan.run) is None]
+    sizes = [float(size) for size in cell_sizes(work, plan)]
+    total = sum(sizes)
+    with task(KINDS[kind].says, total, done=total - sum(sizes[number] for number in missing)) as advance:
+
+        def ended(number: int) -> None:
+            advance(sizes[number])
+
         for _ in range(TRIES):
             if missing:
                 with workers.pool() as executor:
-                    missing = _run(executor, {number: jobs[number] for number in missing}, workers.died, advance)
+                    missing = _run(executor, {number: jobs[number] for number in missing}, workers.died, ended)
                 missing = [number for number in missing if work.result(names[number], plan.run) is None]
         if missing:
             raise InputError(
@@ -120,13 +125,13 @@ def _run(
     executor: Executor | None,
     jobs: Mapping[int, tuple[Any, ...]],
     died: type[Exception],
-    advance: Callable[[float], None],
+    ended: Callable[[int], None],
 ) -> list[int]:
-    """Do the jobs of some cells; returns the cells whose processes died."""
+    """Do the jobs of some cells, and tell of each that has ended; returns the cells whose processes died."""
     if executor is None:
-        for job in jobs.values():
+        for number, job in jobs.items():
             do_piece(*job)
-            advance(1.0)
+            ended(number)
         return []
     futures: dict[Future[None], int] = {}
     missing = []
@@ -138,7 +143,7 @@ def _run(
                 missing.append(futures[future])
             else:
                 future.result()
-                advance(1.0)
+                ended(futures[future])
     except died:  # while pieces were handed out: what is done has a mark
         missing = list(jobs)
     finally:
