@@ -162,9 +162,7 @@ def _build_and_die_at_rename(ply, output, number):
 
 @pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGKILL")
-@pytest.mark.parametrize(
-    "number", [5, 6, 7]
-)  # a piece has at most four files, its mark among them: each run gets further
+@pytest.mark.parametrize("number", [5, 6, 7])  # a piece has at most four files, so each run gets further
 def test_a_build_that_is_killed_again_and_again_ends_with_the_same_files(tmp_path, ply, number):
     context = multiprocessing.get_context("fork")
     exit_codes = []
@@ -178,6 +176,16 @@ def test_a_build_that_is_killed_again_and_again_ends_with_the_same_files(tmp_pat
     st.build_folder(ply, tmp_path / "whole.splatree", running=SMALL)
     assert files_in(tmp_path / "out.splatree") == files_in(tmp_path / "whole.splatree")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["out.splatree", "whole.splatree"]
+
+
+def test_what_a_build_left_when_it_was_killed_at_its_end_is_not_used(tmp_path, ply, monkeypatch):
+    monkeypatch.setattr("splatree.outofcore.build.shutil.rmtree", lambda *_, **__: None)
+    st.build_folder(ply, tmp_path / "out.splatree", running=SMALL)
+    assert (tmp_path / "out.splatree.work").exists()
+    monkeypatch.undo()
+    st.build_folder(ply, tmp_path / "out.splatree", running=SMALL, force=True)
+    check_is_tree_of(tmp_path / "out.splatree", ply)
+    assert [path.name for path in tmp_path.iterdir()] == ["out.splatree"]
 
 
 def test_what_another_scene_left_is_not_used(tmp_path, ply, monkeypatch):

@@ -175,9 +175,8 @@ def _note_on_pixels(plan: Plan, options: BuildOptions) -> tuple[str, ...]:
 
 def _take_place(work: Work, target: Path, force: bool) -> None:
     """Move the finished folder to its name, and remove the rest."""
-    work.plan.unlink()  # from here on, another build begins anew
     old = work.folder / "old"
     if target.exists() and force:
         target.rename(old)
-    work.scene.rename(target)
+    work.scene.rename(target)  # from here on, another build begins anew
     shutil.rmtree(work.folder, ignore_errors=True)

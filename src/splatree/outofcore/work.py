@@ -37,7 +37,9 @@ class Work:
     """The folder of the build."""
 
     def begin(self) -> None:
-        """Make the folders, and remove what killed processes left half-written."""
+        """Make the folders, and remove what killed processes left half-written, and the plan of a build that was done."""
+        if self.plan.exists() and not self.scene.exists():  # it has taken its place
+            self.plan.unlink()
         for name in FOLDERS:
             (self.folder / name).mkdir(parents=True, exist_ok=True)
             remove_abandoned(self.folder / name)
