@@ -5,18 +5,16 @@ the input again while it is written. A share or a count is met by the same searc
 counts what is left in every cell, without merging.
 """
 
-import dataclasses
 import os
 import shutil
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from splatree.errors import InputError, OutputError
-from splatree.io.chunks import Chunks
 from splatree.io.formats.splatree.rows import open_scene
 from splatree.io.options import ReadOptions, WriteOptions
 from splatree.io.registry import FOLDER_FILE, format_to_write
@@ -126,7 +124,7 @@ def thin_file(
         raise OutputError(f"{target}: exists already; choose another name or replace it with force")
     work = Work(place.with_name(place.name + ".work").absolute())
     with opened_inputs(inputs, reading, mode) as opened:
-        options = dataclasses.replace(options, method="radius", merge=options.merge.resolved(opened.chunks.mode))
+        options = replace(options, method="radius", merge=options.merge.resolved(opened.chunks.mode))
         decided = BuildOptions(
             radius=options.radius if isinstance(options.radius, float | int) and options.radius > 0 else "auto",
             importance=options.importance,
@@ -138,7 +136,10 @@ def thin_file(
             _check_reach(work, cut, radius)
             results = run_cells(work, cut.plan, "thin", cut.workers, argument=radius)
             sizes = [result["rows"] for result in results]
-            lost = write_chunks(_chunks(work, cut.plan, sizes), target, force=force, options=WriteOptions())
+            left = replace(
+                opened.chunks, num_gaussians=sum(sizes), make=lambda: _rows(work, cut.plan, sizes), repairs={}
+            )
+            lost = write_chunks(left, target, force=force, options=WriteOptions())
             shutil.rmtree(work.folder)
     return ThinnedFile(
         path=target,
@@ -180,23 +181,19 @@ def _check_reach(work: Work, cut: Cut, radius: float) -> None:
             )
 
 
-def _chunks(work: Work, plan: Plan, sizes: Sequence[int]) -> Chunks:
+def _rows(work: Work, plan: Plan, sizes: Sequence[int]) -> Iterator[Gaussians]:
     """What is left of all cells, in the order of the input."""
     cells = [number for number, size in enumerate(sizes) if size]
     step = max(1, plan.num_rows * ROWS_AT_ONCE // sum(sizes))
-
-    def make() -> Iterator[Gaussians]:
-        scenes = [open_scene(work.thinned(number)) for number in cells]
-        rows = [read_array(work.thinned_rows(number)) for number in cells]
-        places = [0] * len(cells)
-        for end in range(step, plan.num_rows + step, step):
-            parts, inputs = [], []
-            for i, (scene, of_cell) in enumerate(zip(scenes, rows, strict=True)):
-                begin, places[i] = places[i], int(np.searchsorted(of_cell, end))
-                if begin < places[i]:
-                    parts.append(scene.rows(begin, places[i]).gaussians)
-                    inputs.append(of_cell[begin : places[i]])
-            if parts:
-                yield Gaussians.concatenate(parts).take(np.argsort(np.concatenate(inputs)))
-
-    return Chunks(sum(sizes), plan.sh_degree, plan.mode, make, plan.metadata, origin=plan.origin)
+    scenes = [open_scene(work.thinned(number)) for number in cells]
+    rows = [read_array(work.thinned_rows(number)) for number in cells]
+    places = [0] * len(cells)
+    for end in range(step, plan.num_rows + step, step):
+        parts, inputs = [], []
+        for i, (scene, of_cell) in enumerate(zip(scenes, rows, strict=True)):
+            begin, places[i] = places[i], int(np.searchsorted(of_cell, end))
+            if begin < places[i]:
+                parts.append(scene.rows(begin, places[i]).gaussians)
+                inputs.append(of_cell[begin : places[i]])
+        if parts:
+            yield Gaussians.concatenate(parts).take(np.argsort(np.concatenate(inputs)))
