@@ -17,6 +17,13 @@ def test_listener_sees_each_step_and_the_end():
     ]
 
 
+def test_what_was_done_before_counts_as_done():
+    events: list[Event] = []
+    with listen(events.append), task("goes on", 10, done=7) as advance:
+        advance(2)
+    assert [event.done for event in events] == [7, 9, 9]
+
+
 def test_a_failed_task_is_reported_as_ended():
     events: list[Event] = []
     try:

@@ -53,20 +53,19 @@ def renamed(old: str, new: str) -> Iterator[None]:
 
 
 @contextmanager
-def task(name: str, total: float | None = None) -> Iterator[Callable[[float], None]]:
-    """Announce a task; the value is a function ``advance(units)``."""
+def task(name: str, total: float | None = None, *, done: float = 0.0) -> Iterator[Callable[[float], None]]:
+    """Announce a task, of which ``done`` units were done before; the value is a function ``advance(units)``."""
     sink = _sink.get()
     if sink is None:
         yield lambda units: None
         return
-    done = 0.0
 
     def advance(units: float) -> None:
         nonlocal done
         done += units
         sink(Event(name, done, total))
 
-    sink(Event(name, 0.0, total))
+    sink(Event(name, done, total))
     try:
         yield advance
     finally:

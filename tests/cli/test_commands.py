@@ -353,6 +353,36 @@ def test_build_through_files_writes_a_folder_that_every_verb_takes(splatree, sma
     assert code == 0 and "parts" in words and "nodes left" in words
 
 
+def test_a_build_that_does_not_fit_goes_through_files_by_itself(splatree, small_ply, tmp_path, monkeypatch):
+    monkeypatch.setattr("splatree.outofcore.needs.free_bytes", lambda: 200_000_000)
+    code, words, _ = splatree("build", small_ply, tmp_path / "a.splatree")
+    assert code == 0 and (tmp_path / "a.splatree").is_dir()
+    assert "note: the build takes about 0.1 GB in memory, more than half of the 0.2 GB that are free: a folder" in words
+    for name, more, why in (("b.splatree", ("--method", "pairs"), "--method pairs"), ("b.rad", (), ".rad")):
+        built = result_of(splatree("build", small_ply, tmp_path / name, *more, "--json"))
+        assert (tmp_path / name).is_file()
+        assert built["notes"][0].endswith(f"that are free, and it cannot go through files with {why}")
+    monkeypatch.setattr("splatree.outofcore.needs.free_bytes", lambda: 2_000_000_000)
+    assert result_of(splatree("build", small_ply, tmp_path / "c.splatree", "--json"))["notes"] == []
+    assert (tmp_path / "c.splatree").is_file()
+
+
+def test_thin_through_files_writes_the_same_file(splatree, small_ply, tmp_path):
+    for amount in (("--radius", "20"), ("--keep", "0.3", "--method", "radius")):
+        whole = result_of(splatree("thin", small_ply, tmp_path / "whole.ply", *amount, "--json", "--force"))
+        parts = result_of(
+            splatree("thin", small_ply, tmp_path / "parts.ply", *amount, "--part-rows", "100", "--json", "--force")
+        )
+        assert (tmp_path / "parts.ply").read_bytes() == (tmp_path / "whole.ply").read_bytes()
+        assert parts["radius"] == whole["radius"] and parts["num_gaussians"] == whole["num_gaussians"]
+    code, words, _ = splatree("thin", small_ply, tmp_path / "more.ply", "--max-memory", "1G")
+    assert code == 0 and ", radius " in words
+    code, _, err = splatree("thin", small_ply, tmp_path / "out.ply", "--keep", "0.3", "--max-memory", "1G")
+    assert code == 2 and "wanted --method radius" in err
+    code, _, err = splatree("thin", small_ply, tmp_path / "out.ply", "--workers", "2", "--report", tmp_path / "r")
+    assert code == 2 and "found --report with --max-memory" in err
+
+
 def test_build_through_files_refuses_what_needs_the_scene_in_memory(splatree, small_ply, tmp_path):
     target = tmp_path / "a.splatree"
     for words, wanted in (
@@ -363,6 +393,8 @@ def test_build_through_files_refuses_what_needs_the_scene_in_memory(splatree, sm
     ):
         code, _, err = splatree("build", small_ply, target, "--workers", "2", *words)
         assert code == 2 and wanted in err
+    code, _, err = splatree("build", small_ply, target, "--workers", "2", "--scheduler", "tcp://here:1")
+    assert code == 2 and "found 2 processes of this machine and a scheduler" in err
     code, _, err = splatree("build", small_ply, tmp_path / "a.ply", "--workers", "2")
     assert code == 2 and "ends in .splatree" in err
     assert list(tmp_path.glob("a.*")) == []

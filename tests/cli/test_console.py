@@ -1,4 +1,5 @@
 import io
+import json
 
 import pytest
 
@@ -32,6 +33,25 @@ def test_bar_appears_once_a_task_has_taken_long(monkeypatch):
 def test_no_bar_when_quiet_or_without_a_terminal(monkeypatch):
     assert shown(monkeypatch, Terminal(), Console(quiet=True)) == ""
     assert shown(monkeypatch, io.StringIO(), Console()) == ""
+
+
+def test_progress_as_json_knows_what_is_left(monkeypatch):
+    clock = iter([0.0, 2.0, 2.1, 3.0, 4.0])
+    stream = io.StringIO()
+    monkeypatch.setattr("sys.stderr", stream)
+    monkeypatch.setattr(console.time, "perf_counter", lambda: next(clock))
+    with progress_shown(Console(progress="json", quiet=True)), task("grow", 100, done=50) as advance:
+        advance(10)
+        advance(1)  # too soon for a line
+        advance(9)
+    lines = [json.loads(line) for line in stream.getvalue().splitlines()]
+    assert [(line["done"], line["elapsed_s"], line["left_s"]) for line in lines] == [
+        (50, 0, None),
+        (60, 2, 8),  # ten took two seconds, forty are left
+        (70, 3, 4.5),
+        (70, 4, 6),
+    ]
+    assert [line["finished"] for line in lines] == [False, False, False, True]
 
 
 @pytest.mark.parametrize("stream", [Terminal, io.StringIO])

@@ -1,12 +1,14 @@
 """Builds through files: the tree of a build in memory, whatever stops and starts."""
 
 import errno
+import gzip
 import json
 import multiprocessing
 import os
 import signal
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,19 +17,12 @@ from hypothesis import strategies as hs
 
 import splatree as st
 from splatree.outofcore import run, shuffle, top
-from splatree.outofcore.options import Room, bytes_of, cell_bytes
+from splatree.outofcore.needs import needs_of
+from splatree.outofcore.options import PROCESS_BYTES, Room, _free_of_group, bytes_of, cell_bytes
+from splatree.progress import listen
 
 from ..laws.hard_scenes import hard_scene, hard_scenes
 from ..laws.test_parts import check_same_tree
-
-
-@pytest.fixture(scope="module")
-def ply(tmp_path_factory):
-    """A scene of a few hundred rows in a file."""
-    path = tmp_path_factory.mktemp("inputs") / "scene.ply"
-    st.write(st.Scene.flat(hard_scene(700, "surface", 3, degree=1)), path)
-    return path
-
 
 SMALL = st.FolderOptions(part_rows=200)
 
@@ -104,10 +99,14 @@ def test_an_interrupted_build_goes_on_where_it_stopped(tmp_path, ply, monkeypatc
     assert not (tmp_path / "out.splatree").exists()
     assert (tmp_path / "out.splatree.work" / "plan.json").exists()
 
-    again = []
+    again, events = [], []
     monkeypatch.setattr(run, "do_piece", lambda *job: (again.append(job), do_piece(*job)))
     monkeypatch.setattr(shuffle, "_make_slice", None)  # all slices are there
-    st.build_folder(ply, tmp_path / "out.splatree", running=SMALL)
+    with listen(events.append):
+        st.build_folder(ply, tmp_path / "out.splatree", running=SMALL)
+    of_cells = [event for event in events if event.name == "put cells in order"]
+    assert (of_cells[0].done > 0) == (pieces > 0)  # rows of the first run
+    assert {event.total for event in of_cells} == {700} and of_cells[-1].done == 700
     assert not {job[2:4] for job in again} & {job[2:4] for job in done}
     check_is_tree_of(tmp_path / "out.splatree", ply)
     assert [path.name for path in tmp_path.iterdir()] == ["out.splatree"]
@@ -141,6 +140,52 @@ def test_a_killed_build_goes_on(tmp_path, ply):
     check_is_tree_of(tmp_path / "out.splatree", ply)
     st.build_folder(ply, tmp_path / "whole.splatree", running=SMALL)
     assert files_in(tmp_path / "out.splatree") == files_in(tmp_path / "whole.splatree")
+
+
+def _build_and_die_at_rename(ply, output, number):
+    """In a process of its own: a build that is killed when it is about to give a file its name."""
+    left, names = [number], {name: getattr(Path, name) for name in ("replace", "rename")}
+
+    def dying(name):
+        def rename(self, target):
+            left[0] -= 1
+            if not left[0]:
+                os.kill(os.getpid(), signal.SIGKILL)
+            return names[name](self, target)
+
+        return rename
+
+    for name in names:
+        setattr(Path, name, dying(name))
+    st.build_folder(ply, output, running=SMALL)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGKILL")
+@pytest.mark.parametrize("number", [5, 6, 7])  # a piece has at most four files, so each run gets further
+def test_a_build_that_is_killed_again_and_again_ends_with_the_same_files(tmp_path, ply, number):
+    context = multiprocessing.get_context("fork")
+    exit_codes = []
+    while not exit_codes or exit_codes[-1] != 0:
+        process = context.Process(target=_build_and_die_at_rename, args=(ply, tmp_path / "out.splatree", number))
+        process.start()
+        process.join()
+        exit_codes.append(process.exitcode)
+        assert exit_codes[-1] in (0, -signal.SIGKILL) and len(exit_codes) < 40
+    assert len(exit_codes) > 4
+    st.build_folder(ply, tmp_path / "whole.splatree", running=SMALL)
+    assert files_in(tmp_path / "out.splatree") == files_in(tmp_path / "whole.splatree")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["out.splatree", "whole.splatree"]
+
+
+def test_what_a_build_left_when_it_was_killed_at_its_end_is_not_used(tmp_path, ply, monkeypatch):
+    monkeypatch.setattr("splatree.outofcore.build.shutil.rmtree", lambda *_, **__: None)
+    st.build_folder(ply, tmp_path / "out.splatree", running=SMALL)
+    assert (tmp_path / "out.splatree.work").exists()
+    monkeypatch.undo()
+    st.build_folder(ply, tmp_path / "out.splatree", running=SMALL, force=True)
+    check_is_tree_of(tmp_path / "out.splatree", ply)
+    assert [path.name for path in tmp_path.iterdir()] == ["out.splatree"]
 
 
 def test_what_another_scene_left_is_not_used(tmp_path, ply, monkeypatch):
@@ -194,7 +239,7 @@ def test_a_cell_that_cannot_be_cut_and_does_not_fit_is_named(tmp_path, monkeypat
     st.write(st.Scene.flat(hard_scene(900, "one place", 1)), tmp_path / "in.ply")
     built = st.build_folder(tmp_path / "in.ply", tmp_path / "out.splatree", running=SMALL)  # it fits: one cell
     check_is_tree_of(built.path, tmp_path / "in.ply")
-    monkeypatch.setattr("splatree.outofcore.build.cell_bytes", lambda rows, k: rows * 10**9)
+    monkeypatch.setattr("splatree.outofcore.cut.cell_bytes", lambda rows, k: rows * 10**9)
     with pytest.raises(st.InputError, match="cell 0: found 900 Gaussians so close together that they cannot be cut"):
         st.build_folder(tmp_path / "in.ply", tmp_path / "more.splatree", running=SMALL)
 
@@ -210,7 +255,28 @@ def test_memory_is_spent_on_rows_then_on_processes():
         for k in (1, 16):
             room = Room.of(st.FolderOptions(max_memory=memory, workers=3), k)
             assert room.workers * cell_bytes(room.part_rows, k) <= bytes_of(memory)
-    assert Room.of(st.FolderOptions(max_memory="64G", workers=3), 16) == Room(64 * 10**9, 1_000_000, 3)
+    assert Room.of(st.FolderOptions(max_memory="64G", workers=3), 16) == Room(64 * 10**9, 1_000_000, 3, 64 * 10**9)
+
+
+def test_a_container_has_what_its_limit_leaves(tmp_path):
+    unlimited = _free_of_group(tmp_path)  # there is no group
+    (tmp_path / "memory.max").write_text("4000000000\n")
+    (tmp_path / "memory.current").write_text("3000000000\n")
+    (tmp_path / "memory.stat").write_text("anon 1\ninactive_file 500000000\nactive_file 7\n")
+    assert _free_of_group(tmp_path) == 1_500_000_000
+    (tmp_path / "memory.max").write_text("max\n")
+    assert _free_of_group(tmp_path) == unlimited > 2**62
+
+
+def test_what_a_build_needs_is_known_from_the_heads(tmp_path, ply, monkeypatch):
+    monkeypatch.setattr("splatree.outofcore.needs.free_bytes", lambda: 200_000_000)
+    needs = needs_of([ply, ply], st.ReadOptions(repair=True))
+    assert needs.num_bytes == PROCESS_BYTES + 1400 * (550 + 3 * 30) and needs.are_large
+    (tmp_path / "scene.ply.gz").write_bytes(gzip.compress(ply.read_bytes()))
+    assert needs_of([tmp_path / "scene.ply.gz"], st.ReadOptions()) is None  # it would have to be unpacked
+    monkeypatch.setattr("splatree.outofcore.needs.free_bytes", lambda: 10**12)
+    monkeypatch.setattr("splatree.outofcore.needs.opened_chunks", None)
+    assert needs_of([ply], st.ReadOptions()) is None  # whatever it holds, it is small
 
 
 def test_what_does_not_fit_above_the_parts_is_grown_one_level_more_in_them(tmp_path, ply, monkeypatch):

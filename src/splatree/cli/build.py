@@ -13,7 +13,7 @@ from splatree.cli.calibrate import Views, in_words, training_views, views_in_wor
 from splatree.cli.comparison import Reporting, read_back
 from splatree.cli.comparison import in_words as comparison_in_words
 from splatree.cli.console import Console, UsageError, counted, size, table
-from splatree.cli.files import Files, inputs_and_output, lost_and_noted, read_scene, repairs_of, told
+from splatree.cli.files import Files, inputs_and_output, lost_and_noted, read_options, read_scene, repairs_of, told
 from splatree.cli.folders import in_words as folder_in_words
 from splatree.cli.folders import run_through_files
 from splatree.clusters.build import ClusterOptions, build_clusters
@@ -30,6 +30,7 @@ from splatree.lod.link import link_levels
 from splatree.lod.options import BuildOptions
 from splatree.lod.report import report_levels
 from splatree.outofcore.build import BuiltFolder
+from splatree.outofcore.needs import needs_of
 from splatree.outofcore.options import FolderOptions
 from splatree.render.calibrate import CalibrateOptions, Calibration, calibrate, calibrated
 from splatree.render.compare_page import Comparison
@@ -48,7 +49,8 @@ STEPS = {"radii": "radius", "pixel_sizes": "pixel"}
 class Command:
     """Build levels of detail, clusters or both, and write one file: in.ply out.splatree, or chunk_*/ -o city.splatree.
 
-    A scene larger than memory is built through files: --max-memory 4G writes a folder of parts, with the same tree.
+    A scene larger than memory is built through files: --max-memory 4G writes a folder of parts, with the same tree. A build that
+    would take more than half of the free memory does so by itself, and says so.
     """
 
     files: Annotated[Files, arg(name="", help="")]
@@ -123,17 +125,10 @@ class Built:
 def run(command: Command) -> Built | BuiltFolder:
     """Read, build, write."""
     if command.running != FolderOptions():
-        if (
-            command.flat
-            or command.levels == "file"
-            or command.clusters is not None
-            or command.compact
-            or command.refine is not None
-            or (command.views, command.calibration, command.reporting) != (Views(), CalibrateOptions(), Reporting())
-        ):
+        if needing := _in_memory(command):
             raise UsageError(
-                "found --max-memory, --workers or the size of parts with --flat, --levels file, --clusters, --compact, --refine, "
-                "views or --report, which need the scene in memory; wanted one of them"
+                f"found --max-memory, --workers, --scheduler or the size of parts with {', '.join(needing)}, which need the "
+                "scene in memory; wanted one of them"
             )
         return run_through_files(command.files, command.options, command.running, command.mode)
     writing = WriteOptions(compact=command.compact)
@@ -152,6 +147,15 @@ def run(command: Command) -> Built | BuiltFolder:
         )
     command.reporting.check(force=command.files.force)
     views = training_views(command.views)
+    short: tuple[str, ...] = ()
+    if (needs := needs_of(inputs, read_options(command.files.reading))) is not None and needs.are_large:
+        needing = [*_in_memory(command), *([output.suffix] if output.suffix != ".splatree" else [])]
+        if command.options.method == "pairs":
+            needing.append("--method pairs")
+        if not needing:
+            built = run_through_files(command.files, command.options, command.running, command.mode)
+            return replace(built, notes=(f"{needs}: a folder was built, through files", *built.notes))
+        short = (f"{needs}, and it cannot go through files with {', '.join(needing)}",)
     scene = _linked(command, inputs) if command.levels == "file" else _read(command, inputs)
     learned: tuple[str, ...] = ()
     if learning is not None:
@@ -191,11 +195,25 @@ def run(command: Command) -> Built | BuiltFolder:
         quality=None if scene.tree.record is None else scene.tree.record.quality,
         calibration=calibration,
         photographs=None if views is None else views.used,
-        notes=(*notes, *learned, *unknown, *(() if views is None else views.notes)),
+        notes=(*short, *notes, *learned, *unknown, *(() if views is None else views.notes)),
         comparison=read_back(  # whose leaves are the input, bit for bit
             output, scene, command.reporting, made_from=", ".join(map(str, inputs)), force=command.files.force
         ),
     )
+
+
+def _in_memory(command: Command) -> list[str]:
+    """What is asked for that needs the scene in memory."""
+    asked = {
+        "--flat": command.flat,
+        "--levels file": command.levels == "file",
+        "--clusters": command.clusters is not None,
+        "--compact": command.compact,
+        "--refine": command.refine is not None,
+        "views": (command.views, command.calibration) != (Views(), CalibrateOptions()),
+        "--report": command.reporting != Reporting(),
+    }
+    return [name for name, is_asked in asked.items() if is_asked]
 
 
 def _growth(scene: Scene, output: Path, num_bytes: int, input_bytes: int) -> str | None:

@@ -1,17 +1,21 @@
 """What every verb shares: the flags of the output, progress on the terminal, tables in plain text, the error of a wrong line."""
 
+import json
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from tyro.conf import arg
 
 from splatree.cli.plain import printable
 from splatree.errors import InputError
 from splatree.progress import Event, Sink, listen
+
+JSON_EACH_S = 0.5
+"""A step has one line of JSON in so many seconds."""
 
 PATIENCE_S = 1.0
 """Bars appear once a task has taken this long."""
@@ -29,15 +33,21 @@ class Console:
     """Print the result as JSON on stdout; everything else goes to stderr."""
     verbose: Annotated[bool, arg(aliases=["-v"])] = False
     """Say what each step took, and where an error came from."""
+    progress: Literal["bars", "json"] = "bars"
+    """Show progress as `bars` on a terminal, or as `json`: lines on stderr, at most two a second for each step, with what is
+    done, how much there is, and how many seconds are left."""
     quiet: Annotated[bool, arg(aliases=["-q"])] = False
-    """Print neither progress nor a summary; errors and --json still appear."""
+    """Print neither bars nor a summary; errors, --json and --progress json still appear."""
 
 
 @contextmanager
 def progress_shown(console: Console) -> Iterator[None]:
-    """Show the library's progress: bars on a terminal, lines of finished steps with ``--verbose``, else nothing."""
+    """Show the library's progress: bars on a terminal, lines of finished steps with ``--verbose``, or JSON."""
     if sys.stderr is None:  # closed by whoever started the program
         yield
+    elif console.progress == "json":
+        with listen(_json_lines()):
+            yield
     elif console.verbose:
         with listen(_lines()):
             yield
@@ -46,16 +56,6 @@ def progress_shown(console: Console) -> Iterator[None]:
             yield
     else:
         yield
-
-
-def program_version() -> str:
-    """Version of the installed package; "of a source tree" if it runs without being installed."""
-    from importlib.metadata import PackageNotFoundError, version  # 15 ms, which other commands need not wait for
-
-    try:
-        return version("splatree")
-    except PackageNotFoundError:
-        return "of a source tree"
 
 
 def size(num_bytes: int) -> str:
@@ -104,6 +104,30 @@ def _lines() -> Sink:
             with suppress(OSError):  # it may be full, or its reader gone: the work goes on
                 print(printable(line, sys.stderr), file=sys.stderr, flush=True)
             del started[event.name]
+
+    return sink
+
+
+def _json_lines() -> Sink:
+    """A line for the beginning and the end of each step, and in between at most one each half second."""
+    begun: dict[str, Event] = {}
+    times: dict[str, tuple[float, float]] = {}  # when it began, and when a line was printed last
+
+    def sink(event: Event) -> None:
+        now = time.perf_counter()
+        first = begun.setdefault(event.name, event)
+        began, last = times.setdefault(event.name, (now, float("-inf")))
+        if now - last < JSON_EACH_S and not event.finished:
+            return
+        times[event.name] = (began, now)
+        elapsed, new = now - began, event.done - first.done  # what was done before says nothing of the speed
+        left = None if event.total is None or not new else elapsed * (event.total - event.done) / new
+        line = {"step": event.name, "done": event.done, "total": event.total, "elapsed_s": round(elapsed, 3)}
+        line |= {"left_s": left if left is None else round(left, 3), "finished": event.finished}
+        with suppress(OSError):  # as in _lines
+            print(printable(json.dumps(line), sys.stderr), file=sys.stderr, flush=True)
+        if event.finished:
+            del begun[event.name], times[event.name]
 
     return sink
 

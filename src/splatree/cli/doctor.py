@@ -9,7 +9,7 @@ from typing import Annotated
 import numpy as np
 from tyro.conf import arg
 
-from splatree.cli.console import Console, program_version, table
+from splatree.cli.console import Console, table
 from splatree.errors import DeviceError
 from splatree.kernels.cpu import _core
 from splatree.kernels.cuda.compile import CACHE, find_compilers, load_compiler
@@ -20,6 +20,7 @@ from splatree.render.pipeline import render
 from splatree.scene.cameras import Camera
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Scene
+from splatree.version import program_version
 
 LEAST_DB = 60.0
 """The GPU's picture of the self-test is as good as the processor's from here on: an error of 1/1000."""

@@ -67,8 +67,8 @@ BASIC: dict[str, tuple[str, ...]] = {
         "output", "level", "min-opacity", "scale", "rotate", "translate", "crop-box", "crop-sphere", "sh-degree",
         "report", "repair",
     ),
-    "thin": ("output", "keep", "count", "radius", "report", "repair"),
-    "build": ("output", "levels", "method", "clusters", "data", "cameras", "report", "repair"),
+    "thin": ("output", "keep", "count", "radius", "max-memory", "report", "repair"),
+    "build": ("output", "levels", "method", "clusters", "data", "cameras", "max-memory", "report", "repair"),
     "calibrate": ("output", "cameras", "data", "loss-db", "held-out"),
     "render": (
         "output", "turntable", "video", "cameras", "view", "eye", "target", "up", "distance", "fov-y-deg", "look", "level",

@@ -1,33 +1,50 @@
 """``splatree build`` through files: a folder of parts, for scenes larger than memory."""
 
+from dataclasses import dataclass
+
 from splatree.cli.console import UsageError, counted, size
-from splatree.cli.files import Files, inputs_and_folder, told
-from splatree.io.options import ReadOptions
+from splatree.cli.files import Files, inputs_and_folder, read_options, told
 from splatree.lod.options import BuildOptions
 from splatree.outofcore.build import BuiltFolder, build_folder
 from splatree.outofcore.options import FolderOptions
 from splatree.scene.names import Mode
 
-__all__ = ["in_words", "run_through_files"]
+__all__ = ["Memory", "in_words", "run_through_files"]
+
+
+@dataclass(frozen=True)
+class Memory:
+    """How a verb goes through files; as `FolderOptions`, without what only levels need."""
+
+    max_memory: str | None = None
+    """Go through files: most memory for all processes of this machine together, 4G or 500M; None: half of what is free,
+    if another option asks for files."""
+    workers: int = 1
+    """Go through files, in so many processes at the same time; 1: this process alone."""
+    scheduler: str | None = None
+    """Go through files, on the workers of a Dask cluster: the address of its scheduler, such as tcp://10.0.0.5:8786."""
+    part_rows: int | None = None
+    """Go through files: rows of a cell; None: a million, or as many as memory allows. The result does not depend on it."""
+
+    def options(self) -> FolderOptions:
+        """The options of the library."""
+        return FolderOptions(**vars(self))
 
 
 def run_through_files(files: Files, options: BuildOptions, running: FolderOptions, mode: Mode | None) -> BuiltFolder:
     """Build the levels of the inputs through files."""
     if options.method != "radius":
         raise UsageError(
-            f"found --method {options.method} with --max-memory, --workers or the size of parts; wanted --method radius: pairs "
-            "are chosen from the whole scene in memory"
+            f"found --method {options.method} with --max-memory, --workers, --scheduler or the size of parts; wanted --method "
+            "radius: pairs are chosen from the whole scene in memory"
         )
     inputs, output = inputs_and_folder(files)
-    reading = files.reading
     return build_folder(
         inputs,
         output,
         options,
         running,
-        reading=ReadOptions(
-            repair=reading.repair, axes=reading.input_axes, ignore_properties=reading.ignore_properties
-        ),
+        reading=read_options(files.reading),
         mode=mode,
         force=files.force,
     )

@@ -100,7 +100,7 @@ def _main(words: list[str]) -> int:
         _say(usage)
         return 0
     if words[0] in ("-V", "--version", "version"):
-        from splatree.cli.console import program_version
+        from splatree.version import program_version
 
         _say(f"splatree {program_version()}")
         return 0

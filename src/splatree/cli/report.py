@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 
 from splatree.bench.provenance import machine
-from splatree.cli.console import program_version
 from splatree.cli.flight import Demo, DemoView
 from splatree.constants import SH_C0
 from splatree.io.images import write_image
@@ -19,6 +18,7 @@ from splatree.render.page import data_uri, filled
 from splatree.render.pipeline import trace
 from splatree.scene.scene import Scene
 from splatree.shapes import Array, Float32
+from splatree.version import program_version
 
 ERROR_GAIN = 4.0
 """Differences are shown this many times brighter, or hardly any could be seen."""

@@ -60,7 +60,9 @@ def edit(scene: Scene, options: EditOptions) -> Scene:
     if not similarity.is_identity:
         gaussians = similarity.gaussians(gaussians, moved)
     if gaussians is not scene.gaussians:
-        extents = similarity.extents(scene.tree.extents, moved)
+        # Balls around leaves alone follow from what they are, and no rounding has to be covered.
+        is_flat = bool(scene.tree.is_leaf.all())
+        extents = Scene.flat(gaussians).tree.extents if is_flat else similarity.extents(scene.tree.extents, moved)
         record = None if scene.tree.record is None else scene.tree.record.scaled(similarity.scale)
         kept_clusters = scene.clusters if similarity.is_identity else None  # harmonics alone move nothing
         tree = replace(

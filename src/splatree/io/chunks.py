@@ -13,7 +13,7 @@ from splatree.errors import InputError
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.names import Mode
 from splatree.scene.origin import NO_ORIGIN, Origin
-from splatree.scene.scene import Scene
+from splatree.scene.scene import Scene, Source
 
 ROWS_PER_CHUNK = 1 << 14
 """4 MB at degree 3: small beside any scene and, with as much of a file's records, in the processor's last cache; large beside
@@ -41,6 +41,15 @@ class Chunks:
     """What reading had to change, by rule; whole after the first pass."""
     origin: Origin = NO_ORIGIN
     """As that of `Source`."""
+    paths: tuple[str, ...] = ()
+    """As those of `Source`."""
+    format: str = ""
+    """As that of `Source`."""
+
+    @property
+    def source(self) -> Source:
+        """Where the rows come from; without what reading had to change, which is known after a pass."""
+        return Source(self.paths, self.format, self.metadata, self.origin)
 
     def __len__(self) -> int:
         return self.num_gaussians
@@ -73,7 +82,13 @@ def chunks_of(scene: Scene, *, rows: int = ROWS_PER_CHUNK) -> Chunks:
         for begin in range(0, len(g), rows):
             yield g.rows(begin, begin + rows)
 
-    return Chunks(len(g), g.sh_degree, scene.mode, make, scene.source.metadata, origin=scene.source.origin)
+    source = scene.source
+    return Chunks(
+        *(len(g), g.sh_degree, scene.mode, make, source.metadata),
+        origin=source.origin,
+        paths=source.paths,
+        format=source.format,
+    )
 
 
 def counted_chunks(

@@ -127,6 +127,7 @@ def convert(
 def _converted_from(found: Sequence[Path], target: Path, options: ConvertOptions, force: bool) -> Converted:
     chosen = format_to_write(target)
     by_rows = options.read.level is None and options.depth is None and options.edit.order == "kept"
+    by_rows = by_rows and not options.write.compact
     if chosen.write_chunks is not None and by_rows and (parts := opened_chunks(found, options.read)) is not None:
         return _in_chunks(found, parts, target, options, force)
 

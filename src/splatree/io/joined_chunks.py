@@ -4,6 +4,7 @@ Memory is one chunk of one file at a time.
 """
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from splatree.errors import InputError
@@ -14,7 +15,6 @@ from splatree.io.notes import with_notes
 from splatree.io.options import ReadOptions
 from splatree.io.registry import detect, files_of
 from splatree.scene.gaussians import Gaussians
-from splatree.scene.scene import Source
 
 __all__ = ["joined_chunks", "opened_chunks"]
 
@@ -31,7 +31,8 @@ def opened_chunks(paths: Sequence[Path], options: ReadOptions) -> list[Chunks] |
             for file in files_of(path):
                 budget.add_file(file)
             budget.take(len(chunks))
-        parts.append(chunks)
+        assert found is not None  # it has read the chunks
+        parts.append(replace(chunks, paths=(str(path),), format=found.name))
     return parts
 
 
@@ -53,6 +54,11 @@ def joined_chunks(parts: Sequence[Chunks], paths: Sequence[Path]) -> Chunks:
             for chunk in part:
                 yield relative_to(chunk.with_sh_degree(degree), part.origin, first.origin)
 
-    source = joined_source([Source(metadata=part.metadata) for part in parts])
-    metadata = with_notes(source, [f"{len(parts)} inputs were joined as one scene"]).metadata
-    return Chunks(sum(map(len, parts)), degree, first.mode, make, metadata, origin=first.origin)
+    source = joined_source([part.source for part in parts])
+    source = with_notes(source, [f"{len(parts)} inputs were joined as one scene"])
+    return Chunks(
+        *(sum(map(len, parts)), degree, first.mode, make, source.metadata),
+        origin=first.origin,
+        paths=source.paths,
+        format=source.format,
+    )

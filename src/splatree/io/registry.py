@@ -91,7 +91,7 @@ class Format:
     read: Callable[[Path, ReadOptions], Scene]
     """Read a path into a scene whose values were checked (`splatree.io.check.checked`)."""
     write: Callable[[Scene, Path, WriteOptions], tuple[str, ...]] | None = None
-    """Write a file; return what was lost for other reasons than `holds`, a sentence each. None: see ``write_chunks``."""
+    """Write a file; return what was lost for other reasons than `holds`, a sentence each. None: ``write_chunks`` writes all."""
     write_folder: Callable[[Chunks, Path, WriteOptions], tuple[str, ...]] | None = None
     """As ``write_chunks``, but write a folder, given the path of its meta.json; None: there is no such form."""
     write_chunks: Callable[[Chunks, Path, WriteOptions], tuple[str, ...]] | None = None
@@ -121,6 +121,7 @@ FORMATS: tuple[Format, ...] = (
         sniff=store.sniff,
         read=store.read,
         write=store.write,
+        write_chunks=store.write_chunks,
         options=("compact",),
     ),
     Format(

@@ -6,28 +6,20 @@ above. The tree is that of `build_lod`, bit for bit, however the scene was cut: 
 
 import os
 import shutil
-from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Executor
-from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from splatree.errors import InputError, OutputError
-from splatree.io.chunks import Chunks
 from splatree.io.formats.folder.manifest import MANIFEST, Manifest, is_manifest, total_bytes
-from splatree.io.inputs import find_inputs
-from splatree.io.joined_chunks import joined_chunks, opened_chunks
-from splatree.io.local import local_inputs
-from splatree.io.notes import notes_in
 from splatree.io.options import ReadOptions
-from splatree.io.registry import detect, files_of
 from splatree.lod.options import BuildOptions
-from splatree.outofcore.options import MOST_LEVELS, PART_ROWS, FolderOptions, Room, cell_bytes, top_bytes
-from splatree.outofcore.plan import Plan, make_plan, read_plan, request_of
-from splatree.outofcore.run import Workers, run_cells
-from splatree.outofcore.shuffle import cell_sizes, make_slices
+from splatree.outofcore.cut import Cut, cut_into_cells, opened_inputs
+from splatree.outofcore.options import MOST_LEVELS, FolderOptions, top_bytes
+from splatree.outofcore.plan import Plan
+from splatree.outofcore.run import run_cells
 from splatree.outofcore.top import finish_scene
 from splatree.outofcore.work import Work
 from splatree.scene.names import Mode
@@ -97,7 +89,9 @@ def build_folder(
 
     Raises:
         FormatError: an input does not hold what it promises.
-        InputError: an input is not read in chunks, an option does not suit, or a cell needs more memory than there is.
+        InputError: an input is not read in chunks, an option does not suit, a cell needs more memory than there is, or a cluster
+            cannot take part.
+        MissingExtraError: a scheduler is named, and Dask is not installed.
         OutputError: the output exists, or could not be written.
 
     Source:
@@ -114,23 +108,13 @@ def build_folder(
             f"method: found {options.method!r} for a build through files, wanted 'radius': pairs are chosen from the whole scene"
         )
     target = _target(Path(output), force)
-    paths = [inputs] if isinstance(inputs, str | os.PathLike) else list(inputs)
     work = Work(target.with_name(target.name + ".work"))
-    with local_inputs([Path(path) for path in paths]) as local:
-        found = find_inputs(local.paths, lambda path: detect(path) is not None)
-        parts = opened_chunks(found.paths, reading)
-        if parts is None:
-            raise InputError(
-                f"{', '.join(map(str, paths))}: found a format that is not read in chunks; convert it to .ply first"
-            )
-        chunks = joined_chunks(parts, found.paths)
-        if mode is not None:
-            chunks = replace(chunks, mode=mode)
-        with _errors_of_writing(work):
-            work.begin()
-            request = request_of([_identity(path) for path in found.paths], options, running, reading, chunks.mode)
-            plan, manifest, report = _built(work, chunks, options, running, request, executor)
-            _take_place(work, target, force)
+    with (
+        opened_inputs(inputs, reading, mode) as opened,
+        cut_into_cells(work, opened, options, options, running, reading=reading, executor=executor) as cut,
+    ):
+        manifest, report = _grown(work, cut, running)
+        _take_place(work, target, force)
     return BuiltFolder(
         path=Path(output),
         num_gaussians=manifest.num_leaves,
@@ -138,37 +122,16 @@ def build_folder(
         num_parts=len(manifest.parts),
         bytes=total_bytes([manifest.crown, *manifest.parts]),
         rules=report,
-        repairs=dict(sum((Counter(part.repairs) for part in parts), Counter())),
-        notes=(
-            *found.notes,
-            *notes_in(plan.metadata, plan.origin),
-            *_note_on_parts(plan, running),
-            *_note_on_pixels(plan, options),
-        ),
+        repairs=opened.repairs,
+        notes=(*opened.notes, *cut.notes(running), *_note_on_pixels(cut.plan, options)),
     )
 
 
-def _built(
-    work: Work,
-    chunks: Chunks,
-    options: BuildOptions,
-    running: FolderOptions,
-    request: dict[str, Any],
-    executor: Executor | None,
-) -> tuple[Plan, Manifest, dict[str, Any]]:
-    room = Room.of(running, (chunks.sh_degree + 1) ** 2)
-    threads = 0 if room.workers == 1 and executor is None else 1
-    plan = _plan_to_go_on_with(work, request, room)
-    if plan is None:
-        _clear(work)
-        plan = make_plan(work, chunks, options, request, room)
-    make_slices(work, plan, chunks)
-    _check_room(work, plan, room)
-    workers = Workers(room.workers, executor)
-    run_cells(work, plan, "cell", workers, threads=threads)
+def _grown(work: Work, cut: Cut, running: FolderOptions) -> tuple[Manifest, dict[str, Any]]:
+    plan, room = cut.plan, cut.room
     num_levels = running.part_levels
     while True:
-        results = run_cells(work, plan, "grow", workers, num_levels=num_levels, threads=threads)
+        results = run_cells(work, plan, "grow", cut.workers, argument=num_levels)
         left = [sum(counts) for counts in zip(*(result["counts"] for result in results), strict=True)]
         # A build in memory ends where few enough are left: parts may not have grown beyond that.
         ended = [level for level, num_left in enumerate(left[:-1]) if num_left <= plan.resolved.max_roots]
@@ -184,30 +147,7 @@ def _built(
                 f"{room.max_bytes // 10**6} MB at once; raise --max-memory"
             )
     source = Source(metadata=plan.metadata, origin=plan.origin)
-    return plan, *finish_scene(work, plan, results, source)
-
-
-def _plan_to_go_on_with(work: Work, request: dict[str, Any], room: Room) -> Plan | None:
-    """The plan of an interrupted build of the same scene, whose cells fit into the memory; None: there is none."""
-    if not work.plan.exists():
-        return None
-    try:
-        plan = read_plan(work)
-    except InputError:
-        return None  # of another version
-    return plan if plan.request == request and plan.part_rows <= room.part_rows else None
-
-
-def _check_room(work: Work, plan: Plan, room: Room) -> None:
-    """Refuse a cell that is too large for the memory and cannot be cut."""
-    sizes = cell_sizes(work, plan)
-    largest = int(sizes.argmax())
-    needed = cell_bytes(int(sizes[largest]), (plan.sh_degree + 1) ** 2)
-    if sizes[largest] > 2 * plan.part_rows and needed > room.max_bytes:
-        raise InputError(
-            f"cell {largest}: found {sizes[largest]} Gaussians so close together that they cannot be cut, for which about "
-            f"{needed // 10**6} MB are needed, wanted at most {room.max_bytes // 10**6} MB; raise --max-memory, or thin the scene"
-        )
+    return finish_scene(work, plan, results, source)
 
 
 def _target(output: Path, force: bool) -> Path:
@@ -224,27 +164,6 @@ def _target(output: Path, force: bool) -> Path:
     return target
 
 
-@contextmanager
-def _errors_of_writing(work: Work) -> Iterator[None]:
-    try:
-        yield
-    except OutputError:
-        raise
-    except OSError as error:
-        raise OutputError(
-            f"{error.filename or work.folder}: could not be read or written ({error.strerror or error}); run the build again "
-            "to go on"
-        ) from error
-
-
-def _note_on_parts(plan: Plan, running: FolderOptions) -> tuple[str, ...]:
-    if running.part_rows is not None or plan.part_rows == PART_ROWS:
-        return ()
-    return (
-        f"parts are cut for {plan.part_rows} Gaussians each, since memory is short: other files, but the same tree",
-    )
-
-
 def _note_on_pixels(plan: Plan, options: BuildOptions) -> tuple[str, ...]:
     if not options.follow or plan.mode != "classic":
         return ()
@@ -254,24 +173,10 @@ def _note_on_pixels(plan: Plan, options: BuildOptions) -> tuple[str, ...]:
     )
 
 
-def _clear(work: Work) -> None:
-    """Remove what another build left."""
-    shutil.rmtree(work.folder, ignore_errors=True)
-    work.begin()
-
-
 def _take_place(work: Work, target: Path, force: bool) -> None:
     """Move the finished folder to its name, and remove the rest."""
-    work.plan.unlink()  # from here on, another build begins anew
     old = work.folder / "old"
     if target.exists() and force:
         target.rename(old)
-    work.scene.rename(target)
+    work.scene.rename(target)  # from here on, another build begins anew
     shutil.rmtree(work.folder, ignore_errors=True)
-
-
-def _identity(path: Path) -> dict[str, Any]:
-    """By what an input is known to be the same when a build goes on."""
-    return {
-        str(file): [file.stat().st_size, file.stat().st_mtime_ns] for file in sorted(files_of(path)) if file.exists()
-    }

@@ -1,13 +1,15 @@
 """How much memory a build through files takes, and how the memory is spent."""
 
+import math
 import os
 import re
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 from splatree.errors import InputError
 
-__all__ = ["FolderOptions", "Room", "bytes_of"]
+__all__ = ["FolderOptions", "Room", "bytes_of", "free_bytes"]
 
 SMALLEST_MEMORY = 250_000_000
 """Bytes below which not even small cells fit beside the program itself."""
@@ -48,9 +50,13 @@ class FolderOptions:
     """
 
     max_memory: str | None = None
-    """Most memory for all processes together: 4G, 500M; None: half of what is free."""
+    """Most memory for all processes of this machine together, and for each cell on a worker of a cluster: 4G, 500M; None: half of
+    what is free."""
     workers: int = 1
     """Processes that grow cells at the same time; 1: this process alone."""
+    scheduler: str | None = None
+    """Grow cells on the workers of a Dask cluster, which see the same files: the address of its scheduler, such as
+    tcp://10.0.0.5:8786; None: on this machine."""
     part_rows: int | None = None
     """Rows of a cell; None: a million, or as many as memory allows. The files depend on it, the tree does not."""
     part_levels: int = 3
@@ -59,6 +65,11 @@ class FolderOptions:
     def __post_init__(self) -> None:
         if self.workers < 1:
             raise InputError(f"workers: found {self.workers}, wanted at least 1")
+        if self.workers > 1 and self.scheduler is not None:
+            raise InputError(
+                f"workers: found {self.workers} processes of this machine and a scheduler, wanted one of them: a cluster has its "
+                "own workers"
+            )
         if self.part_rows is not None and self.part_rows < 1:
             raise InputError(f"part_rows: found {self.part_rows}, wanted at least 1")
         if not 1 <= self.part_levels <= MOST_LEVELS:
@@ -76,20 +87,37 @@ class Room:
     part_rows: int
     """Rows of a cell."""
     workers: int
-    """Cells at the same time."""
+    """Cells at the same time, on this machine."""
+    piece_bytes: float
+    """What one cell may take, here or on a worker of a cluster."""
 
     @staticmethod
-    def of(options: FolderOptions, num_coefficients: int) -> "Room":
-        """Cells of a million rows, or as many as fit, and as many at the same time as fit then."""
-        max_bytes = _free_bytes() // 2 if options.max_memory is None else bytes_of(options.max_memory)
+    def of(options: FolderOptions, num_coefficients: int, thread_bytes: float = math.inf) -> "Room":
+        """Cells of a million rows, or as many as fit, and as many at the same time as fit then.
+
+        Args:
+            options: what the user allows.
+            num_coefficients: of the harmonics.
+            thread_bytes: what workers elsewhere have for a cell.
+
+        Raises:
+            InputError: these workers have too little.
+        """
+        max_bytes = free_bytes() // 2 if options.max_memory is None else bytes_of(options.max_memory)
         max_bytes = max(max_bytes, SMALLEST_MEMORY)
+        if thread_bytes < SMALLEST_MEMORY:
+            raise InputError(
+                f"scheduler: found a worker with {thread_bytes / 1e6:.0f} MB for each of its threads, wanted at least "
+                f"{SMALLEST_MEMORY // 10**6} MB; start it with fewer threads or more memory"
+            )
+        piece_bytes = min(max_bytes, thread_bytes)
         rows = options.part_rows or PART_ROWS
-        while options.part_rows is None and rows > FEWEST_ROWS and cell_bytes(rows, num_coefficients) > max_bytes:
+        while options.part_rows is None and rows > FEWEST_ROWS and cell_bytes(rows, num_coefficients) > piece_bytes:
             rows //= 2
         # Beside processes of its own, this one only waits.
         num_beside = (max_bytes - PROCESS_BYTES) // cell_bytes(rows, num_coefficients)
         workers = max(1, min(options.workers, num_beside))
-        return Room(max_bytes, rows, workers)
+        return Room(max_bytes, rows, workers, piece_bytes)
 
 
 def cell_bytes(num_rows: int, num_coefficients: int) -> int:
@@ -114,8 +142,22 @@ def bytes_of(text: str) -> int:
     return int(float(match[1]) * 1000 ** " kmgt".index(match[2].lower() or " "))
 
 
-def _free_bytes() -> int:
-    """Bytes that processes may take without others having to give any up."""
+def free_bytes() -> int:
+    """Bytes that processes may take without others having to give any up: of the machine, and of the control group."""
+    return min(_free_of_machine(), _free_of_group())
+
+
+def _free_of_group(folder: Path = Path("/sys/fs/cgroup")) -> int:
+    """What the limit of a container leaves; what files back can be given up."""
+    try:
+        limit, used = (int((folder / name).read_text()) for name in ("memory.max", "memory.current"))
+        backed = re.search(r"^inactive_file (\d+)$", (folder / "memory.stat").read_text(), re.MULTILINE)
+    except (OSError, ValueError):  # no such group, or "max": no limit
+        return sys.maxsize
+    return max(0, limit - used + (int(backed[1]) if backed else 0))
+
+
+def _free_of_machine() -> int:
     info = Path("/proc/meminfo")
     if info.exists() and (found := re.search(r"^MemAvailable:\s+(\d+) kB", info.read_text(), re.MULTILINE)):
         return int(found[1]) * 1024

@@ -26,6 +26,7 @@ from splatree.outofcore.work import Work, write_text
 from splatree.progress import task
 from splatree.scene.names import Mode
 from splatree.scene.origin import Origin
+from splatree.scene.thinning import ThinOptions
 from splatree.shapes import Array
 from splatree.simplify.merge import check_finite, largest_log_weight
 from splatree.simplify.thin import query_rows, radius_of_spacing
@@ -67,6 +68,8 @@ class Plan:
     """Rows of the input in a slice."""
     part_rows: int
     """Rows of a cell."""
+    widest: float
+    """The longest side of the box around all means, world units."""
 
     @property
     def num_slices(self) -> int:
@@ -152,6 +155,7 @@ def make_plan(
         cells=cells,
         slice_rows=max(1000, min(room.part_rows, room.max_bytes // 8 // row_bytes)),
         part_rows=room.part_rows,
+        widest=float(np.max(high - low)),
     )
     write_text(work.plan, plan.to_json())
     return plan
@@ -186,11 +190,16 @@ def _batches(means: Array, queries: Array) -> Iterator[Array]:
 
 
 def request_of(
-    inputs: list[dict[str, Any]], options: BuildOptions, running: FolderOptions, reading: ReadOptions, mode: Mode
+    inputs: list[dict[str, Any]],
+    options: BuildOptions | ThinOptions,
+    running: FolderOptions,
+    reading: ReadOptions,
+    mode: Mode,
 ) -> dict[str, Any]:
     """What was asked for, as it is compared when a build goes on."""
     request = {
         "inputs": inputs,
+        "verb": type(options).__name__,
         "options": asdict(options),
         "reading": asdict(reading),
         "mode": mode,

@@ -4,10 +4,11 @@ Any executor of `concurrent.futures` will do, on this machine or on others that 
 files, returns nothing and may be done twice. Its mark says that it is done, so a piece with a mark is not run again.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import lru_cache
 from multiprocessing import get_context
 from pathlib import Path
@@ -17,92 +18,141 @@ from splatree.errors import InputError
 from splatree.outofcore.fingerprint import fingerprint
 from splatree.outofcore.grow import grow_cell
 from splatree.outofcore.plan import Plan, read_plan
-from splatree.outofcore.shuffle import make_cell
+from splatree.outofcore.shuffle import cell_sizes, make_cell
+from splatree.outofcore.thin_cell import count_cell, thin_cell
 from splatree.outofcore.work import Work
 from splatree.progress import task
 
 __all__ = ["Workers", "run_cells"]
 
 TRIES = 2
-"""How often a pool of processes may break before the build gives up."""
+"""How often processes may die before the build gives up."""
 
 
+@dataclass(frozen=True)
+class _Kind:
+    """A kind of piece."""
+
+    says: str
+    """What the user reads while it is done."""
+    do: Callable[[Work, Plan, int, Any, int], dict[str, Any]]
+    """Does the piece of a cell, given its argument and the number of threads; returns what the client has to know."""
+
+
+KINDS = {
+    "cell": _Kind("put cells in order", make_cell),
+    "grow": _Kind("grow cells", grow_cell),
+    "count": _Kind("count what a radius leaves", count_cell),
+    "thin": _Kind("thin cells", thin_cell),
+}
+"""All kinds of pieces."""
+
+
+@dataclass(frozen=True)
 class Workers:
     """Who runs the pieces: this process, processes of its own, or an executor that is given."""
 
-    def __init__(self, num_workers: int, executor: Executor | None) -> None:
-        self.num_workers = num_workers
-        """Pieces at the same time."""
-        self._given = executor
+    num_workers: int
+    """Processes to start, if no executor is given; 1: this process."""
+    executor: Executor | None = None
+    """The executor that is given."""
+    died: type[Exception] = BrokenProcessPool
+    """What the executor raises of a piece whose process died."""
+
+    @property
+    def threads(self) -> int:
+        """Threads that a piece may use; 0: all of the machine."""
+        return 0 if self.num_workers == 1 and self.executor is None else 1
 
     @contextmanager
     def pool(self) -> Iterator[Executor | None]:
         """The executor; None: run in this process."""
-        if self._given is not None or self.num_workers == 1:
-            yield self._given
+        if self.executor is not None or self.num_workers == 1:
+            yield self.executor
             return
         # Spawned: a forked process would inherit what this one has in memory, and its threads' locks.
         with ProcessPoolExecutor(self.num_workers, mp_context=get_context("spawn")) as executor:
             yield executor
 
 
-def run_cells(
-    work: Work, plan: Plan, kind: str, workers: Workers, *, num_levels: int = 0, threads: int = 0
-) -> list[dict[str, Any]]:
-    """Do one kind of piece, ``cell`` or ``grow``, for all cells that have no mark for it.
+def run_cells(work: Work, plan: Plan, kind: str, workers: Workers, *, argument: float = 0) -> list[dict[str, Any]]:
+    """Do one kind of piece for all cells that have no mark for it.
+
+    Args:
+        work: where the pieces are.
+        plan: what was decided for the whole scene.
+        kind: a name in `KINDS`.
+        workers: who does them.
+        argument: what the kind of piece needs to know besides.
 
     Returns:
         What came of each cell, in their order.
 
     Raises:
-        InputError: processes died again and again; the cells that were not done are named.
+        InputError: processes died again and again, or a piece is said to be done and its mark is not there; the cells are named.
     """
     cells = range(len(plan.cells))
-    names = [_name(kind, number, num_levels) for number in cells]
-    jobs = [(str(work.folder), plan.run, kind, number, num_levels, threads) for number in cells]
-    say = {"cell": "put cells in order", "grow": "grow cells"}[kind]
-    with task(say, float(len(cells))) as advance:
-        missing = [number for number in cells if work.result(names[number], plan.run) is None]
-        advance(float(len(cells) - len(missing)))
+    names = [_name(kind, number, argument) for number in cells]
+    jobs = [(str(work.folder), plan.run, kind, number, argument, workers.threads) for number in cells]
+    missing = [number for number in cells if work.result(names[number], plan.run) is None]
+    sizes = [float(size) for size in cell_sizes(work, plan)]
+    total = sum(sizes)
+    with task(KINDS[kind].says, total, done=total - sum(sizes[number] for number in missing)) as advance:
+
+        def ended(number: int) -> None:
+            advance(sizes[number])
+
         for _ in range(TRIES):
-            try:
+            if missing:
                 with workers.pool() as executor:
-                    _run(executor, do_piece, [jobs[number] for number in missing], advance)
-                missing = []
-                break
-            except BrokenProcessPool:
+                    missing = _run(executor, {number: jobs[number] for number in missing}, workers.died, ended)
                 missing = [number for number in missing if work.result(names[number], plan.run) is None]
         if missing:
             raise InputError(
                 f"cells {missing[:8]}: found that the processes which worked on them died {TRIES} times, perhaps for lack of "
-                "memory; run the build again with a smaller --max-memory or fewer --workers, it goes on where it stopped"
+                "memory; run the build again with a smaller --part-rows or fewer --workers, it goes on where it stopped"
             )
-    results = [work.result(name, plan.run) for name in names]
-    return [result for result in results if result is not None]
+    results = {number: work.result(name, plan.run) for number, name in zip(cells, names, strict=True)}
+    if lost := [number for number, result in results.items() if result is None]:
+        raise InputError(
+            f"cells {lost[:8]}: found no mark in {work.folder} of what workers say they did, wanted a folder that is the same "
+            "for all of them; run the build again, it goes on where it stopped"
+        )
+    return [result for result in results.values() if result is not None]
 
 
 def _run(
     executor: Executor | None,
-    function: Callable[..., None],
-    jobs: Sequence[tuple[Any, ...]],
-    advance: Callable[[float], None],
-) -> None:
+    jobs: Mapping[int, tuple[Any, ...]],
+    died: type[Exception],
+    ended: Callable[[int], None],
+) -> list[int]:
+    """Do the jobs of some cells, and tell of each that has ended; returns the cells whose processes died."""
     if executor is None:
-        for job in jobs:
-            function(*job)
-            advance(1.0)
-        return
-    futures: list[Future[None]] = [executor.submit(function, *job) for job in jobs]
+        for number, job in jobs.items():
+            do_piece(*job)
+            ended(number)
+        return []
+    futures: dict[Future[None], int] = {}
+    missing = []
     try:
+        for number, job in jobs.items():
+            futures[executor.submit(do_piece, *job)] = number
         for future in as_completed(futures):
-            future.result()
-            advance(1.0)
+            if isinstance(future.exception(), died):
+                missing.append(futures[future])
+            else:
+                future.result()
+                ended(futures[future])
+    except died:  # while pieces were handed out: what is done has a mark
+        missing = list(jobs)
     finally:
         for future in futures:
             future.cancel()
+    return sorted(missing)
 
 
-def do_piece(folder: str, run: str, kind: str, number: int, num_levels: int, threads: int) -> None:
+def do_piece(folder: str, run: str, kind: str, number: int, argument: float, threads: int) -> None:
     """Do one piece, unless it is done, and mark it; runs in any process that sees the folder.
 
     Raises:
@@ -115,19 +165,14 @@ def do_piece(folder: str, run: str, kind: str, number: int, num_levels: int, thr
             f"worker: found that it computes {fingerprint()} where the build began with {plan.fingerprint}; wanted processes of "
             "one version on processors of one kind, whose parts fit together"
         )
-    name = _name(kind, number, num_levels)
-    if work.result(name, run) is not None:
-        return
-    if kind == "cell":
-        make_cell(work, plan, number)
-        work.finish(name, run, {})
-    else:
-        work.finish(name, run, grow_cell(work, plan, number, num_levels, threads))
+    name = _name(kind, number, argument)
+    if work.result(name, run) is None:
+        work.finish(name, run, KINDS[kind].do(work, plan, number, argument, threads))
 
 
-def _name(kind: str, number: int, num_levels: int) -> str:
+def _name(kind: str, number: int, argument: float) -> str:
     """Of a piece, in the name of its mark; a cell that grows to other levels is another piece."""
-    return f"{kind}-{number:05}" if kind == "cell" else f"{kind}-{num_levels}-{number:05}"
+    return f"{kind}-{argument!r}-{number:05}"
 
 
 @lru_cache(maxsize=1)

@@ -7,6 +7,7 @@ neighbours is in a file without harmonics, with the bounds of each 2,048 rows.
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -83,8 +84,8 @@ def _start(work: Work, plan: Plan, number: int) -> Array:
     return np.asarray(result["start"])
 
 
-def make_cell(work: Work, plan: Plan, number: int) -> None:
-    """Write a cell: its rows along the curve."""
+def make_cell(work: Work, plan: Plan, number: int, argument: float = 0, threads: int = 0) -> dict[str, Any]:
+    """Write a cell: its rows along the curve. It needs neither an argument nor threads, and leaves nothing to know."""
     parts, ids = [], []
     for source in range(plan.num_slices):
         start = _start(work, plan, source)
@@ -111,3 +112,4 @@ def make_cell(work: Work, plan: Plan, number: int) -> None:
         else np.empty((2, 0, 3))
     )
     write_array(work.bounds(number), bounds.astype(np.float64))
+    return {}

@@ -5,6 +5,7 @@
       slices/00000.splatree         rows of the input, by cell
       cells/00000.splatree .npy     one cell along the curve: degree 0, and the harmonics above
       roots/00000.splatree          the roots of one part
+      thinned/00000.splatree .npy   what thinning leaves of one cell, and its rows of the input
       done/…json                    a mark for each piece of work that is done, with what came of it
       scene/                        the folder to be: parts, crown, manifest
 
@@ -25,7 +26,7 @@ from splatree.shapes import Array
 
 __all__ = ["Work"]
 
-FOLDERS = ("slices", "cells", "roots", "done", "scene/parts")
+FOLDERS = ("slices", "cells", "roots", "thinned", "done", "scene/parts")
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,9 @@ class Work:
     """The folder of the build."""
 
     def begin(self) -> None:
-        """Make the folders, and remove what killed processes left half-written."""
+        """Make the folders, and remove what killed processes left half-written, and the plan of a build that was done."""
+        if self.plan.exists() and not self.scene.exists():  # it has taken its place
+            self.plan.unlink()
         for name in FOLDERS:
             (self.folder / name).mkdir(parents=True, exist_ok=True)
             remove_abandoned(self.folder / name)
@@ -45,6 +48,11 @@ class Work:
     def plan(self) -> Path:
         """What was decided for the whole scene."""
         return self.folder / "plan.json"
+
+    @property
+    def token(self) -> Path:
+        """Which of all folders this is: a worker that reads it sees the folder."""
+        return self.folder / "token"
 
     @property
     def scene(self) -> Path:
@@ -70,6 +78,14 @@ class Work:
     def roots(self, number: int) -> Path:
         """The roots of a part."""
         return self.folder / "roots" / f"{number:05}.splatree"
+
+    def thinned(self, number: int) -> Path:
+        """What thinning leaves of a cell."""
+        return self.folder / "thinned" / f"{number:05}.splatree"
+
+    def thinned_rows(self, number: int) -> Path:
+        """The row of the input that each Gaussian which thinning leaves of a cell stands for."""
+        return self.folder / "thinned" / f"{number:05}.npy"
 
     def part_name(self, number: int) -> str:
         """The part of a cell, in the folder to be."""

@@ -23,7 +23,7 @@ from splatree.shapes import Array, Float32, Int32
 from splatree.simplify.merge import check_finite, importance_of, merge
 from splatree.simplify.pairs import merge_pairs
 
-__all__ = ["Thinned", "auto_radius", "linear_colors", "query_rows", "radius_of_spacing", "thin"]
+__all__ = ["Thinned", "auto_radius", "linear_colors", "query_rows", "radius_of_count", "radius_of_spacing", "thin"]
 
 COUNT_TOLERANCE = 0.01
 """How near to the wanted count a search for the radius comes, relative."""
@@ -207,42 +207,62 @@ class _Space:
         )
 
     def radius_of(self, count: int) -> float:
-        """The radius that leaves ``count`` representatives: bisection on log r, by the secant where it has two ends."""
-        n = len(self.gaussians)
-        if count >= n:
+        """The radius that leaves ``count`` representatives."""
+        if count >= len(self.gaussians):
             return 0.0
         widest = float(np.max(np.ptp(self.gaussians.means.astype(np.float64), axis=0)))
-        radius = auto_radius(self.gaussians, threads=self.threads)
-        if radius == 0:
-            return 0.0  # all at one place
-        best, best_error = 0.0, np.inf
-        low = high = None  # (log r, log count) with too many and with too few left
-        for _ in range(48):
-            found = self.count(radius)
-            error = abs(found - count) / count
-            if error < best_error:
-                best, best_error = radius, error
-            if error <= COUNT_TOLERANCE:
-                return radius
-            here = (np.log(radius), np.log(found / count))
-            if found > count:
-                low = here
-                if radius > 2 * np.sqrt(3) * widest:
-                    raise InputError(
-                        f"count: found at least {found} Gaussians at any radius, wanted {count}: colours farther apart than "
-                        f"color_radius = {self.color_radius} never merge; raise color_radius or leave colour out"
-                    )
-            else:
-                high = here
-            if low is None or high is None:
-                # On surfaces the count falls with r²; a little more, so that the ends are soon on either side.
-                step = 0.6 * here[1]
-                radius *= float(np.exp(np.sign(step) * max(abs(step), 0.1)))
-            else:
-                share = np.clip(low[1] / (low[1] - high[1]), 0.1, 0.9)
-                radius = float(np.exp(low[0] + share * (high[0] - low[0])))
-                if high[0] - low[0] < 1e-9:
-                    break
-            if radius < 1e-30:
-                return 0.0
-        return best
+        first = auto_radius(self.gaussians, threads=self.threads)
+        return radius_of_count(count, self.count, len(self.gaussians), first, widest, self.color_radius)
+
+
+def radius_of_count(
+    wanted: int, count: Callable[[float], int], num_rows: int, first: float, widest: float, color_radius: float
+) -> float:
+    """The radius that leaves a count, of a scene that need not be in memory.
+
+    Bisection on log r, by the secant where it has two ends.
+
+    Args:
+        wanted: representatives to be left.
+        count: how many a radius leaves.
+        num_rows: rows of the scene.
+        first: `auto_radius` of the scene, world units.
+        widest: the longest side of the box around all means, world units.
+        color_radius: the distance in colour that counts as much as the radius.
+
+    Raises:
+        InputError: colours do not allow so few.
+    """
+    if wanted >= num_rows or first == 0:  # 0: all at one place
+        return 0.0
+    radius, best, best_error = first, 0.0, np.inf
+    low = high = None  # (log r, log count) with too many and with too few left
+    for _ in range(48):
+        found = count(radius)
+        error = abs(found - wanted) / wanted
+        if error < best_error:
+            best, best_error = radius, error
+        if error <= COUNT_TOLERANCE:
+            return radius
+        here = (np.log(radius), np.log(found / wanted))
+        if found > wanted:
+            low = here
+            if radius > 2 * np.sqrt(3) * widest:
+                raise InputError(
+                    f"count: found at least {found} Gaussians at any radius, wanted {wanted}: colours farther apart than "
+                    f"color_radius = {color_radius} never merge; raise color_radius or leave colour out"
+                )
+        else:
+            high = here
+        if low is None or high is None:
+            # On surfaces the count falls with r²; a little more, so that the ends are soon on either side.
+            step = 0.6 * here[1]
+            radius *= float(np.exp(np.sign(step) * max(abs(step), 0.1)))
+        else:
+            share = np.clip(low[1] / (low[1] - high[1]), 0.1, 0.9)
+            radius = float(np.exp(low[0] + share * (high[0] - low[0])))
+            if high[0] - low[0] < 1e-9:
+                break
+        if radius < 1e-30:
+            return 0.0
+    return best

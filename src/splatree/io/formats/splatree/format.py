@@ -18,9 +18,12 @@ import numpy as np
 
 from splatree.errors import FormatError, InputError
 from splatree.io.check import checked
+from splatree.io.chunks import Chunks
 from splatree.io.formats.splatree.container import header_bytes, open_container, placed
 from splatree.io.formats.splatree.fields import NOT_STORED, columns_of, struct_from, values_of
+from splatree.io.formats.splatree.head import SceneHead
 from splatree.io.formats.splatree.older import record_of_provenance
+from splatree.io.formats.splatree.writer import SceneWriter
 from splatree.io.levels import check_extents
 from splatree.io.options import ReadOptions, WriteOptions
 from splatree.kernels.cpu.build.spheres import bound_clusters
@@ -59,6 +62,24 @@ def write(scene: Scene, path: Path, options: WriteOptions) -> tuple[str, ...]:
                 file.write(np.ascontiguousarray(columns[name]).reshape(-1).view(np.uint8).data)
             advance(place.num_bytes)
     return lost
+
+
+def write_chunks(chunks: Chunks, path: Path, options: WriteOptions) -> tuple[str, ...]:
+    """Write a flat scene chunk by chunk: the bytes that `write` writes of the scene, less the counts of repairs.
+
+    Raises:
+        InputError: the file shall be compact, for which the scene must be in memory.
+    """
+    if options.compact:
+        raise InputError(
+            "compact: found a scene in chunks, wanted one in memory; write it without, and convert the file"
+        )
+    with path.open("wb") as file, task(f"write {path.name}", len(chunks)) as advance:
+        writer = SceneWriter(file, SceneHead(len(chunks), chunks.sh_degree, chunks.mode, source=chunks.source))
+        for chunk in chunks:
+            writer.append(Scene.flat(chunk, mode=chunks.mode))
+            advance(len(chunk))
+    return ()
 
 
 def is_compact(path: Path) -> bool:

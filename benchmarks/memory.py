@@ -1,0 +1,70 @@
+"""What each verb takes in memory: at most, and for each Gaussian more.
+
+``python benchmarks/memory.py [--chunks 1 3] [--degree 3] [--folder /tmp]`` needs the shared city. Each verb runs on fewer and on
+more chunks of the city, as a command of its own. Memory is measured as in `scale.py`. Where it does not grow with the scene, rows
+go through in chunks or cells.
+"""
+
+import argparse
+import tempfile
+from pathlib import Path
+
+import splatree as st
+from harness import DATA, save, table
+from scale import run
+
+VERBS = {
+    **{
+        f"convert to {suffix}": ("convert", f"out{suffix}")
+        for suffix in (".ply", ".spz", ".splat", ".ksplat", ".glb", ".sog")
+    },
+    "convert to .rad": ("convert", "out.rad"),
+    "convert to .splatree": ("convert", "out.splatree"),
+    "clean": ("clean", "out.ply", "--floaters"),
+    "thin --radius": ("thin", "out.ply", "--radius", "auto"),
+    "thin --radius --max-memory 500M": ("thin", "out.ply", "--radius", "auto", "--max-memory", "500M"),
+    "thin --keep, by pairs": ("thin", "out.ply", "--keep", "0.25"),
+    "build": ("build", "out.splatree"),
+    "build --max-memory 500M": ("build", "parts.splatree", "--max-memory", "500M"),
+    "build --method pairs": ("build", "out.splatree", "--method", "pairs"),
+    "build --flat --clusters": ("build", "out.splatree", "--flat", "--clusters", "auto"),
+}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--chunks", type=int, nargs=2, default=[1, 3], help="chunks of the city, fewer and more")
+    parser.add_argument("--degree", type=int, default=3)
+    parser.add_argument("--folder", type=Path, default=Path(tempfile.gettempdir()))
+    arguments = parser.parse_args()
+    city = DATA / "trained" / "semarang_city"
+    chunks = sorted(path for path in city.iterdir() if path.is_dir())
+    with tempfile.TemporaryDirectory(dir=arguments.folder) as name:
+        folder = Path(name)
+        scenes = [folder / "less.ply", folder / "more.ply"]
+        options = st.ConvertOptions(edit=st.EditOptions(sh_degree=arguments.degree))
+        counts = [
+            st.convert(chunks[:number], scene, options).num_written
+            for number, scene in zip(arguments.chunks, scenes, strict=True)
+        ]
+        rows = []
+        for what, (verb, output, *words) in VERBS.items():
+            less, more = (run(verb, scene, folder / output, *words, "-q", "--force") for scene in scenes)
+            slope = (more.peak_bytes - less.peak_bytes) / (counts[1] - counts[0])
+            rows.append(
+                {
+                    "verb": what,
+                    "degree": arguments.degree,
+                    "Gaussians": counts[1],
+                    "peak MB": more.peak_bytes / 1e6,
+                    "bytes for each Gaussian more": slope,
+                    "CPU s a million": 1e6 * more.cpu_s / counts[1],
+                }
+            )
+            print(rows[-1], flush=True)
+    print(table(rows))
+    save("memory", rows, about="Memory of each verb on chunks of the real city")
+
+
+if __name__ == "__main__":
+    main()

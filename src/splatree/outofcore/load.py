@@ -1,0 +1,94 @@
+"""Load a cell and what lies around it."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from splatree.io.formats.splatree.rows import open_scene
+from splatree.lod.region import Box
+from splatree.outofcore.plan import Plan
+from splatree.outofcore.shuffle import BOUND_ROWS
+from splatree.outofcore.work import Work, read_array
+from splatree.scene.gaussians import Gaussians
+from splatree.shapes import Array, Int32, Int64
+
+__all__ = ["Loaded", "load", "num_within", "reaches", "with_harmonics"]
+
+FIRST_REACH = 7.0
+"""How far around a cell is loaded at first, in sums of the radii of its levels: of 112 cells of a city none needed more."""
+
+LONGER = 1.5
+"""How much farther after growing found it too little."""
+
+
+@dataclass(frozen=True, eq=False)
+class Loaded:
+    """The rows of the whole scene within reach of a box."""
+
+    gaussians: Gaussians
+    """To degree 0."""
+    inputs: Int64[Array, "n"]
+    """Row of each in the input."""
+    cells: Int32[Array, "n"]
+    """The cell that each lies in."""
+    rows: Int64[Array, "n"]
+    """Its row there."""
+
+
+def reaches(box: Box, radii: float) -> Iterator[float]:
+    """How far around a box to load, world units, for radii of that sum: at first, and each time that it was too little."""
+    finite = [abs(side) for side in (*box.low, *box.high) if np.isfinite(side)]
+    if not finite:
+        yield np.inf  # the box is everything
+    reach = FIRST_REACH * radii + 1e-5 * max(finite, default=0.0)  # so that rounding is covered where radii are tiny
+    while True:
+        yield reach
+        reach = max(reach * LONGER, 1e-30)
+
+
+def num_within(work: Work, plan: Plan, number: int, radii: float) -> int:
+    """How many rows `load` goes through for a cell at first, or a few more."""
+    box, count = plan.cells.boxes[number], 0
+    reach = next(reaches(box, radii))
+    for other in range(len(plan.cells)):
+        bounds = read_array(work.bounds(other))
+        count += BOUND_ROWS * int((box.gaps(bounds[0], bounds[1]) <= reach).sum())
+    return count
+
+
+def load(work: Work, plan: Plan, number: int, reach: float) -> Loaded:
+    """All rows of the scene whose mean is within a distance of the box of a cell."""
+    box, parts = plan.cells.boxes[number], list[tuple[Gaussians, Array, Array, Array]]()
+    for other in range(len(plan.cells)):
+        bounds = read_array(work.bounds(other))
+        near = np.flatnonzero(box.gaps(bounds[0], bounds[1]) <= reach)
+        if not len(near):
+            continue
+        stored = open_scene(work.cell(other))
+        for run in np.split(near, np.flatnonzero(np.diff(near) > 1) + 1):
+            begin, end = int(run[0]) * BOUND_ROWS, min((int(run[-1]) + 1) * BOUND_ROWS, len(stored))
+            rows = stored.rows(begin, end)
+            assert rows.ids is not None
+            kept = np.flatnonzero(box.distances(rows.gaussians.means) <= reach)
+            cells = np.full(len(kept), other, np.int32)
+            parts.append((rows.gaussians.take(kept), rows.ids[kept].astype(np.int64), cells, begin + kept))
+    if not parts:
+        nothing = np.empty(0, np.int64)
+        return Loaded(Gaussians.empty(), nothing, nothing.astype(np.int32), nothing)
+    gaussians = Gaussians.concatenate([part[0] for part in parts])
+    return Loaded(gaussians, *(np.concatenate([part[i] for part in parts]) for i in (1, 2, 3)))
+
+
+def with_harmonics(work: Work, plan: Plan, loaded: Loaded, rows: Array) -> Gaussians:
+    """The loaded Gaussians in the order of ``rows``, with the harmonics of their cells."""
+    leaves = loaded.gaussians.take(rows)
+    if not plan.sh_degree:
+        return leaves
+    sh = np.empty((len(rows), (plan.sh_degree + 1) ** 2, 3), np.float32)
+    sh[:, :1] = leaves.sh
+    cells, places = loaded.cells[rows], loaded.rows[rows]
+    for cell in np.unique(cells):
+        of_cell = np.flatnonzero(cells == cell)
+        sh[of_cell, 1:] = read_array(work.harmonics(int(cell)))[places[of_cell]]
+    return replace(leaves, sh=sh)
