@@ -49,6 +49,7 @@ _NAMES = {
     "metrics.ssim": ("ssim",),
     "outofcore.build": ("BuiltFolder", "build_folder"),
     "outofcore.options": ("FolderOptions",),
+    "outofcore.store": ("Store", "open_store"),
     "render.batch": ("render_batch", "trace_batch"),
     "render.calibrate": ("CalibrateOptions", "Calibration", "calibrate", "calibrated"),
     "render.compare": ("ComparedView", "Difference", "compare", "comparison_views"),

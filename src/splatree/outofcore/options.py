@@ -81,7 +81,7 @@ class Room:
     @staticmethod
     def of(options: FolderOptions, num_coefficients: int) -> "Room":
         """Cells of a million rows, or as many as fit, and as many at the same time as fit then."""
-        max_bytes = _free_bytes() // 2 if options.max_memory is None else bytes_of(options.max_memory)
+        max_bytes = free_bytes() // 2 if options.max_memory is None else bytes_of(options.max_memory)
         max_bytes = max(max_bytes, SMALLEST_MEMORY)
         rows = options.part_rows or PART_ROWS
         while options.part_rows is None and rows > FEWEST_ROWS and cell_bytes(rows, num_coefficients) > max_bytes:
@@ -114,7 +114,7 @@ def bytes_of(text: str) -> int:
     return int(float(match[1]) * 1000 ** " kmgt".index(match[2].lower() or " "))
 
 
-def _free_bytes() -> int:
+def free_bytes() -> int:
     """Bytes that processes may take without others having to give any up."""
     info = Path("/proc/meminfo")
     if info.exists() and (found := re.search(r"^MemAvailable:\s+(\d+) kB", info.read_text(), re.MULTILINE)):

@@ -136,16 +136,11 @@ class _Rows:
             raise FormatError(f"{self.path}: found a node {depth.max()} levels below its root, wanted at most 255")
         tree = GaussianTree(end, depth.astype(np.uint8), extents, record=crown.tree.record, roots=crown.tree.roots)
         first_id = int(ids[tree.is_leaf].max(initial=0)) + 1
-        if first_id + len(above) > 2**32:
+        if first_id + n > 2**32:
             raise FormatError(
                 f"{self.path}: found identities of leaves up to {first_id - 1}, which leave no room for nodes"
             )
-        _number_merged(ids, tree, first_id)
+        ids[~tree.is_leaf] = first_id + np.flatnonzero(~tree.is_leaf)
         gaussians = Gaussians(**columns)
         return replace(crown, gaussians=gaussians, tree=tree, ids=ids, blocks=index_blocks(gaussians, tree))
 
-
-def _number_merged(ids: Array, tree: GaussianTree, first_id: int) -> None:
-    """Give merged nodes identities after those of all leaves, row by row."""
-    is_leaf = tree.is_leaf
-    ids[~is_leaf] = np.arange(first_id, first_id + int((~is_leaf).sum()), dtype=np.uint32)

@@ -1,0 +1,135 @@
+"""What a store knows of its files before it reads a page: the table of pages, and where each row stands in the whole tree."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from splatree.errors import FormatError, InputError
+from splatree.io.formats.splatree.rows import StoredScene
+from splatree.outofcore.pages import FilePages, PageTable, table_of
+from splatree.shapes import Array, Int32, check_fields
+
+__all__ = ["StoreIndex", "index_of_file", "index_of_folder"]
+
+
+@dataclass(frozen=True, eq=False)
+class StoreIndex:
+    """The pages of all files of a store; the first file is the crown, or the only one."""
+
+    table: PageTable
+    """Pages, file by file."""
+    file_start: Int32[Array, "f+1"]
+    """Pages of file ``i``: ``file_start[i]`` to ``file_start[i + 1]``."""
+    num_rows: int
+    """Rows of the whole tree."""
+    num_leaves: int
+    """Leaves of the whole tree."""
+    num_roots: int
+    """Roots of parts; 0 without parts."""
+    largest_id: int
+    """Largest identity of a leaf."""
+    whole_rows: Int32[Array, "c"] | None = None
+    """Row in the whole tree of each row of the crown; None: there are no parts."""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+    @property
+    def num_own(self) -> int:
+        """Pages of the first file."""
+        return int(self.file_start[1])
+
+    @property
+    def has_parts(self) -> bool:
+        """Whether the leaves of the first file are copies of roots of parts."""
+        return self.whole_rows is not None
+
+    def file_of(self, page: int) -> int:
+        """The file that a page is in."""
+        return int(np.searchsorted(self.file_start, page, side="right")) - 1
+
+
+def index_of_file(stored: StoredScene, advance: Callable[[float], None]) -> StoreIndex:
+    """Go through a file and index it; ``advance`` is told of rows gone through.
+
+    Raises:
+        FormatError: a value cannot be used, or the rows are no tree.
+    """
+    found = table_of(stored, advance=advance)
+    start = np.array([0, len(found.table)], np.int32)
+    return StoreIndex(found.table, start, len(stored), found.num_leaves, 0, found.largest_id)
+
+
+def index_of_folder(crown: StoredScene, pages: Sequence[FilePages], where: Path) -> StoreIndex:
+    """The index of a folder from its crown and what was found in its parts.
+
+    Args:
+        crown: the nodes above the parts.
+        pages: what `table_of` found in each part, in their order.
+        where: the folder, for errors.
+
+    Raises:
+        FormatError: the parts are not those of the crown.
+        InputError: there are 2³¹ rows or more.
+    """
+    own = table_of(crown)
+    sizes = np.concatenate([np.zeros(0, np.int32), *(part.root_sizes for part in pages)])
+    copies = _copies(crown, len(sizes), own.num_leaves, where)
+    num_rows_of = np.ones(len(crown), np.int64)
+    num_rows_of[copies] = sizes
+    first_row = np.concatenate([[0], np.cumsum(num_rows_of)])
+    if first_row[-1] >= 2**31:
+        raise InputError(f"{where}: found {first_row[-1]} rows, wanted less than 2^31")
+    table = PageTable.joined([own.table, *_numbered(pages)])
+    return StoreIndex(
+        table=_widened(table, len(own.table), copies),
+        file_start=np.cumsum([0, len(own.table), *(len(part.table) for part in pages)]).astype(np.int32),
+        num_rows=int(first_row[-1]),
+        num_leaves=sum(part.num_leaves for part in pages),
+        num_roots=len(sizes),
+        largest_id=max((part.largest_id for part in pages), default=-1),
+        whole_rows=first_row[:-1].astype(np.int32),
+    )
+
+
+def _copies(crown: StoredScene, num_roots: int, num_leaves: int, where: Path) -> Array:
+    """The row in the crown of the copy of each root of a part."""
+    if not crown.head.has_ids:
+        raise FormatError(f"{crown.file.path}: found no ids, wanted the numbers of the roots of all parts")
+    leaves = np.flatnonzero(crown.file.rows("tree.subtree_end") == np.arange(1, len(crown) + 1))
+    numbers = crown.file.rows("ids")[leaves]
+    if num_leaves != num_roots or not np.array_equal(np.sort(numbers), np.arange(num_roots)):
+        raise FormatError(
+            f"{where}: found {num_roots} roots in the parts and {num_leaves} leaves in the crown, wanted a copy of each root; "
+            "the files are of different builds"
+        )
+    copies = np.empty(num_roots, np.int64)
+    copies[numbers] = leaves
+    return copies
+
+
+def _numbered(pages: Sequence[FilePages]) -> list[PageTable]:
+    """The tables of the parts, with roots numbered through all of them."""
+    first = np.cumsum([0, *(len(part.root_sizes) for part in pages)])
+    return [
+        replace(part.table, first_root=part.table.first_root + number)
+        for part, number in zip(pages, first[:-1], strict=True)
+    ]
+
+
+def _widened(table: PageTable, num_own: int, copies: Array) -> PageTable:
+    """The table in which the pages of the crown hold what is below their portals."""
+    parts = np.arange(num_own, len(table))
+    first_root = table.first_root[num_own:]
+    begun = np.searchsorted(first_root, np.arange(len(copies)), side="right") - 1  # the page that each root begins in
+    goes_on = np.flatnonzero(np.diff(table.ancestor_start)[num_own:] > 0)  # pages that begin within a subtree
+    portals = np.concatenate([np.arange(len(copies)), first_root[goes_on] - 1])
+    below = parts[np.concatenate([begun, goes_on])]
+    above = np.searchsorted(table.begin[:num_own], copies[portals], side="right") - 1
+    lower, upper, scales = table.lower.copy(), table.upper.copy(), table.leaf_scales.copy()
+    np.minimum.at(lower, above, table.lower[below])
+    np.maximum.at(upper, above, table.upper[below])
+    np.maximum.at(scales, above, table.leaf_scales[below])
+    return replace(table, lower=lower, upper=upper, leaf_scales=scales)

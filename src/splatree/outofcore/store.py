@@ -1,0 +1,289 @@
+"""A store: a scene on disk, of which only the pages are read that a view asks for.
+
+`open_store` opens a folder of parts or one ``.splatree``. Pages are mapped, checked and indexed as they come, and kept until there
+are too many; those that were used longest ago go first. Which pages a view asks for is decided in outofcore/paging.py.
+"""
+
+import os
+import threading
+from collections import OrderedDict
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+
+from splatree.errors import FormatError, InputError
+from splatree.io.formats.folder.manifest import read_manifest
+from splatree.io.formats.splatree.rows import StoredScene, open_scene
+from splatree.lod.quality import Nodes
+from splatree.lod.select import chosen_by, for_levels, notes_on
+from splatree.outofcore.index import StoreIndex, index_of_file, index_of_folder
+from splatree.outofcore.options import bytes_of, free_bytes
+from splatree.outofcore.page import Page, load_page
+from splatree.outofcore.pages import row_bytes_of, table_of
+from splatree.outofcore.paging import Cut, cut_at
+from splatree.progress import task
+from splatree.scene.cameras import Camera
+from splatree.scene.frame import Selection
+from splatree.scene.gaussians import Gaussians
+from splatree.scene.options import SelectOptions
+from splatree.scene.scene import Scene
+from splatree.scene.tree import GaussianTree
+from splatree.scene.view import View, view_of
+from splatree.shapes import Array, UInt32
+
+__all__ = ["Store", "open_store"]
+
+INDEX_BYTES = 30
+"""What a page takes for each of its rows beside the mapped columns: the index of its blocks, its tree."""
+
+
+class Store:
+    """A scene on disk that is selected and drawn page by page; `open_store` opens one.
+
+    Any thread may call; pages are loaded one at a time.
+
+    Example:
+        >>> with st.open_store("city.splatree") as store:
+        ...     rows = store.select(camera).rows
+        >>> bool((rows == st.select(st.read("city.splatree"), camera).rows).all())
+        True
+    """
+
+    def __init__(self, files: list[StoredScene], index: StoreIndex, max_bytes: int) -> None:
+        self.index = index
+        """The pages."""
+        self.max_bytes = max_bytes
+        """What the pages that are kept may take."""
+        self.num_loaded = 0
+        """Pages that were loaded so far, those that had been given up in the meantime included."""
+        self._files = files
+        self._pages: OrderedDict[int, Page] = OrderedDict()
+        self._bytes = 0
+        self._lock = threading.RLock()
+        self._ahead: tuple[ThreadPoolExecutor, Future[None]] | None = None
+        self._is_open = True
+
+    @property
+    def scene(self) -> Scene:
+        """A scene without rows that says how the store is drawn: mode, τ, record of the levels, provenance."""
+        head = self._files[0].head
+        none = np.zeros(0, np.int32)
+        tree = GaussianTree(none, none.astype(np.uint8), none.astype(np.float32), record=head.record)
+        scene = Scene(Gaussians.empty(head.sh_degree), tree, mode=head.mode, threshold=head.threshold)
+        return replace(scene, tile_rule=head.tile_rule, source=head.source)
+
+    def __len__(self) -> int:
+        return self.index.num_rows
+
+    @property
+    def resident_bytes(self) -> int:
+        """What the pages take that are kept at present, as if all of their bytes had been read."""
+        return self._bytes
+
+    def select(
+        self,
+        view: Camera | View,
+        options: SelectOptions | None = None,
+        *,
+        last: float | None = None,
+        threads: int = 0,
+    ) -> Selection:
+        """Choose the nodes to draw in a view: the rows that `select` chooses of the whole tree.
+
+        Args:
+            view: a camera, for drawing with the options that the scene itself has; or a view.
+            options: pixel error, budget or quality, profile and view test; None: the defaults.
+            last: τ_R, px, of the view before, as in `select`.
+            threads: threads to use; 0: all.
+
+        Raises:
+            InputError: the rule is not `cut`, a rule of culling is named, or a budget or quality cannot be met.
+            FormatError: a page that is needed is damaged.
+
+        Example:
+            >>> with st.open_store("city.splatree") as store:
+            ...     store.select(camera, st.SelectOptions(budget=100)).pixel_error > 0
+            True
+        """
+        return self.cut(view, options, last=last, threads=threads)[0]
+
+    def cut(
+        self,
+        view: Camera | View,
+        options: SelectOptions | None = None,
+        *,
+        last: float | None = None,
+        threads: int = 0,
+    ) -> tuple[Selection, Cut]:
+        """As `select`, and the page that each row is in."""
+        scene = self.scene
+        if isinstance(view, Camera):
+            view = view_of(scene, view)
+        options = for_levels(options or SelectOptions(), scene)
+        _check_options(options)
+
+        def cut_of(pixel_error: float) -> tuple[Cut, int]:
+            at = replace(options, pixel_error=pixel_error, quality=None)
+            return cut_at(self.index, self.page, view, at, threads=threads)
+
+        cut, visited, pixel_error = chosen_by(cut_of, self.nodes, scene, view, options, last=last)
+        notes = notes_on(scene, options, pixel_error, view)
+        return Selection(cut.rows, "cut", options.resolved_profile, pixel_error, visited, notes), cut
+
+    def page(self, number: int) -> Page:
+        """A page, loaded if it is not there.
+
+        Raises:
+            FormatError: it is damaged.
+            InputError: the store is closed.
+        """
+        with self._lock:
+            if not self._is_open:
+                raise InputError("store: found it closed, wanted it open; open another with open_store")
+            page = self._pages.get(number)
+            if page is None:
+                table, stored = self.index.table, self._files[self.index.file_of(number)]
+                begin, end = int(table.begin[number]), int(table.end[number])
+                page = load_page(stored, begin, end, table.path(number), checksum=int(table.checksums[number]))
+                self._make_room(self._bytes_of(number))
+                self._pages[number] = page
+                self._bytes += self._bytes_of(number)
+                self.num_loaded += 1
+            self._pages.move_to_end(number)
+            return page
+
+    def ids(self, cut: Cut, number: int, of_page: Array) -> UInt32[Array, "w"]:
+        """Identities of those rows of a cut that are in a page: as in the whole tree."""
+        rows, places = cut.rows[of_page], cut.places[of_page]
+        page = self.page(number)
+        own = rows.astype(np.uint32) if page.ids is None else page.ids[places]
+        if not self.index.has_parts:
+            return own
+        merged = np.uint32(self.index.largest_id + 1) + rows.astype(np.uint32)
+        return np.where(page.tree.is_leaf[places], own, merged)
+
+    def nodes(self, cut: Cut, step: int) -> Nodes:
+        """Each n-th row of a cut, as its quality depends on them."""
+        sample = cut.every(step)
+        means, log_scales = np.empty((len(sample), 3), np.float32), np.empty((len(sample), 3), np.float32)
+        logits, is_merged = np.empty(len(sample), np.float32), np.empty(len(sample), bool)
+        for number, of_page in sample.by_page():
+            page, places = self.page(number), sample.places[of_page]
+            means[of_page], log_scales[of_page] = page.gaussians.means[places], page.gaussians.log_scales[places]
+            logits[of_page] = page.gaussians.logit_opacities[places]
+            is_merged[of_page] = ~page.tree.is_leaf[places]
+        return Nodes(means, log_scales, logits, is_merged)
+
+    def prefetch(self, view: Camera | View, options: SelectOptions | None = None) -> None:
+        """Load the pages of a view in a thread of the store's own; returns at once. Nothing is done while it is busy.
+
+        Example:
+            >>> with st.open_store("city.splatree") as store:
+            ...     store.prefetch(cameras[1])
+        """
+        with self._lock:
+            if self._ahead is None:
+                self._ahead = ThreadPoolExecutor(1, "splatree-store"), Future()
+            elif not self._ahead[1].done():
+                return
+            self._ahead = self._ahead[0], self._ahead[0].submit(self._load_ahead, view, options)
+
+    def close(self) -> None:
+        """Give back the pages; a closed store cannot be read."""
+        with self._lock:
+            self._is_open = False
+            ahead, self._ahead = self._ahead, None
+        if ahead is not None:
+            ahead[0].shutdown()
+        self._pages.clear()
+        self._bytes = 0
+
+    def __enter__(self) -> "Store":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _load_ahead(self, view: Camera | View, options: SelectOptions | None) -> None:
+        try:
+            self.cut(view, options, threads=1)
+        except InputError:
+            return  # who draws the view is told, if it is drawn
+
+    def _bytes_of(self, number: int) -> int:
+        num_rows = int(self.index.table.end[number] - self.index.table.begin[number])
+        return num_rows * (row_bytes_of(self._files[0].head) + INDEX_BYTES)
+
+    def _make_room(self, num_bytes: int) -> None:
+        """Give up the pages that were used longest ago, until there is room for a new one."""
+        while self._pages and self._bytes + num_bytes > self.max_bytes:
+            number, page = self._pages.popitem(last=False)
+            self._bytes -= self._bytes_of(number)
+            self._files[self.index.file_of(number)].forget(page.begin, page.begin + len(page))
+
+
+def open_store(path: str | os.PathLike[str], *, max_memory: str | None = None) -> Store:
+    """Open a scene on disk, to select and draw from it without reading all of it.
+
+    Args:
+        path: a folder of parts, which `build_folder` made, or an exact ``.splatree``.
+        max_memory: what the pages that are kept may take, such as 500M; None: half of the free memory.
+
+    Returns:
+        The store; use it in a ``with`` statement, or call `Store.close`.
+
+    Raises:
+        FormatError: a file does not hold what it promises.
+        InputError: it cannot be read page by page.
+
+    Example:
+        >>> import splatree as st
+        >>> with st.open_store("city.splatree", max_memory="500M") as store:
+        ...     image = st.render(store, camera).image
+    """
+    path = Path(path)
+    max_bytes = free_bytes() // 2 if max_memory is None else bytes_of(max_memory)
+    if not path.is_dir():
+        file = open_scene(path)
+        with task(f"index {path.name}", float(len(file))) as advance:
+            return Store([file], index_of_file(file, advance), max_bytes)
+    manifest = read_manifest(path)
+    crown, *parts = (open_scene(path / file.name) for file in (manifest.crown, *manifest.parts))
+    _check_alike(crown, parts)
+    with task(f"index {path.name}", float(manifest.num_rows)) as advance:
+        index = index_of_folder(crown, [table_of(part, advance=advance) for part in parts], path)
+    if (index.num_rows, index.num_leaves) != (manifest.num_rows, manifest.num_leaves):
+        raise FormatError(
+            f"{path}: found {index.num_rows} rows and {index.num_leaves} leaves in the files, wanted {manifest.num_rows} and "
+            f"{manifest.num_leaves} as the manifest says"
+        )
+    return Store([crown, *parts], index, max_bytes)
+
+
+def _check_alike(crown: StoredScene, parts: list[StoredScene]) -> None:
+    wanted = _form_of(crown)
+    for part in parts:
+        if _form_of(part) != wanted:
+            raise FormatError(
+                f"{part.file.path}: found degree, mode and columns {_form_of(part)}, wanted {wanted} as in "
+                f"{crown.file.path.name}; the file is of another build"
+            )
+
+
+def _form_of(stored: StoredScene) -> tuple[int, str, bool, bool]:
+    head = stored.head
+    return head.sh_degree, head.mode, head.has_ids, head.has_curves
+
+
+def _check_options(options: SelectOptions) -> None:
+    if options.rule != "cut":
+        raise InputError(
+            f"rule: found {options.rule!r} for a store, wanted 'cut'; the others look at all rows: read the scene"
+        )
+    if options.cull not in (None, "none"):
+        raise InputError(f"cull: found {options.cull!r} for a store, wanted none; pages are left out by their own boxes")
