@@ -1,15 +1,17 @@
 """What a store knows of its files before it reads a page: the table of pages, and where each row stands in the whole tree."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
-from splatree.errors import FormatError, InputError
+from splatree.constants import BLOCK_ROWS
+from splatree.errors import FormatError, InputError, ShapeError
 from splatree.io.formats.splatree.rows import StoredScene
+from splatree.outofcore.page import Checksums
 from splatree.outofcore.pages import FilePages, PageTable, table_of
-from splatree.shapes import Array, Int32, check_fields
+from splatree.shapes import Array, Int32, UInt32, check_fields
 
 __all__ = ["StoreIndex", "index_of_file", "index_of_folder"]
 
@@ -32,9 +34,28 @@ class StoreIndex:
     """Largest identity of a leaf."""
     whole_rows: Int32[Array, "c"] | None = None
     """Row in the whole tree of each row of the crown; None: there are no parts."""
+    plain_checksums: UInt32[Array, "p"] | None = None
+    """`Checksums.plain` of each page; None: not known."""
+    block_checksums: UInt32[Array, "h"] | None = None
+    """`Checksums.harmonics` of all pages, one after the other; None: not known."""
+
+    _block_start: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        check_fields(self)
+        check_fields(self, p=len(self.table), f=len(self.file_start) - 1)
+        num_blocks = -(-(self.table.end - self.table.begin) // BLOCK_ROWS)
+        object.__setattr__(self, "_block_start", np.concatenate([[0], np.cumsum(num_blocks)]))
+        if self.block_checksums is not None and len(self.block_checksums) != self._block_start[-1]:
+            raise ShapeError(
+                f"StoreIndex: found {len(self.block_checksums)} checksums of blocks, wanted {self._block_start[-1]}"
+            )
+
+    def checksums_of(self, page: int) -> Checksums | None:
+        """Those of a page; None: not known."""
+        if self.plain_checksums is None or self.block_checksums is None:
+            return None
+        blocks = slice(self._block_start[page], self._block_start[page + 1])
+        return Checksums(int(self.plain_checksums[page]), self.block_checksums[blocks])
 
     @property
     def num_own(self) -> int:
@@ -62,35 +83,43 @@ def index_of_file(stored: StoredScene, advance: Callable[[float], None]) -> Stor
     return StoreIndex(found.table, start, len(stored), found.num_leaves, 0, found.largest_id)
 
 
-def index_of_folder(crown: StoredScene, pages: Sequence[FilePages], where: Path) -> StoreIndex:
-    """The index of a folder from its crown and what was found in its parts.
+def index_of_folder(crown: StoredScene, own: FilePages, pages: Sequence[FilePages], where: Path) -> StoreIndex:
+    """The index of a folder from what was found in its files.
 
     Args:
         crown: the nodes above the parts.
-        pages: what `table_of` found in each part, in their order.
+        own: what `table_of` found in the crown.
+        pages: what it found in each part, in their order.
         where: the folder, for errors.
 
     Raises:
         FormatError: the parts are not those of the crown.
         InputError: there are 2³¹ rows or more.
     """
-    own = table_of(crown)
     sizes = np.concatenate([np.zeros(0, np.int32), *(part.root_sizes for part in pages)])
     copies = _copies(crown, len(sizes), own.num_leaves, where)
     num_rows_of = np.ones(len(crown), np.int64)
     num_rows_of[copies] = sizes
     first_row = np.concatenate([[0], np.cumsum(num_rows_of)])
-    if first_row[-1] >= 2**31:
-        raise InputError(f"{where}: found {first_row[-1]} rows, wanted less than 2^31")
+    largest_id = max((part.largest_id for part in pages), default=-1)
+    if first_row[-1] >= 2**31 or largest_id + first_row[-1] >= 2**32:
+        raise InputError(
+            f"{where}: found {first_row[-1]} rows and identities of leaves up to {largest_id}, wanted less than 2^31 rows, and "
+            "less than 2^32 identities together"
+        )
     table = PageTable.joined([own.table, *_numbered(pages)])
+    noted = [checksums for part in (own, *pages) for checksums in part.checksums]
+    has_checksums = len(noted) == len(table)
     return StoreIndex(
         table=_widened(table, len(own.table), copies),
         file_start=np.cumsum([0, len(own.table), *(len(part.table) for part in pages)]).astype(np.int32),
         num_rows=int(first_row[-1]),
         num_leaves=sum(part.num_leaves for part in pages),
         num_roots=len(sizes),
-        largest_id=max((part.largest_id for part in pages), default=-1),
+        largest_id=largest_id,
         whole_rows=first_row[:-1].astype(np.int32),
+        plain_checksums=np.array([each.plain for each in noted], np.uint32) if has_checksums else None,
+        block_checksums=np.concatenate([each.harmonics for each in noted]) if has_checksums else None,
     )
 
 

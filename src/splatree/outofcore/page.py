@@ -4,7 +4,7 @@ A page begins anywhere and ends behind a leaf. An ancestor of a row of a page th
 row, too. So a page is decided alone, given the few ancestors of its first row: where one of them is drawn, it shadows the rows up
 to its end, which are a run at the beginning of the page. This is what blocks of 256 rows do (scene/tree.py), a size larger.
 
-The harmonics of a page are three quarters of its bytes. They are read, and checked, only where a row is drawn.
+The harmonics of a page are three quarters of its bytes. They are read, and checked, only in blocks of which a row is drawn.
 """
 
 import zlib
@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from splatree.constants import BLOCK_ROWS
 from splatree.errors import FormatError, ShapeError
 from splatree.io.check import SH_MAX, refuse_unusable
 from splatree.io.formats.splatree.rows import SceneRows, StoredScene
@@ -22,9 +23,9 @@ from splatree.scene.gaussians import Gaussians
 from splatree.scene.options import SelectOptions
 from splatree.scene.tree import BlockIndex, GaussianTree
 from splatree.scene.view import View
-from splatree.shapes import Array, Bool, Int32, Int64, UInt8
+from splatree.shapes import Array, Bool, Int32, Int64, UInt8, UInt32
 
-__all__ = ["Page", "load_page"]
+__all__ = ["Checksums", "Page", "load_page"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,8 +44,12 @@ class Page:
     """Index of its blocks."""
     depth: UInt8[Array, "n"]
     """Edges from the root, in the file."""
-    ids: Array | None
+    ids: UInt32[Array, "n"] | None
     """Identity of each row in the file; None: the row number."""
+    harmonics: UInt32[Array, "h"] | None
+    """CRC-32 of the harmonics of each block; None: it is not known."""
+    is_checked: Bool[Array, "h"]
+    """Whether the harmonics of each block have been checked; the first one who draws a row of it does so."""
 
     def __len__(self) -> int:
         return len(self.tree)
@@ -72,18 +77,46 @@ class Page:
         return kernel.small(self.gaussians, self.tree, rows, view, options, threads=1)
 
     def check_harmonics(self, rows: Int32[Array, "v"]) -> None:
-        """Read the harmonics of rows that are drawn and check them.
+        """Read the harmonics of the blocks of rows that are drawn, and check them; those of a block are checked once.
 
         Raises:
-            FormatError: a value cannot be used.
+            FormatError: a value cannot be used, or they are not those that were indexed.
         """
-        drawn = self.gaussians.take(rows)
-        if not largest_magnitude(drawn.sh) <= SH_MAX:
-            refuse_unusable(drawn, f"{self.where}: some rows of the page at row {self.begin}")
+        blocks = np.unique(rows // BLOCK_ROWS)
+        for block in blocks[~self.is_checked[blocks]]:
+            first = int(block) * BLOCK_ROWS
+            run = slice(first, first + BLOCK_ROWS)
+            if not largest_magnitude(self.gaussians.sh[run]) <= SH_MAX:
+                refuse_unusable(
+                    self.gaussians.take(np.arange(len(self))[run]), self.where, first_row=self.begin + first
+                )
+            if self.harmonics is not None and self.harmonics[block] != (found := zlib.crc32(self.gaussians.sh[run])):
+                raise FormatError(
+                    f"{self.where}: rows {self.begin + first} to {self.begin + min(run.stop, len(self))}: found harmonics of "
+                    f"checksum {found:08x}, wanted {self.harmonics[block]:08x}; the file is damaged or has been replaced"
+                )
+            self.is_checked[block] = True
+
+
+@dataclass(frozen=True, eq=False)
+class Checksums:
+    """What the bytes of a page were when it was indexed."""
+
+    plain: int
+    """CRC-32 of all columns but the harmonics."""
+    harmonics: UInt32[Array, "h"]
+    """CRC-32 of the harmonics of each block."""
+
+    @staticmethod
+    def of(rows: SceneRows) -> "Checksums":
+        """Those of rows; reads all of them."""
+        sh = rows.gaussians.sh
+        runs = [zlib.crc32(sh[first : first + BLOCK_ROWS]) for first in range(0, len(rows), BLOCK_ROWS)]
+        return Checksums(_plain_checksum(rows), np.array(runs, np.uint32))
 
 
 def load_page(
-    stored: StoredScene, begin: int, end: int, path: Int64[Array, "a"], *, checksum: int | None = None
+    stored: StoredScene, begin: int, end: int, path: Int64[Array, "a"], *, checksums: Checksums | None = None
 ) -> Page:
     """Map rows of a stored scene, check them and index them.
 
@@ -92,16 +125,16 @@ def load_page(
         begin: first row.
         end: one past the last row, which is a leaf.
         path: where the subtrees of the ancestors of the first row end, from the root down.
-        checksum: what `checksum_of` gave for the rows when they were indexed; None: it is not compared.
+        checksums: those of the rows when they were indexed; None: they are not compared.
 
     Raises:
         FormatError: a value cannot be used, or the rows are no part of a tree, or not those that were indexed.
     """
     rows = stored.rows(begin, end, harmonics=False)
     where = f"{stored.file.path}: rows {begin} to {end}"
-    if checksum is not None and checksum != (found := checksum_of(rows)):
+    if checksums is not None and checksums.plain != (found := _plain_checksum(rows)):
         raise FormatError(
-            f"{where}: found checksum {found:08x}, wanted {checksum:08x}; the file is damaged or has been replaced"
+            f"{where}: found checksum {found:08x}, wanted {checksums.plain:08x}; the file is damaged or has been replaced"
         )
     ends = np.minimum(rows.subtree_end, end) - np.int32(begin)
     try:
@@ -117,17 +150,18 @@ def load_page(
         blocks=index_blocks(rows.gaussians, tree, threads=1),
         depth=rows.depth,
         ids=rows.ids,
+        harmonics=None if checksums is None else checksums.harmonics,
+        is_checked=np.zeros(-(-len(rows) // BLOCK_ROWS), bool),
     )
 
 
-def checksum_of(rows: SceneRows) -> int:
-    """CRC-32 of all columns but the harmonics."""
+def _plain_checksum(rows: SceneRows) -> int:
     gaussians = rows.gaussians
     columns = (gaussians.means, gaussians.quats, gaussians.log_scales, gaussians.logit_opacities)
     tree = (rows.subtree_end, rows.depth, rows.extents, rows.curves, rows.ids)
     check = 0
     for column in (*columns, *(column for column in tree if column is not None)):
-        check = zlib.crc32(np.ascontiguousarray(column).data.cast("B"), check)
+        check = zlib.crc32(column, check)
     return check
 
 

@@ -20,10 +20,10 @@ from splatree.errors import FormatError
 from splatree.io.formats.splatree.fields import column_types
 from splatree.io.formats.splatree.head import SceneHead
 from splatree.io.formats.splatree.rows import StoredScene
-from splatree.outofcore.page import Page, checksum_of, load_page
+from splatree.outofcore.page import Checksums, Page, load_page
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.tree import GaussianTree
-from splatree.shapes import Array, Float32, Int32, Int64, UInt32, check_fields
+from splatree.shapes import Array, Float32, Int32, Int64, check_fields
 
 __all__ = ["PAGE_BYTES", "PageTable", "row_bytes_of", "table_of"]
 
@@ -48,8 +48,6 @@ class PageTable:
     """Largest coordinates."""
     leaf_scales: Float32[Array, "p"]
     """Largest standard deviation as in `BlockIndex.leaf_scales`, world units."""
-    checksums: UInt32[Array, "p"]
-    """CRC-32 of all columns of a page but the harmonics."""
     first_root: Int64[Array, "p"]
     """Number of the first root that begins in each page."""
     ancestor_start: Int32[Array, "p+1"]
@@ -120,6 +118,8 @@ class FilePages:
     """Largest identity of a leaf; −1 without any."""
     root_sizes: Int32[Array, "r"]
     """Rows below each root, and the root itself."""
+    checksums: list[Checksums]
+    """Of each page; empty if they were not wanted."""
 
 
 def row_bytes_of(head: SceneHead) -> int:
@@ -128,14 +128,21 @@ def row_bytes_of(head: SceneHead) -> int:
     return sum(dtype.itemsize * math.prod(shape) for dtype, shape in types.values())
 
 
-def table_of(stored: StoredScene, *, advance: Callable[[float], None] = lambda rows: None) -> FilePages:
-    """Go through a file page by page and note what a selection has to know of each; ``advance`` is told of rows gone through.
+def table_of(
+    stored: StoredScene, *, checksums: bool = False, advance: Callable[[float], None] = lambda rows: None
+) -> FilePages:
+    """Go through a file page by page and note what a selection has to know of each.
+
+    Args:
+        stored: the file.
+        checksums: also note checksums, for which harmonics have to be read.
+        advance: is told how many rows were gone through.
 
     Raises:
         FormatError: a value cannot be used, or the rows are no tree.
     """
     page_rows, n = max(PAGE_BYTES // row_bytes_of(stored.head), 1), len(stored)
-    noted = _Noted()
+    noted = _Noted(checksums)
     begin, path = 0, np.zeros(0, np.int64)
     while begin < n:
         end = _end_of_page(stored, begin, page_rows)
@@ -150,8 +157,9 @@ def table_of(stored: StoredScene, *, advance: Callable[[float], None] = lambda r
 class _Noted:
     """The table of a file as it grows."""
 
-    def __init__(self) -> None:
-        self._pages: list[tuple[int, int, Array, Array, float, int, int]] = []
+    def __init__(self, with_checksums: bool) -> None:
+        self._checksums: list[Checksums] | None = [] if with_checksums else None
+        self._pages: list[tuple[int, int, Array, Array, float, int]] = []
         self._ancestors: list[list[int]] = []
         self._nodes: list[tuple[int, int, Array, Array, Array, float]] = []
         self._path: list[int] = []  # numbers of nodes
@@ -164,8 +172,9 @@ class _Noted:
         begin, end = page.begin, page.begin + len(page)
         rows, blocks = stored.rows(begin, end, harmonics=False), page.blocks
         lower, upper = blocks.group_lower.min(axis=0), blocks.group_upper.max(axis=0)
-        scale, check = float(blocks.group_leaf_scales.max()), checksum_of(rows)
-        self._pages.append((begin, end, lower, upper, scale, check, self._num_roots))
+        self._pages.append((begin, end, lower, upper, float(blocks.group_leaf_scales.max()), self._num_roots))
+        if self._checksums is not None:
+            self._checksums.append(Checksums.of(rows))
         self._ancestors.append(list(self._path))
         roots = np.flatnonzero(rows.depth == 0)
         self._root_sizes.append(rows.subtree_end[roots] - np.int32(begin) - roots.astype(np.int32))
@@ -183,7 +192,7 @@ class _Noted:
 
     def pages(self) -> FilePages:
         """All that was noted."""
-        begin, end, lower, upper, scales, checks, roots = zip(*self._pages, strict=True) if self._pages else [()] * 7
+        begin, end, lower, upper, scales, roots = zip(*self._pages, strict=True) if self._pages else [()] * 6
         rows, stops, means, quats, log_scales, extents = zip(*self._nodes, strict=True) if self._nodes else [()] * 6
         table = PageTable(
             begin=np.array(begin, np.int32),
@@ -191,7 +200,6 @@ class _Noted:
             lower=np.array(lower, np.float32).reshape(-1, 3),
             upper=np.array(upper, np.float32).reshape(-1, 3),
             leaf_scales=np.array(scales, np.float32),
-            checksums=np.array(checks, np.uint32),
             first_root=np.array(roots, np.int64),
             ancestor_start=np.cumsum([0, *map(len, self._ancestors)]).astype(np.int32),
             ancestors=np.array([node for path in self._ancestors for node in path], np.int32),
@@ -203,7 +211,7 @@ class _Noted:
             extents=np.array(extents, np.float32),
         )
         sizes = np.concatenate([np.zeros(0, np.int32), *self._root_sizes])
-        return FilePages(table, self._num_leaves, self._largest_id, sizes)
+        return FilePages(table, self._num_leaves, self._largest_id, sizes, self._checksums or [])
 
 
 def _end_of_page(stored: StoredScene, begin: int, page_rows: int) -> int:

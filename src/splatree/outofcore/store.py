@@ -15,11 +15,12 @@ from types import TracebackType
 import numpy as np
 
 from splatree.errors import FormatError, InputError
-from splatree.io.formats.folder.manifest import read_manifest
+from splatree.io.formats.folder.manifest import Manifest, checked_path, read_manifest
 from splatree.io.formats.splatree.rows import StoredScene, open_scene
 from splatree.lod.quality import Nodes
 from splatree.lod.select import chosen_by, for_levels, notes_on
 from splatree.outofcore.index import StoreIndex, index_of_file, index_of_folder
+from splatree.outofcore.index_file import read_index
 from splatree.outofcore.options import bytes_of, free_bytes
 from splatree.outofcore.page import Page, load_page
 from splatree.outofcore.pages import row_bytes_of, table_of
@@ -147,7 +148,8 @@ class Store:
             if page is None:
                 table, stored = self.index.table, self._files[self.index.file_of(number)]
                 begin, end = int(table.begin[number]), int(table.end[number])
-                page = load_page(stored, begin, end, table.path(number), checksum=int(table.checksums[number]))
+                checksums = self.index.checksums_of(number)
+                page = load_page(stored, begin, end, table.path(number), checksums=checksums)
                 self._make_room(self._bytes_of(number))
                 self._pages[number] = page
                 self._bytes += self._bytes_of(number)
@@ -255,14 +257,21 @@ def open_store(path: str | os.PathLike[str], *, max_memory: str | None = None) -
     manifest = read_manifest(path)
     crown, *parts = (open_scene(path / file.name) for file in (manifest.crown, *manifest.parts))
     _check_alike(crown, parts)
-    with task(f"index {path.name}", float(manifest.num_rows)) as advance:
-        index = index_of_folder(crown, [table_of(part, advance=advance) for part in parts], path)
+    index = _index(path, manifest, crown, parts)
     if (index.num_rows, index.num_leaves) != (manifest.num_rows, manifest.num_leaves):
         raise FormatError(
             f"{path}: found {index.num_rows} rows and {index.num_leaves} leaves in the files, wanted {manifest.num_rows} and "
             f"{manifest.num_leaves} as the manifest says"
         )
     return Store([crown, *parts], index, max_bytes)
+
+
+def _index(path: Path, manifest: Manifest, crown: StoredScene, parts: list[StoredScene]) -> StoreIndex:
+    """The index that was written with the folder; made anew where there is none."""
+    if manifest.index is not None:
+        return read_index(checked_path(path, manifest.index), [crown, *parts])
+    with task(f"index {path.name}", float(manifest.num_rows)) as advance:
+        return index_of_folder(crown, table_of(crown), [table_of(part, advance=advance) for part in parts], path)
 
 
 def _check_alike(crown: StoredScene, parts: list[StoredScene]) -> None:

@@ -30,7 +30,8 @@ def sniff(path: Path, head: bytes) -> bool:
 def files(path: Path) -> list[Path]:
     """The manifest and all files that it names."""
     manifest = read_manifest(path)
-    return [path / MANIFEST, *(path / file.name for file in (manifest.crown, *manifest.parts))]
+    index = () if manifest.index is None else (manifest.index,)
+    return [path / MANIFEST, *(path / file.name for file in (*index, manifest.crown, *manifest.parts))]
 
 
 def read(path: Path, options: ReadOptions) -> Scene:

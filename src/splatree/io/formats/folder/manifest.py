@@ -47,10 +47,13 @@ class Manifest:
     """The nodes above the parts, and below them, as leaves, the roots of all parts; ids number these roots part by part."""
     parts: tuple[StoredFile, ...]
     """Whole subtrees, each file a ``.splatree``."""
+    index: StoredFile | None = None
+    """What a selection by pages has to know beforehand (outofcore/index_file.py); None in folders of before: it is made anew."""
 
     def to_json(self) -> str:
         """The text of the file."""
-        return json.dumps({"format": KIND, "version": VERSION, **asdict(self)}, indent=1)
+        fields = {name: value for name, value in asdict(self).items() if value is not None}
+        return json.dumps({"format": KIND, "version": VERSION, **fields}, indent=1)
 
 
 def digest_of(path: Path) -> str:
@@ -97,6 +100,7 @@ def read_manifest(folder: Path) -> Manifest:
         num_leaves=untrusted.integer(fields, "num_leaves", where, high=2**53),
         crown=_file(folder, untrusted.field(fields, "crown", where), f"{where}: crown"),
         parts=tuple(files),
+        index=_file(folder, fields["index"], f"{where}: index") if "index" in fields else None,
     )
 
 
