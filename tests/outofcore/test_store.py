@@ -54,6 +54,18 @@ def check_is_drawn_as(store, scene, camera, options):
         assert getattr(frames[0].result, name).tobytes() == getattr(frames[1].result, name).tobytes(), name
 
 
+def check_pages_hold(store, scene):
+    """Each box holds what its page stands for; of a page of the crown, what is below its portals."""
+    table, whole = store.index.table, store.index.whole_rows
+    is_inner = ~scene.tree.is_leaf
+    for number in range(store.index.num_own):
+        first, last = (int(whole[row]) for row in (table.begin[number], table.end[number] - 1))
+        rows = slice(first, int(scene.tree.subtree_end[last]))  # all between, parts' rows too
+        means, scales = scene.gaussians.means[rows], np.exp(scene.gaussians.log_scales[rows].max(axis=1))
+        assert (means >= table.lower[number]).all() and (means <= table.upper[number]).all()
+        assert scales[~is_inner[rows]].max() <= table.leaf_scales[number] * (1 + 1e-6)
+
+
 @settings(max_examples=40, deadline=None)
 @given(data=hs.data(), gaussians=hard_scenes(most=400, degree=1), rows=hs.sampled_from([1, 7, 40, 10**4]))
 def test_a_file_is_drawn_by_pages_as_it_is_drawn_in_memory(tmp_path_factory, data, gaussians, rows):
@@ -89,6 +101,7 @@ def test_a_folder_is_drawn_by_pages_as_its_tree_is_drawn_in_memory(
         scene = st.read(folder)
         with st.open_store(folder) as store:
             assert (len(store), store.index.num_leaves) == (len(scene), len(gaussians))
+            check_pages_hold(store, scene)
             for _ in range(3):
                 camera, chosen = data.draw(cameras(gaussians.means)), data.draw(choices())
                 check_is_drawn_as(store, scene, camera, chosen)

@@ -96,10 +96,10 @@ def index_of_folder(crown: StoredScene, own: FilePages, pages: Sequence[FilePage
         FormatError: the parts are not those of the crown.
         InputError: there are 2³¹ rows or more.
     """
-    sizes = np.concatenate([np.zeros(0, np.int32), *(part.root_sizes for part in pages)])
-    copies = _copies(crown, len(sizes), own.num_leaves, where)
+    num_roots = sum(len(part.root_sizes) for part in pages)
+    copies, roots = _copies(crown, num_roots, own.num_leaves, where)
     num_rows_of = np.ones(len(crown), np.int64)
-    num_rows_of[copies] = sizes
+    num_rows_of[copies] = np.concatenate([part.root_sizes for part in pages])[roots]
     first_row = np.concatenate([[0], np.cumsum(num_rows_of)])
     largest_id = max((part.largest_id for part in pages), default=-1)
     if first_row[-1] >= 2**31 or largest_id + first_row[-1] >= 2**32:
@@ -111,11 +111,11 @@ def index_of_folder(crown: StoredScene, own: FilePages, pages: Sequence[FilePage
     noted = [checksums for part in (own, *pages) for checksums in part.checksums]
     has_checksums = len(noted) == len(table)
     return StoreIndex(
-        table=_widened(table, len(own.table), copies),
+        table=_widened(table, len(own.table), copies, roots, pages),
         file_start=np.cumsum([0, len(own.table), *(len(part.table) for part in pages)]).astype(np.int32),
         num_rows=int(first_row[-1]),
         num_leaves=sum(part.num_leaves for part in pages),
-        num_roots=len(sizes),
+        num_roots=num_roots,
         largest_id=largest_id,
         whole_rows=first_row[:-1].astype(np.int32),
         plain_checksums=np.array([each.plain for each in noted], np.uint32) if has_checksums else None,
@@ -123,20 +123,18 @@ def index_of_folder(crown: StoredScene, own: FilePages, pages: Sequence[FilePage
     )
 
 
-def _copies(crown: StoredScene, num_roots: int, num_leaves: int, where: Path) -> Array:
-    """The row in the crown of the copy of each root of a part."""
+def _copies(crown: StoredScene, num_roots: int, num_leaves: int, where: Path) -> tuple[Array, Array]:
+    """The rows of the crown that are copies of roots of parts, ascending, and the number of each root."""
     if not crown.head.has_ids:
         raise FormatError(f"{crown.file.path}: found no ids, wanted the numbers of the roots of all parts")
-    leaves = np.flatnonzero(crown.file.rows("tree.subtree_end") == np.arange(1, len(crown) + 1))
-    numbers = crown.file.rows("ids")[leaves]
-    if num_leaves != num_roots or not np.array_equal(np.sort(numbers), np.arange(num_roots)):
+    copies = np.flatnonzero(crown.file.rows("tree.subtree_end") == np.arange(1, len(crown) + 1))
+    roots = crown.file.rows("ids")[copies]
+    if num_leaves != num_roots or not np.array_equal(np.sort(roots), np.arange(num_roots)):
         raise FormatError(
             f"{where}: found {num_roots} roots in the parts and {num_leaves} leaves in the crown, wanted a copy of each root; "
             "the files are of different builds"
         )
-    copies = np.empty(num_roots, np.int64)
-    copies[numbers] = leaves
-    return copies
+    return copies, roots
 
 
 def _numbered(pages: Sequence[FilePages]) -> list[PageTable]:
@@ -148,17 +146,13 @@ def _numbered(pages: Sequence[FilePages]) -> list[PageTable]:
     ]
 
 
-def _widened(table: PageTable, num_own: int, copies: Array) -> PageTable:
+def _widened(table: PageTable, num_own: int, copies: Array, roots: Array, pages: Sequence[FilePages]) -> PageTable:
     """The table in which the pages of the crown hold what is below their portals."""
-    parts = np.arange(num_own, len(table))
-    first_root = table.first_root[num_own:]
-    begun = np.searchsorted(first_root, np.arange(len(copies)), side="right") - 1  # the page that each root begins in
-    goes_on = np.flatnonzero(np.diff(table.ancestor_start)[num_own:] > 0)  # pages that begin within a subtree
-    portals = np.concatenate([np.arange(len(copies)), first_root[goes_on] - 1])
-    below = parts[np.concatenate([begun, goes_on])]
-    above = np.searchsorted(table.begin[:num_own], copies[portals], side="right") - 1
-    lower, upper, scales = table.lower.copy(), table.upper.copy(), table.leaf_scales.copy()
-    np.minimum.at(lower, above, table.lower[below])
-    np.maximum.at(upper, above, table.upper[below])
-    np.maximum.at(scales, above, table.leaf_scales[below])
-    return replace(table, lower=lower, upper=upper, leaf_scales=scales)
+    start = np.searchsorted(copies, table.begin[:num_own])  # each page ends behind a leaf, so it has a portal
+    widened = {}
+    for name, bound in (("lower", np.minimum), ("upper", np.maximum), ("scales", np.maximum)):
+        of_roots = np.concatenate([getattr(part, f"root_{name}") for part in pages])[roots]
+        column = f"leaf_{name}" if name == "scales" else name
+        widened[column] = getattr(table, column).copy()
+        bound(widened[column][:num_own], bound.reduceat(of_roots, start, axis=0), out=widened[column][:num_own])
+    return replace(table, **widened)

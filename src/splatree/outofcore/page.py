@@ -55,7 +55,7 @@ class Page:
         return len(self.tree)
 
     def select(
-        self, view: View, options: SelectOptions, shadow: int, *, threads: int = 0
+        self, packed: kernel.PackedCut, shadow: int, *, threads: int = 0
     ) -> tuple[Int32[Array, "v"], int]:
         """Rows drawn, counted in the page, ascending, by the rule `cut`, and how many were looked at.
 
@@ -65,8 +65,7 @@ class Page:
         if first >= len(self):
             return np.zeros(0, np.int32), 0
         runs = None if first == 0 else np.array([[first, len(self)]], np.int32)
-        found = kernel.select(self.gaussians, self.tree, self.blocks, view, options, runs=runs, threads=threads)
-        return found
+        return kernel.select_packed(self.gaussians, self.tree, self.blocks, packed, runs=runs, threads=threads)
 
     def visible(self, rows: Int32[Array, "v"], view: View, options: SelectOptions) -> Bool[Array, "v"]:
         """Which of the rows can be seen, as `select` decides it."""

@@ -7,7 +7,7 @@ A folder of parts is a store of several files. Leaves of the crown are copies of
 numbered, part by part. A page of a part knows the numbers of the roots that it belongs to. A page of the crown stands for what is
 below its portals, too: its box holds theirs.
 
-Cost: 60 bytes a page of 2 MB and 4 bytes a row of the crown. Making the table reads everything but the harmonics, once.
+Cost: 60 bytes a page of 1 MB and 4 bytes a row of the crown. Making the table reads everything but the harmonics, once.
 """
 
 import math
@@ -19,7 +19,7 @@ import numpy as np
 from splatree.errors import FormatError
 from splatree.io.formats.splatree.fields import column_types
 from splatree.io.formats.splatree.head import SceneHead
-from splatree.io.formats.splatree.rows import StoredScene
+from splatree.io.formats.splatree.rows import SceneRows, StoredScene
 from splatree.outofcore.page import Checksums, Page, load_page
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.tree import GaussianTree
@@ -27,8 +27,8 @@ from splatree.shapes import Array, Float32, Int32, Int64, check_fields
 
 __all__ = ["PAGE_BYTES", "PageTable", "row_bytes_of", "table_of"]
 
-PAGE_BYTES = 2_000_000
-"""What a page has at most: what one request to an object store should ask for."""
+PAGE_BYTES = 1_000_000
+"""Bytes of a page: smaller pages fit views more closely, larger ones take fewer steps; benchmarks/paging.py compares."""
 
 DEEPEST = 255
 """A leaf follows each row within so many rows."""
@@ -118,6 +118,12 @@ class FilePages:
     """Largest identity of a leaf; −1 without any."""
     root_sizes: Int32[Array, "r"]
     """Rows below each root, and the root itself."""
+    root_lower: Float32[Array, "r 3"]
+    """Smallest coordinates of the means of these rows, world units."""
+    root_upper: Float32[Array, "r 3"]
+    """Largest coordinates."""
+    root_scales: Float32[Array, "r"]
+    """Largest standard deviation of these rows, with a reserve for rounding, world units."""
     checksums: list[Checksums]
     """Of each page; empty if they were not wanted."""
 
@@ -163,7 +169,7 @@ class _Noted:
         self._ancestors: list[list[int]] = []
         self._nodes: list[tuple[int, int, Array, Array, Array, float]] = []
         self._path: list[int] = []  # numbers of nodes
-        self._root_sizes: list[Array] = []
+        self._roots: list[list[Array]] = []
         self._num_roots = self._num_leaves = 0
         self._largest_id = -1
 
@@ -176,9 +182,7 @@ class _Noted:
         if self._checksums is not None:
             self._checksums.append(Checksums.of(rows))
         self._ancestors.append(list(self._path))
-        roots = np.flatnonzero(rows.depth == 0)
-        self._root_sizes.append(rows.subtree_end[roots] - np.int32(begin) - roots.astype(np.int32))
-        self._num_roots += len(roots)
+        self._add_roots(rows)
         leaves = page.tree.is_leaf
         self._num_leaves += int(leaves.sum())
         ids = rows.ids[leaves] if rows.ids is not None else np.flatnonzero(leaves) + begin
@@ -189,6 +193,21 @@ class _Noted:
             g, stop = rows.gaussians, int(rows.subtree_end[i])
             self._nodes.append((begin + int(i), stop, g.means[i], g.quats[i], g.log_scales[i], float(rows.extents[i])))
         return np.array([self._nodes[node][1] for node in self._path], np.int64)
+
+    def _add_roots(self, rows: SceneRows) -> None:
+        roots, g = np.flatnonzero(rows.depth == 0).astype(np.int32), rows.gaussians
+        largest = np.exp(g.log_scales.max(axis=1)) * np.float32(1 + 1e-5)
+        start = roots if len(roots) and roots[0] == 0 else np.concatenate([[0], roots])
+        low, high = (bound.reduceat(g.means, start, axis=0) for bound in (np.minimum, np.maximum))
+        scales = np.maximum.reduceat(largest, start)
+        if len(start) > len(roots):  # the subtree of a root before goes on
+            _, last_low, last_high, last_scales = next(last for last in reversed(self._roots) if len(last[0]))
+            np.minimum(last_low[-1], low[0], out=last_low[-1])
+            np.maximum(last_high[-1], high[0], out=last_high[-1])
+            last_scales[-1] = max(last_scales[-1], scales[0])
+            low, high, scales = low[1:], high[1:], scales[1:]
+        self._roots.append([rows.subtree_end[roots] - np.int32(rows.begin) - roots, low, high, scales])
+        self._num_roots += len(roots)
 
     def pages(self) -> FilePages:
         """All that was noted."""
@@ -210,8 +229,10 @@ class _Noted:
             log_scales=np.array(log_scales, np.float32).reshape(-1, 3),
             extents=np.array(extents, np.float32),
         )
-        sizes = np.concatenate([np.zeros(0, np.int32), *self._root_sizes])
-        return FilePages(table, self._num_leaves, self._largest_id, sizes, self._checksums or [])
+        points, floats = np.zeros((0, 3), np.float32), np.zeros(0, np.float32)
+        columns = zip([np.zeros(0, np.int32), points, points, floats], *self._roots, strict=True)
+        roots = [np.concatenate(column) for column in columns]
+        return FilePages(table, self._num_leaves, self._largest_id, *roots, checksums=self._checksums or [])
 
 
 def _end_of_page(stored: StoredScene, begin: int, page_rows: int) -> int:

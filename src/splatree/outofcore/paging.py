@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from splatree.kernels.cpu.frame import select as kernel
-from splatree.kernels.cpu.frame.question import pack_question, pack_sides
 from splatree.outofcore.index import StoreIndex
 from splatree.outofcore.page import Page
 from splatree.outofcore.pages import PageTable
@@ -75,14 +74,14 @@ def cut_at(
     num_own = index.num_own
     for page in np.flatnonzero(asked.is_open[:num_own]):
         asked.take_crown(int(page))
-    numbers, rows = asked.portals()
+    rows = asked.portals()
     table = index.table
     # A page belongs to the roots that begin in it, and to the one before if it begins within a subtree.
     first = table.first_root[num_own:] - (np.diff(table.ancestor_start)[num_own:] > 0)
     last = np.append(table.first_root[num_own + 1 :], index.num_roots)
-    has_portal = np.searchsorted(numbers, last) > np.searchsorted(numbers, first)
-    for page in np.flatnonzero(asked.is_open[num_own:] & has_portal) + num_own:
-        asked.take_part(int(page), numbers, rows)
+    num_open = np.concatenate([[0], np.cumsum(rows >= 0)])
+    for page in np.flatnonzero(asked.is_open[num_own:] & (num_open[last] > num_open[first])) + num_own:
+        asked.take_part(int(page), rows)
     return asked.cut()
 
 
@@ -98,8 +97,10 @@ class _Asked:
         threads: int,
     ) -> None:
         self._index, self._page_of, self._view, self._options, self._threads = index, page_of, view, options, threads
+        self._packed = kernel.pack(view, options)
+        self._packed_unseen = kernel.pack(view, replace(options, view_test="none"))
         self._shadows = _shadows(index.table, view, options)
-        self.is_open = _may_be_seen(index.table, view, options) & (self._shadows < index.table.end)
+        self.is_open = _may_be_seen(index.table, view, options, self._packed) & (self._shadows < index.table.end)
         self._found: list[tuple[Array, int, Array]] = []
         self._portals: list[tuple[Array, Array]] = []
         self._visited = 0
@@ -107,43 +108,42 @@ class _Asked:
     def take_file(self, number: int) -> None:
         """Select in a page of the only file."""
         page = self._page_of(number)
-        places = self._select(number, page, self._options)
+        places = self._select(number, page, self._packed)
         self._keep(number, page, places, places + np.int32(page.begin))
 
     def take_crown(self, number: int) -> None:
         """Select in a page of the crown: inner nodes are drawn, leaves are open portals."""
         page, whole_rows = self._page_of(number), self._index.whole_rows
         assert whole_rows is not None and page.ids is not None
-        places = self._select(number, page, replace(self._options, view_test="none"))
+        places = self._select(number, page, self._packed_unseen)
         is_portal = page.tree.is_leaf[places]
         portals, places = places[is_portal], places[~is_portal]
-        self._portals.append((page.ids[portals].astype(np.int64), whole_rows[page.begin + portals]))
+        self._portals.append((page.ids[portals], whole_rows[page.begin + portals]))
         places = places[page.visible(places, self._view, self._options)]
         self._keep(number, page, places, whole_rows[page.begin + places])
 
-    def portals(self) -> tuple[Int64[Array, "o"], Int32[Array, "o"]]:
-        """Numbers of the open portals, ascending, and their rows in the whole."""
-        numbers = np.concatenate([np.zeros(0, np.int64), *(numbers for numbers, _ in self._portals)])
-        rows = np.concatenate([np.zeros(0, np.int32), *(rows for _, rows in self._portals)])
-        order = np.argsort(numbers)
-        return numbers[order], rows[order]
+    def portals(self) -> Int32[Array, "r"]:
+        """The row in the whole of each root of a part whose portal is open, −1 for the others."""
+        found = np.full(self._index.num_roots, -1, np.int32)
+        for numbers, rows in self._portals:
+            found[numbers] = rows
+        return found
 
-    def take_part(self, number: int, portals: Array, rows: Array) -> None:
+    def take_part(self, number: int, rows: Array) -> None:
         """Select in a page of a part, below open portals."""
         page, table = self._page_of(number), self._index.table
-        places = self._select(number, page, self._options)
+        places = self._select(number, page, self._packed)
         roots = np.flatnonzero(page.depth == 0)
         nth = np.searchsorted(roots, places, side="right")  # 0: of the subtree that the page begins within
-        portal = table.first_root[number] + nth - 1
-        at = np.searchsorted(portals, portal)
-        is_below = portals[np.minimum(at, len(portals) - 1)] == portal
-        places, nth, at = places[is_below], nth[is_below], at[is_below]
+        row_of_root = rows[table.first_root[number] + nth - 1]
+        is_below = row_of_root >= 0
+        places, nth, row_of_root = places[is_below], nth[is_below], row_of_root[is_below]
         path = table.ancestors[table.ancestor_start[number] : table.ancestor_start[number + 1]]
         before = table.rows[path[:1]] - page.begin if len(path) else np.zeros(1, np.int32)
-        self._keep(number, page, places, rows[at] + places - np.concatenate([before, roots])[nth])
+        self._keep(number, page, places, row_of_root + places - np.concatenate([before, roots])[nth])
 
-    def _select(self, number: int, page: Page, options: SelectOptions) -> Int32[Array, "v"]:
-        places, visited = page.select(self._view, options, int(self._shadows[number]), threads=self._threads)
+    def _select(self, number: int, page: Page, packed: kernel.PackedCut) -> Int32[Array, "v"]:
+        places, visited = page.select(packed, int(self._shadows[number]), threads=self._threads)
         self._visited += visited
         return places
 
@@ -177,10 +177,11 @@ def _shadows(table: PageTable, view: View, options: SelectOptions) -> Int64[Arra
     return np.asarray(np.where(np.diff(table.ancestor_start) > 0, longest, 0), np.int64)
 
 
-def _may_be_seen(table: PageTable, view: View, options: SelectOptions) -> Bool[Array, "p"]:
+def _may_be_seen(
+    table: PageTable, view: View, options: SelectOptions, packed: kernel.PackedCut
+) -> Bool[Array, "p"]:
     """Whether the box of each page may have something in the image: the test of blocks in kernels/cpu/frame/select.cpp."""
-    question = pack_question(view, options)
-    sides = pack_sides(view, options, question.view)
+    question, sides = packed
     if not sides.is_culled:
         return np.ones(len(table), bool)
     lower, upper = table.lower.astype(np.float64), table.upper.astype(np.float64)
