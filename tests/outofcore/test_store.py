@@ -1,5 +1,8 @@
 """Stores: what is selected and drawn page by page is what is selected and drawn of the whole tree."""
 
+import json
+import shutil
+from dataclasses import replace
 from unittest import mock
 
 import numpy as np
@@ -11,6 +14,7 @@ import splatree as st
 from splatree.outofcore import pages
 
 from ..laws.hard_scenes import hard_scene, hard_scenes
+from ..lod.test_quality import CURVE
 
 
 def small_pages(rows):
@@ -101,7 +105,134 @@ def test_a_folder_is_drawn_by_pages_as_its_tree_is_drawn_in_memory(
         scene = st.read(folder)
         with st.open_store(folder) as store:
             assert (len(store), store.index.num_leaves) == (len(scene), len(gaussians))
+            assert store.index.num_levels == scene.tree.num_levels
             check_pages_hold(store, scene)
             for _ in range(3):
                 camera, chosen = data.draw(cameras(gaussians.means)), data.draw(choices())
                 check_is_drawn_as(store, scene, camera, chosen)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder of many parts and pages."""
+    path = tmp_path_factory.mktemp("store") / "in.ply"
+    st.write(st.Scene.flat(hard_scene(3000, "surface", 3, degree=2)), path)
+    options = st.BuildOptions(radius=0.1, max_roots=4)
+    with small_pages(60):
+        return st.build_folder(path, path.with_name("city.splatree"), options, st.FolderOptions(part_rows=500)).path
+
+
+@pytest.fixture(scope="module")
+def scene(folder):
+    return st.read(folder)
+
+
+CAMERAS = [
+    st.Camera.look_at((x, 3, 2), (x, 5, 0), up=(0, 0, 1), width=48, height=32, fov_y_deg=40) for x in range(1, 9)
+]
+
+
+def test_a_store_keeps_what_fits(folder, scene):
+    with st.open_store(folder, max_memory="30k") as store, st.open_session(store) as session:
+        for camera in CAMERAS:
+            assert session.draw(camera).image.tobytes() == st.render(scene, camera).image.tobytes()
+            assert 0 < store.resident_bytes <= 30_000
+    assert store.resident_bytes == 0
+    with pytest.raises(st.InputError, match="closed"):
+        store.select(CAMERAS[0])
+
+
+def test_a_view_reads_only_pages_that_it_needs(folder):
+    with st.open_store(folder) as store:
+        store.select(CAMERAS[0])
+        first = store.num_loaded
+        assert 0 < first < len(store.index.table) / 2
+        store.select(CAMERAS[0])
+        assert store.num_loaded == first
+
+
+def test_budgets_and_qualities_choose_the_same_nodes(folder, scene, tmp_path):
+    with st.open_store(folder) as store:
+        last = None
+        for camera in CAMERAS:
+            options = st.SelectOptions(budget=150)
+            wanted, found = (st.select(scene, camera, options, last=last), store.select(camera, options, last=last))
+            np.testing.assert_array_equal(found.rows, wanted.rows)
+            assert found.pixel_error == wanted.pixel_error
+            last = found.pixel_error
+    measured = tmp_path / "measured.splatree"
+    record = replace(scene.tree.record, quality=CURVE)
+    st.write(replace(scene, tree=replace(scene.tree, record=record)), measured)
+    measured_scene = st.read(measured)
+    with st.open_store(measured) as store:
+        for quality in (20.0, 45.0):
+            options = st.SelectOptions(quality=quality)
+            wanted = st.select(measured_scene, CAMERAS[1], options)
+            np.testing.assert_array_equal(store.select(CAMERAS[1], options).rows, wanted.rows)
+
+
+def test_sessions_batches_and_scores_take_stores(folder, scene):
+    with st.open_store(folder) as store:
+        for found, wanted in zip(st.evaluate(store, CAMERAS[:2]), st.evaluate(scene, CAMERAS[:2]), strict=True):
+            assert found.cut_vs_leaves == wanted.cut_vs_leaves
+        pictures = [[r.image.tobytes() for r in st.render_batch(each, CAMERAS[:3])] for each in (store, scene)]
+        assert pictures[0] == pictures[1]
+        reference = st.render(store, CAMERAS[0], device="reference").image
+        assert reference.tobytes() == st.render(scene, CAMERAS[0], device="reference").image.tobytes()
+        with st.open_session(store) as session:
+            assert (session.scene.mode, len(session.scene)) == (scene.mode, 0)
+            pending = [session.enqueue(camera) for camera in CAMERAS[:2]]
+            assert [each.result().image.tobytes() for each in pending] == pictures[0][:2]
+            with pytest.raises(st.InputError, match="found a store, wanted a scene in memory"):
+                session.update({})
+
+
+def test_what_needs_all_rows_is_refused(folder):
+    with st.open_store(folder) as store:
+        with pytest.raises(st.InputError, match="found 'release' for a store"):
+            store.select(CAMERAS[0], st.SelectOptions(rule="release"))
+        with pytest.raises(st.InputError, match="found 'exact' for a store"):
+            store.select(CAMERAS[0], st.SelectOptions(cull="exact"))
+        with pytest.raises(st.InputError, match="found a selector for a store"):
+            st.render(store, CAMERAS[0], select=lambda view, *, threads=0: None)
+
+
+def test_pages_are_loaded_ahead(folder):
+    with st.open_store(folder) as store:
+        store.prefetch(CAMERAS[3])
+        store.prefetch(CAMERAS[3])
+    with st.open_store(folder) as store:
+        store.prefetch(CAMERAS[3])
+        store._ahead[1].result()
+        assert store.num_ahead > 0
+        store.select(CAMERAS[3])
+        assert store.num_loaded == 0
+
+
+def test_pages_of_a_moving_camera_are_loaded_before_it_arrives(folder):
+    def at(x):
+        return st.Camera.look_at((x, 3, 2), (x, 5, 0), up=(0, 0, 1), width=48, height=32, fov_y_deg=40)
+
+    def loaded_while_drawing(store):
+        with st.open_session(store) as session:
+            for step in range(30):
+                session.draw(at(1 + 0.2 * step))
+                if store._ahead is not None:
+                    store._ahead[1].result()
+        return store.num_loaded
+
+    with st.open_store(folder) as store:
+        ahead = loaded_while_drawing(store)
+    with st.open_store(folder) as store, mock.patch.object(st.Store, "prefetch"):
+        assert ahead < 0.8 * loaded_while_drawing(store)
+
+
+def test_an_older_folder_without_an_index_is_indexed_when_it_is_opened(folder, scene, tmp_path):
+    copy = tmp_path / "older.splatree"
+    shutil.copytree(folder, copy)
+    (copy / "pages.index").unlink()
+    manifest = json.loads((copy / "manifest.json").read_text())
+    del manifest["index"]
+    (copy / "manifest.json").write_text(json.dumps(manifest))
+    with st.open_store(copy) as store:
+        check_is_drawn_as(store, scene, CAMERAS[2], st.SelectOptions())

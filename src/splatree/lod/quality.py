@@ -24,7 +24,16 @@ from splatree.scene.quality import QualityCurve
 from splatree.scene.scene import Scene
 from splatree.shapes import Array, Bool, Float32, Float64, check_fields
 
-__all__ = ["COARSEST_PX", "COVERING_PX", "Nodes", "covered_share", "curve_of", "merged_share", "nodes_of", "pixel_error_for"]
+__all__ = [
+    "COARSEST_PX",
+    "COVERING_PX",
+    "Nodes",
+    "covered_share",
+    "curve_of",
+    "merged_share",
+    "nodes_of",
+    "pixel_error_for",
+]
 
 COVERING_PX: Final = 12.0
 """τ_R of the cut by which a view is found to be covered: few nodes, which are still smaller than a tile."""
@@ -72,8 +81,8 @@ class Nodes:
 def nodes_of(scene: Scene, rows: Array) -> Nodes:
     """Rows of a scene."""
     g = scene.gaussians
-    columns = (np.take(column, rows, axis=0) for column in (g.means, g.log_scales, g.logit_opacities))
-    return Nodes(*columns, is_merged=scene.tree.subtree_end[rows] > rows + 1)
+    means, log_scales, logits = (np.take(column, rows, axis=0) for column in (g.means, g.log_scales, g.logit_opacities))
+    return Nodes(means, log_scales, logits, scene.tree.subtree_end[rows] > rows + 1)
 
 
 def pixel_error_for(

@@ -37,9 +37,9 @@ from splatree.shapes import Array
 
 __all__ = [
     "Selector",
+    "chosen_by",
     "count_nested",
     "count_uncovered",
-    "chosen_by",
     "cull_rule",
     "cull_scene",
     "for_levels",

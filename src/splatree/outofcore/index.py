@@ -28,6 +28,8 @@ class StoreIndex:
     """Rows of the whole tree."""
     num_leaves: int
     """Leaves of the whole tree."""
+    num_levels: int
+    """Largest depth of the whole tree + 1; 0 for an empty one."""
     num_roots: int
     """Roots of parts; 0 without parts."""
     largest_id: int
@@ -58,6 +60,12 @@ class StoreIndex:
         return Checksums(int(self.plain_checksums[page]), self.block_checksums[blocks])
 
     @property
+    def nbytes(self) -> int:
+        """Bytes of all columns."""
+        columns = [*vars(self).values(), *vars(self.table).values()]
+        return sum(column.nbytes for column in columns if isinstance(column, np.ndarray))
+
+    @property
     def num_own(self) -> int:
         """Pages of the first file."""
         return int(self.file_start[1])
@@ -80,7 +88,8 @@ def index_of_file(stored: StoredScene, advance: Callable[[float], None]) -> Stor
     """
     found = table_of(stored, advance=advance)
     start = np.array([0, len(found.table)], np.int32)
-    return StoreIndex(found.table, start, len(stored), found.num_leaves, 0, found.largest_id)
+    levels = int(found.root_levels.max()) + 1 if len(stored) else 0
+    return StoreIndex(found.table, start, len(stored), found.num_leaves, levels, 0, found.largest_id)
 
 
 def index_of_folder(crown: StoredScene, own: FilePages, pages: Sequence[FilePages], where: Path) -> StoreIndex:
@@ -100,6 +109,7 @@ def index_of_folder(crown: StoredScene, own: FilePages, pages: Sequence[FilePage
     copies, roots = _copies(crown, num_roots, own.num_leaves, where)
     num_rows_of = np.ones(len(crown), np.int64)
     num_rows_of[copies] = np.concatenate([part.root_sizes for part in pages])[roots]
+    levels = np.concatenate([part.root_levels for part in pages])[roots].astype(np.int32)
     first_row = np.concatenate([[0], np.cumsum(num_rows_of)])
     largest_id = max((part.largest_id for part in pages), default=-1)
     if first_row[-1] >= 2**31 or largest_id + first_row[-1] >= 2**32:
@@ -115,6 +125,7 @@ def index_of_folder(crown: StoredScene, own: FilePages, pages: Sequence[FilePage
         file_start=np.cumsum([0, len(own.table), *(len(part.table) for part in pages)]).astype(np.int32),
         num_rows=int(first_row[-1]),
         num_leaves=sum(part.num_leaves for part in pages),
+        num_levels=int((crown.file.rows("tree.depth")[copies] + levels).max()) + 1,
         num_roots=num_roots,
         largest_id=largest_id,
         whole_rows=first_row[:-1].astype(np.int32),

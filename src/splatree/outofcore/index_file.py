@@ -8,6 +8,7 @@ import json
 from collections.abc import Iterator, Sequence
 from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -25,7 +26,7 @@ __all__ = ["INDEX", "read_index", "write_index"]
 INDEX = "pages.index"
 """Name of the file."""
 
-NUMBERS = ("num_rows", "num_leaves", "num_roots", "largest_id")
+NUMBERS = ("num_rows", "num_leaves", "num_levels", "num_roots", "largest_id")
 COLUMNS = ("file_start", "whole_rows", "plain_checksums", "block_checksums")
 
 
@@ -57,11 +58,14 @@ def read_index(path: Path, files: Sequence[StoredScene]) -> StoreIndex:
     said = untrusted.as_object(
         untrusted.parse_json(untrusted.text(container.values, "numbers", where).encode(), where), where
     )
-    high = {"num_rows": 2**31 - 1, "num_leaves": 2**31 - 1, "num_roots": 2**31 - 1, "largest_id": 2**32 - 1}
-    numbers = {name: untrusted.integer(said, name, f"{where}: numbers", high=high[name]) for name in NUMBERS}
+    high = {"num_levels": 256, "largest_id": 2**32 - 1}
+    numbers: dict[str, Any] = {
+        name: untrusted.integer(said, name, f"{where}: numbers", high=high.get(name, 2**31 - 1)) for name in NUMBERS
+    }
     try:
         table = PageTable(**{f.name: _column(container, f"table.{f.name}", where) for f in fields(PageTable)})
-        index = StoreIndex(table, **{name: _column(container, name, where) for name in COLUMNS}, **numbers)
+        columns: dict[str, Any] = {name: _column(container, name, where) for name in COLUMNS}
+        index = StoreIndex(table, **columns, **numbers)
     except ShapeError as error:
         raise FormatError(f"{where}: {error}; the file is damaged") from error
     wrong = next(_wrong(index, [len(file) for file in files]), None)

@@ -1,8 +1,8 @@
 """One page: consecutive rows of a stored scene, checked and indexed as they come.
 
-A page begins anywhere and ends behind a leaf. An ancestor of a row of a page that lies before the page is an ancestor of its first
-row, too. So a page is decided alone, given the few ancestors of its first row: where one of them is drawn, it shadows the rows up
-to its end, which are a run at the beginning of the page. This is what blocks of 256 rows do (scene/tree.py), a size larger.
+A page begins anywhere and ends behind a leaf. An ancestor of a row of a page that lies before the page is an ancestor of its
+first row, too. So a page is decided alone, given the few ancestors of its first row: where one of them is drawn, it shadows the
+rows up to its end, which are a run at the beginning of the page. Blocks of 256 rows (scene/tree.py) do the same.
 
 The harmonics of a page are three quarters of its bytes. They are read, and checked, only in blocks of which a row is drawn.
 """
@@ -25,7 +25,7 @@ from splatree.scene.tree import BlockIndex, GaussianTree
 from splatree.scene.view import View
 from splatree.shapes import Array, Bool, Int32, Int64, UInt8, UInt32
 
-__all__ = ["Checksums", "Page", "load_page"]
+__all__ = ["Checksums", "Page", "load_page", "page_of"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,9 +54,7 @@ class Page:
     def __len__(self) -> int:
         return len(self.tree)
 
-    def select(
-        self, packed: kernel.PackedCut, shadow: int, *, threads: int = 0
-    ) -> tuple[Int32[Array, "v"], int]:
+    def select(self, packed: kernel.PackedCut, shadow: int, *, threads: int = 0) -> tuple[Int32[Array, "v"], int]:
         """Rows drawn, counted in the page, ascending, by the rule `cut`, and how many were looked at.
 
         Rows of the file before ``shadow`` are below a node that is drawn.
@@ -89,7 +87,9 @@ class Page:
                 refuse_unusable(
                     self.gaussians.take(np.arange(len(self))[run]), self.where, first_row=self.begin + first
                 )
-            if self.harmonics is not None and self.harmonics[block] != (found := zlib.crc32(self.gaussians.sh[run])):
+            if self.harmonics is not None and self.harmonics[block] != (
+                found := zlib.crc32(self.gaussians.sh[run].data)
+            ):
                 raise FormatError(
                     f"{self.where}: rows {self.begin + first} to {self.begin + min(run.stop, len(self))}: found harmonics of "
                     f"checksum {found:08x}, wanted {self.harmonics[block]:08x}; the file is damaged or has been replaced"
@@ -110,7 +110,7 @@ class Checksums:
     def of(rows: SceneRows) -> "Checksums":
         """Those of rows; reads all of them."""
         sh = rows.gaussians.sh
-        runs = [zlib.crc32(sh[first : first + BLOCK_ROWS]) for first in range(0, len(rows), BLOCK_ROWS)]
+        runs = [zlib.crc32(sh[first : first + BLOCK_ROWS].data) for first in range(0, len(rows), BLOCK_ROWS)]
         return Checksums(_plain_checksum(rows), np.array(runs, np.uint32))
 
 
@@ -130,7 +130,13 @@ def load_page(
         FormatError: a value cannot be used, or the rows are no part of a tree, or not those that were indexed.
     """
     rows = stored.rows(begin, end, harmonics=False)
-    where = f"{stored.file.path}: rows {begin} to {end}"
+    return page_of(rows, str(stored.file.path), path, checksums=checksums)
+
+
+def page_of(rows: SceneRows, file: str, path: Int64[Array, "a"], *, checksums: Checksums | None = None) -> Page:
+    """As `load_page`, of rows whose values have been checked; ``file`` is named in errors."""
+    begin, end = rows.begin, rows.begin + len(rows)
+    where = f"{file}: rows {begin} to {end}"
     if checksums is not None and checksums.plain != (found := _plain_checksum(rows)):
         raise FormatError(
             f"{where}: found checksum {found:08x}, wanted {checksums.plain:08x}; the file is damaged or has been replaced"
@@ -142,7 +148,7 @@ def load_page(
         raise FormatError(f"{where}: {error}; the file is damaged") from error
     _check_path(rows, tree, path, where)
     return Page(
-        where=str(stored.file.path),
+        where=file,
         begin=begin,
         gaussians=rows.gaussians,
         tree=tree,
@@ -160,7 +166,7 @@ def _plain_checksum(rows: SceneRows) -> int:
     tree = (rows.subtree_end, rows.depth, rows.extents, rows.curves, rows.ids)
     check = 0
     for column in (*columns, *(column for column in tree if column is not None)):
-        check = zlib.crc32(column, check)
+        check = zlib.crc32(column.data, check)
     return check
 
 

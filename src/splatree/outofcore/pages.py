@@ -20,10 +20,10 @@ from splatree.errors import FormatError
 from splatree.io.formats.splatree.fields import column_types
 from splatree.io.formats.splatree.head import SceneHead
 from splatree.io.formats.splatree.rows import SceneRows, StoredScene
-from splatree.outofcore.page import Checksums, Page, load_page
+from splatree.outofcore.page import Checksums, Page, page_of
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.tree import GaussianTree
-from splatree.shapes import Array, Float32, Int32, Int64, check_fields
+from splatree.shapes import Array, Float32, Int32, Int64, UInt8, check_fields
 
 __all__ = ["PAGE_BYTES", "PageTable", "row_bytes_of", "table_of"]
 
@@ -124,6 +124,8 @@ class FilePages:
     """Largest coordinates."""
     root_scales: Float32[Array, "r"]
     """Largest standard deviation of these rows, with a reserve for rounding, world units."""
+    root_levels: UInt8[Array, "r"]
+    """Largest depth of these rows."""
     checksums: list[Checksums]
     """Of each page; empty if they were not wanted."""
 
@@ -152,8 +154,8 @@ def table_of(
     begin, path = 0, np.zeros(0, np.int64)
     while begin < n:
         end = _end_of_page(stored, begin, page_rows)
-        page = load_page(stored, begin, end, path)
-        path = noted.add(stored, page)
+        rows = stored.rows(begin, end, harmonics=False)
+        path = noted.add(rows, page_of(rows, str(stored.file.path), path))
         stored.forget(begin, end)
         advance(float(end - begin))
         begin = end
@@ -173,10 +175,9 @@ class _Noted:
         self._num_roots = self._num_leaves = 0
         self._largest_id = -1
 
-    def add(self, stored: StoredScene, page: Page) -> Int64[Array, "a"]:
+    def add(self, rows: SceneRows, page: Page) -> Int64[Array, "a"]:
         """Take the next page; returns where the subtrees end that go on behind it."""
-        begin, end = page.begin, page.begin + len(page)
-        rows, blocks = stored.rows(begin, end, harmonics=False), page.blocks
+        begin, end, blocks = page.begin, page.begin + len(page), page.blocks
         lower, upper = blocks.group_lower.min(axis=0), blocks.group_upper.max(axis=0)
         self._pages.append((begin, end, lower, upper, float(blocks.group_leaf_scales.max()), self._num_roots))
         if self._checksums is not None:
@@ -199,14 +200,16 @@ class _Noted:
         largest = np.exp(g.log_scales.max(axis=1)) * np.float32(1 + 1e-5)
         start = roots if len(roots) and roots[0] == 0 else np.concatenate([[0], roots])
         low, high = (bound.reduceat(g.means, start, axis=0) for bound in (np.minimum, np.maximum))
-        scales = np.maximum.reduceat(largest, start)
+        scales, levels = np.maximum.reduceat(largest, start), np.maximum.reduceat(rows.depth, start)
         if len(start) > len(roots):  # the subtree of a root before goes on
-            _, last_low, last_high, last_scales = next(last for last in reversed(self._roots) if len(last[0]))
+            _, last_low, last_high, last_scales, last_levels = next(
+                last for last in reversed(self._roots) if len(last[0])
+            )
             np.minimum(last_low[-1], low[0], out=last_low[-1])
             np.maximum(last_high[-1], high[0], out=last_high[-1])
-            last_scales[-1] = max(last_scales[-1], scales[0])
-            low, high, scales = low[1:], high[1:], scales[1:]
-        self._roots.append([rows.subtree_end[roots] - np.int32(rows.begin) - roots, low, high, scales])
+            last_scales[-1], last_levels[-1] = max(last_scales[-1], scales[0]), max(last_levels[-1], levels[0])
+            low, high, scales, levels = low[1:], high[1:], scales[1:], levels[1:]
+        self._roots.append([rows.subtree_end[roots] - np.int32(rows.begin) - roots, low, high, scales, levels])
         self._num_roots += len(roots)
 
     def pages(self) -> FilePages:
@@ -229,10 +232,21 @@ class _Noted:
             log_scales=np.array(log_scales, np.float32).reshape(-1, 3),
             extents=np.array(extents, np.float32),
         )
-        points, floats = np.zeros((0, 3), np.float32), np.zeros(0, np.float32)
-        columns = zip([np.zeros(0, np.int32), points, points, floats], *self._roots, strict=True)
-        roots = [np.concatenate(column) for column in columns]
-        return FilePages(table, self._num_leaves, self._largest_id, *roots, checksums=self._checksums or [])
+        points = np.zeros((0, 3), np.float32)
+        none = [np.zeros(0, np.int32), points, points, np.zeros(0, np.float32), np.zeros(0, np.uint8)]
+        columns = zip(none, *self._roots, strict=True)
+        sizes, low, high, root_scales, levels = (np.concatenate(column) for column in columns)
+        return FilePages(
+            table=table,
+            num_leaves=self._num_leaves,
+            largest_id=self._largest_id,
+            root_sizes=sizes,
+            root_lower=low,
+            root_upper=high,
+            root_scales=root_scales,
+            root_levels=levels,
+            checksums=self._checksums or [],
+        )
 
 
 def _end_of_page(stored: StoredScene, begin: int, page_rows: int) -> int:

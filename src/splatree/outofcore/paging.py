@@ -177,9 +177,7 @@ def _shadows(table: PageTable, view: View, options: SelectOptions) -> Int64[Arra
     return np.asarray(np.where(np.diff(table.ancestor_start) > 0, longest, 0), np.int64)
 
 
-def _may_be_seen(
-    table: PageTable, view: View, options: SelectOptions, packed: kernel.PackedCut
-) -> Bool[Array, "p"]:
+def _may_be_seen(table: PageTable, view: View, options: SelectOptions, packed: kernel.PackedCut) -> Bool[Array, "p"]:
     """Whether the box of each page may have something in the image: the test of blocks in kernels/cpu/frame/select.cpp."""
     question, sides = packed
     if not sides.is_culled:

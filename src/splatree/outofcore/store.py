@@ -1,21 +1,24 @@
 """A store: a scene on disk, of which only the pages are read that a view asks for.
 
-`open_store` opens a folder of parts or one ``.splatree``. Pages are mapped, checked and indexed as they come, and kept until there
-are too many; those that were used longest ago go first. Which pages a view asks for is decided in outofcore/paging.py.
+`open_store` opens a folder of parts or one ``.splatree``. Pages are mapped, checked and indexed as they come, and kept until
+there are too many; those that were used longest ago go first. Which pages a view asks for is decided in outofcore/paging.py.
 """
 
 import os
 import threading
 from collections import OrderedDict
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import fields, replace
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 
 import numpy as np
 
 from splatree.errors import FormatError, InputError
-from splatree.io.formats.folder.manifest import Manifest, checked_path, read_manifest
+from splatree.io.check import checked_rows
+from splatree.io.formats.folder.manifest import MANIFEST, Manifest, checked_path, is_manifest, read_manifest
 from splatree.io.formats.splatree.rows import StoredScene, open_scene
 from splatree.lod.quality import Nodes
 from splatree.lod.select import chosen_by, for_levels, notes_on
@@ -41,6 +44,10 @@ INDEX_BYTES = 30
 """What a page takes for each of its rows beside the mapped columns: the index of its blocks, its tree."""
 
 
+SAMPLE = 60_000
+"""Gaussians of a sample: as many as framing looks at."""
+
+
 class Store:
     """A scene on disk that is selected and drawn page by page; `open_store` opens one.
 
@@ -59,7 +66,9 @@ class Store:
         self.max_bytes = max_bytes
         """What the pages that are kept may take."""
         self.num_loaded = 0
-        """Pages that were loaded so far, those that had been given up in the meantime included."""
+        """Pages that were loaded when they were needed, some of them again."""
+        self.num_ahead = 0
+        """Pages that were loaded before they were needed."""
         self._files = files
         self._pages: OrderedDict[int, Page] = OrderedDict()
         self._bytes = 0
@@ -120,6 +129,17 @@ class Store:
         threads: int = 0,
     ) -> tuple[Selection, Cut]:
         """As `select`, and the page that each row is in."""
+        return self._cut(view, options, self.page, last=last, threads=threads)
+
+    def _cut(
+        self,
+        view: Camera | View,
+        options: SelectOptions | None,
+        page_of: Callable[[int], Page],
+        *,
+        last: float | None = None,
+        threads: int = 0,
+    ) -> tuple[Selection, Cut]:
         scene = self.scene
         if isinstance(view, Camera):
             view = view_of(scene, view)
@@ -128,14 +148,14 @@ class Store:
 
         def cut_of(pixel_error: float) -> tuple[Cut, int]:
             at = replace(options, pixel_error=pixel_error, quality=None)
-            return cut_at(self.index, self.page, view, at, threads=threads)
+            return cut_at(self.index, page_of, view, at, threads=threads)
 
         cut, visited, pixel_error = chosen_by(cut_of, self.nodes, scene, view, options, last=last)
         notes = notes_on(scene, options, pixel_error, view)
         return Selection(cut.rows, "cut", options.resolved_profile, pixel_error, visited, notes), cut
 
-    def page(self, number: int) -> Page:
-        """A page, loaded if it is not there.
+    def page(self, number: int, *, ahead: bool = False) -> Page:
+        """A page, loaded if it is not there; ``ahead`` says for which count.
 
         Raises:
             FormatError: it is damaged.
@@ -153,7 +173,8 @@ class Store:
                 self._make_room(self._bytes_of(number))
                 self._pages[number] = page
                 self._bytes += self._bytes_of(number)
-                self.num_loaded += 1
+                self.num_loaded += not ahead
+                self.num_ahead += ahead
             self._pages.move_to_end(number)
             return page
 
@@ -178,6 +199,25 @@ class Store:
             logits[of_page] = page.gaussians.logit_opacities[places]
             is_merged[of_page] = ~page.tree.is_leaf[places]
         return Nodes(means, log_scales, logits, is_merged)
+
+    def sample(self) -> Scene:
+        """A flat scene of Gaussians that are evenly spread over the store, for programs that choose views.
+
+        They are leaves. In a folder they are roots of its parts, merged Gaussians of a few leaves: these lie together.
+
+        Example:
+            >>> with st.open_store("city.splatree") as store:
+            ...     framing = st.frame_scene(store.sample())
+        """
+        stored, scene = self._files[0], self.scene
+        end = stored.file.rows("tree.subtree_end")
+        leaves = np.flatnonzero(end == np.arange(1, len(end) + 1, dtype=np.int32))
+        rows = leaves[:: -(-len(leaves) // SAMPLE) or 1]
+        columns = {f.name: stored.file.rows(f"gaussians.{f.name}")[rows] for f in fields(Gaussians)}
+        gaussians, _ = checked_rows(Gaussians(**columns), str(stored.file.path), repair=False)
+        flat = Scene.flat(gaussians, mode=scene.mode, source=scene.source)
+        stored.forget(0, len(stored))
+        return replace(flat, threshold=scene.threshold, tile_rule=scene.tile_rule)
 
     def prefetch(self, view: Camera | View, options: SelectOptions | None = None) -> None:
         """Load the pages of a view in a thread of the store's own; returns at once. Nothing is done while it is busy.
@@ -213,7 +253,7 @@ class Store:
 
     def _load_ahead(self, view: Camera | View, options: SelectOptions | None) -> None:
         try:
-            self.cut(view, options, threads=1)
+            self._cut(view, options, partial(self.page, ahead=True), threads=1)
         except InputError:
             return  # who draws the view is told, if it is drawn
 
@@ -254,6 +294,10 @@ def open_store(path: str | os.PathLike[str], *, max_memory: str | None = None) -
         file = open_scene(path)
         with task(f"index {path.name}", float(len(file))) as advance:
             return Store([file], index_of_file(file, advance), max_bytes)
+    if not is_manifest(path / MANIFEST):
+        raise InputError(
+            f"{path}: found a folder without such a {MANIFEST}, wanted one that splatree build --max-memory made"
+        )
     manifest = read_manifest(path)
     crown, *parts = (open_scene(path / file.name) for file in (manifest.crown, *manifest.parts))
     _check_alike(crown, parts)
@@ -295,4 +339,6 @@ def _check_options(options: SelectOptions) -> None:
             f"rule: found {options.rule!r} for a store, wanted 'cut'; the others look at all rows: read the scene"
         )
     if options.cull not in (None, "none"):
-        raise InputError(f"cull: found {options.cull!r} for a store, wanted none; pages are left out by their own boxes")
+        raise InputError(
+            f"cull: found {options.cull!r} for a store, wanted none; pages are left out by their own boxes"
+        )

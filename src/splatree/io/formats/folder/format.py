@@ -144,4 +144,3 @@ class _Rows:
         ids[~tree.is_leaf] = first_id + np.flatnonzero(~tree.is_leaf)
         gaussians = Gaussians(**columns)
         return replace(crown, gaussians=gaussians, tree=tree, ids=ids, blocks=index_blocks(gaussians, tree))
-
