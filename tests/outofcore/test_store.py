@@ -11,15 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as hs
 
 import splatree as st
-from splatree.outofcore import pages
 
-from ..laws.hard_scenes import hard_scene, hard_scenes
+from ..laws.hard_scenes import hard_scenes
 from ..lod.test_quality import CURVE
-
-
-def small_pages(rows):
-    """Pages of so many rows, or a few more, as long as the context lasts."""
-    return mock.patch.object(pages, "PAGE_BYTES", rows * 100)  # a row of degree 0 has about as much
+from .conftest import small_pages
 
 
 @hs.composite
@@ -110,21 +105,6 @@ def test_a_folder_is_drawn_by_pages_as_its_tree_is_drawn_in_memory(
             for _ in range(3):
                 camera, chosen = data.draw(cameras(gaussians.means)), data.draw(choices())
                 check_is_drawn_as(store, scene, camera, chosen)
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """A folder of many parts and pages."""
-    path = tmp_path_factory.mktemp("store") / "in.ply"
-    st.write(st.Scene.flat(hard_scene(3000, "surface", 3, degree=2)), path)
-    options = st.BuildOptions(radius=0.1, max_roots=4)
-    with small_pages(60):
-        return st.build_folder(path, path.with_name("city.splatree"), options, st.FolderOptions(part_rows=500)).path
-
-
-@pytest.fixture(scope="module")
-def scene(folder):
-    return st.read(folder)
 
 
 CAMERAS = [

@@ -1,0 +1,31 @@
+"""A folder of parts with many pages, for the tests of stores."""
+
+from unittest import mock
+
+import pytest
+
+import splatree as st
+from splatree.outofcore import pages
+
+from ..laws.hard_scenes import hard_scene
+
+
+def small_pages(rows):
+    """Pages of so many rows, or a few more, as long as the context lasts."""
+    return mock.patch.object(pages, "PAGE_BYTES", rows * 100)  # a row of degree 0 has about as much
+
+
+@pytest.fixture(scope="session")
+def folder(tmp_path_factory):
+    """A folder of many parts and pages; tests that change it copy it."""
+    path = tmp_path_factory.mktemp("store") / "in.ply"
+    st.write(st.Scene.flat(hard_scene(3000, "surface", 3, degree=2)), path)
+    options = st.BuildOptions(radius=0.1, max_roots=4)
+    with small_pages(60):
+        return st.build_folder(path, path.with_name("city.splatree"), options, st.FolderOptions(part_rows=500)).path
+
+
+@pytest.fixture(scope="session")
+def scene(folder):
+    """What the folder holds, in memory."""
+    return st.read(folder)
