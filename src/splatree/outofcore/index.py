@@ -6,10 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from splatree.constants import BLOCK_ROWS
 from splatree.errors import FormatError, InputError, ShapeError
 from splatree.io.formats.splatree.rows import StoredScene
-from splatree.outofcore.page import Checksums
+from splatree.outofcore.page import HARMONIC_ROWS, Checksums
 from splatree.outofcore.pages import FilePages, PageTable, table_of
 from splatree.shapes import Array, Int32, UInt32, check_fields
 
@@ -45,7 +44,7 @@ class StoreIndex:
 
     def __post_init__(self) -> None:
         check_fields(self, p=len(self.table), f=len(self.file_start) - 1)
-        num_blocks = -(-(self.table.end - self.table.begin) // BLOCK_ROWS)
+        num_blocks = -(-(self.table.end - self.table.begin) // HARMONIC_ROWS)
         object.__setattr__(self, "_block_start", np.concatenate([[0], np.cumsum(num_blocks)]))
         if self.block_checksums is not None and len(self.block_checksums) != self._block_start[-1]:
             raise ShapeError(

@@ -4,7 +4,7 @@ A page begins anywhere and ends behind a leaf. An ancestor of a row of a page th
 first row, too. So a page is decided alone, given the few ancestors of its first row: where one of them is drawn, it shadows the
 rows up to its end, which are a run at the beginning of the page. Blocks of 256 rows (scene/tree.py) do the same.
 
-The harmonics of a page are three quarters of its bytes. They are read, and checked, only in blocks of which a row is drawn.
+The harmonics of a page are three quarters of its bytes. They are read, and checked, only in runs of 256 rows of which one is drawn.
 """
 
 import zlib
@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from splatree.constants import BLOCK_ROWS
 from splatree.errors import FormatError, ShapeError
 from splatree.io.check import SH_MAX, refuse_unusable
 from splatree.io.formats.splatree.rows import SceneRows, StoredScene
@@ -25,7 +24,10 @@ from splatree.scene.tree import BlockIndex, GaussianTree
 from splatree.scene.view import View
 from splatree.shapes import Array, Bool, Int32, Int64, UInt8, UInt32
 
-__all__ = ["Checksums", "Page", "load_page", "page_of"]
+__all__ = ["HARMONIC_ROWS", "Checksums", "Page", "load_page", "page_of"]
+
+HARMONIC_ROWS = 256
+"""Rows whose harmonics are read and checked together: 49 kB at degree 3; smaller runs take longer to check."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,9 +49,9 @@ class Page:
     ids: UInt32[Array, "n"] | None
     """Identity of each row in the file; None: the row number."""
     harmonics: UInt32[Array, "h"] | None
-    """CRC-32 of the harmonics of each block; None: it is not known."""
+    """CRC-32 of the harmonics of each 256 rows; None: it is not known."""
     is_checked: Bool[Array, "h"]
-    """Whether the harmonics of each block have been checked; the first one who draws a row of it does so."""
+    """Whether the harmonics of each 256 rows have been checked; the first one who draws one of them does so."""
 
     def __len__(self) -> int:
         return len(self.tree)
@@ -74,15 +76,15 @@ class Page:
         return kernel.small(self.gaussians, self.tree, rows, view, options, threads=1)
 
     def check_harmonics(self, rows: Int32[Array, "v"]) -> None:
-        """Read the harmonics of the blocks of rows that are drawn, and check them; those of a block are checked once.
+        """Read the harmonics around rows that are drawn, and check them once.
 
         Raises:
             FormatError: a value cannot be used, or they are not those that were indexed.
         """
-        blocks = np.unique(rows // BLOCK_ROWS)
+        blocks = np.unique(rows // HARMONIC_ROWS)
         for block in blocks[~self.is_checked[blocks]]:
-            first = int(block) * BLOCK_ROWS
-            run = slice(first, first + BLOCK_ROWS)
+            first = int(block) * HARMONIC_ROWS
+            run = slice(first, first + HARMONIC_ROWS)
             if not largest_magnitude(self.gaussians.sh[run]) <= SH_MAX:
                 refuse_unusable(
                     self.gaussians.take(np.arange(len(self))[run]), self.where, first_row=self.begin + first
@@ -104,13 +106,13 @@ class Checksums:
     plain: int
     """CRC-32 of all columns but the harmonics."""
     harmonics: UInt32[Array, "h"]
-    """CRC-32 of the harmonics of each block."""
+    """CRC-32 of the harmonics of each 256 rows."""
 
     @staticmethod
     def of(rows: SceneRows) -> "Checksums":
         """Those of rows; reads all of them."""
         sh = rows.gaussians.sh
-        runs = [zlib.crc32(sh[first : first + BLOCK_ROWS].data) for first in range(0, len(rows), BLOCK_ROWS)]
+        runs = [zlib.crc32(sh[first : first + HARMONIC_ROWS].data) for first in range(0, len(rows), HARMONIC_ROWS)]
         return Checksums(_plain_checksum(rows), np.array(runs, np.uint32))
 
 
@@ -156,7 +158,7 @@ def page_of(rows: SceneRows, file: str, path: Int64[Array, "a"], *, checksums: C
         depth=rows.depth,
         ids=rows.ids,
         harmonics=None if checksums is None else checksums.harmonics,
-        is_checked=np.zeros(-(-len(rows) // BLOCK_ROWS), bool),
+        is_checked=np.zeros(-(-len(rows) // HARMONIC_ROWS), bool),
     )
 
 

@@ -36,7 +36,7 @@ from splatree.scene.options import SelectOptions
 from splatree.scene.scene import Scene
 from splatree.scene.tree import GaussianTree
 from splatree.scene.view import View, view_of
-from splatree.shapes import Array, UInt32
+from splatree.shapes import Array, Int32, UInt32
 
 __all__ = ["Store", "open_store"]
 
@@ -90,7 +90,7 @@ class Store:
 
     @property
     def resident_bytes(self) -> int:
-        """What the pages take that are kept at present, as if all of their bytes had been read."""
+        """What has been read of the pages that are kept at present, with the index of their blocks."""
         return self._bytes
 
     def select(
@@ -170,12 +170,26 @@ class Store:
                 begin, end = int(table.begin[number]), int(table.end[number])
                 checksums = self.index.checksums_of(number)
                 page = load_page(stored, begin, end, table.path(number), checksums=checksums)
-                self._make_room(self._bytes_of(number))
                 self._pages[number] = page
-                self._bytes += self._bytes_of(number)
+                self._bytes += self._bytes_of(page)
+                self._give_up()
                 self.num_loaded += not ahead
                 self.num_ahead += ahead
             self._pages.move_to_end(number)
+            return page
+
+    def page_to_draw(self, number: int, places: Int32[Array, "w"]) -> Page:
+        """A page whose harmonics have been checked in some of its rows.
+
+        Raises:
+            FormatError: it is damaged.
+        """
+        with self._lock:
+            page = self.page(number)
+            before = self._bytes_of(page)
+            page.check_harmonics(places)
+            self._bytes += self._bytes_of(page) - before
+            self._give_up()
             return page
 
     def ids(self, cut: Cut, number: int, of_page: Array) -> UInt32[Array, "w"]:
@@ -257,15 +271,17 @@ class Store:
         except InputError:
             return  # who draws the view is told, if it is drawn
 
-    def _bytes_of(self, number: int) -> int:
-        num_rows = int(self.index.table.end[number] - self.index.table.begin[number])
-        return num_rows * (row_bytes_of(self._files[0].head) + INDEX_BYTES)
+    def _bytes_of(self, page: Page) -> int:
+        """What has been read of a page: all but the harmonics, and the harmonics that were checked."""
+        harmonics = page.gaussians.sh.nbytes
+        plain = len(page) * (row_bytes_of(self._files[0].head) + INDEX_BYTES) - harmonics
+        return plain + int(harmonics * page.is_checked.mean())
 
-    def _make_room(self, num_bytes: int) -> None:
-        """Give up the pages that were used longest ago, until there is room for a new one."""
-        while self._pages and self._bytes + num_bytes > self.max_bytes:
+    def _give_up(self) -> None:
+        """Give up the pages that were used longest ago while there are too many, but not the last one."""
+        while len(self._pages) > 1 and self._bytes > self.max_bytes:
             number, page = self._pages.popitem(last=False)
-            self._bytes -= self._bytes_of(number)
+            self._bytes -= self._bytes_of(page)
             self._files[self.index.file_of(number)].forget(page.begin, page.begin + len(page))
 
 

@@ -103,10 +103,11 @@ class PagedEngine:
         ids = np.empty(len(cut), np.uint32)
 
         def parts() -> Iterator[tuple[Array, Splats]]:
-            for number, of_page in cut.by_page():
-                page, places = self.store.page(number), cut.places[of_page]
+            # Backwards: the pages that were selected in last are there, and those that come first stay for the next view.
+            for number, of_page in reversed(list(cut.by_page())):
+                places = cut.places[of_page]
+                page = self.store.page_to_draw(number, places)
                 ids[of_page] = self.store.ids(cut, number, of_page)
-                page.check_harmonics(places)
                 splats = self.stages.project(
                     page.gaussians, None, places, view, curves=page.tree.curves, threads=self._threads
                 )
