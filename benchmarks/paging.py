@@ -1,9 +1,9 @@
 """What drawing from disk reads and costs, beside drawing from memory, and that both draw the same picture.
 
-``python benchmarks/paging.py [--chunks 10] [--store city.splatree] [--memory 500M] [--views 15 12 6 0]`` needs the shared city. The
-folder is built first unless one is named. For each view the store is opened anew. *Touched* are the 4,096-byte pages of the files
-that hold what is looked at: all columns but the harmonics of each page that is loaded, the harmonics of 256 rows of which one is
-drawn, and the index. *Whole pages* are the store's pages that a drawn row is in, as a server would have to send them.
+``python benchmarks/paging.py [--chunks 10] [--store city.splatree] [--memory 500M] [--views 15 12 6 0]`` needs the shared city.
+The folder is built first unless one is named. For each view the store is opened anew. *Touched* are the 4,096-byte pages of the
+files that hold what is looked at: all columns but the harmonics of each page that is loaded, the harmonics of 256 rows of which
+one is drawn, and the index. *Whole pages* are the store's pages that a drawn row is in, as a server would have to send them.
 """
 
 import argparse

@@ -129,11 +129,12 @@ def main() -> None:
             rows.append({**about, "build": what, **figures(usage, in_memory, millions), **compared})
             print(table(rows), flush=True)
             shutil.rmtree(output)
-    save(
-        f"scale_degree{arguments.degree}{'_tiled' * (arguments.tiles > 1)}",
-        rows,
-        about="Building the real city through files, beside the build in memory",
-    )
+            # Each row is kept as it comes: large builds take long.
+            save(
+                f"scale_degree{arguments.degree}{'_tiled' * (arguments.tiles > 1)}",
+                rows,
+                about="Building the real city through files, beside the build in memory",
+            )
 
 
 def tiles_of(ply: Path, side: int) -> list[Path]:

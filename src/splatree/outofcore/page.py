@@ -4,7 +4,7 @@ A page begins anywhere and ends behind a leaf. An ancestor of a row of a page th
 first row, too. So a page is decided alone, given the few ancestors of its first row: where one of them is drawn, it shadows the
 rows up to its end, which are a run at the beginning of the page. Blocks of 256 rows (scene/tree.py) do the same.
 
-The harmonics of a page are three quarters of its bytes. They are read, and checked, only in runs of 256 rows of which one is drawn.
+The harmonics of a page are three quarters of its bytes. They are read and checked in runs of 256 rows, of which one is drawn.
 """
 
 import zlib
