@@ -1,18 +1,20 @@
 """What a build through files costs beside a build in memory, and that both give the same tree.
 
 ``python benchmarks/scale.py [--chunks 10] [--degree 3] [--memory 1G 4G] [--workers 1 2] [--folder /tmp]`` needs the shared city.
+``--tiles 2`` puts 2 × 2 copies of it side by side, each moved by a centimetre at random; nothing is built in memory then.
 Each build is a command of its own. Memory is the largest sum over its processes of what is not backed by files (RssAnon), looked
 up every 20 ms; so the pages of mapped files, which the system takes back as it likes, do not count. Linux only.
 """
 
 import argparse
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
 import threading
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 
@@ -101,6 +103,7 @@ def main() -> None:
     parser.add_argument("--chunks", type=int, default=10, help="chunks of the city, at most 10")
     parser.add_argument("--degree", type=int, default=3)
     parser.add_argument("--memory", nargs="+", default=["1G", "4G"])
+    parser.add_argument("--tiles", type=int, default=1, help="copies along each side")
     parser.add_argument("--workers", type=int, nargs="+", default=[1])
     parser.add_argument("--folder", type=Path, default=Path(tempfile.gettempdir()))
     arguments = parser.parse_args()
@@ -110,31 +113,48 @@ def main() -> None:
         folder = Path(name)
         ply, tree = folder / "city.ply", folder / "memory.splatree"
         st.convert(chunks, ply, st.ConvertOptions(edit=st.EditOptions(sh_degree=arguments.degree)))
-        in_memory = run("build", ply, tree, "--no-follow", "-q")
-        wanted = st.read(tree)
-        millions = wanted.tree.num_leaves / 1e6
-        about = {"Gaussians": wanted.tree.num_leaves, "degree": arguments.degree}
-        rows: list[dict[str, object]] = [{**about, "build": "in memory", **figures(in_memory, in_memory, millions)}]
+        inputs, wanted, in_memory = tiles_of(ply, arguments.tiles), None, None
+        num_leaves = len(st.read(ply)) * arguments.tiles**2
+        millions, about = num_leaves / 1e6, {"Gaussians": num_leaves, "degree": arguments.degree}
+        rows: list[dict[str, object]] = []
+        if arguments.tiles == 1:
+            in_memory = run("build", ply, tree, "--no-follow", "-q")
+            wanted = st.read(tree)
+            rows.append({**about, "build": "in memory", **figures(in_memory, in_memory, millions)})
         for memory, workers in product(arguments.memory, arguments.workers):
             output = folder / f"{memory}_{workers}.splatree"
-            usage = run("build", ply, output, "--max-memory", memory, "--workers", workers, "-q")
+            usage = run("build", *inputs, "-o", output, "--max-memory", memory, "--workers", workers, "-q")
             what = f"{memory}, {workers} process{'es' * (workers > 1)}"
-            rows.append(
-                {**about, "build": what, **figures(usage, in_memory, millions), "same tree": same(output, wanted)}
-            )
+            compared = {} if wanted is None else {"same tree": same(output, wanted)}
+            rows.append({**about, "build": what, **figures(usage, in_memory, millions), **compared})
             print(table(rows), flush=True)
-    save(
-        f"scale_degree{arguments.degree}",
-        rows,
-        about="Building the real city through files, beside the build in memory",
-    )
+            shutil.rmtree(output)
+            # Each row is kept as it comes: large builds take long.
+            save(
+                f"scale_degree{arguments.degree}{'_tiled' * (arguments.tiles > 1)}",
+                rows,
+                about="Building the real city through files, beside the build in memory",
+            )
 
 
-def figures(usage: Usage, in_memory: Usage, millions: float) -> dict[str, float]:
+def tiles_of(ply: Path, side: int) -> list[Path]:
+    """Files of copies of a scene side by side."""
+    if side == 1:
+        return [ply]
+    gaussians, rng, paths = st.read(ply).gaussians, np.random.default_rng(0), []
+    low, high = np.quantile(gaussians.means, (0.01, 0.99), axis=0)
+    for x, z in product(range(side), range(side)):  # y is up
+        moved = gaussians.means + (high - low) * [x, 0, z] + rng.normal(0, 0.01, gaussians.means.shape)
+        paths.append(ply.with_name(f"tile_{x}_{z}.ply"))
+        st.write(st.Scene.flat(replace(gaussians, means=moved.astype(np.float32))), paths[-1])
+    return paths
+
+
+def figures(usage: Usage, in_memory: Usage | None, millions: float) -> dict[str, float]:
     """The columns of a row."""
     return {
         "CPU s a million": usage.cpu_s / millions,
-        "CPU / in memory": usage.cpu_s / in_memory.cpu_s,
+        **({} if in_memory is None else {"CPU / in memory": usage.cpu_s / in_memory.cpu_s}),
         "peak MB": usage.peak_bytes / 1e6,
     }
 

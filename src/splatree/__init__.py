@@ -49,6 +49,7 @@ _NAMES = {
     "metrics.ssim": ("ssim",),
     "outofcore.build": ("BuiltFolder", "build_folder"),
     "outofcore.options": ("FolderOptions",),
+    "outofcore.store": ("Store", "open_store"),
     "outofcore.thin": ("ThinnedFile", "thin_file"),
     "render.batch": ("render_batch", "trace_batch"),
     "render.calibrate": ("CalibrateOptions", "Calibration", "calibrate", "calibrated"),

@@ -51,6 +51,8 @@ from splatree.outofcore.build import build_folder as build_folder
 from splatree.outofcore.options import FolderOptions as FolderOptions
 from splatree.outofcore.thin import ThinnedFile as ThinnedFile
 from splatree.outofcore.thin import thin_file as thin_file
+from splatree.outofcore.store import Store as Store
+from splatree.outofcore.store import open_store as open_store
 from splatree.render.batch import render_batch as render_batch
 from splatree.render.batch import trace_batch as trace_batch
 from splatree.render.calibrate import CalibrateOptions as CalibrateOptions

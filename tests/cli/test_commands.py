@@ -383,6 +383,34 @@ def test_thin_through_files_writes_the_same_file(splatree, small_ply, tmp_path):
     assert code == 2 and "found --report with --max-memory" in err
 
 
+def test_folders_are_drawn_and_scored_without_reading_all_of_them(splatree, small_ply, tmp_path, monkeypatch):
+    folder, one = tmp_path / "a.splatree", tmp_path / "one.splatree"
+    assert splatree("build", small_ply, folder, "--part-rows", "100", "-q")[0] == 0
+    assert splatree("convert", folder, one, "-q")[0] == 0
+    cameras = tmp_path / "cameras.json"
+    write_cameras(flyout(read(one), PathOptions(views=2, width=48, height=32)), cameras)
+    views = ("--cameras", cameras)
+    drawn = result_of(splatree("render", one, "-o", tmp_path / "read", *views, "--json"))
+    scored = result_of(splatree("eval", one, *views, "--frames", "2", "--json"))
+    monkeypatch.setattr("splatree.cli.opening.read_scene", None)  # nothing is read as a whole
+    for path, words in ((folder, ()), (folder, ("--max-memory", "1M")), (one, ("--max-memory", "1M"))):
+        found = result_of(splatree("render", path, "-o", tmp_path / "paged", "--force", *words, *views, "--json"))
+        assert [view["selected"] for view in found["views"]] == [view["selected"] for view in drawn["views"]]
+        for view in drawn["views"]:
+            name = Path(view["file"]).name
+            assert (tmp_path / "paged" / name).read_bytes() == (tmp_path / "read" / name).read_bytes()
+        found = result_of(splatree("eval", path, *words, *views, "--frames", "2", "--json"))
+        assert found["mean"] == scored["mean"]
+        for name in ("num_gaussians", "num_nodes", "levels"):
+            assert found[name] == scored[name]
+    assert splatree("render", folder, "-o", tmp_path / "made.png", "-q")[0] == 0  # a view is chosen for it
+    monkeypatch.undo()
+    for path, words in ((small_ply, ()), (folder, ("--level", "0")), (folder, ("--rule", "release"))):
+        code, _, err = splatree("render", path, "-o", tmp_path / "no.png", "--max-memory", "1M", *words)
+        assert code == 2 and "max_memory: found" in err
+    assert splatree("render", folder, "-o", tmp_path / "release.png", "--rule", "release", "-q")[0] == 0
+
+
 def test_build_through_files_refuses_what_needs_the_scene_in_memory(splatree, small_ply, tmp_path):
     target = tmp_path / "a.splatree"
     for words, wanted in (

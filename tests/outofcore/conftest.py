@@ -1,8 +1,11 @@
-"""What tests of builds through files share."""
+"""A file and a folder of parts with many pages, which tests of this folder share."""
+
+from unittest import mock
 
 import pytest
 
 import splatree as st
+from splatree.outofcore import pages
 
 from ..laws.hard_scenes import hard_scene
 
@@ -13,3 +16,24 @@ def ply(tmp_path_factory):
     path = tmp_path_factory.mktemp("inputs") / "scene.ply"
     st.write(st.Scene.flat(hard_scene(700, "surface", 3, degree=1)), path)
     return path
+
+
+def small_pages(rows):
+    """Pages of so many rows, or a few more, as long as the context lasts."""
+    return mock.patch.object(pages, "PAGE_BYTES", rows * 100)  # a row of degree 0 has about as much
+
+
+@pytest.fixture(scope="session")
+def folder(tmp_path_factory):
+    """A folder of many parts and pages; tests that change it copy it."""
+    path = tmp_path_factory.mktemp("store") / "in.ply"
+    st.write(st.Scene.flat(hard_scene(3000, "surface", 3, degree=2)), path)
+    options = st.BuildOptions(radius=0.1, max_roots=4)
+    with small_pages(60):
+        return st.build_folder(path, path.with_name("city.splatree"), options, st.FolderOptions(part_rows=500)).path
+
+
+@pytest.fixture(scope="session")
+def scene(folder):
+    """What the folder holds, in memory."""
+    return st.read(folder)

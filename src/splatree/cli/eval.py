@@ -12,6 +12,7 @@ from tyro.conf import Positional, arg
 from splatree.cli.comparison import Drawing, Reporting, compared, in_words
 from splatree.cli.console import Console, UsageError, counted, table
 from splatree.cli.files import Reading, check_inputs, lost_and_noted, read_scene
+from splatree.cli.opening import bytes_of, counts_of, opened, sample_of
 from splatree.errors import InputError
 from splatree.io.cameras.files import read_cameras
 from splatree.io.cameras.split import split_views
@@ -20,14 +21,15 @@ from splatree.kernels.devices import DeviceName
 from splatree.lod.baselines import Baseline, BaselineName, BaselineOptions, baseline
 from splatree.lod.blocks import with_blocks
 from splatree.metrics.lpips import Lpips, Net
+from splatree.outofcore.store import Store
 from splatree.render.calibrate import METADATA_KEY
 from splatree.render.compare import comparison_views
 from splatree.render.compare_page import Comparison
 from splatree.render.evaluate import Evaluation, evaluate
 from splatree.render.overlap import overlap_hint
 from splatree.render.paths import PathOptions, flyout
-from splatree.render.timing import STAGES, Timing, peak_bytes, time_frames
-from splatree.scene.cameras import Camera
+from splatree.render.timing import STAGES, Timing, time_frames
+from splatree.scene.cameras import Camera, Cameras
 from splatree.scene.options import RenderOptions, SelectOptions
 from splatree.scene.scene import Scene
 
@@ -68,6 +70,9 @@ class Command:
     """Weights of LPIPS version 0.1; None: from an installed package lpips or torchmetrics."""
     device: DeviceName = "cpu"
     """Where to select and draw: `cuda` is an NVIDIA GPU; `splatree doctor` says what it needs."""
+    max_memory: str | None = None
+    """Most memory for what is read of a .splatree or a folder of parts, such as 1G: only what the views need is read. A folder is
+    always drawn so, unless a baseline or a reference needs all of it; by default it takes half of the free memory."""
     made: Annotated[PathOptions, arg(name="", help="")] = PathOptions(views=8)
     select: Annotated[SelectOptions, arg(name="", help="")] = SelectOptions()
     options: Annotated[RenderOptions, arg(name="", help="")] = RenderOptions()
@@ -140,7 +145,8 @@ class Evaluated:
     compared_with: str
     """Photographs and how their views were held out, or all leaves."""
     num_bytes: dict[str, int | None]
-    """Gaussians; tree; data of the selection beside it; largest resident memory of the process, with what reading took."""
+    """Gaussians; tree; data of the selection beside it; largest resident memory of the process, with what reading took. Of a
+    scene that was not read as a whole, pages in the place of Gaussians and tree."""
     timing: Timing | None
     """Frames along a path; None if none were asked for."""
     mean: dict[str, float | None]
@@ -170,7 +176,13 @@ def run(command: Command) -> Evaluated | Comparison:
         raise UsageError("report: found no --reference, wanted a scene to compare with")
     source = command.cameras or command.data
     named = None if source is None else read_cameras(source)  # missing ones are told before any work
-    scene = with_blocks(read_scene(command.paths, command.reading))
+    whole = command.method is not None or command.select.rule != "cut" or command.select.cull not in (None, "none")
+    with opened(command.paths, command.reading, command.max_memory, whole=whole) as scene:
+        return _evaluated(command, scene if isinstance(scene, Store) else with_blocks(scene), named)
+
+
+def _evaluated(command: Command, drawn_from: Scene | Store, named: Cameras | None) -> Evaluated:
+    scene = sample_of(drawn_from)
     cameras = flyout(scene, command.made) if named is None else named.relative_to(scene.source.origin)
     photos = None if command.data is None else Photos(command.data, cameras.views)
     hint = None if named is None else overlap_hint(scene, cameras.views)
@@ -190,30 +202,18 @@ def run(command: Command) -> Evaluated | Comparison:
         select = baseline(command.method, scene, training or held_out, parameters)
     network = Lpips(command.lpips, trunk=command.lpips_trunk, heads=command.lpips_heads) if command.lpips else None
     drawn = [*held_out, *training] if command.training else held_out
-    compared = evaluate(scene, drawn, command.options, select, photos=photos, lpips=network, device=command.device)
+    compared = evaluate(drawn_from, drawn, command.options, select, photos=photos, lpips=network, device=command.device)
     views = tuple(replace(view_of(evaluation), held_out=i < len(held_out)) for i, evaluation in enumerate(compared))
     timing = None
     if command.frames:
-        timing = time_frames(scene, held_out, command.options, select, views=command.frames, device=command.device)
-    tree = scene.tree
+        timing = time_frames(drawn_from, held_out, command.options, select, views=command.frames, device=command.device)
     return Evaluated(
-        num_gaussians=tree.num_leaves,
-        num_nodes=len(scene),
-        levels=tree.num_levels,
+        **counts_of(drawn_from),
         method=command.method or command.select.rule,
         select=command.select,
         mode=command.options.mode or scene.mode,
         compared_with=compared_with,
-        num_bytes={
-            "gaussians": scene.gaussians.nbytes,
-            "tree": tree.subtree_end.nbytes + tree.depth.nbytes + tree.extents.nbytes,
-            "selection": select.num_bytes
-            if isinstance(select, Baseline)
-            else scene.blocks.nbytes
-            if scene.blocks
-            else 0,
-            "peak": peak_bytes(),
-        },
+        num_bytes=bytes_of(drawn_from, select),
         timing=timing,
         mean=_means([view for view in views if view.held_out]),
         training_mean=_means([view for view in views if not view.held_out]),

@@ -1,6 +1,7 @@
 """``splatree render``: pictures or a video of a scene."""
 
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
@@ -9,6 +10,7 @@ from tyro.conf import Positional, arg
 
 from splatree.cli.console import Console, UsageError, table
 from splatree.cli.files import Reading, check_inputs, lost_and_noted, read_scene
+from splatree.cli.opening import opened, sample_of
 from splatree.cli.pictures import (
     PlaneSuffix,
     Targets,
@@ -24,6 +26,7 @@ from splatree.errors import InputError
 from splatree.io.cut import level_of
 from splatree.io.registry import detect
 from splatree.kernels.devices import DeviceName
+from splatree.outofcore.store import Store
 from splatree.render.batch import trace_batch
 from splatree.render.counters import frame_counters, write_counters
 from splatree.render.paths import PathOptions
@@ -67,6 +70,9 @@ class Command:
     """Replace pictures and videos if they exist, and remove pictures of an earlier run from the folder."""
     device: DeviceName = "cpu"
     """Where to select and draw: `cuda` is an NVIDIA GPU; `splatree doctor` says what it needs."""
+    max_memory: str | None = None
+    """Most memory for what is read of a .splatree or a folder of parts, such as 1G: only what the views need is read. A folder is
+    always drawn so; by default it takes half of the free memory."""
     made: Annotated[PathOptions, arg(name="", help="")] = PathOptions()
     select: Annotated[SelectOptions, arg(name="", help="")] = SelectOptions()
     options: Annotated[RenderOptions, arg(name="", help="")] = RenderOptions()
@@ -122,11 +128,17 @@ def run(command: Command) -> Rendered:
     named = named_views(command.viewpoint)
     if output is not None and is_picture(output):
         refuse_existing([output], force=command.force)
-    scene = _scene(command)
-    made = command.made
+    with _scene(command) as scene:
+        return _run(command, scene, output, video, named)
+
+
+def _run(
+    command: Command, scene: Scene | Store, output: Path | None, video: Path | None, named: Views | None
+) -> Rendered:
+    made, sample = command.made, sample_of(scene)
     if command.turntable is not None and made.views == PathOptions().views:
         made = replace(made, views=TURNTABLE_VIEWS)
-    views = relative_to(named, scene) if named else views_of(scene, command.viewpoint, made)
+    views = relative_to(named, sample) if named else views_of(sample, command.viewpoint, made)
     if output is not None and is_picture(output) and video is None:
         views = replace(views, cameras=views.cameras[:1])
     targets = targets_of(file_names(views.cameras), output, command.counters, depth=command.depth, alpha=command.alpha)
@@ -139,7 +151,7 @@ def run(command: Command) -> Rendered:
     if command.force and output is not None and not is_picture(output):
         removed = remove_stale(output, [path for target in targets for path in target.paths])
     return Rendered(
-        output, video, command.counters, drawn, views.reasons, removed, (*lost_and_noted(scene)[1], *views.notes)
+        output, video, command.counters, drawn, views.reasons, removed, (*lost_and_noted(sample)[1], *views.notes)
     )
 
 
@@ -182,18 +194,20 @@ def _name_of(path: Path) -> str:
     return path.name.removesuffix(path.suffix).removesuffix(".compressed") or "scene"
 
 
-def _scene(command: Command) -> Scene:
-    """The scene, or one level of it."""
-    level = command.level
-    if level is None:
-        return read_scene(command.paths, command.reading)
-    if len(command.paths) == 1 and (found := detect(command.paths[0])) is not None and found.holds.levels == "one of":
-        return read_scene(command.paths, command.reading, level=level)
-    return level_of(read_scene(command.paths, command.reading), level)
+@contextmanager
+def _scene(command: Command) -> Iterator[Scene | Store]:
+    """The scene, or one level of it, or a store."""
+    level, one = command.level, len(command.paths) == 1
+    if level is not None and one and (found := detect(command.paths[0])) is not None and found.holds.levels == "one of":
+        yield read_scene(command.paths, command.reading, level=level)
+        return
+    whole = level is not None or command.select.rule != "cut" or command.select.cull not in (None, "none")
+    with opened(command.paths, command.reading, command.max_memory, whole=whole) as scene:
+        yield scene if level is None or isinstance(scene, Store) else level_of(scene, level)
 
 
 def _drawn(
-    command: Command, scene: Scene, views: Views, targets: list[Targets], video: Path | None
+    command: Command, scene: Scene | Store, views: Views, targets: list[Targets], video: Path | None
 ) -> tuple[View, ...]:
     drawn = []
     with ExitStack() as stack:
@@ -205,7 +219,8 @@ def _drawn(
         for target, frame in zip(targets, frames, strict=True):
             target.write(frame.result, force=command.force)
             if target.counters is not None:
-                write_counters(frame_counters(scene, frame), target.counters, force=command.force)
+                described = scene.scene if isinstance(scene, Store) else scene
+                write_counters(frame_counters(described, frame), target.counters, force=command.force)
             if add is not None:
                 add(frame.result.image)
             drawn.append(_view(frame, target.picture))

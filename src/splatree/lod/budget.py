@@ -7,14 +7,13 @@ A view alone is searched from its finest τ_R, until the cut holds 98 % of the b
 cuts. The next view of a moving camera begins at the τ_R of the last and is content with 90 %: 1 or 2 cuts.
 """
 
-from collections.abc import Callable
-from typing import Final
+from collections.abc import Callable, Sized
+from typing import Final, TypeVar
 
 import numpy as np
 
 from splatree.errors import InputError
 from splatree.scene.cameras import Camera
-from splatree.shapes import Array
 
 __all__ = ["meet_budget", "meet_budget_from"]
 
@@ -36,13 +35,13 @@ BUDGET_PRECISION: Final = 1.005
 COARSEST_PX: Final = 2.0**24
 """Largest finite τ_R that a budget tries: beyond any image. Only nodes that reach behind the near plane are larger: infinite."""
 
-Chosen = tuple[Array, int]
-"""Rows of a selection, and how many rows it looked at."""
+Rows = TypeVar("Rows", bound=Sized)
+"""Rows of a selection: an array, or where they are (outofcore/paging.py)."""
 
 
 def meet_budget(
-    rows_at: Callable[[float], Chosen], budget: int, finest: float, num_finest: int, camera: Camera
-) -> tuple[Array, int, float]:
+    rows_at: Callable[[float], tuple[Rows, int]], budget: int, finest: float, num_finest: int, camera: Camera
+) -> tuple[Rows, int, float]:
     """Rows at a τ_R above ``finest``, where there are too many, whose number is just within the budget.
 
     Raises:
@@ -50,7 +49,7 @@ def meet_budget(
     """
     fine, num_fine = finest, num_finest
     coarse = max(finest, 0.1)
-    found: Chosen = np.zeros(0, np.int32), 0
+    found: tuple[Rows, int]
     while coarse < COARSEST_PX:
         coarse *= max(2.0, float(np.sqrt(num_fine / budget)))
         found = rows_at(coarse)
@@ -76,8 +75,8 @@ def meet_budget(
 
 
 def meet_budget_from(
-    rows_at: Callable[[float], Chosen], budget: int, bounds: tuple[float, float], last: float, camera: Camera
-) -> tuple[Array, int, float]:
+    rows_at: Callable[[float], tuple[Rows, int]], budget: int, bounds: tuple[float, float], last: float, camera: Camera
+) -> tuple[Rows, int, float]:
     """Rows at the finest τ_R, or at a coarser one if these are more than the budget; the search begins at ``last``.
 
     The rows are at most ``budget``; they are at least 90 % of it, unless τ_R is the finest or known to half a percent.
@@ -96,7 +95,7 @@ def meet_budget_from(
     tau = last if np.isfinite(last) and last > finest else finest
     fine: tuple[float, int] | None = None  # a τ_R with too many nodes, and how many
     coarse: tuple[float, int] | None = None  # a τ_R with at most the budget
-    found: Chosen = np.zeros(0, np.int32), 0
+    found: tuple[Rows, int]  # of coarse
     while True:
         tried = rows_at(tau)
         count = len(tried[0])

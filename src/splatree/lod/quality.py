@@ -11,8 +11,9 @@ Large selections are summed over a sample of their rows. Cost: a coarse cut, and
 """
 
 import math
-from collections.abc import Callable
-from typing import Final
+from collections.abc import Callable, Sized
+from dataclasses import dataclass
+from typing import Final, TypeVar
 
 import numpy as np
 
@@ -21,9 +22,18 @@ from splatree.errors import InputError
 from splatree.scene.cameras import Camera
 from splatree.scene.quality import QualityCurve
 from splatree.scene.scene import Scene
-from splatree.shapes import Array, Float64
+from splatree.shapes import Array, Bool, Float32, Float64, check_fields
 
-__all__ = ["COARSEST_PX", "COVERING_PX", "covered_share", "curve_of", "merged_share", "pixel_error_for"]
+__all__ = [
+    "COARSEST_PX",
+    "COVERING_PX",
+    "Nodes",
+    "covered_share",
+    "curve_of",
+    "merged_share",
+    "nodes_of",
+    "pixel_error_for",
+]
 
 COVERING_PX: Final = 12.0
 """τ_R of the cut by which a view is found to be covered: few nodes, which are still smaller than a tile."""
@@ -47,27 +57,62 @@ LARGEST_PX2: Final = 1e4
 """Area on the screen above which a node counts no more: it reaches beyond the picture."""
 
 
+Rows = TypeVar("Rows", bound=Sized)
+"""Rows of a selection: an array, or where they are (outofcore/paging.py)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Nodes:
+    """What the quality of a cut depends on, of some of its nodes."""
+
+    means: Float32[Array, "v 3"]
+    """Means, world units."""
+    log_scales: Float32[Array, "v 3"]
+    """Logarithms of standard deviations, world units."""
+    logit_opacities: Float32[Array, "v"]
+    """Logits of opacities."""
+    is_merged: Bool[Array, "v"]
+    """Whether each was made by merging."""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+
+def nodes_of(scene: Scene, rows: Array) -> Nodes:
+    """Rows of a scene."""
+    g = scene.gaussians
+    means, log_scales, logits = (np.take(column, rows, axis=0) for column in (g.means, g.log_scales, g.logit_opacities))
+    return Nodes(means, log_scales, logits, scene.tree.subtree_end[rows] > rows + 1)
+
+
 def pixel_error_for(
-    rows_at: Callable[[float], tuple[Array, int]], scene: Scene, camera: Camera, quality: float, only_leaves: float
+    rows_at: Callable[[float], tuple[Rows, int]],
+    nodes_at: Callable[[Rows, int], Nodes],
+    view: tuple[QualityCurve, Camera],
+    quality: float,
+    only_leaves: float,
 ) -> float:
     """The largest τ_R whose cut is predicted to have the quality; 0, all leaves, where no cut of merged nodes has it.
 
     Args:
         rows_at: the selection at a τ_R, px.
-        scene: what is selected from.
-        camera: the view.
+        nodes_at: each n-th of its rows.
+        view: the curve of the levels, and the camera.
         quality: PSNR against all leaves that is wanted, dB.
         only_leaves: τ_R below which only leaves are drawn, px.
-
-    Raises:
-        InputError: the levels have no curve of their quality.
     """
-    curve = curve_of(scene)
-    covered = covered_share(scene, rows_at(COVERING_PX)[0], camera)
+    curve, camera = view
+
+    def sampled(pixel_error: float) -> tuple[Nodes, int]:
+        rows = rows_at(pixel_error)[0]
+        step = _step(len(rows))
+        return nodes_at(rows, step), step
+
+    covered = _covered(*sampled(COVERING_PX), camera)
 
     def spare_at(pixel_error: float) -> float:
         """By how much a cut is predicted to be better than asked for, dB."""
-        merged = merged_share(scene, rows_at(pixel_error)[0], camera)
+        merged = _merged(sampled(pixel_error)[0], camera)
         return curve.psnr(pixel_error, merged=merged, covered=covered) - quality
 
     fine, coarse = math.log(max(1.02 * only_leaves, FINEST_PX)), math.log(COARSEST_PX)
@@ -102,43 +147,48 @@ def curve_of(scene: Scene) -> QualityCurve:
 
 def merged_share(scene: Scene, rows: Array, camera: Camera) -> float:
     """Share of the areas of selected rows on the screen that merged nodes have."""
-    rows = rows[:: _step(rows)]
-    _, squares = _places(scene, rows, camera)
-    areas = _opacities(scene, rows) * np.minimum(squares + DILATION_PX2, LARGEST_PX2)
-    is_merged = scene.tree.subtree_end[rows] > rows + 1
+    return _merged(nodes_of(scene, rows[:: _step(len(rows))]), camera)
+
+
+def _merged(nodes: Nodes, camera: Camera) -> float:
+    _, squares = _places(nodes, camera)
+    areas = _opacities(nodes.logit_opacities) * np.minimum(squares + DILATION_PX2, LARGEST_PX2)
     total = float(areas.sum())
-    return float(areas[is_merged].sum()) / total if total > 0 else 0.0
+    return float(areas[nodes.is_merged].sum()) / total if total > 0 else 0.0
 
 
 def covered_share(scene: Scene, rows: Array, camera: Camera) -> float:
     """Share of the picture in which the rows of a coarse cut draw something."""
+    step = _step(len(rows))
+    return _covered(nodes_of(scene, rows[::step]), step, camera)
+
+
+def _covered(nodes: Nodes, step: int, camera: Camera) -> float:
     across, down = -(-camera.width // TILE_PX), -(-camera.height // TILE_PX)
-    step = _step(rows)
-    rows = rows[::step]
-    places, squares = _places(scene, rows, camera)
+    places, squares = _places(nodes, camera)
     inside = ((places >= 0) & (places < (camera.width, camera.height))).all(axis=1)
     tiles = (places[inside] // TILE_PX).astype(np.int64)
-    areas = _opacities(scene, rows[inside]) * np.minimum(2 * np.pi * squares[inside], TILE_PX**2)
+    areas = _opacities(nodes.logit_opacities[inside]) * np.minimum(2 * np.pi * squares[inside], TILE_PX**2)
     sums = np.bincount(tiles[:, 1] * across + tiles[:, 0], areas, minlength=across * down)
     return float(np.mean(1 - np.exp(-1.5 * step * sums / TILE_PX**2)))
 
 
-def _step(rows: Array) -> int:
+def _step(num_rows: int) -> int:
     """Each n-th row is in the sample."""
-    return len(rows) // SAMPLE + 1
+    return num_rows // SAMPLE + 1
 
 
-def _opacities(scene: Scene, rows: Array) -> Float64[Array, "v"]:
+def _opacities(logits: Array) -> Float64[Array, "v"]:
     with np.errstate(over="ignore"):
-        return np.asarray(1 / (1 + np.exp(-scene.gaussians.logit_opacities[rows].astype(np.float64))))
+        return np.asarray(1 / (1 + np.exp(-logits.astype(np.float64))))
 
 
-def _places(scene: Scene, rows: Array, camera: Camera) -> tuple[Float64[Array, "v 2"], Float64[Array, "v"]]:
-    """Centres of the rows in the picture, px, and σ₁ σ₂ (f/z)² of their two larger axes, px²."""
+def _places(nodes: Nodes, camera: Camera) -> tuple[Float64[Array, "v 2"], Float64[Array, "v"]]:
+    """Centres of the nodes in the picture, px, and σ₁ σ₂ (f/z)² of their two larger axes, px²."""
     pose, focal = camera.camera_from_world, camera.K[[0, 1], [0, 1]]
-    seen = np.take(scene.gaussians.means, rows, axis=0) @ pose[:3, :3].T + pose[:3, 3]
+    seen = nodes.means @ pose[:3, :3].T + pose[:3, 3]
     depths = np.maximum(seen[:, 2], camera.near)
-    log_scales = np.take(scene.gaussians.log_scales, rows, axis=0).astype(np.float64)
+    log_scales = nodes.log_scales.astype(np.float64)
     larger_two = log_scales.sum(axis=1) - log_scales.min(axis=1)
     with np.errstate(over="ignore"):
         squares = np.exp(larger_two) * (focal.prod() / depths**2)

@@ -9,9 +9,9 @@ Rows of clusters that culling leaves out are not drawn; with the rule `exact` th
 A budget is met by raising τ_R (lod/budget.py). A quality chooses τ_R by what the levels are known to show (lod/quality.py).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sized
 from dataclasses import replace
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from splatree.kernels.cpu.frame import select as cpu
 from splatree.kernels.cpu.frame.blocks import index_blocks
 from splatree.kernels.reference import select as reference
 from splatree.lod.budget import meet_budget, meet_budget_from
-from splatree.lod.quality import pixel_error_for
+from splatree.lod.quality import Nodes, curve_of, nodes_of, pixel_error_for
 from splatree.lod.serial import select_serial
 from splatree.scene.cameras import Camera
 from splatree.scene.clusters import Culling
@@ -37,6 +37,7 @@ from splatree.shapes import Array
 
 __all__ = [
     "Selector",
+    "chosen_by",
     "count_nested",
     "count_uncovered",
     "cull_rule",
@@ -117,19 +118,49 @@ def select(
             rows = rows[cpu.small(scene.gaussians, scene.tree, rows, view, largest, threads=threads)]
         return rows, visited
 
-    finest, smallest = options.pixel_error, smallest_radius(options.resolved_profile, view.dilation_px2)
-    if options.quality is not None:
-        finest = pixel_error_for(rows_at, scene, view.camera, options.quality, smallest)
-    if options.budget is not None and last is not None:
-        rows, visited, pixel_error = meet_budget_from(rows_at, options.budget, (finest, smallest), last, view.camera)
-    else:
-        rows, visited = rows_at(finest)
-        pixel_error = finest
-        if options.budget is not None and len(rows) > options.budget:
-            coarser = max(finest, smallest)
-            rows, visited, pixel_error = meet_budget(rows_at, options.budget, coarser, len(rows), view.camera)
+    def nodes_at(rows: Array, step: int) -> Nodes:
+        return nodes_of(scene, rows[::step])
+
+    rows, visited, pixel_error = chosen_by(rows_at, nodes_at, scene, view, options, last=last)
     notes = notes_on(scene, options, pixel_error, view)
     return Selection(rows, options.rule, options.resolved_profile, pixel_error, visited, notes)
+
+
+Rows = TypeVar("Rows", bound=Sized)
+"""Rows of a selection: an array, or where they are (outofcore/paging.py)."""
+
+
+def chosen_by(
+    rows_at: Callable[[float], tuple[Rows, int]],
+    nodes_at: Callable[[Rows, int], Nodes],
+    scene: Scene,
+    view: View,
+    options: SelectOptions,
+    *,
+    last: float | None = None,
+) -> tuple[Rows, int, float]:
+    """The rows that the pixel error, the quality or the budget of the options chooses, how many were looked at, and τ_R, px.
+
+    Args:
+        rows_at: the rows at a τ_R, px, and how many were looked at.
+        nodes_at: each n-th of some rows.
+        scene: what the record of the levels is taken from; of the rows nothing is read here.
+        view: the view.
+        options: with the profile of the levels.
+        last: τ_R, px, of the view before.
+
+    Raises:
+        InputError: as `select`.
+    """
+    finest, smallest = options.pixel_error, smallest_radius(options.resolved_profile, view.dilation_px2)
+    if options.quality is not None:
+        finest = pixel_error_for(rows_at, nodes_at, (curve_of(scene), view.camera), options.quality, smallest)
+    if options.budget is not None and last is not None:
+        return meet_budget_from(rows_at, options.budget, (finest, smallest), last, view.camera)
+    rows, visited = rows_at(finest)
+    if options.budget is None or len(rows) <= options.budget:
+        return rows, visited, finest
+    return meet_budget(rows_at, options.budget, max(finest, smallest), len(rows), view.camera)
 
 
 def for_levels(options: SelectOptions, scene: Scene) -> SelectOptions:

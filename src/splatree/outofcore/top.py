@@ -10,14 +10,19 @@ import numpy as np
 
 from splatree.errors import InputError
 from splatree.io.formats.folder.manifest import MANIFEST, Manifest, StoredFile, stored_file
+from splatree.io.formats.splatree.rows import open_scene
 from splatree.io.reading import read
 from splatree.io.writing import write
 from splatree.lod.assemble import with_report
 from splatree.lod.forest import Forest, forest_of_roots
 from splatree.lod.graft import graft
 from splatree.lod.grow import grow
+from splatree.outofcore.index import StoreIndex, index_of_folder
+from splatree.outofcore.index_file import INDEX, write_index
+from splatree.outofcore.pages import table_of
 from splatree.outofcore.plan import Plan
 from splatree.outofcore.work import Work, write_text
+from splatree.progress import task
 from splatree.scene.scene import Source
 
 __all__ = ["finish_scene"]
@@ -72,11 +77,13 @@ def finish_scene(
     source = with_report(source, plan.resolved, sizes, {"nodes": counts})
     num_copies = len(top.base.order)
     write(replace(crown, source=source), work.scene / CROWN, force=True)
+    write_index(_index(work, files), work.scene / INDEX)
     manifest = Manifest(
         num_rows=sum(result["rows"] for result in results) + len(crown) - num_copies,
         num_leaves=num_leaves,
         crown=stored_file(work.scene, CROWN),
         parts=tuple(files),
+        index=stored_file(work.scene, INDEX),
     )
     for path in (work.scene / "parts").iterdir():
         if path.name not in {Path(file.name).name for file in manifest.parts}:
@@ -84,6 +91,17 @@ def finish_scene(
     write_text(work.scene / MANIFEST, manifest.to_json())
     report: dict[str, Any] = json.loads(source.metadata["levels"])
     return manifest, report
+
+
+def _index(work: Work, files: Sequence[StoredFile]) -> StoreIndex:
+    """What a selection by pages has to know of the parts."""
+    crown = open_scene(work.scene / CROWN)
+    parts = []
+    with task("index pages", float(sum(file.num_bytes for file in files))) as advance:
+        for file in files:
+            parts.append(table_of(open_scene(work.scene / file.name), checksums=True))
+            advance(float(file.num_bytes))
+    return index_of_folder(crown, table_of(crown, checksums=True), parts, work.scene)
 
 
 def _levels(plan: Plan, results: Sequence[dict[str, Any]], top: Forest) -> tuple[list[float], list[int]]:

@@ -4,6 +4,7 @@ from collections.abc import Iterable, Iterator
 
 from splatree.kernels.devices import DeviceName
 from splatree.lod.select import Selector
+from splatree.outofcore.store import Store
 from splatree.progress import track
 from splatree.render.session import NOTHING, open_session
 from splatree.scene.cameras import Camera
@@ -16,7 +17,7 @@ __all__ = ["render_batch", "trace_batch"]
 
 
 def render_batch(
-    scene: Scene,
+    scene: Scene | Store,
     cameras: Iterable[Camera],
     options: RenderOptions | None = None,
     select: SelectOptions | Selector | None = None,
@@ -27,7 +28,7 @@ def render_batch(
     """Draw many views, one at a time and in order.
 
     Args:
-        scene: what is drawn.
+        scene: what is drawn; or a store, which is read page by page.
         cameras: the views.
         options: how they are drawn.
         select: which nodes are drawn: options, or a baseline.
@@ -51,7 +52,7 @@ def render_batch(
 
 
 def trace_batch(
-    scene: Scene,
+    scene: Scene | Store,
     cameras: Iterable[Camera],
     options: RenderOptions | None = None,
     select: SelectOptions | Selector | None = None,
@@ -63,7 +64,7 @@ def trace_batch(
     """Draw many views, one at a time and in order, and keep what each stage computed.
 
     Args:
-        scene: what is drawn.
+        scene: what is drawn; or a store, which is read page by page.
         cameras: the views.
         options: how they are drawn.
         select: which nodes are drawn: options, or a baseline.

@@ -28,7 +28,7 @@ from splatree.scene.tree import BlockIndex, GaussianTree
 from splatree.scene.view import View
 from splatree.shapes import Array, Int32
 
-__all__ = ["Engine"]
+__all__ = ["Engine", "settled"]
 
 
 class Engine:
@@ -48,13 +48,7 @@ class Engine:
 
     def settled(self, select: SelectOptions | Selector, view: View) -> SelectOptions | Selector:
         """The options of the selection with what follows from the scene and from how the view is drawn."""
-        if not isinstance(select, SelectOptions):
-            return select
-        select = for_levels(select, self.scene)
-        if select.view_test == "footprint" and view.is_square:
-            # Footprints are ellipses; the projection drops what squares do not show.
-            select = replace(select, view_test="none")
-        return select
+        return settled(select, self.scene, view)
 
     def is_whole(self, select: SelectOptions | Selector) -> TypeGuard[SelectOptions]:
         """Whether the device selects and draws as one piece of work; it tests blocks, so exact culling adds nothing."""
@@ -129,6 +123,17 @@ class Engine:
         self.scene, names = updated_scene(self.scene, columns, keep_index=keep_index, threads=self._threads)
         if self.held is not None:
             self.held.update(self.scene.gaussians, self.scene.blocks, names)
+
+
+def settled(select: SelectOptions | Selector, scene: Scene, view: View) -> SelectOptions | Selector:
+    """The options of a selection with what follows from the scene and from how a view of it is drawn."""
+    if not isinstance(select, SelectOptions):
+        return select
+    select = for_levels(select, scene)
+    if select.view_test == "footprint" and view.is_square:
+        # Footprints are ellipses; the projection drops what squares do not show.
+        select = replace(select, view_test="none")
+    return select
 
 
 class _HeldStages:

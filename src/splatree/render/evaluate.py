@@ -16,6 +16,7 @@ from splatree.lod.select import Selector
 from splatree.metrics.gain import psnr_with_gain
 from splatree.metrics.psnr import psnr
 from splatree.metrics.ssim import ssim
+from splatree.outofcore.store import Store
 from splatree.progress import track
 from splatree.render.session import open_session
 from splatree.scene.cameras import Camera
@@ -64,7 +65,7 @@ class Evaluation:
 
 
 def evaluate(
-    scene: Scene,
+    scene: Scene | Store,
     cameras: Iterable[Camera],
     options: RenderOptions | None = None,
     select: SelectOptions | Selector | None = None,
@@ -76,7 +77,7 @@ def evaluate(
     """Compare the cut with all leaves, and both with photographs, view by view.
 
     Args:
-        scene: any scene.
+        scene: any scene, or a store.
         cameras: the views.
         options: how the cut is drawn; all leaves are drawn without loss.
         select: which nodes are drawn: options, or a baseline (lod/baselines.py).

@@ -6,6 +6,7 @@ themselves: it makes the copies on a device, the arrays of a frame and the index
 
 from splatree.kernels.devices import DeviceName
 from splatree.lod.select import Selector
+from splatree.outofcore.store import Store
 from splatree.render.session import NOTHING, open_session
 from splatree.render.tensors import TensorScene
 from splatree.scene.cameras import Camera
@@ -18,7 +19,7 @@ __all__ = ["render", "trace"]
 
 
 def render(
-    scene: Scene | TensorScene,
+    scene: Scene | TensorScene | Store,
     camera: Camera,
     options: RenderOptions | None = None,
     select: SelectOptions | Selector | None = None,
@@ -29,7 +30,7 @@ def render(
     """Draw a view of a scene.
 
     Args:
-        scene: what is drawn.
+        scene: what is drawn; or a store, which is read page by page.
         camera: the view.
         options: how it is drawn.
         select: which nodes are drawn: options, or a baseline (lod/baselines.py); all leaves with
@@ -57,7 +58,7 @@ def render(
 
 
 def trace(
-    scene: Scene | TensorScene,
+    scene: Scene | TensorScene | Store,
     camera: Camera,
     options: RenderOptions | None = None,
     select: SelectOptions | Selector | None = None,
@@ -69,7 +70,7 @@ def trace(
     """Draw a view like `render` and keep what each stage computed.
 
     Args:
-        scene: what is drawn.
+        scene: what is drawn; or a store, which is read page by page.
         camera: the view.
         options: how it is drawn.
         select: which nodes are drawn: options, or a baseline.

@@ -29,8 +29,10 @@ from splatree.errors import InputError
 from splatree.kernels.contract import FrameStages
 from splatree.kernels.devices import DeviceName
 from splatree.lod.select import Selector
+from splatree.outofcore.store import Store
 from splatree.render.engine import Engine
 from splatree.render.lens import pinhole_of, through_lens
+from splatree.render.paged import PagedEngine
 from splatree.render.pending import Pending
 from splatree.render.stages import Clock
 from splatree.render.tensors import TensorScene
@@ -49,7 +51,7 @@ NOTHING = Wanted()
 
 
 def open_session(
-    scene: Scene | TensorScene,
+    scene: Scene | TensorScene | Store,
     *,
     device: DeviceName | None = None,
     options: RenderOptions | None = None,
@@ -59,7 +61,8 @@ def open_session(
     """Open a session, which draws many views of one scene.
 
     Args:
-        scene: what is drawn; or what `scene_from_tensors` made, which a GPU draws from where it lies.
+        scene: what is drawn; or what `scene_from_tensors` made, which a GPU draws from where it lies; or a store, which is
+            read page by page.
         device: where views are selected and drawn: `cpu`, `cuda`, or `reference`, the definitions in NumPy, which are slow;
             None: `cpu`, or the device that the tensors lie on.
         options: how the views are drawn, unless a call says otherwise.
@@ -84,7 +87,10 @@ def open_session(
         if device not in (None, scene.device) and scene.columns:
             raise InputError(f"open_session: found tensors on device {scene.device!r}, wanted them on {device!r}")
         device, columns, scene = device or scene.device, scene.columns, scene.scene
-    return Session(scene, device or "cpu", (options, select), threads=threads, columns=columns)
+    if isinstance(scene, Store):
+        return Session(PagedEngine(scene, device or "cpu", threads=threads), device or "cpu", (options, select))
+    engine = Engine(scene, device or "cpu", columns, threads=threads)
+    return Session(engine, device or "cpu", (options, select))
 
 
 class Session:
@@ -102,17 +108,14 @@ class Session:
 
     def __init__(
         self,
-        scene: Scene,
+        engine: Engine | PagedEngine,
         device: DeviceName,
         defaults: tuple[RenderOptions | None, SelectOptions | Selector | None],
-        *,
-        threads: int = 0,
-        columns: Mapping[str, Any] | None = None,
     ) -> None:
-        """``defaults`` are options of the drawing and the selection; ``columns`` lie on the device already."""
+        """``defaults`` are options of the drawing and the selection."""
         self.device = device
         self._options, self._select = defaults
-        self._engine = Engine(scene, device, columns or {}, threads=threads)
+        self._engine = engine
         self._lock = threading.RLock()
         self._worker: ThreadPoolExecutor | None = None
         self._pending: WeakSet[Pending] = WeakSet()
@@ -120,7 +123,8 @@ class Session:
 
     @property
     def scene(self) -> Scene:
-        """What is drawn, with the index of its blocks; without it after an update that kept the old one."""
+        """What is drawn, with the index of its blocks; without it after an update that kept the old one. Of a store, a scene
+        without rows that says how the store is drawn."""
         return self._engine.scene
 
     @property

@@ -24,6 +24,7 @@ import numpy as np
 from splatree.errors import InputError
 from splatree.kernels.devices import DeviceName
 from splatree.lod.select import Selector
+from splatree.outofcore.store import Store
 from splatree.progress import track
 from splatree.render.paths import through
 from splatree.render.session import open_session
@@ -104,7 +105,7 @@ def check_frames(frames: int) -> None:
 
 
 def time_frames(
-    scene: Scene,
+    scene: Scene | Store,
     cameras: Sequence[Camera],
     options: RenderOptions | None = None,
     select: SelectOptions | Selector | None = None,
@@ -117,7 +118,7 @@ def time_frames(
     """Time frames of a scene.
 
     Args:
-        scene: any scene.
+        scene: any scene, or a store.
         cameras: views; frames are these views if they are at least ``views``, else a path through them.
         options: how they are drawn; None: as the scene says.
         select: which nodes are drawn: options, or a baseline.

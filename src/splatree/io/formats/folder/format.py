@@ -30,7 +30,8 @@ def sniff(path: Path, head: bytes) -> bool:
 def files(path: Path) -> list[Path]:
     """The manifest and all files that it names."""
     manifest = read_manifest(path)
-    return [path / MANIFEST, *(path / file.name for file in (manifest.crown, *manifest.parts))]
+    index = () if manifest.index is None else (manifest.index,)
+    return [path / MANIFEST, *(path / file.name for file in (*index, manifest.crown, *manifest.parts))]
 
 
 def read(path: Path, options: ReadOptions) -> Scene:
@@ -136,16 +137,10 @@ class _Rows:
             raise FormatError(f"{self.path}: found a node {depth.max()} levels below its root, wanted at most 255")
         tree = GaussianTree(end, depth.astype(np.uint8), extents, record=crown.tree.record, roots=crown.tree.roots)
         first_id = int(ids[tree.is_leaf].max(initial=0)) + 1
-        if first_id + len(above) > 2**32:
+        if first_id + n > 2**32:
             raise FormatError(
                 f"{self.path}: found identities of leaves up to {first_id - 1}, which leave no room for nodes"
             )
-        _number_merged(ids, tree, first_id)
+        ids[~tree.is_leaf] = first_id + np.flatnonzero(~tree.is_leaf)
         gaussians = Gaussians(**columns)
         return replace(crown, gaussians=gaussians, tree=tree, ids=ids, blocks=index_blocks(gaussians, tree))
-
-
-def _number_merged(ids: Array, tree: GaussianTree, first_id: int) -> None:
-    """Give merged nodes identities after those of all leaves, row by row."""
-    is_leaf = tree.is_leaf
-    ids[~is_leaf] = np.arange(first_id, first_id + int((~is_leaf).sum()), dtype=np.uint32)

@@ -32,7 +32,7 @@ class StoredFile:
     num_bytes: int
     """Its size."""
     digest: str
-    """BLAKE2b of its bytes, 16 bytes in hexadecimal digits."""
+    """The first 16 bytes of the SHA-256 of its bytes, in hexadecimal digits."""
 
 
 @dataclass(frozen=True)
@@ -47,16 +47,19 @@ class Manifest:
     """The nodes above the parts, and below them, as leaves, the roots of all parts; ids number these roots part by part."""
     parts: tuple[StoredFile, ...]
     """Whole subtrees, each file a ``.splatree``."""
+    index: StoredFile | None = None
+    """What a selection by pages has to know beforehand (outofcore/index_file.py); None in folders of before: it is made anew."""
 
     def to_json(self) -> str:
         """The text of the file."""
-        return json.dumps({"format": KIND, "version": VERSION, **asdict(self)}, indent=1)
+        fields = {name: value for name, value in asdict(self).items() if value is not None}
+        return json.dumps({"format": KIND, "version": VERSION, **fields}, indent=1)
 
 
 def digest_of(path: Path) -> str:
-    """BLAKE2b of the bytes of a file."""
+    """The first half of the SHA-256 of the bytes of a file, for which processors have instructions."""
     with path.open("rb") as file:
-        return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
+        return hashlib.file_digest(file, "sha256").hexdigest()[:32]
 
 
 def stored_file(folder: Path, name: str) -> StoredFile:
@@ -97,6 +100,7 @@ def read_manifest(folder: Path) -> Manifest:
         num_leaves=untrusted.integer(fields, "num_leaves", where, high=2**53),
         crown=_file(folder, untrusted.field(fields, "crown", where), f"{where}: crown"),
         parts=tuple(files),
+        index=_file(folder, fields["index"], f"{where}: index") if "index" in fields else None,
     )
 
 

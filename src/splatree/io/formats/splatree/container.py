@@ -99,6 +99,14 @@ class Container:
         rows: Array = np.ndarray(shape, column.dtype, self.mapped, column.start + begin * column.bytes_per_row)
         return rows if rows.flags.aligned else rows.copy()
 
+    def forget(self, name: str, begin: int, end: int) -> None:
+        """Let the system take back the memory of rows of a column; they are read again when they are used again."""
+        column = self.columns[name]
+        first = -(-(column.start + begin * column.bytes_per_row) // mmap.PAGESIZE) * mmap.PAGESIZE
+        last = (column.start + end * column.bytes_per_row) // mmap.PAGESIZE * mmap.PAGESIZE
+        if last > first and hasattr(mmap, "MADV_DONTNEED"):  # Windows takes back what it needs
+            self.mapped.madvise(mmap.MADV_DONTNEED, first, last - first)
+
 
 def open_container(path: Path) -> Container:
     """Read and check the header of a file, and map the file.

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from splatree.errors import FormatError, InputError
-from splatree.io.check import checked_rows
+from splatree.io.check import checked_rows, magnitudes_of
 from splatree.io.formats.splatree.container import Container, open_container
 from splatree.io.formats.splatree.fields import column_types, source_from, value_of
 from splatree.io.formats.splatree.head import SceneHead
@@ -103,12 +103,13 @@ class StoredScene:
     def __len__(self) -> int:
         return self.head.num_rows
 
-    def rows(self, begin: int, end: int) -> SceneRows:
+    def rows(self, begin: int, end: int, *, harmonics: bool = True) -> SceneRows:
         """Map the rows ``begin`` to ``end`` and check their values; no other row is read.
 
         Args:
             begin: first row, 0 or more.
             end: one past the last row, at most the number of rows.
+            harmonics: check the harmonics too; without, they are mapped, but not read.
 
         Returns:
             The rows, read-only, as views of the file. They stay valid when the handle is gone.
@@ -123,7 +124,9 @@ class StoredScene:
             )
         where, file = str(self.file.path), self.file
         columns = {f.name: file.rows(f"gaussians.{f.name}", begin, end) for f in fields(Gaussians)}
-        gaussians, _ = checked_rows(Gaussians(**columns), where, repair=False, first_row=begin)
+        mapped = Gaussians(**columns)
+        magnitudes = None if harmonics else magnitudes_of(mapped, sh=0.0)
+        gaussians, _ = checked_rows(mapped, where, repair=False, magnitudes=magnitudes, first_row=begin)
         tree = {name: file.rows(f"tree.{name}", begin, end) for name in ("subtree_end", "depth", "extents")}
         ids = file.rows("ids", begin, end) if self.head.has_ids else None
         curves = file.rows("tree.curves", begin, end) if self.head.has_curves else None
@@ -136,6 +139,17 @@ class StoredScene:
                 f"{where}: row {begin + i}, tree.subtree_end: found {rows.subtree_end[i]}, wanted {begin + i + 1} to {len(self)}"
             )
         return rows
+
+    def forget(self, begin: int, end: int) -> None:
+        """Let the system take back the memory of mapped rows; they are read again when they are used again.
+
+        Example:
+            >>> stored = st.open_scene("city.splatree")
+            >>> stored.forget(0, len(stored))
+        """
+        for name in self.file.columns:
+            if self.file.columns[name].shape[:1] == (len(self),):
+                self.file.forget(name, begin, end)
 
 
 def open_scene(path: str | os.PathLike[str]) -> StoredScene:

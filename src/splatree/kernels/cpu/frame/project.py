@@ -1,5 +1,7 @@
 """Project Gaussians to splats: glue over project.cpp and order.cpp; kernels/reference/project.py is the definition."""
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from splatree.errors import InputError
@@ -10,7 +12,7 @@ from splatree.scene.gaussians import Gaussians
 from splatree.scene.view import View
 from splatree.shapes import Array, Float32, Int32, UInt32
 
-__all__ = ["project"]
+__all__ = ["gathered", "project"]
 
 
 def project(
@@ -34,6 +36,30 @@ def project(
     order = np.empty(num_splats, np.int32)
     _core.order_splats(depths, out_rows, ids, order, threads)
     return Splats(out_rows, records, order)
+
+
+def gathered(
+    parts: Iterable[tuple[Array, Splats]], rows: Int32[Array, "v"], ids: UInt32[Array, "v"], *, threads: int = 0
+) -> Splats:
+    """The splats of a selection that was projected in parts: those of `project` of all of it at once.
+
+    Args:
+        parts: of each part, its splats, and which of the selected rows each row is that they are numbered by.
+        rows: the selected rows.
+        ids: their identities.
+        threads: threads to use; 0: all.
+    """
+    records, is_seen = _empty_records(len(rows)), np.zeros(len(rows), bool)
+    for places, splats in parts:
+        seen = places[splats.rows]
+        records[seen], is_seen[seen] = splats.records, True
+    kept = np.flatnonzero(is_seen)
+    of_splats = _empty_records(len(kept))
+    np.take(records, kept, axis=0, out=of_splats)
+    order = np.empty(len(kept), np.int32)
+    numbers = np.arange(len(kept), dtype=np.int32)
+    _core.order_splats(of_splats[:, 10].copy(), numbers, ids[kept], order, threads)
+    return Splats(rows[kept], of_splats, order)
 
 
 def _empty_records(num_rows: int) -> Float32[Array, "v 16"]:

@@ -1,18 +1,29 @@
 """Choose the visible cut by blocks: glue over select.cpp; kernels/reference/select.py is the definition."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from splatree.errors import InputError
 from splatree.kernels.cpu import _core
 from splatree.kernels.cpu.frame.blocks import index_blocks
-from splatree.kernels.cpu.frame.question import pack_question, pack_sides
+from splatree.kernels.cpu.frame.question import PackedQuestion, PackedSides, pack_question, pack_sides
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.options import SelectOptions
 from splatree.scene.tree import BlockIndex, GaussianTree
 from splatree.scene.view import View
 from splatree.shapes import Array, Bool, Int32
 
-__all__ = ["ancestor_table", "select", "select_by_ancestors", "small", "visible"]
+__all__ = [
+    "PackedCut",
+    "ancestor_table",
+    "pack",
+    "select",
+    "select_by_ancestors",
+    "select_packed",
+    "small",
+    "visible",
+]
 
 
 def select(
@@ -29,12 +40,38 @@ def select(
 
     With ``runs``, ascending first rows and ends, only rows in one of them are drawn; all others shadow as ever.
     """
+    blocks = blocks or index_blocks(gaussians, tree, threads=threads)
+    return select_packed(gaussians, tree, blocks, pack(view, options), runs=runs, threads=threads)
+
+
+class PackedCut(NamedTuple):
+    """A view and options, as the kernel takes them."""
+
+    question: PackedQuestion
+    """What is asked of each row."""
+    sides: PackedSides
+    """What is asked of each block."""
+
+
+def pack(view: View, options: SelectOptions) -> PackedCut:
+    """What `select_packed` asks, made once for a view that is selected in parts."""
     if options.rule != "cut":
         raise InputError(f"select: found rule {options.rule!r}, wanted 'cut'; the others are in NumPy only")
     question = pack_question(view, options)
-    sides = pack_sides(view, options, question.view)
-    blocks = blocks or index_blocks(gaussians, tree, threads=threads)
-    rows, num_visited = _core.select_cut(gaussians, tree, blocks, question, sides, runs, threads)
+    return PackedCut(question, pack_sides(view, options, question.view))
+
+
+def select_packed(
+    gaussians: Gaussians,
+    tree: GaussianTree,
+    blocks: BlockIndex,
+    packed: PackedCut,
+    *,
+    runs: Int32[Array, "r 2"] | None = None,
+    threads: int = 0,
+) -> tuple[Int32[Array, "v"], int]:
+    """As `select`, of what `pack` made."""
+    rows, num_visited = _core.select_cut(gaussians, tree, blocks, packed.question, packed.sides, runs, threads)
     return rows, num_visited
 
 

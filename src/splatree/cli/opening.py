@@ -1,0 +1,69 @@
+"""Scenes that are drawn where they lie: a folder of parts, or a .splatree with --max-memory, is not read as a whole."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from splatree.cli.console import UsageError
+from splatree.cli.files import Reading, read_scene
+from splatree.io.registry import detect
+from splatree.lod.baselines import Baseline
+from splatree.outofcore.store import Store, open_store
+from splatree.render.timing import peak_bytes
+from splatree.scene.options import SelectOptions
+from splatree.scene.scene import Scene
+
+__all__ = ["bytes_of", "counts_of", "opened", "sample_of"]
+
+
+@contextmanager
+def opened(
+    paths: Sequence[Path], reading: Reading, max_memory: str | None, *, whole: bool = False
+) -> Iterator[Scene | Store]:
+    """The scene of all paths, read; or a store, where one path is a folder of parts or ``max_memory`` is given.
+
+    With ``whole``, something is asked for that needs all rows: then a folder is read.
+
+    Raises:
+        UsageError: ``max_memory`` is given, and the paths cannot be read page by page, or all rows are needed.
+    """
+    found = detect(paths[0]) if len(paths) == 1 else None
+    name = None if found is None else found.name
+    is_folder = name == "splatree-folder"
+    if max_memory is not None and (whole or not (is_folder or name == "splatree")):
+        why = "options that need all rows in memory" if whole else ", ".join(map(str, paths))
+        raise UsageError(
+            f"max_memory: found {why}, wanted one .splatree or one folder of parts, drawn by the rule `cut`; "
+            "splatree build makes either"
+        )
+    if whole or not (is_folder or max_memory is not None):
+        yield read_scene(paths, reading)
+        return
+    with open_store(paths[0], max_memory=max_memory) as store:
+        yield store
+
+
+def sample_of(scene: Scene | Store) -> Scene:
+    """What says where a scene lies: the scene, or a sample of a store."""
+    return scene.sample() if isinstance(scene, Store) else scene
+
+
+def counts_of(scene: Scene | Store) -> dict[str, int]:
+    """Gaussians, nodes and levels."""
+    if isinstance(scene, Store):
+        index = scene.index
+        return {"num_gaussians": index.num_leaves, "num_nodes": index.num_rows, "levels": index.num_levels}
+    return {"num_gaussians": scene.tree.num_leaves, "num_nodes": len(scene), "levels": scene.tree.num_levels}
+
+
+def bytes_of(scene: Scene | Store, select: SelectOptions | Baseline) -> dict[str, int | None]:
+    """Memory of the scene; of a store, that of its pages, which are Gaussians and tree together."""
+    if isinstance(scene, Store):
+        return {"pages": scene.resident_bytes, "selection": scene.index.nbytes, "peak": peak_bytes()}
+    tree, blocks = scene.tree, 0 if scene.blocks is None else scene.blocks.nbytes
+    return {
+        "gaussians": scene.gaussians.nbytes,
+        "tree": tree.subtree_end.nbytes + tree.depth.nbytes + tree.extents.nbytes,
+        "selection": select.num_bytes if isinstance(select, Baseline) else blocks,
+        "peak": peak_bytes(),
+    }

@@ -1,0 +1,264 @@
+"""The table of the pages of a store: what is known of a page before it is read.
+
+A page has a box around what it draws, the largest standard deviation in it, and the ancestors of its first row, which are kept
+with the table. So most pages of a view are left out unread: they are out of the image, or below a node that is drawn.
+
+A folder of parts is a store of several files. Leaves of the crown are copies of roots of parts, its *portals*; all portals are
+numbered, part by part. A page of a part knows the numbers of the roots that it belongs to. A page of the crown stands for what is
+below its portals, too: its box holds theirs.
+
+Cost: 60 bytes a page of 1 MB and 4 bytes a row of the crown. Making the table reads everything but the harmonics, once.
+"""
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from splatree.errors import FormatError
+from splatree.io.formats.splatree.fields import column_types
+from splatree.io.formats.splatree.head import SceneHead
+from splatree.io.formats.splatree.rows import SceneRows, StoredScene
+from splatree.outofcore.page import Checksums, Page, page_of
+from splatree.scene.gaussians import Gaussians
+from splatree.scene.tree import GaussianTree
+from splatree.shapes import Array, Float32, Int32, Int64, UInt8, check_fields
+
+__all__ = ["PAGE_BYTES", "PageTable", "row_bytes_of", "table_of"]
+
+PAGE_BYTES = 1_000_000
+"""Bytes of a page: smaller pages fit views more closely, larger ones take fewer steps; benchmarks/paging.py compares."""
+
+DEEPEST = 255
+"""A leaf follows each row within so many rows."""
+
+
+@dataclass(frozen=True, eq=False)
+class PageTable:
+    """Pages of one or more files, and the ancestors of their first rows."""
+
+    begin: Int32[Array, "p"]
+    """Row of its file that each page begins with."""
+    end: Int32[Array, "p"]
+    """One past the last row."""
+    lower: Float32[Array, "p 3"]
+    """Smallest coordinates of the means that a page stands for, world units."""
+    upper: Float32[Array, "p 3"]
+    """Largest coordinates."""
+    leaf_scales: Float32[Array, "p"]
+    """Largest standard deviation as in `BlockIndex.leaf_scales`, world units."""
+    first_root: Int64[Array, "p"]
+    """Number of the first root that begins in each page."""
+    ancestor_start: Int32[Array, "p+1"]
+    """Ancestors of the first row of page ``i``: ``ancestors[ancestor_start[i] : ancestor_start[i + 1]]``."""
+    ancestors: Int32[Array, "a"]
+    """From the root down; each is a row of the columns below."""
+    rows: Int32[Array, "c"]
+    """Row of its file of each node that is an ancestor of a page."""
+    subtree_end: Int32[Array, "c"]
+    """Where its subtree ends, in the file."""
+    means: Float32[Array, "c 3"]
+    """Its mean, world units."""
+    quats: Float32[Array, "c 4"]
+    """Its quaternion."""
+    log_scales: Float32[Array, "c 3"]
+    """Logarithms of its standard deviations."""
+    extents: Float32[Array, "c"]
+    """Its extent, world units."""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+    def __len__(self) -> int:
+        return len(self.begin)
+
+    def path(self, page: int) -> Int64[Array, "a"]:
+        """Where the subtrees of the ancestors of a page end, from the root down."""
+        of_page = self.ancestors[self.ancestor_start[page] : self.ancestor_start[page + 1]]
+        return self.subtree_end[of_page].astype(np.int64)
+
+    @property
+    def gaussians(self) -> Gaussians:
+        """The ancestors as Gaussians, as far as their size on the screen depends on them."""
+        n = len(self.rows)
+        logits, sh = np.zeros(n, np.float32), np.zeros((n, 1, 3), np.float32)
+        return Gaussians(self.means, self.quats, self.log_scales, logits, sh)
+
+    @property
+    def tree(self) -> GaussianTree:
+        """The extents of the ancestors."""
+        n = len(self.rows)
+        return GaussianTree(np.arange(1, n + 1, dtype=np.int32), np.zeros(n, np.uint8), self.extents)
+
+    @staticmethod
+    def joined(tables: Iterable["PageTable"]) -> "PageTable":
+        """The pages of all tables, one after the other; roots are numbered on, rows stay those of their files."""
+        tables = list(tables)
+        columns = {f.name: np.concatenate([getattr(table, f.name) for table in tables]) for f in fields(PageTable)}
+        num_ancestors = np.cumsum([0, *(len(table.ancestors) for table in tables)])
+        starts = [t.ancestor_start[:-1] + first for t, first in zip(tables, num_ancestors[:-1], strict=True)]
+        columns["ancestor_start"] = np.concatenate([*starts, num_ancestors[-1:]]).astype(np.int32)
+        num_nodes = np.cumsum([0, *(len(table.rows) for table in tables)])
+        columns["ancestors"] = np.concatenate(
+            [t.ancestors + first for t, first in zip(tables, num_nodes[:-1], strict=True)]
+        ).astype(np.int32)
+        return PageTable(**columns)
+
+
+@dataclass(frozen=True, eq=False)
+class FilePages:
+    """What a pass over a file finds."""
+
+    table: PageTable
+    """Its pages; roots are numbered from 0."""
+    num_leaves: int
+    """Leaves."""
+    largest_id: int
+    """Largest identity of a leaf; −1 without any."""
+    root_sizes: Int32[Array, "r"]
+    """Rows below each root, and the root itself."""
+    root_lower: Float32[Array, "r 3"]
+    """Smallest coordinates of the means of these rows, world units."""
+    root_upper: Float32[Array, "r 3"]
+    """Largest coordinates."""
+    root_scales: Float32[Array, "r"]
+    """Largest standard deviation of these rows, with a reserve for rounding, world units."""
+    root_levels: UInt8[Array, "r"]
+    """Largest depth of these rows."""
+    checksums: list[Checksums]
+    """Of each page; empty if they were not wanted."""
+
+
+def row_bytes_of(head: SceneHead) -> int:
+    """Bytes of a row of such a scene."""
+    types = column_types(1, (head.sh_degree + 1) ** 2, has_ids=head.has_ids, has_curves=head.has_curves)
+    return sum(dtype.itemsize * math.prod(shape) for dtype, shape in types.values())
+
+
+def table_of(
+    stored: StoredScene, *, checksums: bool = False, advance: Callable[[float], None] = lambda rows: None
+) -> FilePages:
+    """Go through a file page by page and note what a selection has to know of each.
+
+    Args:
+        stored: the file.
+        checksums: also note checksums, for which harmonics have to be read.
+        advance: is told how many rows were gone through.
+
+    Raises:
+        FormatError: a value cannot be used, or the rows are no tree.
+    """
+    page_rows, n = max(PAGE_BYTES // row_bytes_of(stored.head), 1), len(stored)
+    noted = _Noted(checksums)
+    begin, path = 0, np.zeros(0, np.int64)
+    while begin < n:
+        end = _end_of_page(stored, begin, page_rows)
+        rows = stored.rows(begin, end, harmonics=False)
+        path = noted.add(rows, page_of(rows, str(stored.file.path), path))
+        stored.forget(begin, end)
+        advance(float(end - begin))
+        begin = end
+    return noted.pages()
+
+
+class _Noted:
+    """The table of a file as it grows."""
+
+    def __init__(self, with_checksums: bool) -> None:
+        self._checksums: list[Checksums] | None = [] if with_checksums else None
+        self._pages: list[tuple[int, int, Array, Array, float, int]] = []
+        self._ancestors: list[list[int]] = []
+        self._nodes: list[tuple[int, int, Array, Array, Array, float]] = []
+        self._path: list[int] = []  # numbers of nodes
+        self._roots: list[list[Array]] = []
+        self._num_roots = self._num_leaves = 0
+        self._largest_id = -1
+
+    def add(self, rows: SceneRows, page: Page) -> Int64[Array, "a"]:
+        """Take the next page; returns where the subtrees end that go on behind it."""
+        begin, end, blocks = page.begin, page.begin + len(page), page.blocks
+        lower, upper = blocks.group_lower.min(axis=0), blocks.group_upper.max(axis=0)
+        self._pages.append((begin, end, lower, upper, float(blocks.group_leaf_scales.max()), self._num_roots))
+        if self._checksums is not None:
+            self._checksums.append(Checksums.of(rows))
+        self._ancestors.append(list(self._path))
+        self._add_roots(rows)
+        leaves = page.tree.is_leaf
+        self._num_leaves += int(leaves.sum())
+        ids = rows.ids[leaves] if rows.ids is not None else np.flatnonzero(leaves) + begin
+        self._largest_id = max(self._largest_id, int(ids.max(initial=0)))
+        self._path = [node for node in self._path if self._nodes[node][1] > end]
+        for i in np.flatnonzero(rows.subtree_end > end):
+            self._path.append(len(self._nodes))
+            g, stop = rows.gaussians, int(rows.subtree_end[i])
+            self._nodes.append((begin + int(i), stop, g.means[i], g.quats[i], g.log_scales[i], float(rows.extents[i])))
+        return np.array([self._nodes[node][1] for node in self._path], np.int64)
+
+    def _add_roots(self, rows: SceneRows) -> None:
+        roots, g = np.flatnonzero(rows.depth == 0).astype(np.int32), rows.gaussians
+        largest = np.exp(g.log_scales.max(axis=1)) * np.float32(1 + 1e-5)
+        start = roots if len(roots) and roots[0] == 0 else np.concatenate([[0], roots])
+        low, high = (bound.reduceat(g.means, start, axis=0) for bound in (np.minimum, np.maximum))
+        scales, levels = np.maximum.reduceat(largest, start), np.maximum.reduceat(rows.depth, start)
+        if len(start) > len(roots):  # the subtree of a root before goes on
+            _, last_low, last_high, last_scales, last_levels = next(
+                last for last in reversed(self._roots) if len(last[0])
+            )
+            np.minimum(last_low[-1], low[0], out=last_low[-1])
+            np.maximum(last_high[-1], high[0], out=last_high[-1])
+            last_scales[-1], last_levels[-1] = max(last_scales[-1], scales[0]), max(last_levels[-1], levels[0])
+            low, high, scales, levels = low[1:], high[1:], scales[1:], levels[1:]
+        self._roots.append([rows.subtree_end[roots] - np.int32(rows.begin) - roots, low, high, scales, levels])
+        self._num_roots += len(roots)
+
+    def pages(self) -> FilePages:
+        """All that was noted."""
+        begin, end, lower, upper, scales, roots = zip(*self._pages, strict=True) if self._pages else [()] * 6
+        rows, stops, means, quats, log_scales, extents = zip(*self._nodes, strict=True) if self._nodes else [()] * 6
+        table = PageTable(
+            begin=np.array(begin, np.int32),
+            end=np.array(end, np.int32),
+            lower=np.array(lower, np.float32).reshape(-1, 3),
+            upper=np.array(upper, np.float32).reshape(-1, 3),
+            leaf_scales=np.array(scales, np.float32),
+            first_root=np.array(roots, np.int64),
+            ancestor_start=np.cumsum([0, *map(len, self._ancestors)]).astype(np.int32),
+            ancestors=np.array([node for path in self._ancestors for node in path], np.int32),
+            rows=np.array(rows, np.int32),
+            subtree_end=np.array(stops, np.int32),
+            means=np.array(means, np.float32).reshape(-1, 3),
+            quats=np.array(quats, np.float32).reshape(-1, 4),
+            log_scales=np.array(log_scales, np.float32).reshape(-1, 3),
+            extents=np.array(extents, np.float32),
+        )
+        points = np.zeros((0, 3), np.float32)
+        none = [np.zeros(0, np.int32), points, points, np.zeros(0, np.float32), np.zeros(0, np.uint8)]
+        columns = zip(none, *self._roots, strict=True)
+        sizes, low, high, root_scales, levels = (np.concatenate(column) for column in columns)
+        return FilePages(
+            table=table,
+            num_leaves=self._num_leaves,
+            largest_id=self._largest_id,
+            root_sizes=sizes,
+            root_lower=low,
+            root_upper=high,
+            root_scales=root_scales,
+            root_levels=levels,
+            checksums=self._checksums or [],
+        )
+
+
+def _end_of_page(stored: StoredScene, begin: int, page_rows: int) -> int:
+    """The end of a page of at least so many rows, the first behind a leaf; or the end of the file."""
+    first, n = begin + page_rows - 1, len(stored)
+    if first >= n - 1:
+        return n
+    ends = stored.file.rows("tree.subtree_end", first, min(first + DEEPEST + 1, n))
+    is_leaf = ends == first + 1 + np.arange(len(ends))
+    if not is_leaf.any():
+        raise FormatError(
+            f"{stored.file.path}: rows {first} to {first + len(ends)}: found no leaf, wanted one at most {DEEPEST} levels below "
+            "each node; the file is damaged"
+        )
+    return first + 1 + int(np.argmax(is_leaf))

@@ -1,0 +1,195 @@
+"""The cut of a view by pages: the rows of `select` on the whole tree, from the pages that the view needs.
+
+1. Nodes of the table that are ancestors of pages are asked whether they stop: a page is skipped where one shadows all of it.
+2. A page is skipped where its box is out of the image, by the test that the selection has for blocks (kernels/shared/select.h).
+3. What is left is loaded, and selects its own rows.
+
+In a folder, the crown is asked first. Its inner nodes are drawn as they are. A leaf of it that nothing shadows is an open portal:
+the root of a part that it is a copy of, and what is below, may be drawn. Pages of parts without an open portal are skipped; of
+the others, rows below closed portals are dropped. docs/explanation/out-of-core.md.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from splatree.kernels.cpu.frame import select as kernel
+from splatree.outofcore.index import StoreIndex
+from splatree.outofcore.page import Page
+from splatree.outofcore.pages import PageTable
+from splatree.scene.options import SelectOptions
+from splatree.scene.view import View
+from splatree.shapes import Array, Bool, Int32, Int64, check_fields
+
+__all__ = ["Cut", "cut_at"]
+
+
+@dataclass(frozen=True, eq=False)
+class Cut:
+    """Rows that are drawn, and where they are."""
+
+    rows: Int32[Array, "v"]
+    """Rows of the whole tree, ascending."""
+    pages: Int32[Array, "v"]
+    """The page that each is in."""
+    places: Int32[Array, "v"]
+    """Its row in the page."""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def every(self, step: int) -> "Cut":
+        """Each n-th of the rows."""
+        return Cut(*(np.ascontiguousarray(column[::step]) for column in (self.rows, self.pages, self.places)))
+
+    def by_page(self) -> Iterator[tuple[int, Int64[Array, "w"]]]:
+        """Each page that rows are in, and which of the rows."""
+        order = np.argsort(self.pages, kind="stable")
+        ends = np.flatnonzero(np.diff(self.pages[order])) + 1
+        for rows in np.split(order, ends) if len(order) else ():
+            yield int(self.pages[rows[0]]), rows
+
+
+def cut_at(
+    index: StoreIndex, page_of: Callable[[int], Page], view: View, options: SelectOptions, *, threads: int = 0
+) -> tuple[Cut, int]:
+    """The cut of a view at the pixel error of the options, and how many rows were looked at.
+
+    Args:
+        index: of the store.
+        page_of: loads a page.
+        view: the view.
+        options: of the rule `cut`, with the profile of the levels; a budget and a quality are not looked at.
+        threads: threads to use; 0: all.
+    """
+    asked = _Asked(index, page_of, view, options, threads)
+    if not index.has_parts:
+        for page in np.flatnonzero(asked.is_open):
+            asked.take_file(int(page))
+        return asked.cut()
+    num_own = index.num_own
+    for page in np.flatnonzero(asked.is_open[:num_own]):
+        asked.take_crown(int(page))
+    rows = asked.portals()
+    table = index.table
+    # A page belongs to the roots that begin in it, and to the one before if it begins within a subtree.
+    first = table.first_root[num_own:] - (np.diff(table.ancestor_start)[num_own:] > 0)
+    last = np.append(table.first_root[num_own + 1 :], index.num_roots)
+    num_open = np.concatenate([[0], np.cumsum(rows >= 0)])
+    for page in np.flatnonzero(asked.is_open[num_own:] & (num_open[last] > num_open[first])) + num_own:
+        asked.take_part(int(page), rows)
+    return asked.cut()
+
+
+class _Asked:
+    """One view at one pixel error, page by page."""
+
+    def __init__(
+        self,
+        index: StoreIndex,
+        page_of: Callable[[int], Page],
+        view: View,
+        options: SelectOptions,
+        threads: int,
+    ) -> None:
+        self._index, self._page_of, self._view, self._options, self._threads = index, page_of, view, options, threads
+        self._packed = kernel.pack(view, options)
+        self._packed_unseen = kernel.pack(view, replace(options, view_test="none"))
+        self._shadows = _shadows(index.table, view, options)
+        self.is_open = _may_be_seen(index.table, view, options, self._packed) & (self._shadows < index.table.end)
+        self._found: list[tuple[Array, int, Array]] = []
+        self._portals: list[tuple[Array, Array]] = []
+        self._visited = 0
+
+    def take_file(self, number: int) -> None:
+        """Select in a page of the only file."""
+        page = self._page_of(number)
+        places = self._select(number, page, self._packed)
+        self._keep(number, page, places, places + np.int32(page.begin))
+
+    def take_crown(self, number: int) -> None:
+        """Select in a page of the crown: inner nodes are drawn, leaves are open portals."""
+        page, whole_rows = self._page_of(number), self._index.whole_rows
+        assert whole_rows is not None and page.ids is not None
+        places = self._select(number, page, self._packed_unseen)
+        is_portal = page.tree.is_leaf[places]
+        portals, places = places[is_portal], places[~is_portal]
+        self._portals.append((page.ids[portals], whole_rows[page.begin + portals]))
+        places = places[page.visible(places, self._view, self._options)]
+        self._keep(number, page, places, whole_rows[page.begin + places])
+
+    def portals(self) -> Int32[Array, "r"]:
+        """The row in the whole of each root of a part whose portal is open, −1 for the others."""
+        found = np.full(self._index.num_roots, -1, np.int32)
+        for numbers, rows in self._portals:
+            found[numbers] = rows
+        return found
+
+    def take_part(self, number: int, rows: Array) -> None:
+        """Select in a page of a part, below open portals."""
+        page, table = self._page_of(number), self._index.table
+        places = self._select(number, page, self._packed)
+        roots = np.flatnonzero(page.depth == 0)
+        nth = np.searchsorted(roots, places, side="right")  # 0: of the subtree that the page begins within
+        row_of_root = rows[table.first_root[number] + nth - 1]
+        is_below = row_of_root >= 0
+        places, nth, row_of_root = places[is_below], nth[is_below], row_of_root[is_below]
+        path = table.ancestors[table.ancestor_start[number] : table.ancestor_start[number + 1]]
+        before = table.rows[path[:1]] - page.begin if len(path) else np.zeros(1, np.int32)
+        self._keep(number, page, places, row_of_root + places - np.concatenate([before, roots])[nth])
+
+    def _select(self, number: int, page: Page, packed: kernel.PackedCut) -> Int32[Array, "v"]:
+        places, visited = page.select(packed, int(self._shadows[number]), threads=self._threads)
+        self._visited += visited
+        return places
+
+    def _keep(self, number: int, page: Page, places: Array, rows: Array) -> None:
+        largest = self._options.max_radius
+        if largest is not None:
+            is_small = page.small(places, self._view, replace(self._options, pixel_error=largest))
+            places, rows = places[is_small], rows[is_small]
+        if len(places):
+            self._found.append((rows, number, places))
+
+    def cut(self) -> tuple[Cut, int]:
+        """All rows that were kept, and how many were looked at."""
+        none = np.zeros(0, np.int32)
+        rows = np.concatenate([none, *(rows for rows, _, _ in self._found)])
+        pages = np.concatenate([none, *(np.full(len(rows), number, np.int32) for rows, number, _ in self._found)])
+        places = np.concatenate([none, *(places for _, _, places in self._found)])
+        order = np.argsort(rows)
+        columns = (column[order].astype(np.int32) for column in (rows, pages, places))
+        return Cut(*columns), self._visited
+
+
+def _shadows(table: PageTable, view: View, options: SelectOptions) -> Int64[Array, "p"]:
+    """The row, in its file, up to which ancestors that stop shadow each page; 0 if none does."""
+    rows = np.arange(len(table.rows), dtype=np.int32)
+    stops = kernel.small(table.gaussians, table.tree, rows, view, options, threads=1)
+    reach = np.where(stops, table.subtree_end, 0)[table.ancestors]
+    reach = np.append(reach, 0)  # so that the last of the runs may be empty
+    start = table.ancestor_start[:-1]
+    longest = np.maximum.reduceat(reach, start) if len(start) else reach[:0]
+    return np.asarray(np.where(np.diff(table.ancestor_start) > 0, longest, 0), np.int64)
+
+
+def _may_be_seen(table: PageTable, view: View, options: SelectOptions, packed: kernel.PackedCut) -> Bool[Array, "p"]:
+    """Whether the box of each page may have something in the image: the test of blocks in kernels/cpu/frame/select.cpp."""
+    question, sides = packed
+    if not sides.is_culled:
+        return np.ones(len(table), bool)
+    lower, upper = table.lower.astype(np.float64), table.upper.astype(np.float64)
+    centre, half = (lower + upper) / 2, (upper - lower) / 2
+    scales = table.leaf_scales.astype(np.float64)
+    if question.rule.sphere:
+        farthest = np.linalg.norm(np.abs(centre - view.camera.position) + half, axis=1)
+        scales = np.maximum(scales, options.pixel_error * farthest / (3 * question.rule.focal_max))
+    outside = np.zeros(len(table), bool)
+    for plane, reach in zip(sides.planes, sides.reaches, strict=False):
+        nearest = centre @ plane[:3] + plane[3] - half @ np.abs(plane[:3])
+        outside |= nearest > reach * scales
+    return ~outside

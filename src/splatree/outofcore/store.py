@@ -1,0 +1,360 @@
+"""A store: a scene on disk, of which only the pages are read that a view asks for.
+
+`open_store` opens a folder of parts or one ``.splatree``. Pages are mapped, checked and indexed as they come, and kept until
+there are too many; those that were used longest ago go first. Which pages a view asks for is decided in outofcore/paging.py.
+"""
+
+import os
+import threading
+from collections import OrderedDict
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import fields, replace
+from functools import partial
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+
+from splatree.errors import FormatError, InputError
+from splatree.io.check import checked_rows
+from splatree.io.formats.folder.manifest import MANIFEST, Manifest, checked_path, is_manifest, read_manifest
+from splatree.io.formats.splatree.rows import StoredScene, open_scene
+from splatree.lod.quality import Nodes
+from splatree.lod.select import chosen_by, for_levels, notes_on
+from splatree.outofcore.index import StoreIndex, index_of_file, index_of_folder
+from splatree.outofcore.index_file import read_index
+from splatree.outofcore.options import bytes_of, free_bytes
+from splatree.outofcore.page import Page, load_page
+from splatree.outofcore.pages import row_bytes_of, table_of
+from splatree.outofcore.paging import Cut, cut_at
+from splatree.progress import task
+from splatree.scene.cameras import Camera
+from splatree.scene.frame import Selection
+from splatree.scene.gaussians import Gaussians
+from splatree.scene.options import SelectOptions
+from splatree.scene.scene import Scene
+from splatree.scene.tree import GaussianTree
+from splatree.scene.view import View, view_of
+from splatree.shapes import Array, Int32, UInt32
+
+__all__ = ["Store", "open_store"]
+
+INDEX_BYTES = 30
+"""What a page takes for each of its rows beside the mapped columns: the index of its blocks, its tree."""
+
+
+SAMPLE = 60_000
+"""Gaussians of a sample: as many as framing looks at."""
+
+
+class Store:
+    """A scene on disk that is selected and drawn page by page; `open_store` opens one.
+
+    Any thread may call; pages are loaded one at a time.
+
+    Example:
+        >>> with st.open_store("city.splatree") as store:
+        ...     rows = store.select(camera).rows
+        >>> bool((rows == st.select(st.read("city.splatree"), camera).rows).all())
+        True
+    """
+
+    def __init__(self, files: list[StoredScene], index: StoreIndex, max_bytes: int) -> None:
+        self.index = index
+        """The pages."""
+        self.max_bytes = max_bytes
+        """What the pages that are kept may take."""
+        self.num_loaded = 0
+        """Pages that were loaded when they were needed, some of them again."""
+        self.num_ahead = 0
+        """Pages that were loaded before they were needed."""
+        self._files = files
+        self._pages: OrderedDict[int, Page] = OrderedDict()
+        self._bytes = 0
+        self._lock = threading.RLock()
+        self._ahead: tuple[ThreadPoolExecutor, Future[None]] | None = None
+        self._is_open = True
+
+    @property
+    def scene(self) -> Scene:
+        """A scene without rows that says how the store is drawn: mode, τ, record of the levels, provenance."""
+        head = self._files[0].head
+        none = np.zeros(0, np.int32)
+        tree = GaussianTree(none, none.astype(np.uint8), none.astype(np.float32), record=head.record)
+        scene = Scene(Gaussians.empty(head.sh_degree), tree, mode=head.mode, threshold=head.threshold)
+        return replace(scene, tile_rule=head.tile_rule, source=head.source)
+
+    def __len__(self) -> int:
+        return self.index.num_rows
+
+    @property
+    def resident_bytes(self) -> int:
+        """What has been read of the pages that are kept at present, with the index of their blocks."""
+        return self._bytes
+
+    def select(
+        self,
+        view: Camera | View,
+        options: SelectOptions | None = None,
+        *,
+        last: float | None = None,
+        threads: int = 0,
+    ) -> Selection:
+        """Choose the nodes to draw in a view: the rows that `select` chooses of the whole tree.
+
+        Args:
+            view: a camera, for drawing with the options that the scene itself has; or a view.
+            options: pixel error, budget or quality, profile and view test; None: the defaults.
+            last: τ_R, px, of the view before, as in `select`.
+            threads: threads to use; 0: all.
+
+        Raises:
+            InputError: the rule is not `cut`, a rule of culling is named, or a budget or quality cannot be met.
+            FormatError: a page that is needed is damaged.
+
+        Example:
+            >>> with st.open_store("city.splatree") as store:
+            ...     store.select(camera, st.SelectOptions(budget=100)).pixel_error > 0
+            True
+        """
+        return self.cut(view, options, last=last, threads=threads)[0]
+
+    def cut(
+        self,
+        view: Camera | View,
+        options: SelectOptions | None = None,
+        *,
+        last: float | None = None,
+        threads: int = 0,
+    ) -> tuple[Selection, Cut]:
+        """As `select`, and the page that each row is in."""
+        return self._cut(view, options, self.page, last=last, threads=threads)
+
+    def _cut(
+        self,
+        view: Camera | View,
+        options: SelectOptions | None,
+        page_of: Callable[[int], Page],
+        *,
+        last: float | None = None,
+        threads: int = 0,
+    ) -> tuple[Selection, Cut]:
+        scene = self.scene
+        if isinstance(view, Camera):
+            view = view_of(scene, view)
+        options = for_levels(options or SelectOptions(), scene)
+        _check_options(options)
+
+        def cut_of(pixel_error: float) -> tuple[Cut, int]:
+            at = replace(options, pixel_error=pixel_error, quality=None)
+            return cut_at(self.index, page_of, view, at, threads=threads)
+
+        cut, visited, pixel_error = chosen_by(cut_of, self.nodes, scene, view, options, last=last)
+        notes = notes_on(scene, options, pixel_error, view)
+        return Selection(cut.rows, "cut", options.resolved_profile, pixel_error, visited, notes), cut
+
+    def page(self, number: int, *, ahead: bool = False) -> Page:
+        """A page, loaded if it is not there; ``ahead`` says for which count.
+
+        Raises:
+            FormatError: it is damaged.
+            InputError: the store is closed.
+        """
+        with self._lock:
+            if not self._is_open:
+                raise InputError("store: found it closed, wanted it open; open another with open_store")
+            page = self._pages.get(number)
+            if page is None:
+                table, stored = self.index.table, self._files[self.index.file_of(number)]
+                begin, end = int(table.begin[number]), int(table.end[number])
+                checksums = self.index.checksums_of(number)
+                page = load_page(stored, begin, end, table.path(number), checksums=checksums)
+                self._pages[number] = page
+                self._bytes += self._bytes_of(page)
+                self._give_up()
+                self.num_loaded += not ahead
+                self.num_ahead += ahead
+            self._pages.move_to_end(number)
+            return page
+
+    def page_to_draw(self, number: int, places: Int32[Array, "w"]) -> Page:
+        """A page whose harmonics have been checked in some of its rows.
+
+        Raises:
+            FormatError: it is damaged.
+        """
+        with self._lock:
+            page = self.page(number)
+            before = self._bytes_of(page)
+            page.check_harmonics(places)
+            self._bytes += self._bytes_of(page) - before
+            self._give_up()
+            return page
+
+    def ids(self, cut: Cut, number: int, of_page: Array) -> UInt32[Array, "w"]:
+        """Identities of those rows of a cut that are in a page: as in the whole tree."""
+        rows, places = cut.rows[of_page], cut.places[of_page]
+        page = self.page(number)
+        own = rows.astype(np.uint32) if page.ids is None else page.ids[places]
+        if not self.index.has_parts:
+            return own
+        merged = np.uint32(self.index.largest_id + 1) + rows.astype(np.uint32)
+        return np.where(page.tree.is_leaf[places], own, merged)
+
+    def nodes(self, cut: Cut, step: int) -> Nodes:
+        """Each n-th row of a cut, as its quality depends on them."""
+        sample = cut.every(step)
+        means, log_scales = np.empty((len(sample), 3), np.float32), np.empty((len(sample), 3), np.float32)
+        logits, is_merged = np.empty(len(sample), np.float32), np.empty(len(sample), bool)
+        for number, of_page in sample.by_page():
+            page, places = self.page(number), sample.places[of_page]
+            means[of_page], log_scales[of_page] = page.gaussians.means[places], page.gaussians.log_scales[places]
+            logits[of_page] = page.gaussians.logit_opacities[places]
+            is_merged[of_page] = ~page.tree.is_leaf[places]
+        return Nodes(means, log_scales, logits, is_merged)
+
+    def sample(self) -> Scene:
+        """A flat scene of Gaussians that are evenly spread over the store, for programs that choose views.
+
+        They are leaves. In a folder they are roots of its parts, merged Gaussians of a few leaves: these lie together.
+
+        Example:
+            >>> with st.open_store("city.splatree") as store:
+            ...     framing = st.frame_scene(store.sample())
+        """
+        stored, scene = self._files[0], self.scene
+        end = stored.file.rows("tree.subtree_end")
+        leaves = np.flatnonzero(end == np.arange(1, len(end) + 1, dtype=np.int32))
+        rows = leaves[:: -(-len(leaves) // SAMPLE) or 1]
+        columns = {f.name: stored.file.rows(f"gaussians.{f.name}")[rows] for f in fields(Gaussians)}
+        gaussians, _ = checked_rows(Gaussians(**columns), str(stored.file.path), repair=False)
+        flat = Scene.flat(gaussians, mode=scene.mode, source=scene.source)
+        stored.forget(0, len(stored))
+        return replace(flat, threshold=scene.threshold, tile_rule=scene.tile_rule)
+
+    def prefetch(self, view: Camera | View, options: SelectOptions | None = None) -> None:
+        """Load the pages of a view in a thread of the store's own; returns at once. Nothing is done while it is busy.
+
+        Example:
+            >>> with st.open_store("city.splatree") as store:
+            ...     store.prefetch(cameras[1])
+        """
+        with self._lock:
+            if self._ahead is None:
+                self._ahead = ThreadPoolExecutor(1, "splatree-store"), Future()
+            elif not self._ahead[1].done():
+                return
+            self._ahead = self._ahead[0], self._ahead[0].submit(self._load_ahead, view, options)
+
+    def close(self) -> None:
+        """Give back the pages; a closed store cannot be read."""
+        with self._lock:
+            self._is_open = False
+            ahead, self._ahead = self._ahead, None
+        if ahead is not None:
+            ahead[0].shutdown()
+        self._pages.clear()
+        self._bytes = 0
+
+    def __enter__(self) -> "Store":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _load_ahead(self, view: Camera | View, options: SelectOptions | None) -> None:
+        try:
+            self._cut(view, options, partial(self.page, ahead=True), threads=1)
+        except InputError:
+            return  # who draws the view is told, if it is drawn
+
+    def _bytes_of(self, page: Page) -> int:
+        """What has been read of a page: all but the harmonics, and the harmonics that were checked."""
+        harmonics = page.gaussians.sh.nbytes
+        plain = len(page) * (row_bytes_of(self._files[0].head) + INDEX_BYTES) - harmonics
+        return plain + int(harmonics * page.is_checked.mean())
+
+    def _give_up(self) -> None:
+        """Give up the pages that were used longest ago while there are too many, but not the last one."""
+        while len(self._pages) > 1 and self._bytes > self.max_bytes:
+            number, page = self._pages.popitem(last=False)
+            self._bytes -= self._bytes_of(page)
+            self._files[self.index.file_of(number)].forget(page.begin, page.begin + len(page))
+
+
+def open_store(path: str | os.PathLike[str], *, max_memory: str | None = None) -> Store:
+    """Open a scene on disk, to select and draw from it without reading all of it.
+
+    Args:
+        path: a folder of parts, which `build_folder` made, or an exact ``.splatree``.
+        max_memory: what the pages that are kept may take, such as 500M; None: half of the free memory.
+
+    Returns:
+        The store; use it in a ``with`` statement, or call `Store.close`.
+
+    Raises:
+        FormatError: a file does not hold what it promises.
+        InputError: it cannot be read page by page.
+
+    Example:
+        >>> import splatree as st
+        >>> with st.open_store("city.splatree", max_memory="500M") as store:
+        ...     image = st.render(store, camera).image
+    """
+    path = Path(path)
+    max_bytes = free_bytes() // 2 if max_memory is None else bytes_of(max_memory)
+    if not path.is_dir():
+        file = open_scene(path)
+        with task(f"index {path.name}", float(len(file))) as advance:
+            return Store([file], index_of_file(file, advance), max_bytes)
+    if not is_manifest(path / MANIFEST):
+        raise InputError(
+            f"{path}: found a folder without such a {MANIFEST}, wanted one that splatree build --max-memory made"
+        )
+    manifest = read_manifest(path)
+    crown, *parts = (open_scene(path / file.name) for file in (manifest.crown, *manifest.parts))
+    _check_alike(crown, parts)
+    index = _index(path, manifest, crown, parts)
+    if (index.num_rows, index.num_leaves) != (manifest.num_rows, manifest.num_leaves):
+        raise FormatError(
+            f"{path}: found {index.num_rows} rows and {index.num_leaves} leaves in the files, wanted {manifest.num_rows} and "
+            f"{manifest.num_leaves} as the manifest says"
+        )
+    return Store([crown, *parts], index, max_bytes)
+
+
+def _index(path: Path, manifest: Manifest, crown: StoredScene, parts: list[StoredScene]) -> StoreIndex:
+    """The index that was written with the folder; made anew where there is none."""
+    if manifest.index is not None:
+        return read_index(checked_path(path, manifest.index), [crown, *parts])
+    with task(f"index {path.name}", float(manifest.num_rows)) as advance:
+        return index_of_folder(crown, table_of(crown), [table_of(part, advance=advance) for part in parts], path)
+
+
+def _check_alike(crown: StoredScene, parts: list[StoredScene]) -> None:
+    wanted = _form_of(crown)
+    for part in parts:
+        if _form_of(part) != wanted:
+            raise FormatError(
+                f"{part.file.path}: found degree, mode and columns {_form_of(part)}, wanted {wanted} as in "
+                f"{crown.file.path.name}; the file is of another build"
+            )
+
+
+def _form_of(stored: StoredScene) -> tuple[int, str, bool, bool]:
+    head = stored.head
+    return head.sh_degree, head.mode, head.has_ids, head.has_curves
+
+
+def _check_options(options: SelectOptions) -> None:
+    if options.rule != "cut":
+        raise InputError(
+            f"rule: found {options.rule!r} for a store, wanted 'cut'; the others look at all rows: read the scene"
+        )
+    if options.cull not in (None, "none"):
+        raise InputError(
+            f"cull: found {options.cull!r} for a store, wanted none; pages are left out by their own boxes"
+        )

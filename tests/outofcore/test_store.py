@@ -1,0 +1,218 @@
+"""Stores: what is selected and drawn page by page is what is selected and drawn of the whole tree."""
+
+import json
+import shutil
+from dataclasses import replace
+from unittest import mock
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as hs
+
+import splatree as st
+
+from ..laws.hard_scenes import hard_scenes
+from ..lod.test_quality import CURVE
+from .conftest import small_pages
+
+
+@hs.composite
+def cameras(draw, means):
+    """A camera near the scene, or within it, with a narrow view or a wide one."""
+    rng = np.random.default_rng(draw(hs.integers(0, 2**32 - 1)))
+    near_by = means[np.abs(means).max(axis=1) < 100]
+    target = near_by[rng.integers(len(near_by))] if len(near_by) else means[0]
+    eye = target + rng.normal(size=3) * draw(hs.sampled_from([0.3, 2.0, 30.0]))
+    up = rng.normal(size=3)
+    return st.Camera.look_at(eye, target, up=up, width=40, height=24, fov_y_deg=draw(hs.sampled_from([8.0, 50.0])))
+
+
+@hs.composite
+def choices(draw):
+    """Options of a selection."""
+    profile = draw(hs.sampled_from([None, "exact", "sphere", "3dgs"]))
+    view_test = draw(hs.sampled_from(["footprint", "footprint", "centre", "none"]))
+    pixel_error = draw(hs.sampled_from([0.0, 1.0, 3.0, 12.0, 200.0, 1e7, np.inf]))
+    max_radius = draw(hs.sampled_from([None, None, 5.0]))
+    return st.SelectOptions(pixel_error, profile=profile, view_test=view_test, max_radius=max_radius)
+
+
+def check_is_drawn_as(store, scene, camera, options):
+    wanted, found = st.select(scene, camera, options), store.select(camera, options)
+    np.testing.assert_array_equal(found.rows, wanted.rows)
+    assert (found.pixel_error, found.profile, found.notes) == (wanted.pixel_error, wanted.profile, wanted.notes)
+    frames = [st.trace(each, camera, select=options) for each in (store, scene)]
+    for part, names in (("splats", ("rows", "records", "order")), ("bins", ("tile_start", "splat_from_pair"))):
+        for name in names:
+            arrays = [getattr(getattr(frame, part), name) for frame in frames]
+            if name == "records":
+                arrays = [array[:, :13] for array in arrays]  # the others are not used
+            assert arrays[0].tobytes() == arrays[1].tobytes(), name
+    for name in ("image", "alpha", "depth"):
+        assert getattr(frames[0].result, name).tobytes() == getattr(frames[1].result, name).tobytes(), name
+
+
+def check_pages_hold(store, scene):
+    """Each box holds what its page stands for; of a page of the crown, what is below its portals."""
+    table, whole = store.index.table, store.index.whole_rows
+    is_inner = ~scene.tree.is_leaf
+    for number in range(store.index.num_own):
+        first, last = (int(whole[row]) for row in (table.begin[number], table.end[number] - 1))
+        rows = slice(first, int(scene.tree.subtree_end[last]))  # all between, parts' rows too
+        means, scales = scene.gaussians.means[rows], np.exp(scene.gaussians.log_scales[rows].max(axis=1))
+        assert (means >= table.lower[number]).all() and (means <= table.upper[number]).all()
+        assert scales[~is_inner[rows]].max() <= table.leaf_scales[number] * (1 + 1e-6)
+
+
+@settings(max_examples=40, deadline=None)
+@given(data=hs.data(), gaussians=hard_scenes(most=400, degree=1), rows=hs.sampled_from([1, 7, 40, 10**4]))
+def test_a_file_is_drawn_by_pages_as_it_is_drawn_in_memory(tmp_path_factory, data, gaussians, rows):
+    method, radius = data.draw(hs.sampled_from([("radius", "auto"), ("radius", 0.3), ("pairs", "auto")]))
+    scene = st.build_lod(st.Scene.flat(gaussians), st.BuildOptions(method=method, radius=radius, max_roots=3))
+    path = tmp_path_factory.mktemp("store") / "scene.splatree"
+    st.write(scene, path)
+    scene = st.read(path)
+    with small_pages(rows), st.open_store(path) as store:
+        assert len(store) == len(scene)
+        for _ in range(3):
+            camera, options = data.draw(cameras(gaussians.means)), data.draw(choices())
+            check_is_drawn_as(store, scene, camera, options)
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    data=hs.data(),
+    gaussians=hard_scenes(most=400, degree=1),
+    rows=hs.sampled_from([1, 7, 40, 10**4]),
+    part_rows=hs.sampled_from([16, 60, 1000]),
+    part_levels=hs.integers(1, 6),
+)
+def test_a_folder_is_drawn_by_pages_as_its_tree_is_drawn_in_memory(
+    tmp_path_factory, data, gaussians, rows, part_rows, part_levels
+):
+    path = tmp_path_factory.mktemp("store") / "in.ply"
+    st.write(st.Scene.flat(gaussians), path)
+    options = st.BuildOptions(radius=data.draw(hs.sampled_from(["auto", 0.3])), max_roots=data.draw(hs.integers(1, 20)))
+    running = st.FolderOptions(part_rows=part_rows, part_levels=part_levels)
+    with small_pages(rows):
+        folder = st.build_folder(path, path.with_name("out.splatree"), options, running).path
+        scene = st.read(folder)
+        with st.open_store(folder) as store:
+            assert (len(store), store.index.num_leaves) == (len(scene), len(gaussians))
+            assert store.index.num_levels == scene.tree.num_levels
+            check_pages_hold(store, scene)
+            for _ in range(3):
+                camera, chosen = data.draw(cameras(gaussians.means)), data.draw(choices())
+                check_is_drawn_as(store, scene, camera, chosen)
+
+
+CAMERAS = [
+    st.Camera.look_at((x, 3, 2), (x, 5, 0), up=(0, 0, 1), width=48, height=32, fov_y_deg=40) for x in range(1, 9)
+]
+
+
+def test_a_store_keeps_what_fits(folder, scene):
+    with st.open_store(folder, max_memory="30k") as store, st.open_session(store) as session:
+        for camera in CAMERAS:
+            assert session.draw(camera).image.tobytes() == st.render(scene, camera).image.tobytes()
+            assert 0 < store.resident_bytes <= 30_000
+    assert store.resident_bytes == 0
+    with pytest.raises(st.InputError, match="closed"):
+        store.select(CAMERAS[0])
+
+
+def test_a_view_reads_only_pages_that_it_needs(folder):
+    with st.open_store(folder) as store:
+        store.select(CAMERAS[0])
+        first = store.num_loaded
+        assert 0 < first < len(store.index.table) / 2
+        store.select(CAMERAS[0])
+        assert store.num_loaded == first
+
+
+def test_budgets_and_qualities_choose_the_same_nodes(folder, scene, tmp_path):
+    with st.open_store(folder) as store:
+        last = None
+        for camera in CAMERAS:
+            options = st.SelectOptions(budget=150)
+            wanted, found = (st.select(scene, camera, options, last=last), store.select(camera, options, last=last))
+            np.testing.assert_array_equal(found.rows, wanted.rows)
+            assert found.pixel_error == wanted.pixel_error
+            last = found.pixel_error
+    measured = tmp_path / "measured.splatree"
+    record = replace(scene.tree.record, quality=CURVE)
+    st.write(replace(scene, tree=replace(scene.tree, record=record)), measured)
+    measured_scene = st.read(measured)
+    with st.open_store(measured) as store:
+        for quality in (20.0, 45.0):
+            options = st.SelectOptions(quality=quality)
+            wanted = st.select(measured_scene, CAMERAS[1], options)
+            np.testing.assert_array_equal(store.select(CAMERAS[1], options).rows, wanted.rows)
+
+
+def test_sessions_batches_and_scores_take_stores(folder, scene):
+    with st.open_store(folder) as store:
+        for found, wanted in zip(st.evaluate(store, CAMERAS[:2]), st.evaluate(scene, CAMERAS[:2]), strict=True):
+            assert found.cut_vs_leaves == wanted.cut_vs_leaves
+        pictures = [[r.image.tobytes() for r in st.render_batch(each, CAMERAS[:3])] for each in (store, scene)]
+        assert pictures[0] == pictures[1]
+        reference = st.render(store, CAMERAS[0], device="reference").image
+        assert reference.tobytes() == st.render(scene, CAMERAS[0], device="reference").image.tobytes()
+        with st.open_session(store) as session:
+            assert (session.scene.mode, len(session.scene)) == (scene.mode, 0)
+            pending = [session.enqueue(camera) for camera in CAMERAS[:2]]
+            assert [each.result().image.tobytes() for each in pending] == pictures[0][:2]
+            with pytest.raises(st.InputError, match="found a store, wanted a scene in memory"):
+                session.update({})
+
+
+def test_what_needs_all_rows_is_refused(folder):
+    with st.open_store(folder) as store:
+        with pytest.raises(st.InputError, match="found 'release' for a store"):
+            store.select(CAMERAS[0], st.SelectOptions(rule="release"))
+        with pytest.raises(st.InputError, match="found 'exact' for a store"):
+            store.select(CAMERAS[0], st.SelectOptions(cull="exact"))
+        with pytest.raises(st.InputError, match="found a selector for a store"):
+            st.render(store, CAMERAS[0], select=lambda view, *, threads=0: None)
+
+
+def test_pages_are_loaded_ahead(folder):
+    with st.open_store(folder) as store:
+        store.prefetch(CAMERAS[3])
+        store.prefetch(CAMERAS[3])
+    with st.open_store(folder) as store:
+        store.prefetch(CAMERAS[3])
+        store._ahead[1].result()
+        assert store.num_ahead > 0
+        store.select(CAMERAS[3])
+        assert store.num_loaded == 0
+
+
+def test_pages_of_a_moving_camera_are_loaded_before_it_arrives(folder):
+    def at(x):
+        return st.Camera.look_at((x, 3, 2), (x, 5, 0), up=(0, 0, 1), width=48, height=32, fov_y_deg=40)
+
+    def loaded_while_drawing(store):
+        with st.open_session(store) as session:
+            for step in range(30):
+                session.draw(at(1 + 0.2 * step))
+                if store._ahead is not None:
+                    store._ahead[1].result()
+        return store.num_loaded
+
+    with st.open_store(folder) as store:
+        ahead = loaded_while_drawing(store)
+    with st.open_store(folder) as store, mock.patch.object(st.Store, "prefetch"):
+        assert ahead < 0.8 * loaded_while_drawing(store)
+
+
+def test_an_older_folder_without_an_index_is_indexed_when_it_is_opened(folder, scene, tmp_path):
+    copy = tmp_path / "older.splatree"
+    shutil.copytree(folder, copy)
+    (copy / "pages.index").unlink()
+    manifest = json.loads((copy / "manifest.json").read_text())
+    del manifest["index"]
+    (copy / "manifest.json").write_text(json.dumps(manifest))
+    with st.open_store(copy) as store:
+        check_is_drawn_as(store, scene, CAMERAS[2], st.SelectOptions())
