@@ -26,7 +26,8 @@ class Reading:
     repair: bool = False
     """Fix or drop values that cannot be used, and count them, instead of stopping."""
     input_axes: AxesName | None = None
-    """Where x, y, z point in an .spz that does not say it: left or right, up or down, front or back; None: RDF, as in a .ply."""
+    """Where x, y, z point in an .spz that does not say it: left or right, up or down, front or back. None: RDF, as
+    in a .ply, or RUB for a thing that stands on y = 0."""
     ignore_properties: bool = False
     """Read a .ply whose other properties change the picture (motion, other kernels) without them, and say what is lost."""
 
