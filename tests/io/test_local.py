@@ -151,6 +151,7 @@ def write_states(folder, *names):
         (("point_cloud_29999.ply", "point_cloud_6999.ply"), 0),
         (("export_5000.ply", "export_30000.ply"), 1),
         (("splat_2000.ply", "splat.ply", "splat_4000.ply"), 1),
+        (("point_cloud_7000.ply", "point_cloud.ply"), 1),
     ],
 )
 def test_of_states_of_a_training_the_newest_is_taken_and_said(tmp_path, names, taken):
@@ -162,8 +163,11 @@ def test_of_states_of_a_training_the_newest_is_taken_and_said(tmp_path, names, t
     assert done.num_read == taken + 1 and "states of one training" in done.notes[0]
 
 
-def test_pieces_are_joined_and_counted(tmp_path):
-    write_states(tmp_path / "out", "chunk_9.ply", "chunk_10.ply", "chunk_11.ply")
+@pytest.mark.parametrize(
+    "names", [("chunk_9.ply", "chunk_10.ply", "chunk_11.ply"), ("city.ply", "city_2.ply", "city_3.ply")]
+)
+def test_pieces_are_joined_and_counted(tmp_path, names):
+    write_states(tmp_path / "out", *names)
     scene = st.read(tmp_path / "out")
     assert len(scene) == 6 and json.loads(scene.source.metadata["notes"]) == ["3 inputs were joined as one scene"]
     assert st.convert(tmp_path / "out", tmp_path / "b.ply").notes == ("3 inputs were joined as one scene",)
@@ -175,6 +179,11 @@ def test_pieces_are_joined_and_counted(tmp_path):
         (("tile_a_1000.ply", "tile_a_2000.ply"), "like states of one training.*or like pieces"),
         (("splat_7000.ply", "splat_30000.ply", "other.ply"), "name the files to read"),
         (("city.ply", "city.spz"), "one scene in two formats"),
+        (("city.ply", "city (1).ply"), r"found city \(1\).ply beside city.ply, another version"),
+        (("city - Copy.ply", "city.ply"), "another version"),
+        (("city_thin.ply", "city.ply"), "another version"),
+        (("city.ply", "City_2_edited.ply"), "another version"),
+        (("city_lod0.ply", "city_lod1.ply"), "levels of detail"),
     ],
 )
 def test_what_may_be_states_or_pieces_is_asked_for(tmp_path, names, message):
