@@ -72,7 +72,7 @@ def test_an_address_is_read_and_named(serve, ply, tmp_path):
 
 
 def test_addresses_of_other_kinds_are_refused_by_name(serve, tmp_path):
-    with pytest.raises(InputError, match="found an address of ftp, wanted https or http"):
+    with pytest.raises(InputError, match=r"^ftp://example\.org/a\.ply: found an address of ftp, wanted https or http"):
         st.read("ftp://example.org/a.ply")
     with pytest.raises(InputError, match="found an address of s3"):
         st.read("s3://bucket/a.ply")

@@ -100,7 +100,7 @@ def inputs_and_output(
             written, or of one that does not take the options, or, where the tree has to be kept, of one without levels.
         OutputError: the output exists and ``--force`` is not given, or no file can be written there.
     """
-    inputs, output = _divided(named)
+    inputs, output = _divided(named, "out.splatree" if keeps_tree else "out.ply")
     if named.output is None and output.is_dir():
         # `build chunk_*/` without -o: the last chunk is an input, surely.
         raise UsageError(f"{output}: is a folder, wanted a file to write; name the output with -o")
@@ -127,7 +127,7 @@ def inputs_and_folder(named: Files) -> tuple[tuple[Path, ...], Path]:
     Raises:
         UsageError: there is no input, or no output, or its name does not end in .splatree, or it is also read.
     """
-    inputs, output = _divided(named)
+    inputs, output = _divided(named, "out.splatree")
     if output.suffix != ".splatree":
         raise UsageError(f"{output}: found a folder of parts to be written, wanted a name that ends in .splatree")
     if any(path.exists() and output.exists() and path.samefile(output) for path in inputs):
@@ -135,15 +135,17 @@ def inputs_and_folder(named: Files) -> tuple[tuple[Path, ...], Path]:
     return inputs, output
 
 
-def _divided(named: Files) -> tuple[tuple[Path, ...], Path]:
-    """The inputs and the output, of which neither may be missing."""
+def _divided(named: Files, example: str) -> tuple[tuple[Path, ...], Path]:
+    """The inputs and the output, of which neither may be missing; errors name the output like ``example``."""
     inputs, output = named.paths, named.output
     if output is None:
         if len(inputs) < 2:
             found = "one path" if inputs else "no path"
-            raise UsageError(f"found {found}, wanted an input and an output: in.ply out.ply, or chunk_*/ -o out.ply")
+            raise UsageError(
+                f"found {found}, wanted an input and an output: in.ply {example}, or chunk_*/ -o {example}"
+            )
         *sources, output = inputs
         inputs = tuple(sources)
     if not inputs:
-        raise UsageError("found no input, wanted at least one: in.ply out.ply, or chunk_*/ -o out.ply")
+        raise UsageError(f"found no input, wanted at least one: in.ply {example}, or chunk_*/ -o {example}")
     return inputs, output
