@@ -48,10 +48,14 @@ def find_inputs(paths: Sequence[Path], is_scene: Callable[[Path], bool]) -> Inpu
         raise InputError("read: found no paths, wanted at least one")
     notes: list[str] = []
     found = [each for path in paths for each in _find(path, is_scene, notes)]
-    times = Counter(path.resolve() for path in found)
+    first, times = dict[tuple[int, int], Path](), Counter[tuple[int, int]]()
+    for path in found:
+        stat = path.stat()  # a file is one, whatever links lead to it
+        first.setdefault(key := (stat.st_dev, stat.st_ino), path)
+        times[key] += 1
     notes += [
-        f"{path} is named {count} times: its Gaussians stand there as often"
-        for path, count in times.items()
+        f"{first[key]} is named {count} times: its Gaussians stand there as often"
+        for key, count in times.items()
         if count > 1
     ]
     return Inputs(found, tuple(notes))
