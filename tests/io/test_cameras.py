@@ -117,6 +117,24 @@ def test_colmap_text_without_blank_lines_loses_no_picture(tmp_path):
     assert [c.name for c in splatree.read_cameras(folder)] == ["a.jpg", "b view.jpg", "c.jpg"]
 
 
+def test_text_with_a_byte_order_mark_is_read(tmp_path):
+    folder = write_colmap(tmp_path / "m", binary=False)
+    wanted = [view.name for view in splatree.read_cameras(folder)]
+    for name in ("cameras.txt", "images.txt"):
+        lines = [line for line in (folder / name).read_text().split("\n") if not line.startswith("#")]
+        (folder / name).write_text("\n".join(lines), encoding="utf-8-sig")
+    assert [view.name for view in splatree.read_cameras(folder)] == wanted
+
+
+@pytest.mark.parametrize(("gone", "left"), [("cameras", "images"), ("images", "cameras")])
+@pytest.mark.parametrize("binary", [True, False])
+def test_half_a_model_is_named(tmp_path, gone, left, binary):
+    folder, suffix = write_colmap(tmp_path / "sparse" / "0", binary=binary), ".bin" if binary else ".txt"
+    (folder / f"{gone}{suffix}").unlink()
+    with pytest.raises(InputError, match=rf"{left}\{suffix} without {gone}\{suffix} beside it, wanted both"):
+        splatree.read_cameras(tmp_path)
+
+
 @pytest.mark.parametrize("binary", [True, False])
 def test_names_in_latin_1_are_read(tmp_path, binary):
     folder = write_colmap(tmp_path / "m", binary=binary)
@@ -309,7 +327,7 @@ def test_bad_transforms_are_refused(tmp_path, extra, message):
         ("b.json", FormatError, "not valid JSON"),
         ("c.json", FormatError, "c.json: found no camera in it"),
         ("gone", InputError, "not found"),
-        (".", InputError, "found no cameras in this folder"),
+        ("empty", InputError, "found no cameras in this folder"),
         ("cameras.txt", InputError, "found no COLMAP model"),
     ],
 )
@@ -318,6 +336,7 @@ def test_what_holds_no_cameras_is_refused(tmp_path, name, error, message):
     (tmp_path / "b.json").write_text("{")
     (tmp_path / "c.json").write_text("[]")
     (tmp_path / "cameras.txt").write_text("")
+    (tmp_path / "empty").mkdir()
     with pytest.raises(error, match=message):
         splatree.read_cameras(tmp_path / name)
 
