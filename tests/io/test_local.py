@@ -163,8 +163,40 @@ def test_of_states_of_a_training_the_newest_is_taken_and_said(tmp_path, names, t
     assert done.num_read == taken + 1 and "states of one training" in done.notes[0]
 
 
+def test_one_state_of_a_training_needs_no_note(tmp_path):
+    for iteration in (30000, 7000):
+        folder = tmp_path / "out" / "point_cloud" / f"iteration_{iteration}"
+        folder.mkdir(parents=True)
+        write_states(folder, "point_cloud.ply")
+        scene = st.read(tmp_path / "out")
+        assert "iteration_30000" in scene.source.paths[0]
+        assert ("notes" in scene.source.metadata) == (iteration == 7000)
+
+
+def test_a_file_that_is_named_twice_is_said_and_read_twice(tmp_path):
+    write_states(tmp_path, "a.ply", "b.ply")
+    (tmp_path / "link.ply").symlink_to(tmp_path / "a.ply")
+    scene = st.read([tmp_path / "a.ply", tmp_path / "link.ply", tmp_path / "b.ply"])
+    assert len(scene) == 1 + 1 + 2
+    said = [note for note in json.loads(scene.source.metadata["notes"]) if "is named" in note]
+    assert said == [f"{tmp_path / 'a.ply'} is named 2 times: its Gaussians stand there as often"]
+
+
+def test_a_path_that_leads_out_of_a_deleted_folder_is_read(tmp_path, monkeypatch):
+    write_states(tmp_path, "a.ply")
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    assert len(st.read("../a.ply")) == 1
+
+
 @pytest.mark.parametrize(
-    "names", [("chunk_9.ply", "chunk_10.ply", "chunk_11.ply"), ("city.ply", "city_2.ply", "city_3.ply")]
+    "names",
+    [
+        ("chunk_9.ply", "chunk_10.ply", "chunk_11.ply"),
+        ("city.ply", "city_2.ply", "city_3.ply"),
+        ("splat_700.ply", "splat_1234.ply", "x.ply"),
+    ],
 )
 def test_pieces_are_joined_and_counted(tmp_path, names):
     write_states(tmp_path / "out", *names)
