@@ -285,6 +285,7 @@ def test_a_field_of_view_and_a_picture_replace_focal_length_and_size(tmp_path):
         ({}, None),
         ({"k1": 0.1, "p2": 0.2}, Lens("brown", (0.1,), tangential=(0.0, 0.2))),
         ({"distortion_params": [0.1, 0.0, 0.0, 0.0, 0.3, 0.0]}, Lens("brown", (0.1,), tangential=(0.3, 0.0))),
+        ({"camera_model": "OPENCV_FISHEYE", "distortion_params": [0.1, 0.2, 0.0, 0.0]}, Lens("fisheye", (0.1, 0.2))),
         ({"is_fisheye": True}, Lens("fisheye")),
         ({"is_fisheye": 1, "k1": 0.1}, Lens("fisheye", (0.1,))),
         ({"is_fisheye": False, "k1": 0.1}, Lens("brown", (0.1,))),

@@ -172,12 +172,42 @@ def test_sizes_that_no_picture_has_are_refused_in_llff(tmp_path, size):
         ("cameras.sfm", '{"views": [], "poses": []}', "Meshroom or OpenMVG"),
         ("bundle.out", "# Bundle file v0.3\n", "Bundler"),
         ("model.nvm", "NVM_V3\n", "VisualSFM"),
+        ("model.nvm", "", "VisualSFM"),
+        ("model.txt", "NVM_V3\n", "VisualSFM"),
+        ("markers.xml", '<?xml version="1.0"?>' + 4000 * " " + "<!-- Agisoft -->", "Metashape"),
+        ("poses.csv", "#name,x,y,heading\n", "RealityCapture"),
+        ("poses.csv", "#name,x,y,alt\n", "RealityCapture"),
+        ("a.json", '{"views": [], "intrinsics": []}', "Meshroom or OpenMVG"),
+        ("metadata.json", '{"poses": [], "K": []}', "Record3D"),
     ],
 )
 def test_other_cameras_are_refused_by_name_with_advice(tmp_path, name, content, message):
     (tmp_path / name).write_text(content)
     with pytest.raises(InputError, match=message):
         st.read_cameras(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("a.xml", "<svg>"),
+        ("a.csv", "name,x,y"),
+        ("a.out", "# something"),
+        ("a.json", '{"views": []}'),
+        ("a.json", '{"poses": []}'),
+        ("a.json", '{"K": []}'),
+        ("a.json", '{"t_00": 1}'),
+        ("a.json", '{"cameras": []}'),
+    ],
+)
+def test_what_only_looks_a_little_like_the_cameras_of_a_program_is_not_named_after_it(tmp_path, name, content):
+    (tmp_path / name).write_text(content)
+    with pytest.raises((InputError, FormatError)) as caught:
+        st.read_cameras(tmp_path / name)
+    assert not any(
+        word in str(caught.value) for word in ("Metashape", "RealityCapture", "Bundler", "OpenMVG", "Record3D")
+    )
+    assert not any(word in str(caught.value) for word in ("Polycam", "OpenSfM", "VisualSFM", "ContextCapture"))
 
 
 @pytest.mark.parametrize(("name", "message"), [("keyframes/a", "Polycam"), ("reconstruction.json", "OpenSfM")])
