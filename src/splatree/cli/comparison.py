@@ -1,7 +1,7 @@
 """What was lost: of what a verb wrote beside what it read (`--report`), or of one scene beside another (`eval --reference`)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ from splatree.io.reading import read
 from splatree.kernels.devices import DeviceName
 from splatree.render.compare import compare
 from splatree.render.compare_page import Comparison, check_comparison_folder, decibels, write_comparison
+from splatree.render.overlap import place_hint
 from splatree.scene.cameras import Camera
 from splatree.scene.options import RenderOptions, SelectOptions
 from splatree.scene.scene import Scene
@@ -58,7 +59,9 @@ def compared(
     """Draw both scenes and compare them, and write the page if a folder is named."""
     how = drawing or Drawing()
     views = compare(scene, reference, cameras, options=how.options, select=how.select, device=how.device)
-    return write_comparison(views, report, about=about, force=force)
+    found = write_comparison(views, report, about=about, force=force)
+    hint = place_hint(scene, reference)
+    return replace(found, notes=(hint,)) if hint else found
 
 
 def read_back(
@@ -97,4 +100,5 @@ def in_words(comparison: Comparison, *, views: bool = False) -> list[str]:
     lines.append(
         f"against the reference: PSNR {decibels(d.psnr)}{covered}{ssim}, FLIP {d.flip:.4f}; worst view {comparison.worst}"
     )
+    lines += [f"note: {note}" for note in comparison.notes]
     return [*lines, *([f"wrote {comparison.report}"] if comparison.report else [])]
