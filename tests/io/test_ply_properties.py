@@ -125,6 +125,31 @@ def test_lists_that_lie_about_their_length_are_refused(tmp_path):
         st.read(path)
 
 
+def test_faces_may_end_a_file_without_vertices(tmp_path):
+    text = b"element face 1\nproperty list uchar int vertex_indices\n"
+    columns = {name: values[:0] for name, values in columns_of(GAUSSIANS).items()}
+    whole = save(tmp_path / "a.ply", columns, elements_before=[(text, b"\3" + bytes(12))])
+    assert len(st.read(whole)) == 0
+    (tmp_path / "b.ply").write_bytes(whole.read_bytes()[:-1])
+    with pytest.raises(FormatError, match="cut off"):
+        st.read(tmp_path / "b.ply")
+    (tmp_path / "c.ply").write_bytes(whole.read_bytes()[:-13])  # not even the count of the list
+    with pytest.raises(FormatError, match=r"cut off|too few"):
+        st.read(tmp_path / "c.ply")
+
+
+@pytest.mark.parametrize("row", [3, 4999])
+def test_a_wrong_row_of_text_is_named_by_its_number(tmp_path, row):
+    names = list(columns_of(GAUSSIANS))
+    lines = [" ".join("1" * len(names)) for _ in range(5000)]
+    lines[row] += " 1"
+    head = "".join(f"property float {name}\n" for name in names)
+    text = f"ply\nformat ascii 1.0\nelement vertex 5000\n{head}end_header\n" + "\n".join(lines) + "\n"
+    (tmp_path / "a.ply").write_text(text)
+    with pytest.raises(FormatError, match=f"vertex {row}: found 15 values, wanted 14"):
+        st.read(tmp_path / "a.ply")
+
+
 def test_comments_in_latin_1_are_kept(tmp_path):
     path = save(tmp_path / "a.ply", columns_of(GAUSSIANS), comments="comment Größe\n".encode("latin-1"))
     assert json.loads(st.read(path).source.metadata["comments"]) == ["Größe"]
