@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -16,6 +16,7 @@ from splatree.io.reading import read
 from splatree.io.registry import FOLDER_FILE, format_to_write, formats
 from splatree.io.replacing import check_target
 from splatree.maths.axes import AxesName
+from splatree.scene.names import Mode
 from splatree.scene.scene import Scene
 
 
@@ -81,6 +82,22 @@ def lost_and_noted(scene: Scene, lost: Sequence[str] = ()) -> tuple[tuple[str, .
     metadata = scene.source.metadata
     both = dict.fromkeys((*sentences_in(metadata, "lost"), *lost))
     return tuple(both), notes_in(metadata, scene.source.origin)
+
+
+def in_mode(scene: Scene, mode: Mode | None) -> Scene:
+    """The scene as one of another mode, for which its levels of detail are still to be built.
+
+    Raises:
+        UsageError: it has levels, which were made for its own mode.
+    """
+    if mode is None or mode == scene.mode:
+        return scene
+    if scene.tree.depth.any():
+        raise UsageError(
+            f"mode: found levels of detail that were made for {scene.mode}, wanted none; build them for {mode} from the "
+            f"scene without levels: splatree build in.ply out.splatree --mode {mode}"
+        )
+    return replace(scene, mode=mode)
 
 
 def told(repairs: Mapping[str, int], lost: Sequence[str], notes: Sequence[str] = ()) -> list[str]:
