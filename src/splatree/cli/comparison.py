@@ -7,6 +7,7 @@ from typing import Any
 
 from splatree.cli.console import UsageError, table
 from splatree.errors import InputError
+from splatree.io.joined import relative_to
 from splatree.io.reading import read
 from splatree.kernels.devices import DeviceName
 from splatree.render.compare import compare
@@ -14,6 +15,7 @@ from splatree.render.compare_page import Comparison, check_comparison_folder, de
 from splatree.render.overlap import place_hint
 from splatree.scene.cameras import Camera
 from splatree.scene.options import RenderOptions, SelectOptions
+from splatree.scene.origin import NO_ORIGIN
 from splatree.scene.scene import Scene
 
 __all__ = ["Drawing", "Reporting", "compared", "in_words", "read_back"]
@@ -57,7 +59,9 @@ def compared(
     drawing: Drawing | None = None,
 ) -> Comparison:
     """Draw both scenes and compare them, and write the page if a folder is named."""
-    how = drawing or Drawing()
+    how, origins = drawing or Drawing(), (scene.source.origin, reference.source.origin)
+    if NO_ORIGIN not in origins:  # a file that lost its origin is relative to that of the other
+        scene = replace(scene, gaussians=relative_to(scene.gaussians, *origins), blocks=None, clusters=None)
     views = compare(scene, reference, cameras, options=how.options, select=how.select, device=how.device)
     found = write_comparison(views, report, about=about, force=force)
     hint = place_hint(scene, reference)

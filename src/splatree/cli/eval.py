@@ -15,7 +15,6 @@ from splatree.cli.files import Reading, check_inputs, lost_and_noted, read_scene
 from splatree.errors import InputError
 from splatree.io.cameras.files import read_cameras
 from splatree.io.cameras.split import split_views
-from splatree.io.joined import relative_to
 from splatree.io.photos import Photos, PhotosUsed, photographed
 from splatree.kernels.devices import DeviceName
 from splatree.lod.baselines import Baseline, BaselineName, BaselineOptions, baseline
@@ -30,7 +29,6 @@ from splatree.render.paths import PathOptions, flyout
 from splatree.render.timing import STAGES, Timing, peak_bytes, time_frames
 from splatree.scene.cameras import Camera
 from splatree.scene.options import RenderOptions, SelectOptions
-from splatree.scene.origin import NO_ORIGIN
 from splatree.scene.scene import Scene
 
 
@@ -234,11 +232,7 @@ def _against_reference(command: Command) -> Comparison:
     named = None if command.cameras is None else read_cameras(command.cameras)
     scene = read_scene(command.paths, command.reading)
     reference = read_scene([command.reference], command.reading)
-    origin = reference.source.origin
-    if NO_ORIGIN not in (origin, scene.source.origin):  # a file that lost its origin is relative to that of the other
-        moved = relative_to(scene.gaussians, scene.source.origin, origin)
-        scene = replace(scene, gaussians=moved, blocks=None, clusters=None)
-    made = comparison_views(reference, command.made) if named is None else named.relative_to(origin)
+    made = comparison_views(reference, command.made) if named is None else named.relative_to(reference.source.origin)
     cameras = made.views[:: command.every]
     return compared(
         scene,
