@@ -30,6 +30,19 @@ def test_each_page_is_one_of_four_kinds_and_in_the_navigation():
     assert len(navigation) == len(set(navigation))
 
 
+def test_the_tests_that_the_page_of_promises_names_are_there():
+    page = (ROOT / "docs" / "explanation" / "what-is-held.md").read_text()
+    there = {
+        name
+        for path in ROOT.glob("tests/**/test_*.py")
+        for name in re.findall(r"^def (test_\w+)", path.read_text(), re.M)
+    }
+    named = re.findall(r"`(test_\w+)`", page)
+    assert len(named) > 50 and [name for name in named if name not in there] == []
+    files = re.findall(r"`((?:scripts|benchmarks)/[\w.]+)", page)
+    assert [name for name in files if not (ROOT / name).exists()] == []
+
+
 def test_reference_shows_each_public_name_once():
     """By its public name, or by its home where a package has the same name: `splatree.render` is both."""
     pages = [*(ROOT / "docs" / "reference").rglob("*.md")]

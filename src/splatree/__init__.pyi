@@ -49,10 +49,10 @@ from splatree.metrics.ssim import ssim as ssim
 from splatree.outofcore.build import BuiltFolder as BuiltFolder
 from splatree.outofcore.build import build_folder as build_folder
 from splatree.outofcore.options import FolderOptions as FolderOptions
-from splatree.outofcore.thin import ThinnedFile as ThinnedFile
-from splatree.outofcore.thin import thin_file as thin_file
 from splatree.outofcore.store import Store as Store
 from splatree.outofcore.store import open_store as open_store
+from splatree.outofcore.thin import ThinnedFile as ThinnedFile
+from splatree.outofcore.thin import thin_file as thin_file
 from splatree.render.batch import render_batch as render_batch
 from splatree.render.batch import trace_batch as trace_batch
 from splatree.render.calibrate import CalibrateOptions as CalibrateOptions

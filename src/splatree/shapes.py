@@ -28,6 +28,7 @@ __all__ = [
     "UInt32",
     "UInt64",
     "check_fields",
+    "in_short",
 ]
 
 Array = npt.NDArray[Any]
@@ -122,3 +123,13 @@ def check_fields(struct: Any, **sizes: int) -> dict[str, int]:
         if not value.flags.c_contiguous:
             raise ShapeError(f"{owner}.{name}: found a strided array, wanted C-contiguous; use np.ascontiguousarray")
     return bound
+
+
+def in_short(struct: Any) -> str:
+    """The `repr` of a struct of arrays: type and shape of each array in the place of its values."""
+    values = {field.name: getattr(struct, field.name) for field in dataclasses.fields(struct) if field.repr}
+    shown = (
+        f"{name}={value.dtype.name}{value.shape}" if isinstance(value, np.ndarray) else f"{name}={value!r}"
+        for name, value in values.items()
+    )
+    return f"{type(struct).__name__}({', '.join(shown)})"

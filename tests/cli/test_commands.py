@@ -188,7 +188,7 @@ def test_every_verb_takes_the_axes_of_a_file_that_names_none(splatree, small_sce
     spz.write_bytes(gzip.compress(raw[:-12]))
     assert splatree("thin", spz, ply, "--keep", "1", "--input-axes", "LUF")[0] == 0
     np.testing.assert_allclose(read(ply).gaussians.means, read(spz, axes="LUF").gaussians.means)
-    assert "LUF, assumed" in splatree("info", spz, "--input-axes", "LUF")[1]
+    assert "LUF, as told" in splatree("info", spz, "--input-axes", "LUF")[1]
 
 
 def test_render_says_once_what_to_know_of_the_selection(splatree, small_tree, tmp_path):

@@ -1,11 +1,13 @@
 """How much was lost, from the command line: eval --reference, and --report of the verbs that write."""
 
 import json
+from dataclasses import replace
 from importlib import import_module
 
+import numpy as np
 import pytest
 
-from splatree import PathOptions, flyout, read, write_cameras
+from splatree import Cameras, PathOptions, flyout, read, write, write_cameras
 
 SIZE = ("--width", "64", "--height", "36")
 
@@ -37,6 +39,49 @@ def test_given_cameras_are_followed(splatree, small_ply, tmp_path):
     assert [view["name"] for view in found["views"]] == ["view_0000", "view_0002", "view_0004"]
     assert found["all"]["psnr"] is None and found["all"]["flip"] == 0
     assert "PSNR equal" in splatree(*words)[1]
+
+
+def far(small_scene, path, offset):
+    """A file of doubles, 500 km from zero."""
+    scene = replace(small_scene, source=replace(small_scene.source, origin=(5e5 + offset, 4e6, 0.0)))
+    means = small_scene.gaussians.means - np.float32([offset, 0, 0])
+    write(replace(scene, gaussians=replace(scene.gaussians, means=means)), path, force=True)
+    return path
+
+
+def test_scenes_far_from_zero_are_compared_in_the_world(splatree, small_scene, tmp_path):
+    """Their origins are chosen file by file; cameras are in the world."""
+    a, b = far(small_scene, tmp_path / "a.ply", 0), far(small_scene, tmp_path / "b.splatree", 3000)
+    write(small_scene, tmp_path / "lost.sog")  # a format that keeps no origin
+    assert read(b).source.origin[0] == read(a).source.origin[0] + 3000
+    views = flyout(read(a), PathOptions(views=2, width=64, height=36))
+    origin = np.asarray(read(a).source.origin)
+    world = [replace(view, camera_from_world=view.camera_from_world @ shift(-origin)) for view in views]
+    write_cameras(Cameras(tuple(world)), tmp_path / "cameras.json")
+    for scene in (b, tmp_path / "lost.sog"):
+        found = result_of(splatree("eval", scene, "--reference", a, "--cameras", tmp_path / "cameras.json", "--json"))
+        assert found["all"]["psnr"] > 40 and found["notes"] == []
+        assert found["all"]["num_drawn"] > 100
+
+
+def shift(by):
+    matrix = np.eye(4)
+    matrix[:3, 3] = by
+    return matrix
+
+
+def test_scenes_that_do_not_lie_in_one_place_are_told(splatree, small_ply, tmp_path):
+    for name, options in {
+        "moved": ("--translate", "500", "0", "0"),
+        "turned": ("--rotate", "180", "0", "0"),
+        "scaled": ("--scale", "3"),
+    }.items():
+        assert splatree("convert", small_ply, tmp_path / f"{name}.ply", *options)[0] == 0
+        words = ("eval", tmp_path / f"{name}.ply", "--reference", small_ply, "--views", "1", *SIZE)
+        assert "note: the scenes do not lie in one place" in splatree(*words)[1], name
+    assert splatree("thin", small_ply, tmp_path / "thin.ply", "--keep", "0.1")[0] == 0
+    words = ("eval", tmp_path / "thin.ply", "--reference", small_ply, "--views", "1", *SIZE)
+    assert "one place" not in splatree(*words)[1]
 
 
 @pytest.mark.parametrize(

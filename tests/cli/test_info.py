@@ -17,6 +17,8 @@ from splatree.io.writing import write
 from splatree.lod.build import build_lod
 from splatree.scene.scene import Scene
 
+from ..scenes import random_gaussians
+
 
 def described(splatree, *words):
     code, out, err = splatree("info", *words, "--json")
@@ -105,6 +107,14 @@ def test_outliers_are_counted_as_the_advised_command_drops_them(splatree, small_
     assert found[faint] >= 1
     floaters = found["splatree clean INPUT --floaters --dry-run"]
     assert floaters == clean(scene, CleanOptions(floaters=True)).num_dropped
+
+
+def test_where_nothing_hangs_together_nothing_is_called_a_floater(splatree, tmp_path):
+    g = random_gaussians(200)
+    g.log_scales[:] = -4
+    write(Scene.flat(g), tmp_path / "loose.ply")
+    assert clean(read(tmp_path / "loose.ply"), CleanOptions(floaters=True)).num_dropped > 100
+    assert not any("--floaters" in o["advice"] for o in described(splatree, tmp_path / "loose.ply")["outliers"])
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".splat", ".glb", ".splatree"])

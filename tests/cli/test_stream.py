@@ -1,8 +1,9 @@
 import json
 
+import numpy as np
 import pytest
 
-from splatree.io.reading import read
+from splatree.io.reading import read, read_levels
 
 
 def test_stream_writes_a_folder_that_reads_back(splatree, small_tree, tmp_path):
@@ -22,6 +23,19 @@ def test_stream_writes_a_folder_that_reads_back(splatree, small_tree, tmp_path):
 def test_levels_are_built_where_there_are_none(splatree, small_ply, tmp_path):
     code, out, _ = splatree("stream", small_ply, "-o", tmp_path / "out")
     assert code == 0 and "levels of detail: built first" in out
+
+
+def test_levels_are_built_for_the_mode_that_a_file_does_not_say(splatree, small_ply, small_tree, tmp_path):
+    for mode in ("classic", "antialiased"):
+        assert splatree("stream", small_ply, tmp_path / mode, "--mode", mode)[0] == 0
+    classic, antialiased = (read(tmp_path / mode) for mode in ("classic", "antialiased"))
+    assert (classic.mode, antialiased.mode) == ("classic", "antialiased")
+    coarse = [read_levels(tmp_path / mode)[-1].gaussians for mode in ("classic", "antialiased")]
+    assert len(coarse[0]) != len(coarse[1]) or not np.array_equal(coarse[0].log_scales, coarse[1].log_scales)
+    for verb in ("stream", "view"):
+        out = [tmp_path / "no"] if verb == "stream" else []
+        code, _, err = splatree(verb, small_tree, *out, "--mode", "antialiased")
+        assert code == 2 and "levels of detail that were made for classic" in err and not (tmp_path / "no").exists()
 
 
 def test_stream_for_spark_is_a_rad(splatree, small_tree, tmp_path):

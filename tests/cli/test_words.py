@@ -71,12 +71,28 @@ def test_numbers_below_zero_and_commas_are_values(splatree, small_ply, tmp_path)
         ("convert a b --output", "--output: found nothing after it, wanted a value"),
         ("convert a b --scale --force", "--scale: found '--force' after it, wanted a value"),
         ("rendr a", "did you mean render?"),
+        ("bench tabel1", "did you mean table1?"),
+        ("bench table1 a.ply", "found 'a.ply', wanted options only"),
+        ("demo a.ply", "found 'a.ply', wanted options only"),
+        ("train", "found no path, wanted the photos"),
+        ("serve a b", "found 'b', wanted folder and nothing else"),
+        ("rtl", "found no --output"),
+        ("build a.ply", "in.ply out.splatree"),
+        ("convert a.ply", "in.ply out.ply"),
+        ("tests", "wanted a verb before it: splatree info tests"),
     ],
 )
 def test_wrong_words_are_one_line_with_a_hint(splatree, line, said):
     code, out, err = splatree(*line.split())
     assert (code, out, err.count("\n")) == (2, "", 1), err
     assert said in err
+
+
+@pytest.mark.parametrize("words", [("bench",), ("bench", "help"), ("bench", "-h"), ("help", "bench")])
+def test_help_of_a_group_lists_its_commands(splatree, words):
+    code, out, err = splatree(*words)
+    assert (code, err) == (0, "")
+    assert all(f"  {name} " in out for name in commands_of("bench"))
 
 
 @pytest.mark.parametrize("words", [(), ("help",), ("--help",), ("-h",)])

@@ -117,6 +117,24 @@ def test_colmap_text_without_blank_lines_loses_no_picture(tmp_path):
     assert [c.name for c in splatree.read_cameras(folder)] == ["a.jpg", "b view.jpg", "c.jpg"]
 
 
+def test_text_with_a_byte_order_mark_is_read(tmp_path):
+    folder = write_colmap(tmp_path / "m", binary=False)
+    wanted = [view.name for view in splatree.read_cameras(folder)]
+    for name in ("cameras.txt", "images.txt"):
+        lines = [line for line in (folder / name).read_text().split("\n") if not line.startswith("#")]
+        (folder / name).write_text("\n".join(lines), encoding="utf-8-sig")
+    assert [view.name for view in splatree.read_cameras(folder)] == wanted
+
+
+@pytest.mark.parametrize(("gone", "left"), [("cameras", "images"), ("images", "cameras")])
+@pytest.mark.parametrize("binary", [True, False])
+def test_half_a_model_is_named(tmp_path, gone, left, binary):
+    folder, suffix = write_colmap(tmp_path / "sparse" / "0", binary=binary), ".bin" if binary else ".txt"
+    (folder / f"{gone}{suffix}").unlink()
+    with pytest.raises(InputError, match=rf"{left}\{suffix} without {gone}\{suffix} beside it, wanted both"):
+        splatree.read_cameras(tmp_path)
+
+
 @pytest.mark.parametrize("binary", [True, False])
 def test_names_in_latin_1_are_read(tmp_path, binary):
     folder = write_colmap(tmp_path / "m", binary=binary)
@@ -267,7 +285,11 @@ def test_a_field_of_view_and_a_picture_replace_focal_length_and_size(tmp_path):
         ({}, None),
         ({"k1": 0.1, "p2": 0.2}, Lens("brown", (0.1,), tangential=(0.0, 0.2))),
         ({"distortion_params": [0.1, 0.0, 0.0, 0.0, 0.3, 0.0]}, Lens("brown", (0.1,), tangential=(0.3, 0.0))),
+        ({"camera_model": "OPENCV_FISHEYE", "distortion_params": [0.1, 0.2, 0.0, 0.0]}, Lens("fisheye", (0.1, 0.2))),
         ({"is_fisheye": True}, Lens("fisheye")),
+        ({"is_fisheye": 1, "k1": 0.1}, Lens("fisheye", (0.1,))),
+        ({"is_fisheye": False, "k1": 0.1}, Lens("brown", (0.1,))),
+        ({"is_fisheye": True, "camera_model": "OPENCV", "k1": 0.1}, Lens("fisheye", (0.1,))),
         ({"camera_model": "OPENCV_FISHEYE", "k2": 0.1}, Lens("fisheye", (0.0, 0.1))),
         ({"camera_model": "FULL_OPENCV", "k3": 0.3, "k4": 0.4}, Lens("brown", (0.0, 0.0, 0.3), (0.4,))),
     ],
@@ -290,6 +312,7 @@ def test_lenses_of_nerfstudio_stand_in_the_file_or_in_a_frame(tmp_path, extra, l
         ({"rolling_shutter": [0, 0, 1, 0]}, "found rolling_shutter"),
         ({"distortion_params": [0.1, 0.2, 0.3]}, "found 3 numbers, wanted k1 k2 k3 k4 p1 p2"),
         ({"k1": "x"}, "k1: found a string"),
+        ({"is_fisheye": "yes"}, "is_fisheye: found 'yes', wanted true or false"),
         ({"frames": 3}, "wanted a list"),
         ({"frames": [{}]}, "frame 0: found no key 'transform_matrix'"),
         ({"fl_x": "x"}, "fl_x"),
@@ -309,7 +332,7 @@ def test_bad_transforms_are_refused(tmp_path, extra, message):
         ("b.json", FormatError, "not valid JSON"),
         ("c.json", FormatError, "c.json: found no camera in it"),
         ("gone", InputError, "not found"),
-        (".", InputError, "found no cameras in this folder"),
+        ("empty", InputError, "found no cameras in this folder"),
         ("cameras.txt", InputError, "found no COLMAP model"),
     ],
 )
@@ -318,6 +341,7 @@ def test_what_holds_no_cameras_is_refused(tmp_path, name, error, message):
     (tmp_path / "b.json").write_text("{")
     (tmp_path / "c.json").write_text("[]")
     (tmp_path / "cameras.txt").write_text("")
+    (tmp_path / "empty").mkdir()
     with pytest.raises(error, match=message):
         splatree.read_cameras(tmp_path / name)
 

@@ -137,6 +137,30 @@ def test_poses_bounds_of_llff(tmp_path):
         st.read_cameras(tmp_path)
 
 
+def llff_row(height, width, focal=50.0):
+    matrix = np.column_stack([*(-np.eye(3)[i] for i in (1, 0, 2)), np.zeros(3), [height, width, focal]])
+    return [*matrix.ravel(), 0.5, 20.0]
+
+
+def test_pictures_that_do_not_fit_views_of_llff_are_noted(tmp_path):
+    np.save(tmp_path / "poses_bounds.npy", np.array([llff_row(4, 6), llff_row(4, 6)]))
+    assert st.read_cameras(tmp_path).notes == ()  # no folder of pictures says nothing
+    (tmp_path / "images").mkdir()
+    (tmp_path / "images" / "a.png").write_bytes(b"")
+    cameras = st.read_cameras(tmp_path)
+    assert [c.name for c in cameras] == ["view_0000", "view_0001"]
+    assert len(cameras.notes) == 1 and "has 2 views and" in cameras.notes[0] and "1 pictures" in cameras.notes[0]
+
+
+@pytest.mark.parametrize("size", [(0.9, 6), (4, 0.9), (2**31, 6), (4, 2**31), (-4, 6)])
+def test_sizes_that_no_picture_has_are_refused_in_llff(tmp_path, size):
+    np.save(tmp_path / "poses_bounds.npy", np.array([llff_row(*size)]))
+    with pytest.raises(FormatError, match="row 0: found the size"):
+        st.read_cameras(tmp_path)
+    np.save(tmp_path / "poses_bounds.npy", np.array([llff_row(1, 1), llff_row(2**31 - 1, 2**31 - 1)]))
+    assert [(c.height, c.width) for c in st.read_cameras(tmp_path)] == [(1, 1), (2**31 - 1, 2**31 - 1)]
+
+
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
@@ -148,12 +172,42 @@ def test_poses_bounds_of_llff(tmp_path):
         ("cameras.sfm", '{"views": [], "poses": []}', "Meshroom or OpenMVG"),
         ("bundle.out", "# Bundle file v0.3\n", "Bundler"),
         ("model.nvm", "NVM_V3\n", "VisualSFM"),
+        ("model.nvm", "", "VisualSFM"),
+        ("model.txt", "NVM_V3\n", "VisualSFM"),
+        ("markers.xml", '<?xml version="1.0"?>' + 4000 * " " + "<!-- Agisoft -->", "Metashape"),
+        ("poses.csv", "#name,x,y,heading\n", "RealityCapture"),
+        ("poses.csv", "#name,x,y,alt\n", "RealityCapture"),
+        ("a.json", '{"views": [], "intrinsics": []}', "Meshroom or OpenMVG"),
+        ("metadata.json", '{"poses": [], "K": []}', "Record3D"),
     ],
 )
 def test_other_cameras_are_refused_by_name_with_advice(tmp_path, name, content, message):
     (tmp_path / name).write_text(content)
     with pytest.raises(InputError, match=message):
         st.read_cameras(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("a.xml", "<svg>"),
+        ("a.csv", "name,x,y"),
+        ("a.out", "# something"),
+        ("a.json", '{"views": []}'),
+        ("a.json", '{"poses": []}'),
+        ("a.json", '{"K": []}'),
+        ("a.json", '{"t_00": 1}'),
+        ("a.json", '{"cameras": []}'),
+    ],
+)
+def test_what_only_looks_a_little_like_the_cameras_of_a_program_is_not_named_after_it(tmp_path, name, content):
+    (tmp_path / name).write_text(content)
+    with pytest.raises((InputError, FormatError)) as caught:
+        st.read_cameras(tmp_path / name)
+    assert not any(
+        word in str(caught.value) for word in ("Metashape", "RealityCapture", "Bundler", "OpenMVG", "Record3D")
+    )
+    assert not any(word in str(caught.value) for word in ("Polycam", "OpenSfM", "VisualSFM", "ContextCapture"))
 
 
 @pytest.mark.parametrize(("name", "message"), [("keyframes/a", "Polycam"), ("reconstruction.json", "OpenSfM")])

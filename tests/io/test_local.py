@@ -72,7 +72,7 @@ def test_an_address_is_read_and_named(serve, ply, tmp_path):
 
 
 def test_addresses_of_other_kinds_are_refused_by_name(serve, tmp_path):
-    with pytest.raises(InputError, match="found an address of ftp, wanted https or http"):
+    with pytest.raises(InputError, match=r"^ftp://example\.org/a\.ply: found an address of ftp, wanted https or http"):
         st.read("ftp://example.org/a.ply")
     with pytest.raises(InputError, match="found an address of s3"):
         st.read("s3://bucket/a.ply")
@@ -151,6 +151,7 @@ def write_states(folder, *names):
         (("point_cloud_29999.ply", "point_cloud_6999.ply"), 0),
         (("export_5000.ply", "export_30000.ply"), 1),
         (("splat_2000.ply", "splat.ply", "splat_4000.ply"), 1),
+        (("point_cloud_7000.ply", "point_cloud.ply"), 1),
     ],
 )
 def test_of_states_of_a_training_the_newest_is_taken_and_said(tmp_path, names, taken):
@@ -162,8 +163,43 @@ def test_of_states_of_a_training_the_newest_is_taken_and_said(tmp_path, names, t
     assert done.num_read == taken + 1 and "states of one training" in done.notes[0]
 
 
-def test_pieces_are_joined_and_counted(tmp_path):
-    write_states(tmp_path / "out", "chunk_9.ply", "chunk_10.ply", "chunk_11.ply")
+def test_one_state_of_a_training_needs_no_note(tmp_path):
+    for iteration in (30000, 7000):
+        folder = tmp_path / "out" / "point_cloud" / f"iteration_{iteration}"
+        folder.mkdir(parents=True)
+        write_states(folder, "point_cloud.ply")
+        scene = st.read(tmp_path / "out")
+        assert "iteration_30000" in scene.source.paths[0]
+        assert ("notes" in scene.source.metadata) == (iteration == 7000)
+
+
+def test_a_file_that_is_named_twice_is_said_and_read_twice(tmp_path):
+    write_states(tmp_path, "a.ply", "b.ply")
+    (tmp_path / "link.ply").symlink_to(tmp_path / "a.ply")
+    scene = st.read([tmp_path / "a.ply", tmp_path / "link.ply", tmp_path / "b.ply"])
+    assert len(scene) == 1 + 1 + 2
+    said = [note for note in json.loads(scene.source.metadata["notes"]) if "is named" in note]
+    assert said == [f"{tmp_path / 'a.ply'} is named 2 times: its Gaussians stand there as often"]
+
+
+def test_a_path_that_leads_out_of_a_deleted_folder_is_read(tmp_path, monkeypatch):
+    write_states(tmp_path, "a.ply")
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    assert len(st.read("../a.ply")) == 1
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("chunk_9.ply", "chunk_10.ply", "chunk_11.ply"),
+        ("city.ply", "city_2.ply", "city_3.ply"),
+        ("splat_700.ply", "splat_1234.ply", "x.ply"),
+    ],
+)
+def test_pieces_are_joined_and_counted(tmp_path, names):
+    write_states(tmp_path / "out", *names)
     scene = st.read(tmp_path / "out")
     assert len(scene) == 6 and json.loads(scene.source.metadata["notes"]) == ["3 inputs were joined as one scene"]
     assert st.convert(tmp_path / "out", tmp_path / "b.ply").notes == ("3 inputs were joined as one scene",)
@@ -175,6 +211,11 @@ def test_pieces_are_joined_and_counted(tmp_path):
         (("tile_a_1000.ply", "tile_a_2000.ply"), "like states of one training.*or like pieces"),
         (("splat_7000.ply", "splat_30000.ply", "other.ply"), "name the files to read"),
         (("city.ply", "city.spz"), "one scene in two formats"),
+        (("city.ply", "city (1).ply"), r"found city \(1\).ply beside city.ply, another version"),
+        (("city - Copy.ply", "city.ply"), "another version"),
+        (("city_thin.ply", "city.ply"), "another version"),
+        (("city.ply", "City_2_edited.ply"), "another version"),
+        (("city_lod0.ply", "city_lod1.ply"), "levels of detail"),
     ],
 )
 def test_what_may_be_states_or_pieces_is_asked_for(tmp_path, names, message):

@@ -125,9 +125,80 @@ def test_lists_that_lie_about_their_length_are_refused(tmp_path):
         st.read(path)
 
 
+def test_faces_may_end_a_file_without_vertices(tmp_path):
+    text = b"element face 1\nproperty list uchar int vertex_indices\n"
+    columns = {name: values[:0] for name, values in columns_of(GAUSSIANS).items()}
+    whole = save(tmp_path / "a.ply", columns, elements_before=[(text, b"\3" + bytes(12))])
+    assert len(st.read(whole)) == 0
+    (tmp_path / "b.ply").write_bytes(whole.read_bytes()[:-1])
+    with pytest.raises(FormatError, match="cut off"):
+        st.read(tmp_path / "b.ply")
+    (tmp_path / "c.ply").write_bytes(whole.read_bytes()[:-13])  # not even the count of the list
+    with pytest.raises(FormatError, match=r"cut off|too few"):
+        st.read(tmp_path / "c.ply")
+
+
+@pytest.mark.parametrize("row", [3, 4999])
+def test_a_wrong_row_of_text_is_named_by_its_number(tmp_path, row):
+    names = list(columns_of(GAUSSIANS))
+    lines = [" ".join("1" * len(names)) for _ in range(5000)]
+    lines[row] += " 1"
+    head = "".join(f"property float {name}\n" for name in names)
+    text = f"ply\nformat ascii 1.0\nelement vertex 5000\n{head}end_header\n" + "\n".join(lines) + "\n"
+    (tmp_path / "a.ply").write_text(text)
+    with pytest.raises(FormatError, match=f"vertex {row}: found 15 values, wanted 14"):
+        st.read(tmp_path / "a.ply")
+
+
 def test_comments_in_latin_1_are_kept(tmp_path):
     path = save(tmp_path / "a.ply", columns_of(GAUSSIANS), comments="comment Größe\n".encode("latin-1"))
     assert json.loads(st.read(path).source.metadata["comments"]) == ["Größe"]
+
+
+@pytest.mark.parametrize("spelling", ["filter_3d", "filter3D", "scalar_filter_3D"])
+def test_the_3d_filter_is_known_however_it_is_spelled(tmp_path, spelling):
+    filters = np.full(50, 0.05, np.float32)
+    wanted = st.read(save(tmp_path / "a.ply", columns_of(GAUSSIANS) | {"filter_3D": filters}))
+    found = st.read(save(tmp_path / "b.ply", columns_of(GAUSSIANS) | {spelling: filters}))
+    assert same_bits(found.gaussians.log_scales, wanted.gaussians.log_scales)
+    assert not same_bits(found.gaussians.log_scales, GAUSSIANS.log_scales)
+    assert "lost" not in found.source.metadata
+
+
+@pytest.mark.parametrize("names", [("diffuse_red", "diffuse_green", "diffuse_blue"), ("r", "g", "b")])
+def test_colours_under_other_names_are_read(tmp_path, names):
+    shares = np.linspace(0, 1, 50)
+    columns = {name: v for name, v in columns_of(GAUSSIANS).items() if not name.startswith("f_dc")}
+    columns |= {name: (255 * shares[::step]).astype(np.uint8) for name, step in zip(names, (1, -1, 1), strict=True)}
+    scene = st.read(save(tmp_path / "a.ply", columns))
+    colors = 0.5 + st_c0() * scene.gaussians.sh[:, 0]
+    np.testing.assert_allclose(colors, np.stack([shares, shares[::-1], shares], axis=1), atol=1 / 255)
+    assert "lost" not in scene.source.metadata
+
+
+def test_colours_that_overshoot_1_are_not_taken_for_bytes(tmp_path):
+    columns = {name: v for name, v in columns_of(GAUSSIANS).items() if not name.startswith("f_dc")}
+    columns |= {name: np.linspace(0, 1.3, 50, dtype=np.float32) for name in ("red", "green", "blue")}
+    scene = st.read(save(tmp_path / "a.ply", columns))
+    np.testing.assert_allclose(0.5 + st_c0() * scene.gaussians.sh[:, 0, 0], columns["red"], atol=1e-6)
+
+
+def test_gaussians_without_colours_are_not_called_a_mesh(tmp_path):
+    columns = {name: v for name, v in columns_of(GAUSSIANS).items() if not name.startswith("f_dc")}
+    with pytest.raises(FormatError, match=r"Gaussians without colours .*wanted the properties f_dc_0"):
+        st.read(save(tmp_path / "a.ply", columns))
+
+
+@pytest.mark.parametrize("newline", [b"\r\n", b"\r"])
+@pytest.mark.parametrize("first", [0x0A, 0x0D, 0x40])
+def test_headers_may_end_their_lines_as_other_systems_do(tmp_path, newline, first):
+    """The first byte of the data may look like a line's end."""
+    columns = columns_of(GAUSSIANS)
+    columns["x"][0] = np.frombuffer(bytes([first, 1, 2, 63]), np.float32)[0]
+    data = save(tmp_path / "a.ply", columns).read_bytes()
+    head, rest = data.split(b"end_header\n", 1)
+    (tmp_path / "b.ply").write_bytes(head.replace(b"\n", newline) + b"end_header" + newline + rest)
+    assert same_bits(st.read(tmp_path / "b.ply").gaussians.means, st.read(tmp_path / "a.ply").gaussians.means)
 
 
 @pytest.mark.parametrize("prefix", ["scal_", "scalar_", "scalar_scal_"])

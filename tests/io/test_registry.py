@@ -129,6 +129,7 @@ def test_the_newest_iteration_of_a_training_is_read(tmp_path):
         ("zero.ply", "is empty"),
         ("zero.splatree", "is empty"),
         ("zero.sog", "is empty"),
+        ("zeros.splatree", "a header of 0 bytes in a file of 4096"),
     ],
 )
 def test_what_is_no_scene_is_refused_with_a_reason(tmp_path, name, message):
@@ -136,6 +137,7 @@ def test_what_is_no_scene_is_refused_with_a_reason(tmp_path, name, message):
     (tmp_path / "text.txt").write_text("hello")
     for suffix in ("dat", "ply", "splatree", "sog"):
         (tmp_path / f"zero.{suffix}").write_bytes(b"")
+    (tmp_path / "zeros.splatree").write_bytes(bytes(4096))
     with pytest.raises(InputError, match=message):
         splatree.read(tmp_path / name)
 
@@ -157,7 +159,9 @@ def test_checkpoints_are_named_and_never_unpickled(tmp_path, name):
 
 def test_an_empty_splat_file_is_an_empty_scene(tmp_path):
     (tmp_path / "a.splat").write_bytes(b"")
-    assert len(splatree.read(tmp_path / "a.splat")) == 0
+    scene = splatree.read(tmp_path / "a.splat")
+    assert len(scene) == 0
+    assert "a.splat is empty" in scene.source.metadata["notes"]
 
 
 def test_a_pipe_is_refused_and_not_waited_for(tmp_path):

@@ -15,6 +15,7 @@ from splatree.render.framing.survey import survey_of
 from splatree.render.framing.upright import guess_up
 from splatree.scene.scene import Source
 
+from ..scenes import random_gaussians
 from . import framing_scenes
 
 scene_named = cache(lambda name: getattr(framing_scenes, name)())
@@ -94,6 +95,24 @@ def test_file_that_says_its_axis_is_believed():
 def test_up_of_a_thing_without_ground_is_as_is_custom():
     figure = st.edit(scene_named("figure"), EditOptions(rotate=(90, 0, 0)))
     assert guess_up(survey_of(figure)).up == pytest.approx(UP, abs=0.2)
+
+
+def test_a_thing_with_its_feet_at_0_is_upright_whether_y_is_down_or_up():
+    for degrees in ((0, 0, 0), (180, 0, 0)):
+        figure = st.edit(scene_named("figure"), EditOptions(rotate=degrees))
+        up = matrix_from_angles(degrees) @ UP
+        assert guess_up(survey_of(figure)).up == pytest.approx(up, abs=0.2)
+
+
+def test_axes_of_an_spz_count_only_where_it_names_them():
+    """A ball says nothing of what is up: its file does, or custom."""
+    ball = st.Scene.flat(random_gaussians(500))
+    named, assumed, told = (
+        guess_up(survey_of(ball), Source(format="spz", metadata=metadata)).lead
+        for metadata in ({"axes": "RDF"}, {"axes": "RDF, assumed"}, {"axes": "RUB, as told"})
+    )
+    assert assumed < named - 1
+    assert named == told
 
 
 def test_outliers_and_fog_do_not_move_the_picture():

@@ -26,6 +26,14 @@ def test_what_no_scene_can_be_is_refused(field, value, message):
         replace(scene, **{field: value})
 
 
+def test_a_scene_is_printed_by_the_shapes_of_its_columns():
+    scene = st.Scene.flat(gaussians(3000, 1))
+    text = repr(scene)
+    assert "means=float32(3000, 3)" in text and "sh=float32(3000, 4, 3)" in text and "mode='classic'" in text
+    thinned, camera = st.thin(scene), st.orbit(scene, st.PathOptions(width=64, height=36))[0]
+    assert max(len(text), len(repr(thinned)), len(repr(st.render(scene, camera)))) < 1500
+
+
 def test_columns_of_other_gaussians_are_refused():
     scene = with_blocks(st.build_clusters(st.Scene.flat(gaussians(300, 1)), 5))
     other = st.Scene.flat(gaussians(300, 2))

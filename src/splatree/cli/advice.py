@@ -40,6 +40,8 @@ def outliers_of(scene: Scene, sizes: Array, opacities: Array, half_radius: float
     dropped = would_drop(scene, CleanOptions(max_distance=FAR, floaters=True))
     limit = float(f"{max(LARGE * half_radius, 1e-30):.2g}")
     far, floaters = dropped["farther than max_distance"], dropped["floaters"]
+    if floaters > len(sizes) / 2:  # without a body there is nothing that they float around
+        floaters = 0
     large, faint = int(np.sum(sizes > limit)), int(np.sum(opacities < scene.threshold))
     found = (
         Outliers(f"farther than {FAR:g} radii", far, f"splatree clean INPUT --max-distance {FAR:g} --dry-run"),

@@ -1,18 +1,21 @@
 """What was lost: of what a verb wrote beside what it read (`--report`), or of one scene beside another (`eval --reference`)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from splatree.cli.console import UsageError, table
 from splatree.errors import InputError
+from splatree.io.joined import relative_to
 from splatree.io.reading import read
 from splatree.kernels.devices import DeviceName
 from splatree.render.compare import compare
 from splatree.render.compare_page import Comparison, check_comparison_folder, decibels, write_comparison
+from splatree.render.overlap import place_hint
 from splatree.scene.cameras import Camera
 from splatree.scene.options import RenderOptions, SelectOptions
+from splatree.scene.origin import NO_ORIGIN
 from splatree.scene.scene import Scene
 
 __all__ = ["Drawing", "Reporting", "compared", "in_words", "read_back"]
@@ -56,9 +59,13 @@ def compared(
     drawing: Drawing | None = None,
 ) -> Comparison:
     """Draw both scenes and compare them, and write the page if a folder is named."""
-    how = drawing or Drawing()
+    how, origins = drawing or Drawing(), (scene.source.origin, reference.source.origin)
+    if NO_ORIGIN not in origins:  # a file that lost its origin is relative to that of the other
+        scene = replace(scene, gaussians=relative_to(scene.gaussians, *origins), blocks=None, clusters=None)
     views = compare(scene, reference, cameras, options=how.options, select=how.select, device=how.device)
-    return write_comparison(views, report, about=about, force=force)
+    found = write_comparison(views, report, about=about, force=force)
+    hint = place_hint(scene, reference)
+    return replace(found, notes=(hint,)) if hint else found
 
 
 def read_back(
@@ -97,4 +104,5 @@ def in_words(comparison: Comparison, *, views: bool = False) -> list[str]:
     lines.append(
         f"against the reference: PSNR {decibels(d.psnr)}{covered}{ssim}, FLIP {d.flip:.4f}; worst view {comparison.worst}"
     )
+    lines += [f"note: {note}" for note in comparison.notes]
     return [*lines, *([f"wrote {comparison.report}"] if comparison.report else [])]

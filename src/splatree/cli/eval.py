@@ -232,7 +232,8 @@ def _against_reference(command: Command) -> Comparison:
     named = None if command.cameras is None else read_cameras(command.cameras)
     scene = read_scene(command.paths, command.reading)
     reference = read_scene([command.reference], command.reading)
-    cameras = (comparison_views(reference, command.made) if named is None else named).views[:: command.every]
+    made = comparison_views(reference, command.made) if named is None else named.relative_to(reference.source.origin)
+    cameras = made.views[:: command.every]
     return compared(
         scene,
         reference,

@@ -63,6 +63,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
 """Two lines a verb: the plainest, and one with what is most asked for."""
 
 BASIC: dict[str, tuple[str, ...]] = {
+    "clean": ("output", "floaters", "max-distance", "max-size", "min-size", "cameras", "dry-run", "repair"),
+    "refine": ("output", "cameras", "minutes", "iterations", "repair"),
+    "view": ("beside", "cameras", "photos", "budget", "up", "port", "host", "device", "repair"),
+    "stream": ("output", "format", "report", "cameras", "levels", "zip", "chunked", "origin", "repair"),
     "convert": (
         "output", "level", "min-opacity", "scale", "rotate", "translate", "crop-box", "crop-sphere", "sh-degree",
         "report", "repair",

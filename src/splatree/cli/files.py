@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -16,6 +16,7 @@ from splatree.io.reading import read
 from splatree.io.registry import FOLDER_FILE, format_to_write, formats
 from splatree.io.replacing import check_target
 from splatree.maths.axes import AxesName
+from splatree.scene.names import Mode
 from splatree.scene.scene import Scene
 
 
@@ -26,7 +27,8 @@ class Reading:
     repair: bool = False
     """Fix or drop values that cannot be used, and count them, instead of stopping."""
     input_axes: AxesName | None = None
-    """Where x, y, z point in an .spz that does not say it: left or right, up or down, front or back; None: RDF, as in a .ply."""
+    """Where x, y, z point in an .spz that does not say it: left or right, up or down, front or back. None: RDF, as
+    in a .ply, or RUB for a thing that stands on y = 0."""
     ignore_properties: bool = False
     """Read a .ply whose other properties change the picture (motion, other kernels) without them, and say what is lost."""
 
@@ -82,6 +84,22 @@ def lost_and_noted(scene: Scene, lost: Sequence[str] = ()) -> tuple[tuple[str, .
     return tuple(both), notes_in(metadata, scene.source.origin)
 
 
+def in_mode(scene: Scene, mode: Mode | None) -> Scene:
+    """The scene as one of another mode, for which its levels of detail are still to be built.
+
+    Raises:
+        UsageError: it has levels, which were made for its own mode.
+    """
+    if mode is None or mode == scene.mode:
+        return scene
+    if scene.tree.depth.any():
+        raise UsageError(
+            f"mode: found levels of detail that were made for {scene.mode}, wanted none; build them for {mode} from the "
+            f"scene without levels: splatree build in.ply out.splatree --mode {mode}"
+        )
+    return replace(scene, mode=mode)
+
+
 def told(repairs: Mapping[str, int], lost: Sequence[str], notes: Sequence[str] = ()) -> list[str]:
     """What reading changed and noted, and what reading and writing lost, a line each."""
     counts = ", ".join(f"{rule} {count:,}" for rule, count in repairs.items())
@@ -99,7 +117,7 @@ def inputs_and_output(
             written, or of one that does not take the options, or, where the tree has to be kept, of one without levels.
         OutputError: the output exists and ``--force`` is not given, or no file can be written there.
     """
-    inputs, output = _divided(named)
+    inputs, output = _divided(named, "out.splatree" if keeps_tree else "out.ply")
     if named.output is None and output.is_dir():
         # `build chunk_*/` without -o: the last chunk is an input, surely.
         raise UsageError(f"{output}: is a folder, wanted a file to write; name the output with -o")
@@ -126,7 +144,7 @@ def inputs_and_folder(named: Files) -> tuple[tuple[Path, ...], Path]:
     Raises:
         UsageError: there is no input, or no output, or its name does not end in .splatree, or it is also read.
     """
-    inputs, output = _divided(named)
+    inputs, output = _divided(named, "out.splatree")
     if output.suffix != ".splatree":
         raise UsageError(f"{output}: found a folder of parts to be written, wanted a name that ends in .splatree")
     if any(path.exists() and output.exists() and path.samefile(output) for path in inputs):
@@ -134,15 +152,17 @@ def inputs_and_folder(named: Files) -> tuple[tuple[Path, ...], Path]:
     return inputs, output
 
 
-def _divided(named: Files) -> tuple[tuple[Path, ...], Path]:
-    """The inputs and the output, of which neither may be missing."""
+def _divided(named: Files, example: str) -> tuple[tuple[Path, ...], Path]:
+    """The inputs and the output, of which neither may be missing; errors name the output like ``example``."""
     inputs, output = named.paths, named.output
     if output is None:
         if len(inputs) < 2:
             found = "one path" if inputs else "no path"
-            raise UsageError(f"found {found}, wanted an input and an output: in.ply out.ply, or chunk_*/ -o out.ply")
+            raise UsageError(
+                f"found {found}, wanted an input and an output: in.ply {example}, or chunk_*/ -o {example}"
+            )
         *sources, output = inputs
         inputs = tuple(sources)
     if not inputs:
-        raise UsageError("found no input, wanted at least one: in.ply out.ply, or chunk_*/ -o out.ply")
+        raise UsageError(f"found no input, wanted at least one: in.ply {example}, or chunk_*/ -o {example}")
     return inputs, output

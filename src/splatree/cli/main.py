@@ -23,7 +23,7 @@ import math
 import os
 import sys
 import traceback
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import ModuleType
@@ -104,10 +104,11 @@ def _main(words: list[str]) -> int:
 
         _say(f"splatree {program_version()}")
         return 0
+    if words[0] not in VERBS and Path(words[0]).exists():
+        _complain(f"splatree: error: found the path {words[0]!r}, wanted a verb before it: splatree info {words[0]}")
+        return 2
     if words[0] not in VERBS:
-        near = difflib.get_close_matches(words[0], VERBS, n=1)
-        meant = f"; did you mean {near[0]}?" if near else ""
-        _complain(f"splatree: error: found {words[0]!r}, wanted one of {', '.join(VERBS)}{meant}")
+        _complain(f"splatree: error: found {words[0]!r}, wanted one of {', '.join(VERBS)}{_meant(words[0], VERBS)}")
         return 2
     module = importlib.import_module(f"splatree.cli.{words[0]}")
     if words[0] in GROUPS:
@@ -121,14 +122,20 @@ def _run_one_of(verb: str, words: list[str], module: Any) -> int:
     room = max(map(len, purposes)) + 1
     lines = "\n".join(f"  {name:{room}}{purpose.splitlines()[0]}" for name, purpose in purposes.items())
     usage = GROUP_USAGE.format(verb=verb, commands=lines)
-    if words[:1] in (["-h"], ["--help"]):
+    if not words or words[0] in ("-h", "--help", "help"):
         _say(usage)
         return 0
-    if not words or words[0] not in purposes:
-        found = f"found {words[0]!r}, wanted one of {', '.join(purposes)}" if words else "wanted a command"
-        _complain(f"splatree {verb}: error: {found}\n\n{usage}")
+    if words[0] not in purposes:
+        _complain(
+            f"splatree {verb}: error: found {words[0]!r}, wanted one of {', '.join(purposes)}{_meant(words[0], purposes)}"
+        )
         return 2
     return _run(f"{verb} {words[0]}", words[1:], module, module.COMMANDS[words[0]], purposes[words[0]])
+
+
+def _meant(word: str, known: Iterable[str]) -> str:
+    near = difflib.get_close_matches(word, list(known), n=1)
+    return f"; did you mean {near[0]}?" if near else ""
 
 
 def commands_of(group: str) -> list[str]:

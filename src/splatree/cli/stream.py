@@ -7,11 +7,12 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from splatree.cli.console import Console, UsageError, counted, size, table
-from splatree.cli.files import Reading, lost_and_noted, read_scene, repairs_of, told
+from splatree.cli.files import Reading, in_mode, lost_and_noted, read_scene, repairs_of, told
 from splatree.errors import InputError
 from splatree.io.cameras.files import read_cameras
 from splatree.io.notes import origin_in_words
 from splatree.io.replacing import check_target, replacing
+from splatree.scene.names import Mode
 from splatree.stream.options import StreamFormat, StreamOptions
 from splatree.stream.report import StreamReport, ViewQuality, report_stream
 from splatree.stream.report_page import write_stream_report
@@ -43,6 +44,8 @@ class Command:
     each level and chunk. A page with a chart and a picture of the worst view if the name ends in .html, else JSON."""
     cameras: Path | None = None
     """Views of the report, in place of near, middle and far: a file of cameras."""
+    mode: Mode | None = None
+    """How a scene without levels of detail was trained and is drawn; None: as the file says, else `classic`."""
     reading: Annotated[Reading, arg(name="", help="")] = Reading()
     options: Annotated[StreamOptions, arg(name="", help="")] = StreamOptions()
     console: Annotated[Console, arg(name="", help="")] = Console()
@@ -77,7 +80,7 @@ def run(command: Command) -> Result:
         raise UsageError("--cameras: are the views of a report; name its file with --report")
     if command.report is not None:
         check_target(command.report)
-    read = read_scene(inputs, command.reading)
+    read = in_mode(read_scene(inputs, command.reading), command.mode)
     degree = command.options.sh_degree
     if degree is not None and degree < read.gaussians.sh_degree:
         read = replace(read, gaussians=read.gaussians.with_sh_degree(degree), clusters=None)

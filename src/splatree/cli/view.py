@@ -10,9 +10,10 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from splatree.cli.console import Console, UsageError
-from splatree.cli.files import Reading, check_inputs, read_scene
+from splatree.cli.files import Reading, check_inputs, in_mode, read_scene
 from splatree.io.cameras.files import read_cameras
 from splatree.io.photos import Photos
+from splatree.scene.names import Mode
 from splatree.view.exhibit import has_levels
 from splatree.view.options import ViewOptions
 from splatree.view.viewer import Viewer
@@ -32,6 +33,8 @@ class Command:
     """Folder of the photographs of these views."""
     no_browser: bool = False
     """Only print the address."""
+    mode: Mode | None = None
+    """How a scene without levels of detail was trained and is drawn; None: as the file says, else `classic`."""
     options: Annotated[ViewOptions, arg(name="", help="")] = ViewOptions()
     reading: Annotated[Reading, arg(name="", help="")] = Reading()
     console: Annotated[Console, arg(name="", help="")] = Console()
@@ -56,7 +59,7 @@ def run(command: Command) -> Viewed:
     photos = None
     if command.photos is not None and cameras is not None:
         photos = Photos(command.photos, list(cameras))
-    scene = read_scene(command.paths, command.reading)
+    scene = in_mode(read_scene(command.paths, command.reading), command.mode)
     cameras = None if cameras is None else cameras.relative_to(scene.source.origin)
     beside = None if command.beside is None else read_scene((command.beside,), command.reading)
     for path, shown in ((command.paths[0], scene), (command.beside, beside)):

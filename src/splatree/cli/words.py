@@ -6,6 +6,7 @@ The options of a verb are read off its ``Command`` dataclass, so that a word tha
 
 import dataclasses
 import difflib
+import math
 import operator
 import re
 import types
@@ -129,7 +130,7 @@ def sorted_words(words: Sequence[str], options: Sequence[Option]) -> list[str]:
     """Paths first, then the options, each with its values one by one.
 
     Raises:
-        UsageError: a word is no option of the verb, or an option lacks values.
+        UsageError: a word is no option of the verb, an option lacks values, or what the verb needs is not there.
     """
     named = {name: option for option in options if not option.is_positional for name in (option.name, *option.aliases)}
     paths: list[str] = []
@@ -155,7 +156,24 @@ def sorted_words(words: Sequence[str], options: Sequence[Option]) -> list[str]:
         if has_value:
             left.insert(0, value)
         rest += [name, *_values(name, option, left)]
+    _check_needed(paths, rest, options)
     return [*paths, *rest]
+
+
+def _check_needed(paths: Sequence[str], rest: Sequence[str], options: Sequence[Option]) -> None:
+    """Refuse paths that the verb does not take, and a command line without what it needs."""
+    places = [option for option in options if option.is_positional]
+    most = sum(math.inf if option.num_words is None else 1 for option in places)
+    if len(paths) > most:
+        wanted = " and ".join(option.name for option in places) if places else "options only; --help lists them"
+        raise UsageError(f"found {paths[int(most)]!r}, wanted {f'{wanted} and nothing else' if places else wanted}")
+    for option in options:
+        if option.default is not dataclasses.MISSING or option.num_words is None:
+            continue
+        missing = not paths if option.is_positional else not {option.name, *option.aliases} & set(rest)
+        if missing:
+            name = f"no path, wanted the {option.name}" if option.is_positional else f"no {option.name}, wanted it"
+            raise UsageError(f"found {name}; --help says more")
 
 
 def _values(name: str, option: Option, left: list[str]) -> list[str]:

@@ -48,10 +48,14 @@ def find_inputs(paths: Sequence[Path], is_scene: Callable[[Path], bool]) -> Inpu
         raise InputError("read: found no paths, wanted at least one")
     notes: list[str] = []
     found = [each for path in paths for each in _find(path, is_scene, notes)]
-    times = Counter(path.resolve() for path in found)
+    first, times = dict[tuple[int, int], Path](), Counter[tuple[int, int]]()
+    for path in found:
+        stat = path.stat()  # a file is one, whatever links lead to it
+        first.setdefault(key := (stat.st_dev, stat.st_ino), path)
+        times[key] += 1
     notes += [
-        f"{path} is named {count} times: its Gaussians stand there as often"
-        for path, count in times.items()
+        f"{first[key]} is named {count} times: its Gaussians stand there as often"
+        for key, count in times.items()
         if count > 1
     ]
     return Inputs(found, tuple(notes))
@@ -100,11 +104,11 @@ def _without_older_states(folder: Path, found: list[Path], notes: list[str]) -> 
         if match := re.fullmatch(r"(.*?)(\d+)", _stem(path)):
             series.setdefault(match[1].lower(), {}).setdefault(int(match[2]), []).append(path)
     for prefix, states in series.items():
-        if len(states) < 2 or not _are_iterations(states):
-            continue
-        name = f"{prefix}{max(states)}"
         others = [path for path in found if all(path not in of for of in states.values())]
         final = [path for path in others if _stem(path).lower() == prefix.rstrip("_- ")]
+        if len(states) + len(final) < 2 or not _are_iterations(states):
+            continue
+        name = f"{prefix}{max(states)}"
         taken = final or states[max(states)]
         others = [path for path in others if path not in final]
         if others or len(taken) > 1 or not prefix.strip("_- ").endswith(_STATES):
@@ -118,8 +122,18 @@ def _without_older_states(folder: Path, found: list[Path], notes: list[str]) -> 
             f"{taken[0].name if final else name}, is taken; name another file to take that"
         )
         return taken
+    if levels := [path for path in found if re.search(r"lod[_-]?\d+$", _stem(path), re.IGNORECASE)][1:]:
+        raise InputError(
+            f"{folder}: found {levels[0].name} beside others of such names, levels of detail of one scene by their names; name "
+            "the file to read"
+        )
     names: dict[str, Path] = {}
     for path in found:
+        if (original := _original(path, found)) is not None:
+            raise InputError(
+                f"{folder}: found {path.name} beside {original.name}, another version of one scene by their names; name the file "
+                "to read, or both if they are pieces of one scene"
+            )
         if (other := names.setdefault(_stem(path).lower(), path)) != path:
             raise InputError(
                 f"{folder}: found {other.name} and {path.name}, one scene in two formats by their names; name the file to read"
@@ -129,6 +143,17 @@ def _without_older_states(folder: Path, found: list[Path], notes: list[str]) -> 
 
 def _stem(path: Path) -> str:
     return re.sub(r"(\.compressed)?\.[A-Za-z]+$", "", path.name)
+
+
+def _original(path: Path, found: Iterable[Path]) -> Path | None:
+    """The file that this one is a copy or a version of, by its name: ``scene (1)`` or ``scene_thin`` of ``scene``."""
+    stem = _stem(path).lower()
+    copy = re.sub(r"( \(\d+\)|[ _-]+copy[ _-]?\d*)$", "", stem)
+    for other in found:
+        name = _stem(other).lower()
+        if other != path and stem != name and (copy == name or re.match(re.escape(name) + r"[ _.-]+(?!\d+$)", stem)):
+            return other
+    return None
 
 
 def _are_iterations(numbers: Iterable[int]) -> bool:

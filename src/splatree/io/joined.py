@@ -13,6 +13,7 @@ import numpy as np
 
 from splatree.errors import InputError
 from splatree.io.notes import with_notes
+from splatree.maths.axes import AXES
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.levels import UNKNOWN_LEVELS, LevelRecord, common_record
 from splatree.scene.origin import Origin
@@ -102,7 +103,11 @@ def _append(columns: dict[str, Array], parts: dict[str, Array]) -> None:
 
 def joined_source(sources: Sequence[Source]) -> Source:
     """Paths of all; metadata that all agree on as it is, counts of repairs added up, losses and notes named once, the rest as a
-    list in JSON."""
+    list in JSON.
+
+    Raises:
+        InputError: the axes of some were assumed, and those of others are not the same.
+    """
     metadata: dict[str, str] = {}
     for key in dict.fromkeys(key for source in sources for key in source.metadata):
         values = [source.metadata[key] for source in sources if key in source.metadata]
@@ -117,8 +122,20 @@ def joined_source(sources: Sequence[Source]) -> Source:
                 list(dict.fromkeys(sentence for value in values for sentence in json.loads(value)))
             )
         else:
+            if key == "axes":
+                _refuse_mixed(values)
             same = len(set(values)) == 1 and len(values) == len(sources)
             metadata[key] = values[0] if same else json.dumps(values)
     formats = dict.fromkeys(source.format for source in sources)
     paths = tuple(path for source in sources for path in source.paths)
     return Source(paths, " + ".join(formats), metadata, sources[0].origin)
+
+
+def _refuse_mixed(axes: Sequence[str]) -> None:
+    """Refuse cells of one scene of which one would be turned and another not, by a guess."""
+    guesses = set(axes) - set(AXES)
+    if guesses and len({each[:3] for each in axes}) > 1:
+        raise InputError(
+            f"inputs differ in their axes: found {' and '.join(sorted(set(axes)))}, wanted those of one scene; say where "
+            "x, y and z point with --input-axes, or read them one by one"
+        )

@@ -116,7 +116,8 @@ def _address(path: Path) -> str | None:
     if match:
         return f"{match[1].lower()}://{match[2]}"
     if other := re.match(r"([a-z][a-z0-9+.-]{1,10}):/", str(path), re.IGNORECASE):
-        raise InputError(f"{path}: found an address of {other[1]}, wanted https or http, or a file")
+        named = f"{other[1]}://{str(path)[len(other[0]) :].lstrip('/')}"
+        raise InputError(f"{named}: found an address of {other[1]}, wanted https or http, or a file")
     return None
 
 

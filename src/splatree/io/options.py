@@ -30,7 +30,7 @@ class ReadOptions:
     """Repair or drop values that cannot be used, and count them, instead of raising; "drop" drops every row that has one."""
     axes: AxesName | None = None
     """Where x, y and z point in an .spz file that does not say so: left or right, up or down, front or back; None: RDF, as in a
-    .ply."""
+    .ply, or RUB for a thing that stands on y = 0."""
     ignore_properties: bool = False
     """Read a file whose other properties would change the picture (motion, other kernels), and say what is lost, instead of
     raising."""

@@ -38,7 +38,8 @@ def read(
         level: level of detail to take from a format that has several; 0, the default, is the finest.
         repair: repair or drop values that cannot be used, and count them in ``source.metadata["repairs"]``, instead of
             raising; "drop" drops every row that has one.
-        axes: where x, y and z point in an .spz that does not say so; None: RDF, as in a .ply.
+        axes: where x, y and z point in an .spz that does not say so; None: RDF, as in a .ply, or RUB for a thing that stands on
+            y = 0.
         ignore_properties: read a .ply although it has properties that would change the picture (motion, other kernels);
             ``source.metadata["lost"]`` says which.
 

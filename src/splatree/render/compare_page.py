@@ -64,6 +64,8 @@ class Comparison:
     """One entry a view, in order."""
     report: Path | None = None
     """The page; None if none was written."""
+    notes: tuple[str, ...] = ()
+    """What puts the numbers in doubt, a sentence each."""
 
 
 def write_comparison(

@@ -1,4 +1,4 @@
-"""Whether cameras see a scene at all: if none does, both are most likely in other coordinates."""
+"""Whether cameras see a scene at all, and two scenes lie in one place: if not, they are most likely in other coordinates."""
 
 from collections.abc import Sequence
 
@@ -8,11 +8,14 @@ from splatree.render.paths import bounds_of
 from splatree.scene.cameras import Camera
 from splatree.scene.scene import Scene
 
-__all__ = ["overlap_hint"]
+__all__ = ["overlap_hint", "place_hint"]
 
 _CAMERAS = 64
 _ROWS = 4096
 """Cameras and Gaussians that are looked at, spread evenly."""
+
+_APART = 0.25
+"""Radii between the middles of two scenes that lie in other places; what is lost moves a middle by a few percent."""
 
 
 def overlap_hint(scene: Scene, cameras: Sequence[Camera]) -> str | None:
@@ -39,4 +42,18 @@ def overlap_hint(scene: Scene, cameras: Sequence[Camera]) -> str | None:
         f"radius is {radius:.4g}. Cameras and scene may be in other coordinates: nerfstudio trains in a frame of its own (put "
         "its dataparser_transforms.json beside transforms.json, and the cameras are taken there); applied_transform of "
         "transforms.json has moved its poses away from COLMAP's; or one of the two was turned or moved"
+    )
+
+
+def place_hint(scene: Scene, reference: Scene) -> str | None:
+    """A sentence that says how far apart two scenes of one thing lie; None if they lie in one place."""
+    if not len(scene) or not len(reference):
+        return None
+    (centre, radius), (wanted, wanted_radius) = bounds_of(scene), bounds_of(reference)
+    apart = float(np.linalg.norm(centre - wanted))
+    if apart <= _APART * wanted_radius and 1 / 1.5 < radius / wanted_radius < 1.5:
+        return None
+    return (
+        f"the scenes do not lie in one place: their middles are {apart:.4g} apart, and their radii are {radius:.4g} and "
+        f"{wanted_radius:.4g}. One was moved, scaled or cropped, or its axes point elsewhere (--input-axes, --rotate)"
     )

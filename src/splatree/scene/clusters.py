@@ -8,7 +8,7 @@ from splatree.constants import ALPHA_THRESHOLD, SIGMAS
 from splatree.errors import ShapeError
 from splatree.maths.covariance import axes_from_gaussians
 from splatree.scene.gaussians import Gaussians
-from splatree.shapes import Array, Bool, Float32, Float64, Int32, Int64, check_fields
+from splatree.shapes import Array, Bool, Float32, Float64, Int32, Int64, check_fields, in_short
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +39,8 @@ class ClusterIndex:
     """Smallest coordinates of the boxes along the world's axes that hold the centre and the kσ ellipsoids of the same rows."""
     box_high: Float32[Array, "c 3"]
     """Largest coordinates of these boxes: largest μ + k √Σ_ii along axis i."""
+
+    __repr__ = in_short
 
     def __post_init__(self) -> None:
         check_fields(self)

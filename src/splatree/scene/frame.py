@@ -17,7 +17,7 @@ from splatree.scene.clusters import Culling
 from splatree.scene.literals import check_literals
 from splatree.scene.names import Profile
 from splatree.scene.view import View
-from splatree.shapes import Array, Float32, Int32, Int64, check_fields
+from splatree.shapes import Array, Float32, Int32, Int64, check_fields, in_short
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +43,8 @@ class Selection:
     notes: tuple[str, ...] = ()
     """Warnings about this selection, for instance that the pixel error is too small to choose any level."""
 
+    __repr__ = in_short
+
     def __post_init__(self) -> None:
         check_literals(self)
         check_fields(self)
@@ -66,6 +68,8 @@ class Splats:
     """Centre x y, factor a b c, opacity, its log2, colour r g b, depth, half width and height of the box, three unused."""
     order: Int32[Array, "v"]
     """Splats from the nearest to the farthest; equal depths by the row's id."""
+
+    __repr__ = in_short
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -235,6 +239,8 @@ class RenderResult:
     """Wall time of each stage."""
     cpu_milliseconds: dict[str, float]
     """Processor time of each stage, all threads together. Other work on the machine disturbs it least."""
+
+    __repr__ = in_short
 
     def __post_init__(self) -> None:
         check_fields(self)

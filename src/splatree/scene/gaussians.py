@@ -7,7 +7,7 @@ import numpy as np
 
 from splatree.constants import SIGMAS
 from splatree.errors import ShapeError
-from splatree.shapes import Array, Float32, Float64, check_fields
+from splatree.shapes import Array, Float32, Float64, check_fields, in_short
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +32,8 @@ class Gaussians:
     """Opacity before the sigmoid: opacity = 1 / (1 + e^−logit)."""
     sh: Float32[Array, "n k 3"]
     """Spherical harmonics, coefficient by coefficient with RGB inside, DC first; k = (degree + 1)², k in 1, 4, 9, 16."""
+
+    __repr__ = in_short
 
     def __post_init__(self) -> None:
         k = check_fields(self)["k"]

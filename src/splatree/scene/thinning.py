@@ -15,7 +15,7 @@ from splatree.constants import DILATION_PX2, PIXEL_ERROR, SIGMAS
 from splatree.errors import InputError
 from splatree.scene.literals import check_literals
 from splatree.scene.names import Mode
-from splatree.shapes import Array, Int32, Int64, check_fields
+from splatree.shapes import Array, Int32, Int64, check_fields, in_short
 
 Importance = Literal["opacity-scale", "opacity", "opacity-area"]
 """Which Gaussian stays when two are close: opacity times the geometric mean of the scales, opacity alone, or opacity times
@@ -225,6 +225,8 @@ class Groups:
     """Number of rounds of parallel decisions; 0 if the decisions were sequential."""
     num_visited: int = 0
     """Number of pairs of row and candidate that were looked at."""
+
+    __repr__ = in_short
 
     def __post_init__(self) -> None:
         check_fields(self)

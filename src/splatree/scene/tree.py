@@ -12,7 +12,7 @@ from splatree.constants import BLOCKS_PER_GROUP
 from splatree.errors import ShapeError
 from splatree.scene.levels import LevelRecord
 from splatree.scene.roots import Roots
-from splatree.shapes import Array, Bool, Float32, Int32, UInt8, check_fields
+from splatree.shapes import Array, Bool, Float32, Int32, UInt8, check_fields, in_short
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +40,8 @@ class GaussianTree:
     """How the levels were made and must be drawn; None: there are no levels, or nothing is known about them."""
     roots: Roots | None = None
     """What merging must know to go on above the roots; None: it is not known, so the levels can only be built anew."""
+
+    __repr__ = in_short
 
     def __post_init__(self) -> None:
         n = check_fields(self)["n"]
@@ -114,6 +116,8 @@ class BlockIndex:
     size_classes: UInt8[Array, "n"]
     """255 for a leaf; else the whole part of 8 log₂ σ + 128, held in 0 to 254; σ is the row's middle standard deviation or a
     third of its extent, the lesser."""
+
+    __repr__ = in_short
 
     def __post_init__(self) -> None:
         sizes = check_fields(self)

@@ -30,6 +30,16 @@ def models_in(folder: Path) -> list[Path]:
     return numbered or ([folder] if is_model(folder) else [])
 
 
+def half_model_in(folder: Path) -> str | None:
+    """A file of a model in a folder, or in a numbered one in it, whose other half is missing, and that half."""
+    for child in (folder, *(child for child in folder.glob("*") if child.name.isdigit())):
+        for there, missing in (("images", "cameras"), ("cameras", "images")):
+            for suffix in (".bin", ".txt"):
+                if (child / f"{there}{suffix}").is_file():
+                    return f"{child / there}{suffix} without {missing}{suffix} beside it"
+    return None
+
+
 def num_pictures(folder: Path) -> int:
     """How many pictures a model has."""
     if (folder / "images.bin").is_file():
@@ -200,6 +210,6 @@ def _lines(path: Path) -> list[str]:
 
 def _text(data: bytes) -> str:
     try:
-        return data.decode("utf-8")
+        return data.decode("utf-8-sig")
     except UnicodeDecodeError:
         return data.decode("latin-1")

@@ -70,12 +70,15 @@ def lens_of_record(record: Mapping[str, Any], where: str) -> Lens | None:
     for key in _REFUSED_KEYS:
         if record.get(key):
             raise FormatError(f"{where}: found {key}, which no camera here describes; {_UNDISTORT}")
-    model = record.get("camera_model", "OPENCV_FISHEYE" if record.get("is_fisheye") is True else "OPENCV")
+    is_fisheye = record.get("is_fisheye")
+    if is_fisheye not in (None, False, True):  # 0 and 1 are equal to these
+        raise FormatError(f"{where}.is_fisheye: found {str(is_fisheye)[:40]!r}, wanted true or false")
+    model = record.get("camera_model", "OPENCV_FISHEYE" if is_fisheye else "OPENCV")
     if model not in MODELS:
         raise FormatError(
             f"{where}: found camera model {str(model)[:40]!r}, wanted one of {', '.join(MODELS)}; {_UNDISTORT}"
         )
-    if "FISHEYE" not in model and record.get("is_fisheye") is True:
+    if "FISHEYE" not in model and is_fisheye:
         model = "OPENCV_FISHEYE"
     if record.get("distortion_params") is not None:
         listed = untrusted.as_list(record["distortion_params"], f"{where}.distortion_params")

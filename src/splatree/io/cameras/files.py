@@ -72,6 +72,9 @@ def _read(root: Path) -> Cameras:
                 return _read(root / name)
         if known := foreign.advice_for_file(root):
             raise InputError(f"{root}: {known}")
+        halves = [half for folder in COLMAP_FOLDERS if (half := colmap.half_model_in(root / folder))]
+        if halves:
+            raise InputError(f"{root}: found {halves[0]}, wanted both, which make a COLMAP model")
         raise InputError(
             f"{root}: found no cameras in this folder; wanted a COLMAP model (cameras.bin and images.bin, or .txt) in it or in "
             "sparse/0, transforms.json, cameras.json, poses_bounds.npy or camera_path.json"

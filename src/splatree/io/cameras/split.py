@@ -63,7 +63,9 @@ def _names_of_frames(path: Path) -> list[str]:
 def _listed(cameras: Sequence[Camera], path: Path) -> set[int]:
     try:
         lines = (
-            _names_of_frames(path) if path.suffix.lower() == ".json" else path.read_text(encoding="utf-8").splitlines()
+            _names_of_frames(path)
+            if path.suffix.lower() == ".json"
+            else path.read_text(encoding="utf-8-sig").splitlines()
         )
     except FileNotFoundError as error:
         raise InputError(f"{path}: not found, wanted a list of the held-out views, one name a line") from error

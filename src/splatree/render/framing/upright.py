@@ -6,7 +6,7 @@ Files rarely say it, so several weak hints are added up, each in units of the lo
 - custom: most trained scenes have y down, some z up or y up, and many are tilted against y;
 - the ground: a large share of flat Gaussians faces along the vertical, and the scene is flat along it;
 - gravity: things stand on the ground, so heights reach farther above the middle than below;
-- the standing plane: modelled objects have their feet at 0;
+- the standing plane: modelled and cleaned things have their feet at 0, in tools with y upright exactly (`y_of_a_thing`);
 - the gaze: photographers look ahead or down, seldom up (`Survey.gaze_along`).
 
 Candidates are the six axes and the directions that most flat Gaussians face, each way. An axis that wins is turned to the
@@ -22,6 +22,7 @@ from typing import Final
 
 import numpy as np
 
+from splatree.maths.axes import y_of_a_thing
 from splatree.render.framing.survey import Survey, weighted_quantiles
 from splatree.scene.scene import Source
 from splatree.shapes import Array, Float64
@@ -48,6 +49,9 @@ ADJUST_DEG: Final = 12.0
 
 STATED: Final = 20.0
 """What a statement of the file counts: more than all hints together."""
+
+STANDS: Final = 3.0
+"""What feet at y = 0 count: more than custom has y down rather than up. Along x and z, things end at 0 by chance too often."""
 
 _SPHERE = 200
 """Directions that are tried for the ground, spread evenly over a half sphere: 10° apart."""
@@ -76,6 +80,7 @@ def guess_up(survey: Survey, source: Source | None = None) -> Upright:
         "the usual axes of 3DGS": np.array([_custom(u) for u in candidates]),
         "the ground that flat Gaussians make": np.array([_ground(survey, u) for u in candidates]),
         "what stands on the ground": np.array([_gravity(survey, u) for u in candidates]),
+        "the feet at y = 0": STANDS * (y_of_a_thing(survey.means) * candidates[:, 1] > 0.99),
         "the directions it was photographed in": _looking_down(survey, candidates),
     }
     odds = np.sum(list(hints.values()), axis=0)
@@ -103,7 +108,8 @@ def direction_in_words(up: Float64[Array, "3"]) -> str:
 
 def _stated(source: Source) -> Mapping[tuple[float, ...], float]:
     """What the file says of its axes: odds of directions."""
-    if source.format in ("spz", "gltf"):  # their axes are fixed, and reading turns them into those of a .ply
+    is_fixed = source.format == "gltf" or (source.format == "spz" and "assumed" not in source.metadata.get("axes", ""))
+    if is_fixed:  # and reading turns them into those of a .ply
         return {Y_DOWN: 2.0}
     for line in json.loads(source.metadata.get("comments", "[]")):
         match = re.fullmatch(r"\s*(?:vertical|up)[ _-]?axis\s*[:=]?\s*([+-]?)([xyz])\s*", str(line), re.IGNORECASE)

@@ -54,7 +54,9 @@ class Element:
         return self.count * np.dtype(self.properties).itemsize
 
 
-_PREFIXES = re.compile(r"^(scal(ar)?_)+")
+_PREFIXES = re.compile(r"^(scal(ar)?_|diffuse_)+")
+_SPELLINGS = {"filter_3d": "filter_3D", "filter3d": "filter_3D"}
+_LETTERS = {"r": "red", "g": "green", "b": "blue"}
 
 
 @dataclass(frozen=True)
@@ -72,7 +74,7 @@ class Header:
     dtype: np.dtype[np.void]
     """A vertex."""
     names: dict[str, str]
-    """Property by its bare name: CloudCompare writes scalar_opacity or scal_opacity for opacity."""
+    """Property by its usual name (`_by_usual_name`)."""
     before: list[Element]
     """Elements before the vertices."""
     others: list[str]
@@ -112,6 +114,8 @@ def parse_text(path: Path, head: bytes) -> Text:
         FormatError: the header is not whole or not of a .ply.
     """
     match = re.search(rb"(?:^|\n)end_header[ \t]*\r?\n", head)
+    if not match and b"\n" not in head.partition(b"end_header")[0]:  # lines of old Macintoshes
+        match = re.search(rb"(?:^|\r)end_header[ \t]*\r", head)
     if not match:
         raise FormatError(f"{path}: found no end_header in its first {len(head)} bytes; the file is damaged or cut off")
     try:
@@ -169,7 +173,7 @@ def parse_header(path: Path, head: bytes) -> Header:
         lines_before=sum(element.count for element in before),
         count=vertices.count,
         dtype=np.dtype(vertices.properties),
-        names={_PREFIXES.sub("", name): name for name in names} | {name: name for name in names},
+        names=_by_usual_name(names),
         before=before,
         others=[f"{e.name} ({e.count:,} row{'s' * (e.count != 1)})" for e in (*before, *after) if e.count],
         bytes_after=None if any(e.has_lists and e.count for e in after) else sum(e.num_bytes for e in after),
@@ -177,6 +181,20 @@ def parse_header(path: Path, head: bytes) -> Header:
         are_surfels=text.are_surfels,
         comments=text.comments,
     )
+
+
+def _by_usual_name(names: list[str]) -> dict[str, str]:
+    """Properties by the name that 3DGS gives them, and by their own.
+
+    CloudCompare writes scalar_opacity or scal_opacity for opacity, others diffuse_red or r for red, filter_3d for filter_3D.
+    """
+    usual = {}
+    for name in names:
+        bare = _PREFIXES.sub("", name)
+        usual[_SPELLINGS.get(bare.lower(), bare)] = name
+    if set(_LETTERS) <= set(names):
+        usual |= {_LETTERS[letter]: letter for letter in _LETTERS if _LETTERS[letter] not in names}
+    return usual | {name: name for name in names}
 
 
 def _vertices(path: Path, elements: list[Element]) -> int:

@@ -85,6 +85,11 @@ def fields_of(path: Path, header: Header, *, ignore: bool) -> Fields:
     geometry: tuple[tuple[str, ...], ...] = GEOMETRY
     if missing == ["scale_2"]:
         geometry = tuple(tuple("scale_0" if n == "scale_2" else n for n in group) for group in GEOMETRY)  # a stand-in
+    elif missing and set(missing) <= set(DC):
+        raise FormatError(
+            f"{path}: found Gaussians without colours (only {' '.join(list(names)[:12])} …), wanted the properties f_dc_0 f_dc_1 "
+            "f_dc_2 or red green blue"
+        )
     elif missing:
         raise FormatError(
             f"{path}: found no properties {' '.join(missing)} (only {' '.join(list(names)[:12])} …): this is a point cloud "

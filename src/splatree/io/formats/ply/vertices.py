@@ -37,6 +37,9 @@ _ROWS_OF_TEXT = 1 << 12
 _ROWS_OF_SAMPLE = 1 << 16
 """Rows that the origin is found from, spread evenly over the file."""
 
+_OVERSHOOT = 16
+"""Colours from 0 to 1 may overshoot as f_dc does; a scene of 0 to 255 that stays below this is black."""
+
 FUSED = (
     "the 3D filter (filter_3D of Mip-Splatting or GOF) was fused into scales and opacities, as their save_fused_ply does; scenes "
     "of Mip-Splatting are meant to be drawn with --mode antialiased"
@@ -194,7 +197,7 @@ def _color_max(file: BinaryIO, vertices: Vertices) -> float:
         else:
             records = _records(file, header, vertices.start + begin * header.dtype.itemsize, count)
         largest = max(largest, *(float(np.nanmax(records[name].astype(np.float64), initial=0)) for name in names))
-    if all(kind.kind == "f" for kind in kinds) and largest <= 1:
+    if all(kind.kind == "f" for kind in kinds) and largest < _OVERSHOOT:
         return 1.0
     return 255.0 if largest <= 255 else 65535.0
 

@@ -118,7 +118,7 @@ def open_container(path: Path) -> Container:
     with path.open("rb") as file:
         num_bytes = path.stat().st_size
         header_size = int.from_bytes(file.read(8), "little")
-        if num_bytes < 8 or header_size > min(_HEADER_MAX, num_bytes - 8):
+        if not 2 <= header_size <= min(_HEADER_MAX, num_bytes - 8):
             raise FormatError(
                 f"{where}: found a header of {header_size} bytes in a file of {num_bytes}; the file is cut off or no .splatree"
             )
