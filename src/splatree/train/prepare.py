@@ -27,6 +27,9 @@ __all__ = ["Work", "prepare"]
 NEAR_EXTENTS = 0.01
 """Nearest depth that is drawn, in extents, where that is less than the usual one."""
 
+ROOTS_SHARE = 16
+"""A tree that grows begins with so many times fewer points than it may have leaves: what it begins with is its coarsest level."""
+
 
 @dataclass(frozen=True, eq=False)
 class Work:
@@ -52,7 +55,8 @@ class Work:
     def start(self) -> Gaussians:
         """The Gaussians that the first step draws, along a Morton curve."""
         rng, room = generator(self.options.seed, "start", 0), self.options.max_gaussians
-        gaussians = start_from(self.points, degree=self.options.degree, max_gaussians=room, rng=rng)
+        first = max(1, room // ROOTS_SHARE) if self.options.levels == "grow" else room
+        gaussians = start_from(self.points, degree=self.options.degree, max_gaussians=first, rng=rng)
         division = self.schedule.division(0.0)
         gaussians = fill_empty_cells(
             gaussians,

@@ -15,11 +15,14 @@ from pathlib import Path
 
 from splatree.io.photos import PhotosUsed
 from splatree.kernels.devices import DeviceName, training_stages_of
+from splatree.lod.build import build_lod
+from splatree.lod.options import BuildOptions
 from splatree.progress import task
 from splatree.scene.scene import Scene, Source
 from splatree.train.checkpoint import Identity, load, read_log, save
 from splatree.train.densify import Rows, Sightings, densified
 from splatree.train.exposure import Gains
+from splatree.train.lineage import Lineage
 from splatree.train.options import RunFiles, TrainOptions, plain
 from splatree.train.prepare import Work, prepare
 from splatree.train.schedule import BIRTHS_END, ROUND, LogEntry, count_target, generator, rates, round_of
@@ -52,7 +55,7 @@ class Trained:
     """
 
     scene: Scene
-    """The scene, without levels; ``source.metadata["training"]`` says how it was trained."""
+    """The scene, with levels if they were asked for; ``source.metadata["training"]`` says how it was trained."""
     history: tuple[Scored, ...]
     """The scene after 10, 25, 50 and 75 % of the run and at its end."""
     gains: dict[str, tuple[float, float, float]]
@@ -133,7 +136,7 @@ def train(
         _keep(work, state, drawing, watch, is_end=True)
     if files.folder is not None:
         save(files.folder, state, identity)
-    return _trained(work, state, Path(photos), stopped)
+    return _trained(work, state, Path(photos), stopped, threads)
 
 
 def _beginning(work: Work) -> State:
@@ -141,7 +144,10 @@ def _beginning(work: Work) -> State:
     begin = time.process_time()
     gaussians = work.start()
     n, num_photos = len(gaussians), len(work.targets)
-    state = State(Rows.beginning(gaussians), Sightings.none(n), Gains.ones(num_photos), num_start=n)
+    rows = Rows.beginning(gaussians)
+    if work.options.levels == "grow":
+        rows = replace(rows, lineage=Lineage.none(gaussians))
+    state = State(rows, Sightings.none(n), Gains.ones(num_photos), num_start=n)
     state.spent_s = time.process_time() - begin
     return state
 
@@ -218,7 +224,7 @@ def _next_mark(state: State) -> float:
     return next((mark for mark in SCORED_AT if mark > done), float("inf"))
 
 
-def _trained(work: Work, state: State, folder: Path, stopped: bool) -> Trained:
+def _trained(work: Work, state: State, folder: Path, stopped: bool, threads: int) -> Trained:
     """What the run leaves."""
     last = None if stopped or not state.history else state.history[-1].score
     record = {
@@ -235,8 +241,13 @@ def _trained(work: Work, state: State, folder: Path, stopped: bool) -> Trained:
     }
     source = Source((str(folder),), "photographs", {METADATA_KEY: json.dumps(record)}, work.world.origin)
     names, gains = [camera.name for camera in work.targets.cameras], state.gains.relative().tolist()
+    scene, levels = Scene.flat(state.rows.gaussians, mode=work.options.mode, source=source), work.options.levels
+    if state.rows.lineage is not None:
+        scene = state.rows.lineage.tree(scene)
+    elif levels == "radius" or levels == "pairs":
+        scene = build_lod(scene, BuildOptions(method=levels), threads=threads)
     return Trained(
-        Scene.flat(state.rows.gaussians, mode=work.options.mode, source=source),
+        scene,
         tuple(state.history),
         {name: (r, g, b) for name, (r, g, b) in zip(names, gains, strict=True)},
         tuple(state.replay_log),

@@ -30,6 +30,9 @@ GROWTH_ENDS, BIRTHS_END = 0.5, 0.8
 DEGREES_BEGIN = 0.5
 """Share of the run from which harmonics of degree 2 and 3 are drawn; degree 1 from the beginning."""
 
+ROOTS_LEARN = 0.1
+"""Share of the run in which a tree that grows sees photographs of a quarter of the largest size, before all others."""
+
 _RATES = {
     "means": (2e-4, 2e-6),
     "quats": (2e-3, 4e-4),
@@ -70,6 +73,8 @@ class Schedule:
     def division(self, share: float) -> int:
         """Division of the photographs."""
         steps = {1: ((0.25, 4), (0.7, 2)), 2: ((0.25, 4),), 4: ((0.25, 8),)}.get(self.finest, ())
+        if self.options.levels == "grow":
+            steps = ((ROOTS_LEARN, 4 * self.finest), *steps)
         division = next((k for end, k in steps if share < end), self.finest)
         return max(min(division, self.coarsest), self.finest)
 
