@@ -92,7 +92,7 @@ def prepare(folder: Path, options: TrainOptions, cameras: Path | None) -> Work:
             f"({targets.cameras[0].name!r}, ...)"
         )
     extent, notes = extent_of(targets.cameras), list(views.notes)
-    points = read_points(cameras if cameras is not None and cameras.is_dir() else folder)
+    points = read_points(folder if cameras is None or (cameras.is_file() and cameras.suffix != ".json") else cameras)
     if points is None:
         notes.append("no points came with the cameras: training begins with random ones, which takes longer")
         points = random_points(targets.cameras, extent, generator(options.seed, "points", 0))
