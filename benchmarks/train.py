@@ -15,6 +15,7 @@ import numpy as np
 
 import harness
 import splatree as st
+from splatree.train.exposure import exposed
 from splatree.train.targets import divided
 
 
@@ -59,7 +60,7 @@ def main() -> None:
     about = (
         "Held-out photographs (every 8th) at half of their size: PSNR as rendered, with a gain for each channel fitted on the "
         "left half and scored on the right half, and SSIM. The last row of a run has the PSNR of each sixth training photograph "
-        "with its gain."
+        "with its exposure."
     )
     harness.save("train", sorted(rows, key=lambda row: list(RUNS).index(row["run"])), about=about)
 
@@ -101,15 +102,15 @@ def trained(name: str, run: Run) -> list[dict[str, Any]]:
 
 
 def known(found: st.Trained, folder: Any) -> float:
-    """Mean PSNR of some training photographs, drawn with their gains, dB."""
+    """Mean PSNR of some training photographs, drawn with their exposures, dB."""
     record = json.loads(found.scene.source.metadata["training"])
     scores = []
-    for camera in [c for c in st.read_cameras(folder) if c.name in found.gains][::EVERY]:
+    for camera in [c for c in st.read_cameras(folder) if c.name in found.exposures][::EVERY]:
         photo = st.read_image(folder / "images" / camera.name)
         division, small = record["division"], divided(camera, record["division"])
         photo = photo[: small.height * division, : small.width * division]
         photo = photo.reshape(small.height, division, small.width, division, 3).mean(axis=(1, 3))
-        image = st.render(found.scene, small).image * np.asarray(found.gains[camera.name])
+        image = exposed(st.render(found.scene, small).image, found.exposures[camera.name])
         scores.append(st.psnr(np.clip(image, 0, 1), photo))
     return float(np.mean(scores))
 

@@ -3,7 +3,7 @@
     scene.run/
       checkpoint.npz   the scene, moments, counters, exposure; options, and digests of the photographs
       log.json         what the clock said: with it the run can be repeated bit for bit
-      exposure.json    the gain of each photograph
+      exposure.json    what each photograph does to colours, 3 × 4
 
 Each file is written beside its place and renamed when it is whole.
 """
@@ -26,7 +26,7 @@ from splatree.scene.cameras import Camera
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.gradients import Moments
 from splatree.train.densify import Rows, Sightings
-from splatree.train.exposure import Gains
+from splatree.train.exposure import Exposures
 from splatree.train.lineage import Lineage
 from splatree.train.options import TrainOptions, plain
 from splatree.train.schedule import LogEntry
@@ -91,8 +91,9 @@ def save(folder: Path, state: State, identity: Identity) -> None:
         "steps": state.rows.moments.steps,
         "errors": state.seen.errors,
         "weights": state.seen.weights,
-        "factors": state.gains.factors,
-        "visits": state.gains.visits,
+        "exposures": state.exposures.matrices,
+        "visits": state.exposures.visits,
+        "is_affine": np.array(state.exposures.is_affine),
         "about": np.frombuffer(json.dumps(about).encode(), np.uint8),
     }
     if (lineage := state.rows.lineage) is not None:
@@ -100,8 +101,8 @@ def save(folder: Path, state: State, identity: Identity) -> None:
         arrays |= {"parents": lineage.parents, "of_rows": lineage.of_rows}
     with replacing(folder / CHECKPOINT, force=True) as temporary, temporary.open("wb") as file:
         np.savez(file, **arrays)
-    gains = dict(zip(identity.digests, state.gains.relative().tolist(), strict=True))
-    for name, content in ((LOG, [asdict(e) for e in state.replay_log]), (EXPOSURE, gains)):
+    exposures = dict(zip(identity.digests, state.exposures.relative().tolist(), strict=True))
+    for name, content in ((LOG, [asdict(e) for e in state.replay_log]), (EXPOSURE, exposures)):
         with replacing(folder / name, force=True) as temporary:
             temporary.write_text(json.dumps(content, indent=1) + "\n")
 
@@ -198,7 +199,7 @@ def _state(arrays: Mapping[str, Any], about: Mapping[str, Any]) -> State:
     return State(
         Rows(gaussians(), Moments(arrays["moments"], arrays["steps"]), lineage),
         Sightings(arrays["errors"], arrays["weights"]),
-        Gains(arrays["factors"], arrays["visits"]),
+        Exposures(arrays["exposures"], arrays["visits"], bool(arrays["is_affine"])),
         num_start=about["num_start"],
         step=about["step"],
         loss=about["loss"],

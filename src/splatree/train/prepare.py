@@ -81,7 +81,7 @@ def prepare(folder: Path, options: TrainOptions, cameras: Path | None) -> Work:
             f"photos: found {len(views)} views of which {len(split.held_out)} are held out, wanted at least 2 to train on; hold "
             "out fewer, or take more photographs"
         )
-    targets = Targets(folder, split.training, masks=options.masks)
+    targets = Targets(folder, split.training, masks=options.masks, alpha=options.alpha)
     if len(targets) < 2:
         raise InputError(
             f"photos: found a photograph of {len(targets)} of the {len(split.training)} training views, wanted at least 2"
@@ -98,7 +98,9 @@ def prepare(folder: Path, options: TrainOptions, cameras: Path | None) -> Work:
         points = random_points(targets.cameras, extent, generator(options.seed, "points", 0))
     world, points = _placed(points, extent)
     targets.placed(world.near, np.asarray(world.origin))
-    held_out = HeldOut(folder, split.held_out, options.masks) if options.score and split.held_out else None
+    held_out = (
+        HeldOut(folder, split.held_out, options.masks, options.alpha) if options.score and split.held_out else None
+    )
     schedule = _schedule(options, targets.cameras)
     return Work(options, targets, held_out, split.rule, schedule, world, points, tuple(notes))
 

@@ -19,9 +19,10 @@ from splatree.lod.build import build_lod
 from splatree.lod.options import BuildOptions
 from splatree.progress import task
 from splatree.scene.scene import Scene, Source
+from splatree.shapes import Array, Float64
 from splatree.train.checkpoint import Identity, load, read_log, save
 from splatree.train.densify import Rows, Sightings, densified
-from splatree.train.exposure import Gains
+from splatree.train.exposure import Exposures
 from splatree.train.lineage import Lineage
 from splatree.train.options import RunFiles, TrainOptions, plain
 from splatree.train.prepare import Work, prepare
@@ -58,8 +59,9 @@ class Trained:
     """The scene, with levels if they were asked for; ``source.metadata["training"]`` says how it was trained."""
     history: tuple[Scored, ...]
     """The scene after 10, 25, 50 and 75 % of the run and at its end."""
-    gains: dict[str, tuple[float, float, float]]
-    """Exposure of each photograph: what the scene's picture is multiplied by, RGB; their geometric mean is 1."""
+    exposures: dict[str, Float64[Array, "3 4"]]
+    """What each photograph does to the colours of the scene: Y = M X + b, with M in the first three columns and b in the last.
+    Gains have but a diagonal, and a geometric mean of 1; the mean of affine ones is the identity."""
     log: tuple[LogEntry, ...]
     """What the clock said; with it the run can be repeated bit for bit."""
     rule: str
@@ -147,7 +149,9 @@ def _beginning(work: Work) -> State:
     rows = Rows.beginning(gaussians)
     if work.options.levels == "grow":
         rows = replace(rows, lineage=Lineage.none(gaussians))
-    state = State(rows, Sightings.none(n), Gains.ones(num_photos), num_start=n)
+    state = State(
+        rows, Sightings.none(n), Exposures.none(num_photos, is_affine=work.options.exposure == "affine"), num_start=n
+    )
     state.spent_s = time.process_time() - begin
     return state
 
@@ -193,9 +197,9 @@ def _step(work: Work, state: State, drawing: Drawing) -> None:
     target = work.targets.at(i, division)
     now = rates(share, extent, state.rows.moments, state.rows.gaussians.sh.shape[1])
     drawing = replace(drawing, sh_degree=work.schedule.sh_degree(share))
-    loss = learn(state.rows, state.seen, target, state.gains.of(i), now, extent, drawing)
-    if work.options.exposure == "gain" and share >= EXPOSURE_BEGINS:
-        state.gains.visit(i, loss)
+    loss, image = learn(state.rows, state.seen, target, state.exposures.of(i), now, extent, drawing)
+    if work.options.exposure != "none" and share >= EXPOSURE_BEGINS:
+        state.exposures.visit(i, loss, image, target.photo, target.mask)
     memory = LOSS_MEMORY if state.step else 0.0
     state.loss = memory * state.loss + (1 - memory) * loss.value
     state.step += 1
@@ -240,7 +244,6 @@ def _trained(work: Work, state: State, folder: Path, stopped: bool, threads: int
         "score": None if last is None else asdict(last),
     }
     source = Source((str(folder),), "photographs", {METADATA_KEY: json.dumps(record)}, work.world.origin)
-    names, gains = [camera.name for camera in work.targets.cameras], state.gains.relative().tolist()
     scene, levels = Scene.flat(state.rows.gaussians, mode=work.options.mode, source=source), work.options.levels
     if state.rows.lineage is not None:
         scene = state.rows.lineage.tree(scene)
@@ -249,7 +252,7 @@ def _trained(work: Work, state: State, folder: Path, stopped: bool, threads: int
     return Trained(
         scene,
         tuple(state.history),
-        {name: (r, g, b) for name, (r, g, b) in zip(names, gains, strict=True)},
+        dict(zip([camera.name for camera in work.targets.cameras], state.exposures.relative(), strict=True)),
         tuple(state.replay_log),
         work.rule,
         work.targets.used,
