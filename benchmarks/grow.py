@@ -26,7 +26,7 @@ PHOTOGRAPHS = {"plush": ("snowmiku_plush_small", 50_000), "drone": ("caliterra_d
 CUTS = (0.0, 3.0, 6.0, 12.0, 24.0)
 """τ_R of the grown tree's cuts, px; each gives the number of nodes that is drawn of every tree. At 0 all leaves are."""
 
-REFINED_MIN = 0.5
+REFINED_MIN = 0.25
 """Processor minutes of refinement."""
 
 
