@@ -1,18 +1,19 @@
 """What refinement adds to the levels of a scene: PSNR against all leaves, before and after, at equal nodes drawn.
 
 ``python benchmarks/refine.py [scene …] [--minutes 1] [--methods pairs radius]``; without a scene, one chunk of the shared city,
-which the rates were chosen on, and others, which they were not. Six views from near to far (benchmarks/quality.py), none of
-which refinement sees. ``gain`` is the mean over them, ``worst`` the view that gains least. Rows are selected anew after
-refinement; the change of their number is printed. Seconds are of the processor.
+which the rates were chosen on, and others, which they were not; rows of other scenes are kept. Six views from near to far
+(benchmarks/quality.py), none of which refinement sees. ``gain`` is the mean over them, ``worst`` the view that gains least. Rows
+are selected anew after refinement; the change of their number is printed. Seconds are of the processor.
 """
 
 import argparse
+import json
 from pathlib import Path
 
 import numpy as np
 
 import splatree as st
-from harness import DATA, save, table
+from harness import DATA, RESULTS, save, table
 from quality import Judge
 
 CITY = DATA / "trained" / "semarang_city"
@@ -69,8 +70,11 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=1.0)
     parser.add_argument("--methods", nargs="+", default=["pairs", "radius"])
     options = parser.parse_args()
-    rows = []
-    for path in options.scenes or [scene for scene in SCENES if scene.exists()]:
+    scenes, results = options.scenes or [scene for scene in SCENES if scene.exists()], RESULTS / "refine.json"
+    chosen = {(path.name, method) for path in scenes for method in options.methods}
+    kept = json.loads(results.read_text())["rows"] if results.exists() else []
+    rows = [row for row in kept if (row["scene"], row["levels"]) not in chosen]
+    for path in scenes:
         for method in options.methods:
             rows += refined(path, method, options.minutes)
             print(table(rows[-4:]), flush=True)

@@ -15,6 +15,8 @@ import numpy as np
 
 import harness
 import splatree as st
+from splatree.metrics.gain import psnr_with_gain
+from splatree.train.exposure import exposed
 from splatree.train.targets import divided
 
 
@@ -59,7 +61,7 @@ def main() -> None:
     about = (
         "Held-out photographs (every 8th) at half of their size: PSNR as rendered, with a gain for each channel fitted on the "
         "left half and scored on the right half, and SSIM. The last row of a run has the PSNR of each sixth training photograph "
-        "with its gain."
+        "with its own exposure, and fitted as the others."
     )
     harness.save("train", sorted(rows, key=lambda row: list(RUNS).index(row["run"])), about=about)
 
@@ -96,22 +98,24 @@ def trained(name: str, run: Run) -> list[dict[str, Any]]:
     finally:
         prepare.fill_empty_cells = filled
     rows = [row(scored) for scored in found.history]
-    rows[-1]["training"] = known(found, folder)
+    rows[-1]["training"], rows[-1]["training fitted"] = known(found, folder)
     return rows
 
 
-def known(found: st.Trained, folder: Any) -> float:
-    """Mean PSNR of some training photographs, drawn with their gains, dB."""
+def known(found: st.Trained, folder: Any) -> tuple[float, float]:
+    """Mean PSNR of some training photographs, dB: with their own exposures, and fitted as held-out ones are."""
     record = json.loads(found.scene.source.metadata["training"])
     scores = []
-    for camera in [c for c in st.read_cameras(folder) if c.name in found.gains][::EVERY]:
+    for camera in [c for c in st.read_cameras(folder) if c.name in found.exposures][::EVERY]:
         photo = st.read_image(folder / "images" / camera.name)
         division, small = record["division"], divided(camera, record["division"])
         photo = photo[: small.height * division, : small.width * division]
         photo = photo.reshape(small.height, division, small.width, division, 3).mean(axis=(1, 3))
-        image = st.render(found.scene, small).image * np.asarray(found.gains[camera.name])
-        scores.append(st.psnr(np.clip(image, 0, 1), photo))
-    return float(np.mean(scores))
+        image = st.render(found.scene, small).image
+        own = np.clip(exposed(image, found.exposures[camera.name]), 0, 1)
+        scores.append((st.psnr(own, photo), psnr_with_gain(image, photo.astype(np.float32))))
+    own, fitted = np.mean(scores, axis=0)
+    return float(own), float(fitted)
 
 
 if __name__ == "__main__":

@@ -118,12 +118,26 @@ def test_exposure_is_told_apart_and_has_a_mean_of_one(photographs):
     """One photograph is half as bright: its gain goes down, the others' up, and their geometric mean stays."""
     path = photographs / "images" / "photo_2.png"
     st.write_image(0.5 * st.read_image(path), path, force=True)
-    gains = st.train(photographs, st.TrainOptions(iterations=150, max_gaussians=260, held_out=4)).gains
+    found = st.train(photographs, st.TrainOptions(iterations=150, max_gaussians=260, held_out=4)).exposures
+    gains = {name: np.diag(exposure) for name, exposure in found.items()}
     ratio = np.array(gains["photo_2.png"]) / np.sqrt(np.array(gains["photo_1.png"]) * np.array(gains["photo_3.png"]))
     assert (ratio < 0.8).all()
     np.testing.assert_allclose(np.prod([*gains.values()], axis=0), 1, rtol=1e-9)
-    equal = st.train(photographs, st.TrainOptions(iterations=20, max_gaussians=260, held_out=4, exposure="none")).gains
-    assert set(equal.values()) == {(1.0, 1.0, 1.0)}
+    none = st.TrainOptions(iterations=20, max_gaussians=260, held_out=4, exposure="none")
+    for exposure in st.train(photographs, none).exposures.values():
+        np.testing.assert_array_equal(exposure, np.eye(3, 4))
+
+
+def test_a_tint_of_one_photograph_is_told_apart_by_affine_exposure(photographs):
+    path = photographs / "images" / "photo_2.png"
+    photo = st.read_image(path)
+    st.write_image(
+        np.stack([photo[..., 0], 0.5 * photo[..., 1] + 0.5 * photo[..., 0], photo[..., 2]], axis=2), path, force=True
+    )
+    options = st.TrainOptions(iterations=300, max_gaussians=300, held_out=4, exposure="affine")
+    found = st.train(photographs, options).exposures
+    others = 0.5 * (found["photo_1.png"] + found["photo_3.png"])
+    assert found["photo_2.png"][1, 0] > others[1, 0] + 0.05 and found["photo_2.png"][1, 1] < others[1, 1] - 0.05
 
 
 def test_masked_pixels_are_not_learned(photographs):
@@ -163,6 +177,26 @@ def test_alpha_of_photographs_is_a_mask(photographs):
         Image.fromarray(np.dstack([pixels, alpha])).save(path)
         found.append(bits(st.train(photographs, options)))
     assert found[0] == found[1]
+
+
+def test_alpha_of_photographs_can_be_matched(photographs, truth):
+    """Photographs of an object before nothing: the scene becomes as transparent, whatever colour they have there."""
+    from PIL import Image
+
+    cameras = read_cameras(photographs).views
+    for i, camera in enumerate(cameras):
+        drawn = st.render(truth, camera)
+        color = np.clip(drawn.image / np.maximum(drawn.alpha, 1e-6)[..., None], 0, 1)
+        color[drawn.alpha < 1 / 255] = (0, 1, 0) if i % 2 else (1, 0, 1)
+        pixels = np.rint(255 * np.dstack([color, drawn.alpha])).astype(np.uint8)
+        Image.fromarray(pixels).save(photographs / "images" / camera.name)
+    wrong = {}
+    for kind in ("mask", "match"):
+        scene = st.train(photographs, st.TrainOptions(iterations=300, max_gaussians=300, held_out=4, alpha=kind)).scene
+        wrong[kind] = np.mean(
+            [np.abs(st.render(scene, c).alpha - st.render(truth, c).alpha).mean() for c in cameras[1:]]
+        )
+    assert wrong["match"] < 0.5 * wrong["mask"] and wrong["match"] < 0.1
 
 
 def test_one_photograph_is_too_few(photographs):

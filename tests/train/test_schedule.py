@@ -66,7 +66,7 @@ def test_random_numbers_depend_on_what_they_are_for_alone():
 def test_photographs_grow_and_are_never_smaller_than_they_may_be():
     shares = (0.0, 0.3, 0.6, 0.8)
     assert [Schedule(TrainOptions(), 1, 8).division(share) for share in shares] == [4, 2, 2, 1]
-    assert [Schedule(TrainOptions(), 2, 8).division(share) for share in shares] == [4, 2, 2, 2]
+    assert [Schedule(TrainOptions(), 2, 8).division(share) for share in shares] == [4, 4, 2, 2]
     assert [Schedule(TrainOptions(), 1, 1).division(share) for share in shares] == [1, 1, 1, 1]
     assert [Schedule(TrainOptions(), 8, 8).division(share) for share in shares] == [8, 8, 8, 8]
 
@@ -85,8 +85,8 @@ def test_the_count_reaches_its_target_at_half_of_the_run():
 def test_rates_fall_to_their_ends():
     moments = Moments.zeros(1, 4)
     begin, end = rates(0, 10, moments, 4), rates(1, 10, moments, 4)
-    np.testing.assert_allclose(begin[[0, 3, 7, 10, 11, 14]], [2e-3, 2e-3, 1e-2, 5e-2, 5e-3, 5e-4], rtol=1e-5)
-    np.testing.assert_allclose(end[[0, 3, 7, 10, 11, 14]], [2e-5, 4e-4, 1e-3, 1e-2, 5e-4, 5e-5], rtol=1e-5)
+    np.testing.assert_allclose(begin[[0, 3, 7, 10, 11, 14]], [4e-3, 1e-2, 5e-2, 0.25, 2.5e-2, 2.5e-3], rtol=1e-5)
+    np.testing.assert_allclose(end[[0, 3, 7, 10, 11, 14]], [4e-5, 2e-3, 5e-3, 5e-2, 2.5e-3, 2.5e-4], rtol=1e-5)
     assert (begin[:23] > 0).all() and not begin[23:].any()
 
 

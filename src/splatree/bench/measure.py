@@ -11,6 +11,7 @@ from splatree.bench.subject import Subject
 from splatree.constants import ALPHA_THRESHOLD
 from splatree.lod.select import Selector
 from splatree.lod.select import select as select_rows
+from splatree.metrics.flip import flip
 from splatree.progress import track
 from splatree.render.evaluate import score
 from splatree.render.session import NOTHING, Session, open_session
@@ -42,6 +43,8 @@ class Quality:
     """Structural similarity."""
     lpips: float | None
     """Learned perceptual similarity, if its network was given."""
+    flip: float | None
+    """Mean FLIP, 0 to 1, if it was asked for."""
     num_selected: float
     """Nodes chosen."""
     num_pairs: float
@@ -58,6 +61,8 @@ class Judge:
     """A loaded `splatree.metrics.lpips.Lpips`."""
     selection: SelectOptions = ALL_LEAVES
     """Nodes of the picture to compare with, which is drawn without loss, where there are no photographs."""
+    wants_flip: bool = False
+    """Whether FLIP is computed too: about a second a megapixel."""
 
     @cached_property
     def session(self) -> Session:
@@ -103,10 +108,15 @@ class Judge:
                 continue
             result = self.trace(camera, select, options).result
             found = score(result.image, self.references[camera.name], self.lpips)
-            numbers = (min(found.psnr, PSNR_MAX), found.ssim, found.lpips or 0.0)
+            seen = flip(np.clip(result.image, 0, 1), self.references[camera.name]) if self.wants_flip else 0.0
+            numbers = (min(found.psnr, PSNR_MAX), found.ssim, found.lpips or 0.0, seen)
             rows.append((*numbers, result.counters.num_selected, result.counters.num_pairs))
-        psnr, ssim, lpips, num_selected, num_pairs = (float(x) for x in np.mean(np.array(rows, np.float64), axis=0))
-        return Quality(psnr, ssim, lpips if self.lpips else None, num_selected, num_pairs)
+        psnr, ssim, lpips, seen, num_selected, num_pairs = (
+            float(x) for x in np.mean(np.array(rows, np.float64), axis=0)
+        )
+        return Quality(
+            psnr, ssim, lpips if self.lpips else None, seen if self.wants_flip else None, num_selected, num_pairs
+        )
 
     def timing(self, select: SelectOptions | Selector, options: RenderOptions | None = None, *, frames: int) -> Timing:
         """Draw a path through the views and time it, after as many frames, at most 20, to warm up."""

@@ -69,15 +69,21 @@ class Subject:
     """Scene, cameras, size, comparison, machine and version, in words."""
 
 
-def subject_of(options: SubjectOptions, *, levels: bool = True) -> Subject:
-    """Read the scene, build its levels if it has none and ``levels`` are wanted, and choose the views."""
-    scene = _read_scene(options.scene, levels)
+def subject_of(options: SubjectOptions, *, levels: bool = True, trained: Scene | None = None) -> Subject:
+    """Read the scene, build its levels if it has none and ``levels`` are wanted, and choose the views.
+
+    Args:
+        options: scene and views.
+        levels: whether levels are built.
+        trained: a scene in place of the one that the options name.
+    """
+    scene = _read_scene(options.scene, levels) if trained is None else with_blocks(trained)
     views, training, named, found = _views(scene, options)
     photos, training_photos = (None if found is None else found.at(of) for of in (views, training))
     tree = scene.tree
     nodes = f"{tree.num_leaves:,} Gaussians, {len(tree):,} nodes, {tree.num_levels} levels"
     about = {
-        "scene": f"{_name(options.scene)}: {nodes}, {scene.mode}",
+        "scene": f"{'trained' if trained else _name(options.scene)}: {nodes}, {scene.mode}",
         "cameras": f"{named}, {len(views)} drawn at {views[0].width} × {views[0].height} px",
         "compared with": _comparison(photos),
         "machine": machine(),

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import Annotated, Literal
+from typing import Annotated
 
 from tyro.conf import Positional, arg
 
@@ -20,8 +20,6 @@ from splatree.io.registry import format_to_write, formats, stored_bytes
 from splatree.io.replacing import check_target
 from splatree.io.writing import write
 from splatree.kernels.devices import DeviceName
-from splatree.lod.build import build_lod
-from splatree.lod.options import BuildOptions
 from splatree.train.checkpoint import CHECKPOINT
 from splatree.train.options import RunFiles, TrainOptions
 from splatree.train.run import train
@@ -41,8 +39,6 @@ class Command:
     """File to write."""
     force: bool = False
     """Replace the output, and the run beside it, if they exist."""
-    levels: Literal["none", "radius", "pairs"] = "none"
-    """Build levels of detail when the scene is trained, as `splatree build` does; `none`: all Gaussians are leaves."""
     cameras: Path | None = None
     """cameras.json, transforms.json or a COLMAP model; None: those in the folder of the photographs."""
     run: Path | None = None
@@ -88,7 +84,7 @@ class Result:
 
 
 def run(command: Command) -> Result:
-    """Train, build levels, write."""
+    """Train and write."""
     output = _output(command)
     folder = command.run or output.with_name(f"{output.stem}.run")
     if (folder / CHECKPOINT).exists() and not (command.resume or command.force):
@@ -107,13 +103,11 @@ def run(command: Command) -> Result:
             threads=command.threads,
         )
     scene = trained.scene
-    if command.levels != "none":
-        scene = build_lod(scene, BuildOptions(method=command.levels), threads=command.threads)
     lost, notes = lost_and_noted(scene, write(scene, output, force=command.force or command.resume))
     return Result(
         output,
         folder,
-        num_gaussians=len(trained.scene),
+        num_gaussians=scene.tree.num_leaves,
         num_nodes=len(scene),
         held_out=trained.rule,
         history=trained.history,
@@ -134,7 +128,7 @@ def _output(command: Command) -> Path:
         chosen = format_to_write(command.output)
     except InputError as error:
         raise UsageError(str(error)) from error
-    if command.levels != "none" and chosen.holds.levels != "tree":
+    if command.options.levels != "none" and chosen.holds.levels != "tree":
         suffixes = [suffix for f in formats() if f.holds.levels == "tree" for suffix in f.suffixes]
         raise UsageError(
             f"{command.output}: format {chosen.name} has no levels of detail, wanted {' or '.join(suffixes)}"

@@ -119,15 +119,20 @@ class Photos(Mapping[str, Array]):
             return photo
         return np.rint(straighten(photo.astype(np.float32), taken, view)).astype(np.uint8)
 
-    def counting(self, name: str, mask: Path | None = None) -> Bool[Array, "h w"] | None:
-        """Pixels that are opaque in the photograph, and lighter than half in ``mask``; None if that is all of them."""
+    def opacity(self, name: str) -> UInt8[Array, "h w"] | None:
+        """The alpha channel of a photograph, 0 to 255; None if it has none."""
+        view, taken = self._views[name], self._read_as(name)
+        plane = read_opacity(self._paths[name], size=(taken.width, taken.height), turned=name in self._turned)
+        if plane is None or taken.lens is None:
+            return plane
+        return np.rint(straighten(plane.astype(np.float32), taken, view)).astype(np.uint8)
+
+    def counting(self, name: str, mask: Path | None = None, *, alpha: bool = True) -> Bool[Array, "h w"] | None:
+        """Pixels that count: opaque in the photograph, if ``alpha`` says so, and lighter than half in ``mask``; None: all."""
         view, taken = self._views[name], self._read_as(name)
         size = (taken.width, taken.height)
-        planes = (
-            []
-            if (alpha := read_opacity(self._paths[name], size=size, turned=name in self._turned)) is None
-            else [alpha > 254]
-        )
+        opacity = read_opacity(self._paths[name], size=size, turned=name in self._turned) if alpha else None
+        planes = [] if opacity is None else [opacity > 254]
         if mask is not None:
             planes.append(read_pixels(mask, size=size).min(axis=2) > 127)
         if not planes:

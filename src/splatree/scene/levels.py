@@ -21,9 +21,9 @@ from splatree.scene.thinning import Importance, MergeOptions
 
 __all__ = ["UNKNOWN_LEVELS", "LevelRecord", "LevelRule", "common_record", "record_from_fields"]
 
-LevelRule = Literal["radius-thinning", "pairs", "linked", "foreign", "mixed"]
-"""How levels were made: `radius-thinning` and `pairs` by `build_lod`; `linked` by `link_levels`; `foreign` by another program,
-whose rule the file does not name; `mixed`: trees of several rules that were joined."""
+LevelRule = Literal["radius-thinning", "pairs", "grown", "linked", "foreign", "mixed"]
+"""How levels were made: `radius-thinning` and `pairs` by `build_lod`; `grown` in training (`TrainOptions.levels`); `linked` by
+`link_levels`; `foreign` by another program, whose rule the file does not name; `mixed`: trees of several rules, joined."""
 
 
 @dataclass(frozen=True)

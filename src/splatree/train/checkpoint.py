@@ -3,7 +3,7 @@
     scene.run/
       checkpoint.npz   the scene, moments, counters, exposure; options, and digests of the photographs
       log.json         what the clock said: with it the run can be repeated bit for bit
-      exposure.json    the gain of each photograph
+      exposure.json    what each photograph does to colours, 3 × 4
 
 Each file is written beside its place and renamed when it is whole.
 """
@@ -26,7 +26,8 @@ from splatree.scene.cameras import Camera
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.gradients import Moments
 from splatree.train.densify import Rows, Sightings
-from splatree.train.exposure import Gains
+from splatree.train.exposure import Exposures
+from splatree.train.lineage import Lineage
 from splatree.train.options import TrainOptions, plain
 from splatree.train.schedule import LogEntry
 from splatree.train.score import Score
@@ -36,7 +37,7 @@ __all__ = ["CHECKPOINT", "Identity", "load", "read_log", "save"]
 
 CHECKPOINT, LOG, EXPOSURE = "checkpoint.npz", "log.json", "exposure.json"
 
-VERSION = 1
+VERSION = 2
 
 _NOT_ALIKE = ("score",)
 """Options that may differ when a run goes on: they change no bit of the scene."""
@@ -90,14 +91,18 @@ def save(folder: Path, state: State, identity: Identity) -> None:
         "steps": state.rows.moments.steps,
         "errors": state.seen.errors,
         "weights": state.seen.weights,
-        "factors": state.gains.factors,
-        "visits": state.gains.visits,
+        "exposures": state.exposures.matrices,
+        "visits": state.exposures.visits,
+        "is_affine": np.array(state.exposures.is_affine),
         "about": np.frombuffer(json.dumps(about).encode(), np.uint8),
     }
+    if (lineage := state.rows.lineage) is not None:
+        arrays |= {f"ancestors_{name}": column for name, column in vars(lineage.ancestors).items()}
+        arrays |= {"parents": lineage.parents, "of_rows": lineage.of_rows}
     with replacing(folder / CHECKPOINT, force=True) as temporary, temporary.open("wb") as file:
         np.savez(file, **arrays)
-    gains = dict(zip(identity.digests, state.gains.relative().tolist(), strict=True))
-    for name, content in ((LOG, [asdict(e) for e in state.replay_log]), (EXPOSURE, gains)):
+    exposures = dict(zip(identity.digests, state.exposures.relative().tolist(), strict=True))
+    for name, content in ((LOG, [asdict(e) for e in state.replay_log]), (EXPOSURE, exposures)):
         with replacing(folder / name, force=True) as temporary:
             temporary.write_text(json.dumps(content, indent=1) + "\n")
 
@@ -157,6 +162,8 @@ def read_log(path: Path) -> list[LogEntry]:
 
 def _refuse_others(path: Path, about: Mapping[str, Any], identity: Identity) -> None:
     now, then = plain(identity.options), about["options"]
+    if "grow" not in (now["levels"], then["levels"]):  # others are built over the trained scene
+        then = {**then, "levels": now["levels"]}
     for name, value in now.items():
         if name not in _NOT_ALIKE and then.get(name) != value:
             raise InputError(
@@ -177,15 +184,22 @@ def _refuse_others(path: Path, about: Mapping[str, Any], identity: Identity) -> 
 
 
 def _state(arrays: Mapping[str, Any], about: Mapping[str, Any]) -> State:
-    columns = [np.ascontiguousarray(arrays[field.name]) for field in dataclasses.fields(Gaussians)]
+    def gaussians(prefix: str = "") -> Gaussians:
+        return Gaussians(
+            *(np.ascontiguousarray(arrays[prefix + field.name]) for field in dataclasses.fields(Gaussians))
+        )
+
+    lineage = None
+    if "of_rows" in arrays:
+        lineage = Lineage(gaussians("ancestors_"), arrays["parents"], arrays["of_rows"])
     history = [
         Scored(**{**scored, "score": None if scored["score"] is None else Score(**scored["score"])})
         for scored in about["history"]
     ]
     return State(
-        Rows(Gaussians(*columns), Moments(arrays["moments"], arrays["steps"])),
+        Rows(gaussians(), Moments(arrays["moments"], arrays["steps"]), lineage),
         Sightings(arrays["errors"], arrays["weights"]),
-        Gains(arrays["factors"], arrays["visits"]),
+        Exposures(arrays["exposures"], arrays["visits"], bool(arrays["is_affine"])),
         num_start=about["num_start"],
         step=about["step"],
         loss=about["loss"],

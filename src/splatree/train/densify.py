@@ -9,6 +9,8 @@ proportion to E. A row is divided once, along its longest axis:
 which keeps the second moment along that axis (0.7² + 0.714² = 1) and the opacity at the old centre, where each half is worth
 0.619 = exp(−½ (0.7 / 0.714)²). Moments and steps of both halves begin anew. A row that no view saw is never removed for that.
 
+Where a tree grows (train/lineage.py), a row gets children instead of being divided, once it has learned for `GROWN_UP` steps.
+
 Rows then stand along a Morton curve again: what lies together is read together.
 """
 
@@ -21,6 +23,7 @@ from splatree.maths.rotations import matrices_from_quats
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.gradients import Moments, SplatGradients
 from splatree.shapes import Array, Bool, Float32, Float64, Int32, check_fields
+from splatree.train.lineage import CHILDREN, Lineage, children_of
 
 __all__ = ["Rows", "Sightings", "along_curve", "densified", "split"]
 
@@ -37,6 +40,9 @@ LARGEST_EXTENTS = 0.5
 """Rows of a larger σ, in extents, are removed."""
 
 SPLIT_OPACITY_MAX = 0.98
+
+GROWN_UP = 50
+"""Steps of its own that a row has made before it gets children: it stays for ever as it is then."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,10 +77,13 @@ class Rows:
     """The scene as it is."""
     moments: Moments
     """What the optimiser remembers."""
+    lineage: Lineage | None = None
+    """Whose children they are, where a tree grows; None: rows are divided and leave nothing behind."""
 
     def take(self, rows: Array) -> "Rows":
         """These rows, copied."""
-        return Rows(self.gaussians.take(rows), Moments(self.moments.values[rows], self.moments.steps[rows]))
+        lineage = None if self.lineage is None else self.lineage.take(rows)
+        return Rows(self.gaussians.take(rows), Moments(self.moments.values[rows], self.moments.steps[rows]), lineage)
 
     @staticmethod
     def beginning(gaussians: Gaussians) -> "Rows":
@@ -88,8 +97,10 @@ def densified(rows: Rows, seen: Sightings, target: int, extent: float, rng: np.r
     if not kept.any():  # a run that has learned nothing yet keeps what it has
         kept[:] = True
     rows, errors, weights = rows.take(kept), seen.errors[kept], seen.weights[kept]
-    may_split = (weights > WEIGHT_TO_SPLIT_PX) & (errors > 0)
-    num_births = max(0, min(target - len(errors), len(errors) // 2, int(may_split.sum())))
+    may_split, more = (weights > WEIGHT_TO_SPLIT_PX) & (errors > 0), 1
+    if rows.lineage is not None:
+        may_split, more = may_split & (rows.moments.steps >= GROWN_UP), CHILDREN - 1
+    num_births = max(0, min((target - len(errors)) // more, len(errors) // 2, int(may_split.sum())))
     if num_births:
         rows = _born(rows, _drawn(errors, may_split, num_births, rng))
     return rows.take(along_curve(rows.gaussians))
@@ -138,16 +149,22 @@ def _drawn(errors: Array, may_split: Array, count: int, rng: np.random.Generator
 
 
 def _born(rows: Rows, chosen: Array) -> Rows:
-    """The rows with the chosen ones divided: one half in the place of each, the other at the end."""
-    first, second = split(rows.gaussians.take(chosen))
+    """The rows with the chosen ones divided: one part in the place of each, the others at the end."""
+    parents, lineage = rows.gaussians.take(chosen), rows.lineage
+    if lineage is None:
+        first, *others = split(parents)
+    else:
+        first, *others = children_of(parents)
+        lineage = lineage.grown(parents, chosen)
     for field in fields(Gaussians):
         getattr(rows.gaussians, field.name)[chosen] = getattr(first, field.name)
     rows.moments.values[chosen], rows.moments.steps[chosen] = 0, 0
-    fresh = Rows.beginning(second)
+    fresh = Rows.beginning(Gaussians.concatenate(others))
     return Rows(
         Gaussians.concatenate([rows.gaussians, fresh.gaussians]),
         Moments(
             np.concatenate([rows.moments.values, fresh.moments.values]),
             np.concatenate([rows.moments.steps, fresh.moments.steps]),
         ),
+        lineage,
     )

@@ -8,7 +8,7 @@ from splatree.errors import InputError
 from splatree.scene.literals import check_literals
 from splatree.scene.names import Mode
 
-__all__ = ["DIVISIONS", "Exposure", "RunFiles", "Size", "TrainOptions", "plain"]
+__all__ = ["DIVISIONS", "Alpha", "Exposure", "Levels", "RunFiles", "Size", "TrainOptions", "plain"]
 
 Size = Literal["1", "1/2", "1/4", "1/8"]
 """Sizes at which photographs are compared, as shares of their own."""
@@ -16,8 +16,15 @@ Size = Literal["1", "1/2", "1/4", "1/8"]
 DIVISIONS: dict[Size, int] = {"1": 1, "1/2": 2, "1/4": 4, "1/8": 8}
 """Photographs are divided by whole numbers, so that each pixel is the mean of whole pixels."""
 
-Exposure = Literal["gain", "none"]
-"""What of a photograph's exposure is told apart from the scene: a gain for each channel, or nothing."""
+Exposure = Literal["gain", "affine", "none"]
+"""What of a photograph's exposure is told apart from the scene: a gain for each channel, a matrix, or nothing."""
+
+Alpha = Literal["mask", "match"]
+"""What the alpha channel of a photograph says: which pixels count, or where the object is."""
+
+Levels = Literal["none", "radius", "pairs", "grow"]
+"""Levels of detail of a trained scene: `none`; by `radius` or by `pairs`, built over it as `build` does; or a tree that grows in
+training (`grow`), as FilterGS and LoG make theirs."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +55,14 @@ class TrainOptions:
     masks: Path | None = None
     """Folder of masks by the names of the photographs: pixels that are black in a mask are ignored. None: no masks."""
     exposure: Exposure = "gain"
-    """`gain`: each photograph may be brighter or darker than the others, by a factor for each channel; `none`: all are equal."""
+    """`gain`: each photograph may be brighter or darker than the others, by a factor for each channel; `affine`: or have another
+    white balance and haze, by a matrix of 3 × 4; `none`: all are equal."""
+    alpha: Alpha = "mask"
+    """What the alpha channel of a photograph means. `mask`: pixels that are not opaque are ignored; `match`: the scene is an
+    object before nothing, and learns to be as transparent."""
+    levels: Levels = "none"
+    """Levels of detail: `none`, all Gaussians are leaves; `radius`, `pairs`: merged after training, as `splatree build` does;
+    `grow`: in training a Gaussian that is too coarse gets four children and stays as it is (FilterGS)."""
     score: bool = True
     """Score the held-out photographs at 10, 25, 50, 75 and 100 % of the run. This takes none of the minutes."""
     seed: int = 0

@@ -27,6 +27,9 @@ __all__ = ["Work", "prepare"]
 NEAR_EXTENTS = 0.01
 """Nearest depth that is drawn, in extents, where that is less than the usual one."""
 
+ROOTS_SHARE = 16
+"""A tree that grows begins with so many times fewer points than it may have leaves: what it begins with is its coarsest level."""
+
 
 @dataclass(frozen=True, eq=False)
 class Work:
@@ -52,7 +55,8 @@ class Work:
     def start(self) -> Gaussians:
         """The Gaussians that the first step draws, along a Morton curve."""
         rng, room = generator(self.options.seed, "start", 0), self.options.max_gaussians
-        gaussians = start_from(self.points, degree=self.options.degree, max_gaussians=room, rng=rng)
+        first = max(1, room // ROOTS_SHARE) if self.options.levels == "grow" else room
+        gaussians = start_from(self.points, degree=self.options.degree, max_gaussians=first, rng=rng)
         division = self.schedule.division(0.0)
         gaussians = fill_empty_cells(
             gaussians,
@@ -77,7 +81,7 @@ def prepare(folder: Path, options: TrainOptions, cameras: Path | None) -> Work:
             f"photos: found {len(views)} views of which {len(split.held_out)} are held out, wanted at least 2 to train on; hold "
             "out fewer, or take more photographs"
         )
-    targets = Targets(folder, split.training, masks=options.masks)
+    targets = Targets(folder, split.training, masks=options.masks, alpha=options.alpha)
     if len(targets) < 2:
         raise InputError(
             f"photos: found a photograph of {len(targets)} of the {len(split.training)} training views, wanted at least 2"
@@ -88,13 +92,15 @@ def prepare(folder: Path, options: TrainOptions, cameras: Path | None) -> Work:
             f"({targets.cameras[0].name!r}, ...)"
         )
     extent, notes = extent_of(targets.cameras), list(views.notes)
-    points = read_points(cameras if cameras is not None and cameras.is_dir() else folder)
+    points = read_points(folder if cameras is None or (cameras.is_file() and cameras.suffix != ".json") else cameras)
     if points is None:
         notes.append("no points came with the cameras: training begins with random ones, which takes longer")
         points = random_points(targets.cameras, extent, generator(options.seed, "points", 0))
     world, points = _placed(points, extent)
     targets.placed(world.near, np.asarray(world.origin))
-    held_out = HeldOut(folder, split.held_out, options.masks) if options.score and split.held_out else None
+    held_out = (
+        HeldOut(folder, split.held_out, options.masks, options.alpha) if options.score and split.held_out else None
+    )
     schedule = _schedule(options, targets.cameras)
     return Work(options, targets, held_out, split.rule, schedule, world, points, tuple(notes))
 

@@ -32,8 +32,8 @@ from splatree.shapes import Array, Bool, Float32, Int32
 
 __all__ = ["Drawn", "Proxies"]
 
-RATES = {"quats": 2e-3, "log_scales": 1e-2, "logit_opacities": 5e-2, "sh": 1e-2}
-"""Of the first steps at the full rate; means do not move."""
+RATES = {"quats": 8e-3, "log_scales": 4e-2, "logit_opacities": 0.2, "sh": 4e-2}
+"""At the beginning of a run, of a node that has made `RAMP_STEPS` (train/refine.py); means do not move."""
 
 OPACITY_MIN = 1e-6
 

@@ -7,7 +7,7 @@ same view (`Lesson`), and the nodes of the cut take a step of Adam along the der
 - Leaves stay bit for bit, and so do the tree, its extents and the order of rows: the cut of a view is the same before and after.
 - The cuts are those of the scene as it came. A node learns its opacity and colour, and its shape where the cut does not look
   at it (train/proxies.py).
-- A node's first 16 steps are shorter, so that one that is seen three times is not thrown off a good start.
+- A node's first 64 steps are shorter, so that one that is seen three times is not thrown off a good start.
 - A node around which pictures did not get better goes back to what it was.
 - Every eighth view is kept to judge by. If pictures of these did not get better in the mean, the scene is given back as it came.
 
@@ -46,14 +46,17 @@ __all__ = ["Refined", "refine"]
 HELD_OUT = 8
 """Every so many views one is kept to judge by."""
 
-RAMP_STEPS = 16
-"""Steps until a node moves at the full rate."""
+RAMP_STEPS = 64
+"""Steps until a node moves at the full rate. With fewer, nodes that few views show get worse in the others."""
 
 LAST_RATE = 0.1
 """Of the first rate, at the end; in between it falls evenly."""
 
 TIMED = 20
 """Steps that are timed before their number is fixed."""
+
+JUDGED_AGAIN = 1.3
+"""What judging takes afterwards, of what it took before: the judge's views are drawn twice then."""
 
 CALIBRATION = "calibration"
 """The record of a τ that was chosen for the nodes as they were (render/calibrate.py)."""
@@ -145,9 +148,11 @@ def refine(
 
     school = _School(scene, stages, threads)
     middle = math.sqrt(options.finest * options.coarsest)
-    before, errors_before = school.judge(judges, middle), school.errors(learned_from, middle)
-    iterations = school.learn(learned_from, options, began)
-    errors_after = school.errors(learned_from, middle)
+    judging = time.process_time()
+    before, errors_before = school.judge(judges, middle), school.errors(learned_from[::2], middle)
+    judging = JUDGED_AGAIN * (time.process_time() - judging)
+    iterations = school.learn(learned_from, options, began + 60 * options.minutes - judging)
+    errors_after = school.errors(learned_from[::2], middle)
     worse = np.flatnonzero(errors_after > errors_before)
     whole = school.proxies.scene()
     after = school.judge(judges, middle)
@@ -224,16 +229,16 @@ class _School:
         self._scene, self._threads, self._stages = scene, threads, stages
         self.proxies = Proxies(scene)
 
-    def learn(self, lessons: list[Lesson], options: RefineOptions, began: float) -> int:
-        """Make the steps; returns their number."""
+    def learn(self, lessons: list[Lesson], options: RefineOptions, end: float) -> int:
+        """Make the steps, until the processor's clock is at ``end`` if they are not counted; returns their number."""
         rng = np.random.default_rng([options.seed, 2])
         order, wanted, done = np.zeros(0, np.int64), options.iterations, 0
         at_start = time.process_time()
         with task("refine inner nodes", 1.0) as advance:
             while wanted is None or done < wanted:
-                if wanted is None and done == TIMED:  # judging afterwards takes as long as it took before
-                    left = 60 * options.minutes - 2 * (at_start - began) - (time.process_time() - at_start)
-                    wanted = TIMED + max(0, int(left / ((time.process_time() - at_start) / TIMED)))
+                if wanted is None and done == TIMED:
+                    now = time.process_time()
+                    wanted = TIMED + max(0, int((end - now) / ((now - at_start) / TIMED)))
                     continue
                 if not len(order):
                     order = rng.permutation(len(lessons))

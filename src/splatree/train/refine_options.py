@@ -29,8 +29,9 @@ class RefineOptions:
     teacher: Teacher = "same"
     """`same`: all leaves as they are drawn at the view's size; `large`: drawn four times larger and averaged down, better where
     the mode `classic` makes small leaves too large."""
-    made_views: int = 128
-    """Views that are made to learn from, where no cameras are given; every eighth is kept to judge by."""
+    made_views: int = 256
+    """Views that are made to learn from, where no cameras are given; every eighth is kept to judge by. With few views nodes learn
+    these instead of what they stand for."""
     finest: float = 3.0
     """Smallest τ_R, px, of the cuts that learn."""
     coarsest: float = 20.0

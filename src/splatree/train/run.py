@@ -15,11 +15,15 @@ from pathlib import Path
 
 from splatree.io.photos import PhotosUsed
 from splatree.kernels.devices import DeviceName, training_stages_of
+from splatree.lod.build import build_lod
+from splatree.lod.options import BuildOptions
 from splatree.progress import task
 from splatree.scene.scene import Scene, Source
+from splatree.shapes import Array, Float64
 from splatree.train.checkpoint import Identity, load, read_log, save
 from splatree.train.densify import Rows, Sightings, densified
-from splatree.train.exposure import Gains
+from splatree.train.exposure import Exposures
+from splatree.train.lineage import Lineage
 from splatree.train.options import RunFiles, TrainOptions, plain
 from splatree.train.prepare import Work, prepare
 from splatree.train.schedule import BIRTHS_END, ROUND, LogEntry, count_target, generator, rates, round_of
@@ -52,11 +56,12 @@ class Trained:
     """
 
     scene: Scene
-    """The scene, without levels; ``source.metadata["training"]`` says how it was trained."""
+    """The scene, with levels if they were asked for; ``source.metadata["training"]`` says how it was trained."""
     history: tuple[Scored, ...]
     """The scene after 10, 25, 50 and 75 % of the run and at its end."""
-    gains: dict[str, tuple[float, float, float]]
-    """Exposure of each photograph: what the scene's picture is multiplied by, RGB; their geometric mean is 1."""
+    exposures: dict[str, Float64[Array, "3 4"]]
+    """What each photograph does to the colours of the scene: Y = M X + b, with M in the first three columns and b in the last.
+    Gains have but a diagonal, and a geometric mean of 1; the mean of affine ones is the identity."""
     log: tuple[LogEntry, ...]
     """What the clock said; with it the run can be repeated bit for bit."""
     rule: str
@@ -134,7 +139,7 @@ def train(
         _keep(work, state, drawing, watch, is_end=True)
     if files.folder is not None:
         save(files.folder, state, identity)
-    return _trained(work, state, Path(photos), stopped)
+    return _trained(work, state, Path(photos), stopped, threads)
 
 
 def _beginning(work: Work) -> State:
@@ -142,7 +147,12 @@ def _beginning(work: Work) -> State:
     begin = time.process_time()
     gaussians = work.start()
     n, num_photos = len(gaussians), len(work.targets)
-    state = State(Rows.beginning(gaussians), Sightings.none(n), Gains.ones(num_photos), num_start=n)
+    rows = Rows.beginning(gaussians)
+    if work.options.levels == "grow":
+        rows = replace(rows, lineage=Lineage.none(gaussians))
+    state = State(
+        rows, Sightings.none(n), Exposures.none(num_photos, is_affine=work.options.exposure == "affine"), num_start=n
+    )
     state.spent_s = time.process_time() - begin
     return state
 
@@ -188,9 +198,9 @@ def _step(work: Work, state: State, drawing: Drawing) -> None:
     target = work.targets.at(i, division)
     now = rates(share, extent, state.rows.moments, state.rows.gaussians.sh.shape[1])
     drawing = replace(drawing, sh_degree=work.schedule.sh_degree(share))
-    loss = learn(state.rows, state.seen, target, state.gains.of(i), now, extent, drawing)
-    if work.options.exposure == "gain" and share >= EXPOSURE_BEGINS:
-        state.gains.visit(i, loss)
+    loss, image = learn(state.rows, state.seen, target, state.exposures.of(i), now, extent, drawing)
+    if work.options.exposure != "none" and share >= EXPOSURE_BEGINS:
+        state.exposures.visit(i, loss, image, target.photo, target.mask)
     memory = LOSS_MEMORY if state.step else 0.0
     state.loss = memory * state.loss + (1 - memory) * loss.value
     state.step += 1
@@ -219,7 +229,7 @@ def _next_mark(state: State) -> float:
     return next((mark for mark in SCORED_AT if mark > done), float("inf"))
 
 
-def _trained(work: Work, state: State, folder: Path, stopped: bool) -> Trained:
+def _trained(work: Work, state: State, folder: Path, stopped: bool, threads: int) -> Trained:
     """What the run leaves."""
     last = None if stopped or not state.history else state.history[-1].score
     record = {
@@ -235,11 +245,15 @@ def _trained(work: Work, state: State, folder: Path, stopped: bool) -> Trained:
         "score": None if last is None else asdict(last),
     }
     source = Source((str(folder),), "photographs", {METADATA_KEY: json.dumps(record)}, work.world.origin)
-    names, gains = [camera.name for camera in work.targets.cameras], state.gains.relative().tolist()
+    scene, levels = Scene.flat(state.rows.gaussians, mode=work.options.mode, source=source), work.options.levels
+    if state.rows.lineage is not None:
+        scene = state.rows.lineage.tree(scene)
+    elif levels == "radius" or levels == "pairs":
+        scene = build_lod(scene, BuildOptions(method=levels), threads=threads)
     return Trained(
-        Scene.flat(state.rows.gaussians, mode=work.options.mode, source=source),
+        scene,
         tuple(state.history),
-        {name: (r, g, b) for name, (r, g, b) in zip(names, gains, strict=True)},
+        dict(zip([camera.name for camera in work.targets.cameras], state.exposures.relative(), strict=True)),
         tuple(state.replay_log),
         work.rule,
         work.targets.used,

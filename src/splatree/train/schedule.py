@@ -30,16 +30,19 @@ GROWTH_ENDS, BIRTHS_END = 0.5, 0.8
 DEGREES_BEGIN = 0.5
 """Share of the run from which harmonics of degree 2 and 3 are drawn; degree 1 from the beginning."""
 
+ROOTS_LEARN = 0.1
+"""Share of the run in which a tree that grows sees photographs of a quarter of the largest size, before all others."""
+
 _RATES = {
-    "means": (2e-4, 2e-6),
-    "quats": (2e-3, 4e-4),
-    "log_scales": (1e-2, 1e-3),
-    "logit_opacities": (5e-2, 1e-2),
-    "dc": (5e-3, 5e-4),
-    "harmonics": (5e-4, 5e-5),
+    "means": (4e-4, 4e-6),
+    "quats": (1e-2, 2e-3),
+    "log_scales": (5e-2, 5e-3),
+    "logit_opacities": (0.25, 5e-2),
+    "dc": (2.5e-2, 2.5e-3),
+    "harmonics": (2.5e-3, 2.5e-4),
 }
-"""Rates at the beginning and at the end, those of the means in extents. Twice the usual ones: runs on a processor have thousands
-of steps where others have tens of thousands."""
+"""Rates at the beginning and at the end, those of the means in extents. Ten times the usual ones, those of the means three times:
+runs on a processor have thousands of steps where others have tens of thousands (docs/explanation/train.md, *What was tried*)."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +72,9 @@ class Schedule:
 
     def division(self, share: float) -> int:
         """Division of the photographs."""
-        steps = {1: ((0.25, 4), (0.7, 2)), 2: ((0.25, 4),), 4: ((0.25, 8),)}.get(self.finest, ())
+        steps = {1: ((0.25, 4), (0.7, 2)), 2: ((0.6, 4),), 4: ((0.25, 8),)}.get(self.finest, ())
+        if self.options.levels == "grow":
+            steps = ((ROOTS_LEARN, 4 * self.finest), *steps)
         division = next((k for end, k in steps if share < end), self.finest)
         return max(min(division, self.coarsest), self.finest)
 

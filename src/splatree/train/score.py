@@ -15,6 +15,7 @@ from splatree.metrics.psnr import psnr
 from splatree.metrics.ssim import ssim
 from splatree.scene.cameras import Camera
 from splatree.scene.gaussians import Gaussians
+from splatree.train.options import Alpha
 from splatree.train.step import Drawing, drawn
 from splatree.train.targets import Targets
 from splatree.train.world import World
@@ -37,8 +38,10 @@ class Score:
 class HeldOut:
     """Held-out views of a folder, whose photographs are opened when they are scored."""
 
-    def __init__(self, folder: Path, cameras: Sequence[Camera], masks: Path | None = None) -> None:
-        self._folder, self._cameras, self._masks = folder, cameras, masks
+    def __init__(
+        self, folder: Path, cameras: Sequence[Camera], masks: Path | None = None, alpha: Alpha = "mask"
+    ) -> None:
+        self._folder, self._cameras, self._masks, self._alpha = folder, cameras, masks, alpha
         self._targets: Targets | None = None
 
     def score(self, gaussians: Gaussians, drawing: Drawing, division: int, world: World) -> Score:
@@ -48,7 +51,7 @@ class HeldOut:
             InputError: none of the views has a photograph.
         """
         if self._targets is None:
-            self._targets = Targets(self._folder, self._cameras, masks=self._masks)
+            self._targets = Targets(self._folder, self._cameras, masks=self._masks, alpha=self._alpha)
             self._targets.placed(world.near, np.asarray(world.origin))
         found = [self._one(gaussians, drawing, i, division) for i in range(len(self._targets))]
         structure = [ssim for _, _, ssim in found if ssim is not None]

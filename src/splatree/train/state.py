@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 
 from splatree.train.densify import Rows, Sightings
-from splatree.train.exposure import Gains
+from splatree.train.exposure import Exposures
 from splatree.train.schedule import LogEntry
 from splatree.train.score import Score
 
@@ -42,7 +42,7 @@ class State:
     """The scene and the optimiser's moments."""
     seen: Sightings
     """What rows were seen to do since the last densification."""
-    gains: Gains
+    exposures: Exposures
     """Exposure of the photographs."""
     num_start: int
     """Gaussians at the beginning."""

@@ -18,12 +18,16 @@ from splatree.scene.names import Mode
 from splatree.scene.view import View
 from splatree.shapes import Array, Float32, Float64
 from splatree.train.densify import Rows, Sightings
+from splatree.train.exposure import exposed, is_gain
 from splatree.train.targets import Target
 
 __all__ = ["Drawing", "drawn", "learn"]
 
 SSIM_WEIGHT = 0.2
 """λ: share of structure in the loss (Kerbl 2023, Eq. 7)."""
+
+ALPHA_WEIGHT = 0.5
+"""Weight in the loss of the mean error of alpha, where it is matched."""
 
 REGULARISER = 0.01
 """Weight in the loss of the mean opacity and of the mean scale in extents (Kheradmand 2024, Eq. 11): what nothing needs fades."""
@@ -60,34 +64,47 @@ def learn(
     rows: Rows,
     seen: Sightings,
     target: Target,
-    gain: Float64[Array, "3"],
+    exposure: Float64[Array, "3 4"],
     rates: Float32[Array, "e"],
     extent: float,
     drawing: Drawing,
-) -> PhotoLoss:
+) -> tuple[PhotoLoss, Float32[Array, "h w 3"]]:
     """Make one step for one photograph: rows and what they were seen to do change in place.
 
     Args:
         rows: the scene and the optimiser's moments.
         seen: what rows were seen to do since the last densification.
         target: the photograph and its camera.
-        gain: what the picture is multiplied by before it is compared.
+        exposure: what the photograph does to colours, by which the picture is changed before it is compared.
         rates: of each number of a row.
         extent: of the scene, world units.
         drawing: how views are drawn.
+
+    Returns:
+        The loss, and the picture as it was drawn before the step.
     """
     view, stages, threads = drawing.view(target.camera), drawing.stages, drawing.threads
     splats, bins, picture = drawn(rows.gaussians, view, drawing)
-    loss = stages.photo_loss(
-        picture.image, target.photo, gain, ssim_weight=SSIM_WEIGHT, mask=target.mask, threads=threads
-    )
-    upstream = PictureGradients(loss.image, errors=loss.errors)
+    M, has_gain = exposure[:, :3], is_gain(exposure)
+    image, gain = (picture.image, np.diag(M)) if has_gain else (exposed(picture.image, exposure), np.ones(3))
+    loss = stages.photo_loss(image, target.photo, gain, ssim_weight=SSIM_WEIGHT, mask=target.mask, threads=threads)
+    by_image = loss.image if has_gain else np.ascontiguousarray(loss.image @ M.astype(np.float32))
+    upstream = PictureGradients(by_image, _by_alpha(picture, target), errors=loss.errors)
     by_splats = stages.blend_backward(splats, bins, view, picture, upstream, threads=threads)
     seen.add(splats.rows, by_splats)
     gradients = stages.project_backward(rows.gaussians, splats, by_splats, view, threads=threads)
     _regularise(rows.gaussians, gradients, extent)
     stages.step(rows.gaussians, gradients, rows.moments, rates, threads=threads)
-    return loss
+    return loss, picture.image
+
+
+def _by_alpha(picture: Picture, target: Target) -> Float32[Array, "h w"] | None:
+    """Derivative of `ALPHA_WEIGHT` · mean |alpha − that of the photograph|; None where the photograph's is not matched."""
+    if target.opacity is None:
+        return None
+    weight = np.float32(ALPHA_WEIGHT / picture.alpha.size)
+    wrong = np.sign(picture.alpha - target.opacity * np.float32(1 / 255))
+    return wrong * (weight if target.mask is None else weight * target.mask)
 
 
 def _regularise(gaussians: Gaussians, gradients: GaussianGradients, extent: float) -> None:

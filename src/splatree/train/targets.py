@@ -18,6 +18,7 @@ from splatree.errors import InputError
 from splatree.io.photos import Photos, PhotosUsed
 from splatree.scene.cameras import Camera
 from splatree.shapes import Array, Bool, Float64, UInt8, check_fields
+from splatree.train.options import Alpha
 
 __all__ = ["LONGEST_PX", "Target", "Targets", "divided"]
 
@@ -43,9 +44,16 @@ class Target:
     """RGB, 0 to 255."""
     mask: Bool[Array, "h w"] | None
     """Pixels that count; None: all."""
+    opacity: UInt8[Array, "h w"] | None = None
+    """Alpha of the photograph, whose colours are then those over black, 0 to 255; None: it is not matched."""
 
     def __post_init__(self) -> None:
         check_fields(self, h=self.camera.height, w=self.camera.width)
+
+    @property
+    def num_bytes(self) -> int:
+        """Memory of the pixels."""
+        return sum(plane.nbytes for plane in (self.photo, self.mask, self.opacity) if plane is not None)
 
 
 class Targets:
@@ -56,10 +64,13 @@ class Targets:
         FormatError: a photograph is damaged; told when it is decoded.
     """
 
-    def __init__(self, folder: Path, cameras: Sequence[Camera], *, masks: Path | None = None) -> None:
+    def __init__(
+        self, folder: Path, cameras: Sequence[Camera], *, masks: Path | None = None, alpha: Alpha = "mask"
+    ) -> None:
         self._photos = Photos(folder, cameras)
         self.cameras = tuple(view for view in self._photos.views if view.name in self._photos)
         self._masks = {} if masks is None else _masks_of(masks, [camera.name for camera in self.cameras])
+        self._matches_alpha = alpha == "match"
         self._kept: dict[tuple[int, int], Target] = {}
         self._num_bytes = 0
 
@@ -86,7 +97,7 @@ class Targets:
         """The i-th photograph at a division."""
         if (i, division) not in self._kept:
             target = self._decoded(i, division)
-            num_bytes = target.photo.nbytes + (0 if target.mask is None else target.mask.nbytes)
+            num_bytes = target.num_bytes
             if self._num_bytes + num_bytes > KEPT_BYTES:
                 return target
             self._kept[i, division] = target
@@ -96,7 +107,7 @@ class Targets:
     def drop_others(self, division: int) -> None:
         """Forget the photographs at other divisions."""
         self._kept = {key: target for key, target in self._kept.items() if key[1] == division}
-        self._num_bytes = sum(t.photo.nbytes + (0 if t.mask is None else t.mask.nbytes) for t in self._kept.values())
+        self._num_bytes = sum(target.num_bytes for target in self._kept.values())
 
     def digests(self) -> dict[str, str]:
         """A digest of the file of each photograph, by name."""
@@ -112,13 +123,20 @@ class Targets:
         name = self.cameras[i].name
         camera = divided(self.cameras[i], division)
         box = (0, 0, camera.width * division, camera.height * division)
-        whole = Image.fromarray(self._photos.pixels(name))
-        photo = np.array(whole.reduce(division, box) if division > 1 else whole)
-        counts = self._photos.counting(name, self._masks.get(name))
+        pixels, opacity = self._photos.pixels(name), self._photos.opacity(name) if self._matches_alpha else None
+        if opacity is not None:
+            pixels = np.rint(pixels * (opacity[..., None] / np.float32(255))).astype(np.uint8)
+
+        def small(plane: Array) -> Array:
+            whole = Image.fromarray(plane)
+            return np.array(whole.reduce(division, box) if division > 1 else whole)
+
+        photo, opacity = small(pixels), None if opacity is None else small(opacity)
+        counts = self._photos.counting(name, self._masks.get(name), alpha=not self._matches_alpha)
         if counts is not None:  # a pixel counts if all count that it is the mean of
             blocks = counts[: box[3], : box[2]].reshape(camera.height, division, camera.width, division)
             counts = np.ascontiguousarray(blocks.all(axis=(1, 3)))
-        return Target(camera, photo, counts)
+        return Target(camera, photo, counts, opacity)
 
 
 def divided(camera: Camera, division: int) -> Camera:

@@ -10,6 +10,7 @@ moved there: it holds a matrix T and a scale s from the poses before ``applied_t
 """
 
 from collections import ChainMap
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,9 +25,9 @@ from splatree.io.photo_paths import SUFFIXES
 from splatree.scene.cameras import Camera, Cameras
 from splatree.shapes import Array, Float64
 
-__all__ = ["DATAPARSER", "in_training_frame", "parse", "training_frame"]
+__all__ = ["DATAPARSER", "TRANSFORMS", "in_training_frame", "parse", "training_frame"]
 
-DATAPARSER = "dataparser_transforms.json"
+DATAPARSER, TRANSFORMS = "dataparser_transforms.json", "transforms.json"
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # absurd numbers become infinite, which Camera refuses
@@ -35,18 +36,16 @@ def parse(content: dict[str, Any], path: Path) -> Cameras:
     frames = untrusted.as_list(content["frames"], f"{path}: frames")
     sizes = _Sizes(path.parent)
     views = tuple(_view(frame, content, sizes, f"{path}: frame {i}") for i, frame in enumerate(frames))
-    applied, scale = np.eye(4), 1.0
-    if "applied_transform" in content:
-        applied[:3] = untrusted.numbers(content, "applied_transform", str(path), (3, 4))
-    if "applied_scale" in content:
-        scale = untrusted.number(content, "applied_scale", str(path))
-    return in_training_frame(Cameras(views, sizes.notes), path.parent, applied=applied, applied_scale=scale)
+    return in_training_frame(Cameras(views, sizes.notes), path.parent, content)
 
 
-def in_training_frame(
-    cameras: Cameras, folder: Path, *, applied: Float64[Array, "4 4"] | None = None, applied_scale: float = 1.0
-) -> Cameras:
+def in_training_frame(cameras: Cameras, folder: Path, content: Mapping[str, Any] | None = None) -> Cameras:
     """The cameras in the frame of a training of nerfstudio, if its dataparser_transforms.json lies in the folder.
+
+    Args:
+        cameras: as their file has them.
+        folder: where that file lies.
+        content: of a transforms.json, whose numbers were moved already; None: they were not.
 
     Raises:
         FormatError: the file is damaged.
@@ -54,19 +53,11 @@ def in_training_frame(
     path = folder / DATAPARSER
     if not path.is_file():
         return cameras
-    matrix, scale = training_frame(folder)
-    if not (scale > 0 and applied_scale > 0):
-        raise FormatError(f"{path}: found the scales {scale} and {applied_scale}, wanted more than 0")
-    try:
-        matrix = matrix @ np.linalg.inv(np.eye(4) if applied is None else applied)
-    except np.linalg.LinAlgError as error:
-        raise FormatError(
-            f"{path}: found an applied_transform without an inverse, wanted a rotation and a move"
-        ) from error
+    matrix, scale = training_frame(folder, content)
     views = []
     for camera in cameras:
         rotation = camera.camera_from_world[:3, :3] @ matrix[:3, :3].T
-        position = scale / applied_scale * (matrix[:3, :3] @ camera.position + matrix[:3, 3])
+        position = scale * (matrix[:3, :3] @ camera.position + matrix[:3, 3])
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = rotation, -rotation @ position
         try:
@@ -77,14 +68,32 @@ def in_training_frame(
     return replace(cameras, views=tuple(views), notes=(*cameras.notes, note))
 
 
-def training_frame(folder: Path) -> tuple[Float64[Array, "4 4"], float]:
-    """The move of dataparser_transforms.json, and the scale that comes after it; none and 1 without the file."""
+def training_frame(folder: Path, content: Mapping[str, Any] | None = None) -> tuple[Float64[Array, "4 4"], float]:
+    """The move of dataparser_transforms.json, and the scale that comes after it; none and 1 without the file.
+
+    Args:
+        folder: where it lies.
+        content: of a transforms.json, from whose numbers they are; None: from those of a COLMAP model.
+    """
     path, matrix = folder / DATAPARSER, np.eye(4)
     if not path.is_file():
         return matrix, 1.0
     record = untrusted.as_object(untrusted.read_json(path), str(path))
     matrix[:3] = untrusted.numbers(record, "transform", str(path), (3, 4))
-    return matrix, untrusted.number(record, "scale", str(path))
+    scale, applied, applied_scale = untrusted.number(record, "scale", str(path)), np.eye(4), 1.0
+    where = str(folder / TRANSFORMS)
+    if content is not None and "applied_transform" in content:
+        applied[:3] = untrusted.numbers(content, "applied_transform", where, (3, 4))
+    if content is not None and "applied_scale" in content:
+        applied_scale = untrusted.number(content, "applied_scale", where)
+    if not (scale > 0 and applied_scale > 0):
+        raise FormatError(f"{path}: found the scales {scale} and {applied_scale}, wanted more than 0")
+    try:
+        return matrix @ np.linalg.inv(applied), scale / applied_scale
+    except np.linalg.LinAlgError as error:
+        raise FormatError(
+            f"{path}: found an applied_transform without an inverse, wanted a rotation and a move"
+        ) from error
 
 
 class _Sizes:

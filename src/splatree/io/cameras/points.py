@@ -1,7 +1,7 @@
-"""The points of a COLMAP model, binary or text: where training starts.
+"""The points of a COLMAP model, binary or text, or of nerfstudio: where training starts.
 
 ``points3D`` holds for each point its place, its colour, and the pictures that it was found in. Layout:
-colmap.github.io/format.html.
+colmap.github.io/format.html. ``transforms.json`` names a .ply in ``ply_file_path``, with places in the frame of its poses.
 """
 
 import struct
@@ -10,10 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
-from splatree.errors import FormatError
+from splatree.errors import FormatError, InputError
+from splatree.io import untrusted
 from splatree.io.cameras import colmap
 from splatree.io.cameras.files import COLMAP_FOLDERS
-from splatree.io.cameras.nerfstudio import training_frame
+from splatree.io.cameras.nerfstudio import TRANSFORMS, training_frame
+from splatree.io.cameras.point_cloud import read_point_cloud
 from splatree.shapes import Array, Float64, Int32, UInt8, check_fields
 
 __all__ = ["Points", "read_points"]
@@ -41,10 +43,13 @@ class Points:
 
 
 def read_points(root: Path) -> Points | None:
-    """The points of the COLMAP model that `read_cameras` finds in a folder; None if there is no model, or none with points.
+    """The points that belong to the cameras which `read_cameras` finds in a folder; None if there are none.
+
+    They are those of its COLMAP model, or else of the .ply that its transforms.json names.
 
     Raises:
-        FormatError: the file is damaged.
+        InputError: the .ply is not there.
+        FormatError: a file is damaged.
     """
     models = [model for folder in COLMAP_FOLDERS for model in colmap.models_in(root / folder)] if root.is_dir() else []
     for name, read in (("points3D.bin", _binary), ("points3D.txt", _text)):
@@ -56,7 +61,24 @@ def read_points(root: Path) -> Points | None:
             matrix, scale = training_frame(root)
             places = scale * (points.places @ matrix[:3, :3].T + matrix[:3, 3])
             return Points(np.ascontiguousarray(places), points.colors, points.num_pictures) if len(points) else None
-    return None
+    return None if models else _of_nerfstudio(root / TRANSFORMS if root.is_dir() else root)
+
+
+def _of_nerfstudio(path: Path) -> Points | None:
+    """The points that a transforms.json names; None if it is none, or names none."""
+    if path.suffix.lower() != ".json" or not path.is_file():
+        return None
+    content = untrusted.read_json(path)
+    if not isinstance(content, dict) or "ply_file_path" not in content:
+        return None
+    name = untrusted.text(content, "ply_file_path", str(path))
+    try:
+        places, colors = read_point_cloud(path.parent / name)
+    except InputError as error:
+        raise type(error)(f"{path}: ply_file_path: {error}") from error
+    matrix, scale = training_frame(path.parent, content)
+    places = np.ascontiguousarray(scale * (places @ matrix[:3, :3].T + matrix[:3, 3]))
+    return Points(places, colors, np.zeros(len(places), np.int32)) if len(places) else None
 
 
 def _binary(path: Path) -> Points:
