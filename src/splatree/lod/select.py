@@ -23,8 +23,9 @@ from splatree.kernels.cpu.frame import select as cpu
 from splatree.kernels.cpu.frame.blocks import index_blocks
 from splatree.kernels.reference import select as reference
 from splatree.lod.budget import meet_budget, meet_budget_from
-from splatree.lod.quality import pixel_error_for
+from splatree.lod.quality import curve_of, pixel_error_for
 from splatree.lod.serial import select_serial
+from splatree.lod.sketch import Sketcher
 from splatree.scene.cameras import Camera
 from splatree.scene.clusters import Culling
 from splatree.scene.frame import Selection
@@ -63,6 +64,7 @@ def select(
     *,
     culling: Culling | None = None,
     last: float | None = None,
+    sketcher: Sketcher | None = None,
     stages: FrameStages | None = None,
     threads: int = 0,
 ) -> Selection:
@@ -74,8 +76,9 @@ def select(
             `footprint` takes into account.
         options: pixel error, budget or quality, rule, profile and view test; None: the defaults.
         culling: what `cull_scene` found for the same view and options; None: it is found here.
-        last: τ_R, px, of the view before, for the budget of a camera that moves: the search begins there and is content with
-            90 % of the budget (lod/budget.py). None: a view alone.
+        last: τ_R, px, of the view before, for the budget or the quality of a camera that moves: the search begins there, and for
+            a budget is content with 90 % of it (lod/budget.py). None: a view alone.
+        sketcher: draws the sketches that a quality is predicted from; None: it is made here, by a pass over the scene.
         stages: the back end that selects by the rule `cut`; None: the CPU.
         threads: threads to use; 0: all. The result is the same for any number.
 
@@ -119,7 +122,9 @@ def select(
 
     finest, smallest = options.pixel_error, smallest_radius(options.resolved_profile, view.dilation_px2)
     if options.quality is not None:
-        finest = pixel_error_for(rows_at, scene, view.camera, options.quality, smallest)
+        curve_of(scene)  # refuses before anything is drawn
+        sketcher = sketcher or Sketcher.of(scene)
+        finest = pixel_error_for(rows_at, sketcher, view.camera, options.quality, point_px=smallest, last=last)
     if options.budget is not None and last is not None:
         rows, visited, pixel_error = meet_budget_from(rows_at, options.budget, (finest, smallest), last, view.camera)
     else:
