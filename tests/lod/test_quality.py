@@ -44,7 +44,7 @@ def test_the_curve_is_its_formula():
     [
         {"by_merged": 0.9},
         {"by_varied": 0.1},
-        {"by_size": 1.0},
+        {"by_pixel_error": 1.0},
         {"by_fine": 0.1},
         {"fine_px": 0.0},
         {"offset": math.nan},
@@ -66,7 +66,7 @@ def test_the_cut_is_predicted_to_have_the_quality_and_a_coarser_one_is_not(metho
 
         def psnr_at(pixel_error):
             rows = st.select(scene, CAMERA, st.SelectOptions(pixel_error=pixel_error)).rows
-            return CURVE.psnr(size_of(pixel_error, method), **vars(sketcher.draw(rows, CAMERA)))
+            return CURVE.psnr(pixel_error, **vars(sketcher.draw(rows, CAMERA)))
 
         assert psnr_at(chosen.pixel_error) >= quality
         if size_of(chosen.pixel_error, method) < 0.99 * COARSEST_PX:
@@ -100,9 +100,9 @@ def test_the_search_from_a_view_nearby_is_as_good_and_shorter():
     assert len(tried) == num_alone + 1
     for last in (0.01, 3.0, 1e9, math.inf):
         found = pixel_error_for(rows_at, sketcher, CAMERA, 36, point_px=POINT_PX, last=last)
-        spare = CURVE.psnr(size_of(found), **vars(sketcher.draw(rows_at(found)[0], CAMERA))) - 36
+        spare = CURVE.psnr(found, **vars(sketcher.draw(rows_at(found)[0], CAMERA))) - 36
         coarser = 1.1 * found  # beyond what the search tells apart
-        lack = CURVE.psnr(size_of(coarser), **vars(sketcher.draw(rows_at(coarser)[0], CAMERA))) - 36
+        lack = CURVE.psnr(coarser, **vars(sketcher.draw(rows_at(coarser)[0], CAMERA))) - 36
         assert spare >= 0
         assert spare < PRECISION_DB or lack < 0
 

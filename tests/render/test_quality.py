@@ -22,7 +22,7 @@ def test_the_fit_finds_the_curve_that_pictures_follow():
         samples.append((curve.psnr(pixel_error, merged=merged, varied=varied), pixel_error, merged, varied))
     found = _fitted(samples)
     assert found.error_db < 0.01
-    for name in ("offset", "by_size", "by_fine", "fine_px", "by_merged", "by_varied"):
+    for name in ("offset", "by_pixel_error", "by_fine", "fine_px", "by_merged", "by_varied"):
         # Keeping the numbers small costs 0.03² against 60 pictures: 1e-3 of them.
         assert getattr(found, name) == pytest.approx(getattr(curve, name), rel=1e-2)
 
@@ -47,7 +47,7 @@ def test_a_fit_that_is_far_off_promises_less():
 def test_a_fit_never_rises_with_the_pixel_error():
     """Pictures that get better where τ_R grows, as a few odd views may."""
     samples = [(30 + pixel_error, pixel_error, 0.5, 0.5) for pixel_error in range(2, 14)]
-    assert _fitted(samples).by_size == 0
+    assert _fitted(samples).by_pixel_error == 0
 
 
 @pytest.mark.parametrize("method", ["radius", "pairs"])

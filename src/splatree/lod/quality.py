@@ -66,8 +66,9 @@ def pixel_error_for(
 
     def spare_at(size_px: float) -> float:
         """By how much a cut is predicted to be better than asked for, dB."""
-        seen = sketcher.draw(rows_at(math.hypot(size_px, point_px))[0], camera)
-        return curve.psnr(size_px, merged=seen.merged, varied=seen.varied) - quality
+        pixel_error = math.hypot(size_px, point_px)
+        seen = sketcher.draw(rows_at(pixel_error)[0], camera)
+        return curve.psnr(pixel_error, merged=seen.merged, varied=seen.varied) - quality
 
     fine: tuple[float, float] | None = None  # ln size of a cut that is good enough, and by how much it is better
     coarse: tuple[float, float] | None = None  # of one that is not

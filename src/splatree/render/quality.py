@@ -127,7 +127,7 @@ def _made(scene: Scene) -> list[Camera]:
 
 
 def _samples(session: Session, sketcher: Sketcher, camera: Camera) -> tuple[list[tuple[float, ...]], int]:
-    """(PSNR, size, merged, varied) of the cuts of a view whose pictures count; and how many nodes were drawn for them."""
+    """(PSNR, τ_R, merged, varied) of the cuts of a view whose pictures count; and how many nodes were drawn for them."""
     leaves = session.draw(camera, select=SelectOptions(pixel_error=0.0))
     wanted, counts = np.clip(leaves.image, 0, 1), [leaves.counters.num_selected]
     point_px = smallest_radius(for_levels(SelectOptions(), session.scene).resolved_profile)
@@ -135,13 +135,14 @@ def _samples(session: Session, sketcher: Sketcher, camera: Camera) -> tuple[list
 
     def drawn(size_px: float) -> float:
         """The PSNR of a cut, which becomes a sample if it counts."""
-        frame = session.trace(camera, select=SelectOptions(math.hypot(size_px, point_px)))
+        pixel_error = math.hypot(size_px, point_px)
+        frame = session.trace(camera, select=SelectOptions(pixel_error))
         counts.append(len(frame.selection))
         found = psnr(np.clip(frame.result.image, 0, 1), wanted)
         if LOWEST_DB <= found <= HIGHEST_DB:
             counts.append(len(frame.selection))
             seen = sketcher.draw(frame.selection.rows, camera)
-            samples.append((found, size_px, seen.merged, seen.varied))
+            samples.append((found, pixel_error, seen.merged, seen.varied))
         return found
 
     first = found = drawn(FIRST_PX)
@@ -163,8 +164,8 @@ def _fitted(samples: Sequence[tuple[float, ...]]) -> QualityCurve:
 
 
 def _fitted_to(samples: Sequence[tuple[float, ...]], fine_px: float) -> QualityCurve:
-    psnrs, pixels, *shares = np.array(samples).T
-    sizes = np.log(pixels), np.minimum(0, np.log(pixels / fine_px))
+    psnrs, pixel_errors, *shares = np.array(samples).T
+    sizes = np.log(pixel_errors), np.minimum(0, np.log(pixel_errors / fine_px))
     columns = [np.ones(len(psnrs)), *sizes, *(10 * np.log10(np.maximum(s, LEAST_SHARE)) for s in shares)]
     # Numbers that must not be above 0 are held at it, one after the other: a free fit goes beyond where views hardly differ.
     free = [True] * len(columns)
@@ -182,7 +183,7 @@ def _fitted_to(samples: Sequence[tuple[float, ...]], fine_px: float) -> QualityC
     caution = max(0.0, WORST_ERRORS * error - WORST_DB)
     return QualityCurve(
         offset=float(numbers[0]) - caution,
-        by_size=float(numbers[1]),
+        by_pixel_error=float(numbers[1]),
         by_fine=float(numbers[2]),
         fine_px=fine_px,
         by_merged=float(numbers[3]),
