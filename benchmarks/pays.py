@@ -1,8 +1,8 @@
 """What a cut saves at a quality: nodes and frame time of the cut of 40 and of 33 dB against all leaves, at 1080p.
 
-``python benchmarks/pays.py [--scenes ...] [--quality 33 40]`` needs the shared scenes. Levels by a radius and by pairs are built and
-measured. In a near, a middle and a far view (levels.py), all leaves and the cut that each quality chooses are drawn; every figure
-is the cheapest of three frames. *frame* is the processor time from culling to the picture for a τ_R that is known, as in a path
+``python benchmarks/pays.py [--scenes ...] [--quality 33 40]`` needs the shared scenes. Levels by a radius and by pairs are built
+and measured. In a near, a middle and a far view (levels.py), all leaves and the cut that each quality chooses are drawn; a time
+is that of the cheapest of three frames. *frame* is the processor time from culling to the picture for a τ_R that is known, as in a path
 that is drawn twice; *chosen* has the search for τ_R in it, from a view alone.
 """
 
@@ -22,7 +22,7 @@ CLASSES = ("near", "middle", "far")
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--scenes", nargs="+", choices=SCENES, default=["city 5_9", "biker"])
+    parser.add_argument("--scenes", nargs="+", choices=SCENES, default=["city 5_9"])
     parser.add_argument("--quality", nargs="+", type=float, default=[33.0, 40.0])
     arguments = parser.parse_args()
     rows: list[dict[str, object]] = []

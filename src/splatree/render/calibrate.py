@@ -79,8 +79,8 @@ class CalibrateOptions:
     """
 
     policy: Policy = "target"
-    """`target` meets a mean loss of PSNR, near by and far away, `worst` a loss that no view exceeds; `paper` is λ_G / G, and `release` λ_G · G;
-    `fixed` is --threshold, or 1/255."""
+    """`target` meets a mean loss of PSNR, near by and far away, `worst` a loss that no view exceeds; `paper`
+    is λ_G / G, and `release` λ_G · G; `fixed` is --threshold, or 1/255."""
     loss_db: float = 0.1
     """Loss of PSNR that is allowed, dB: for `target` the mean over the nearer and over the farther half of the views, for `worst`
     that of each view."""
@@ -113,7 +113,7 @@ class Trial:
     threshold: float
     """τ."""
     loss_db: float
-    """Mean loss of PSNR, dB, as the head of this module defines it: over the nearer or the farther half of the views, the larger."""
+    """Mean loss of PSNR over the nearer or the farther half of the views, the larger, dB; the head of this module defines it."""
     worst_loss_db: float
     """Largest loss of a view, dB."""
     worst_view: str

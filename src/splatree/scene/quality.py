@@ -3,7 +3,8 @@
 Only merged nodes differ from the leaves. A sketch says which share of the picture they are, *merged*, and how much the colours of
 their leaves vary there, *varied*. The curve is fitted to pictures of made views (render/quality.py):
 
-    PSNR = offset + by_pixel_error ln τ_R + by_fine min(0, ln(τ_R / fine)) + by_merged · 10 log₁₀ merged + by_varied · 10 log₁₀ varied
+    PSNR = offset + by_pixel_error ln τ_R + by_fine min(0, ln(τ_R / fine))
+                  + by_merged · 10 log₁₀ merged + by_varied · 10 log₁₀ varied
 
 Small nodes are about a pixel, whose own blur hides what they leave out: the third term.
 """
