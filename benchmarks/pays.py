@@ -2,8 +2,8 @@
 
 ``python benchmarks/pays.py [--scenes ...] [--quality 33 40]`` needs the shared scenes. Levels by a radius and by pairs are built
 and measured. In a near, a middle and a far view (levels.py), all leaves and the cut that each quality chooses are drawn; a time
-is that of the cheapest of three frames. *frame* is the processor time from culling to the picture for a τ_R that is known, as in a path
-that is drawn twice; *chosen* has the search for τ_R in it, from a view alone.
+is that of the cheapest of three frames. *frame* is the processor time from culling to the picture for a τ_R that is known;
+*chosen* has the search for τ_R in it, from a view alone.
 """
 
 import argparse
