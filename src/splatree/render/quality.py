@@ -8,7 +8,7 @@ ten views falls short of what it is asked for by 2 dB at most.
 Pictures count between 28 and 48 dB: worse ones nobody asks for, and better ones hang on a few nodes.
 
 Nine views give some 50 pictures of 320 × 180 px with a sketch of each. In large scenes no further view is begun once ten nodes
-for each Gaussian are drawn: 3 to 4 CPU-seconds a million Gaussians.
+for each Gaussian are drawn. 2 to 4 CPU-seconds for 0.15 to half a million Gaussians (benchmarks/promise.py).
 """
 
 import dataclasses
