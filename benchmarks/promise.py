@@ -1,9 +1,12 @@
 """Whether pictures have the quality that was asked for: `--quality Q` on views that were not measured.
 
 ``python benchmarks/promise.py [--scenes ...] [--quality 30 35 40]`` needs the shared scenes. Levels by a radius and by pairs are
-built and measured (`with_quality`). Nine other views, at other distances, angles and sizes, are then drawn by the cut of each
+built and measured (`with_quality`). Eleven other views, at other distances, angles and sizes, are then drawn by the cut of each
 quality, and compared with all leaves. Where more than 98 % of the leaves are drawn, no coarser cut is as good as asked for: such
-views keep every promise and are left out of the mean.
+views keep every promise and are left out of the mean. So are views in which the coarsest cut there is, 32 px, is better than
+asked for. PSNRs count to 60 dB at most. The sketch was
+found with the logo and the biker; the sizes of the cuts that are measured, and what is taken off a bad fit, were chosen with all
+five scenes in sight. So these views were never fitted to, but they are no blind test.
 """
 
 import argparse
@@ -14,6 +17,8 @@ import numpy as np
 
 import splatree as st
 from harness import DATA, measure, save, table
+from levels import views_of
+from splatree.lod.quality import COARSEST_PX
 from splatree.scene.thinning import Method
 
 SCENES: dict[str, Path] = {
@@ -33,12 +38,13 @@ def held_out(scene: st.Scene) -> list[st.Camera]:
         *list(st.flyout(scene, options))[1:3],
         *around,
         *st.orbit(scene, st.PathOptions(views=3, width=640, height=360)),
+        *(view for kind, view in views_of(scene).items() if kind in ("near", "street")),
     ]
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--scenes", nargs="+", choices=SCENES, default=list(SCENES)[1:])
+    parser.add_argument("--scenes", nargs="+", choices=SCENES, default=list(SCENES))
     parser.add_argument("--method", nargs="+", choices=get_args(Method), default=["radius", "pairs"])
     parser.add_argument("--quality", nargs="+", type=float, default=[30.0, 35.0, 40.0])
     arguments = parser.parse_args()
@@ -50,14 +56,14 @@ def main() -> None:
         with st.open_session(flat) as session:
             leaves = [np.clip(session.draw(view).image, 0, 1) for view in views]
         for method in arguments.method:
-            tree = st.build_lod(flat, st.BuildOptions(method))
-            cost = measure(lambda tree=tree: st.with_quality(tree))
+            built = measure(lambda flat=flat, method=method: st.build_lod(flat, st.BuildOptions(method)))
+            cost = measure(lambda tree=built.value: st.with_quality(tree))
             for quality in arguments.quality:
                 rows.append(
                     {"scene": name, "levels": method, "asked, dB": quality}
                     | judged(cost.value, views, leaves, quality)
                     | {"fit, dB": cost.value.tree.record.quality.error_db}
-                    | {"CPU s to measure": cost.cpu_s, "Gaussians": len(flat)}
+                    | {"CPU s to build": built.cpu_s, "CPU s to measure": cost.cpu_s, "Gaussians": len(flat)}
                 )
                 print(rows[-1], flush=True)
     print(table(rows))
@@ -66,20 +72,31 @@ def main() -> None:
 
 def judged(scene: st.Scene, views: list[st.Camera], leaves: list[np.ndarray], quality: float) -> dict[str, object]:
     """By how much the pictures are better than asked for, and how much of the leaves they draw."""
-    spare, drawn, exact = [], [], 0
+    spare, drawn, exact, coarsest, choose_s, rest_s = [], [], 0, 0, 0.0, 0.0
     with st.open_session(scene) as session:
         for view, wanted in zip(views, leaves, strict=True):
             frame = session.trace(view, select=st.SelectOptions(quality=quality))
+            cpu_ms = frame.result.cpu_milliseconds
+            choose_s += cpu_ms["select"] / 1e3
+            rest_s += sum(cpu_ms.values()) / 1e3 - cpu_ms["select"] / 1e3
             drawn.append(len(frame.selection) / len(session.select(view, select=st.SelectOptions(pixel_error=0))))
             if drawn[-1] > 0.98:
                 exact += 1
+                continue
+            beyond = min(st.psnr(np.clip(frame.result.image, 0, 1), wanted), 60.0) - quality
+            if frame.selection.pixel_error >= COARSEST_PX and beyond > 0:
+                coarsest += 1
             else:
-                spare.append(min(st.psnr(np.clip(frame.result.image, 0, 1), wanted), 60.0) - quality)
+                spare.append(beyond)
     return {
         "mean": float(np.mean(spare)) if spare else "",
         "worst": float(min(spare)) if spare else "",
-        "all leaves": f"{exact} of {len(views)} views",
+        "views": len(views),
+        "of all leaves": exact,
+        "of the coarsest cut": coarsest,
         "nodes, % of leaves": 100 * float(np.mean(drawn)),
+        "CPU s to choose": choose_s / len(views),
+        "CPU s to draw": rest_s / len(views),
     }
 
 

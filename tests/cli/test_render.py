@@ -168,7 +168,7 @@ def test_a_quality_chooses_the_cut(splatree, small_ply, small_tree, tmp_path):
     tree = tmp_path / "known.splatree"
     code, words, err = splatree("build", small_ply, tree)
     assert (code, err) == (0, "")
-    assert "quality: a cut at 3 px has about" in words
+    assert "quality: PSNRs of cuts against all leaves are known within" in words
     counts = []
     for quality in ("28", "40"):
         code, out, err = splatree("render", tree, "-o", tmp_path / f"{quality}.png", "--quality", quality, "--json")

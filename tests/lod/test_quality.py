@@ -11,11 +11,14 @@ import splatree as st
 from splatree.edit.edit import edit
 from splatree.edit.options import EditOptions
 from splatree.errors import InputError
-from splatree.lod.quality import COARSEST_PX, covered_share, curve_of, merged_share
+from splatree.lod.quality import COARSEST_PX, PRECISION_DB, curve_of, pixel_error_for
+from splatree.lod.select import smallest_radius
+from splatree.lod.sketch import Sketcher
 
 from ..scenes import surface
 
-CURVE = st.QualityCurve(40.0, -4.0, -1.0, -0.8, error_db=0.5, num_pictures=30)
+CURVE = st.QualityCurve(25.0, -4.0, -1.0, 2.0, 0.2, -0.8, error_db=0.5, num_pictures=30)
+POINT_PX = smallest_radius("exact")
 CAMERA = st.Camera.look_at([0, 0, -6], [0, 0, 0], width=240, height=160)
 
 
@@ -24,57 +27,49 @@ def known(method: str = "radius", curve: st.QualityCurve | None = CURVE) -> st.S
     return replace(scene, tree=replace(scene.tree, record=replace(scene.tree.record, quality=curve)))
 
 
+def size_of(pixel_error: float, method: str = "radius") -> float:
+    """Size of the largest merged nodes before the dilation; extents know of none."""
+    return math.sqrt(pixel_error**2 - (POINT_PX**2 if method == "radius" else 0))
+
+
 def test_the_curve_is_its_formula():
-    assert CURVE.psnr(math.e, merged=0.1, covered=1) == pytest.approx(40 - 4 + 10)
-    assert CURVE.psnr(1, merged=1, covered=0.01) == pytest.approx(40 + 16)
-    assert CURVE.psnr(3, merged=0, covered=1) == math.inf
-    assert CURVE.psnr(0, merged=1, covered=1) == math.inf
+    assert CURVE.psnr(math.e, merged=0.1, varied=1) == pytest.approx(25 - 4 - 2)
+    assert CURVE.psnr(1, merged=1, varied=0.01) == pytest.approx(25 + 16 + math.log(2))
+    assert CURVE.psnr(3, merged=0, varied=0) == math.inf
+    assert CURVE.psnr(0, merged=1, varied=1) == math.inf
 
 
 @pytest.mark.parametrize(
-    "change", [{"by_merged": 0.1}, {"by_pixel_error": 1.0}, {"offset": math.nan}, {"error_db": -1.0}]
+    "change",
+    [
+        {"by_merged": 0.9},
+        {"by_varied": 0.1},
+        {"by_pixel_error": 1.0},
+        {"by_fine": 0.1},
+        {"fine_px": 0.0},
+        {"offset": math.nan},
+        {"error_db": -1.0},
+    ],
 )
 def test_a_curve_that_rises_or_is_no_number_is_refused(change):
     with pytest.raises(InputError, match="QualityCurve"):
         replace(CURVE, **change)
 
 
-def test_shares_are_sums_over_the_selected_nodes():
-    """By the definition, node by node."""
-    scene = known()
-    rows = st.select(scene, CAMERA, st.SelectOptions(pixel_error=40)).rows
-    g, pose, total, merged = scene.gaussians, CAMERA.camera_from_world, 0.0, 0.0
-    tiles = np.zeros((10, 15))
-    for row in rows:
-        x, y, z = pose[:3, :3] @ g.means[row].astype(np.float64) + pose[:3, 3]
-        square = np.prod(np.sort(g.scales()[row])[1:]) * (CAMERA.K[0, 0] / z) ** 2
-        area = g.opacities()[row] * (square + 0.3)
-        total, merged = total + area, merged + area * (not scene.tree.is_leaf[row])
-        u, v = CAMERA.K[0, 0] * x / z + 120, CAMERA.K[1, 1] * y / z + 80
-        if 0 <= u < 240 and 0 <= v < 160:
-            tiles[int(v // 16), int(u // 16)] += g.opacities()[row] * min(2 * np.pi * square, 256)
-    assert 0 < merged < total
-    assert merged_share(scene, rows, CAMERA) == pytest.approx(merged / total, rel=1e-5)
-    assert covered_share(scene, rows, CAMERA) == pytest.approx(np.mean(1 - np.exp(-1.5 * tiles / 256)), rel=1e-5)
-    leaves = np.flatnonzero(scene.tree.is_leaf).astype(np.int32)
-    assert merged_share(scene, leaves, CAMERA) == 0
-    assert covered_share(scene, leaves[:0], CAMERA) == 0
-
-
 @pytest.mark.parametrize("method", ["radius", "pairs"])
 def test_the_cut_is_predicted_to_have_the_quality_and_a_coarser_one_is_not(method):
     scene = known(method)
+    sketcher = Sketcher.of(scene)
     counts = []
     for quality in (28, 32, 36, 40):
         chosen = st.select(scene, CAMERA, st.SelectOptions(quality=quality))
-        covered = covered_share(scene, st.select(scene, CAMERA, st.SelectOptions(pixel_error=12)).rows, CAMERA)
 
-        def psnr_at(pixel_error, covered=covered):
+        def psnr_at(pixel_error):
             rows = st.select(scene, CAMERA, st.SelectOptions(pixel_error=pixel_error)).rows
-            return CURVE.psnr(pixel_error, merged=merged_share(scene, rows, CAMERA), covered=covered)
+            return CURVE.psnr(pixel_error, **vars(sketcher.draw(rows, CAMERA)))
 
         assert psnr_at(chosen.pixel_error) >= quality
-        if chosen.pixel_error < COARSEST_PX:
+        if size_of(chosen.pixel_error, method) < 0.99 * COARSEST_PX:
             assert psnr_at(1.2 * chosen.pixel_error) < quality
         counts.append(len(chosen))
     assert counts == sorted(counts)
@@ -82,9 +77,34 @@ def test_the_cut_is_predicted_to_have_the_quality_and_a_coarser_one_is_not(metho
 
 
 def test_a_quality_that_no_cut_has_draws_all_leaves():
-    scene = known("pairs", st.QualityCurve(20.0, 0.0, 0.0, 0.0, error_db=0.5, num_pictures=30))
+    scene = known("pairs", st.QualityCurve(20.0, 0.0, 0.0, 2.0, 0.0, 0.0, error_db=0.5, num_pictures=30))
     chosen = st.select(scene, CAMERA, st.SelectOptions(quality=30))
     assert scene.tree.is_leaf[chosen.rows].all()
+
+
+def test_the_search_from_a_view_nearby_is_as_good_and_shorter():
+    """Cuts of nodes whose quality falls evenly: what a search from 4 px finds in several cuts, the next one keeps in one."""
+    scene = known()
+    sketcher = Sketcher.of(scene)
+    tried = []
+
+    def rows_at(pixel_error):
+        tried.append(pixel_error)
+        chosen = st.select(scene, CAMERA, st.SelectOptions(pixel_error=pixel_error))
+        return chosen.rows, chosen.num_visited
+
+    alone = pixel_error_for(rows_at, sketcher, CAMERA, 36, point_px=POINT_PX)
+    num_alone = len(tried)
+    assert num_alone > 1
+    assert pixel_error_for(rows_at, sketcher, CAMERA, 36, point_px=POINT_PX, last=alone) == pytest.approx(alone)
+    assert len(tried) == num_alone + 1
+    for last in (0.01, 3.0, 1e9, math.inf):
+        found = pixel_error_for(rows_at, sketcher, CAMERA, 36, point_px=POINT_PX, last=last)
+        spare = CURVE.psnr(found, **vars(sketcher.draw(rows_at(found)[0], CAMERA))) - 36
+        coarser = 1.1 * found  # beyond what the search tells apart
+        lack = CURVE.psnr(coarser, **vars(sketcher.draw(rows_at(coarser)[0], CAMERA))) - 36
+        assert spare >= 0
+        assert spare < PRECISION_DB or lack < 0
 
 
 def test_a_budget_goes_before_a_quality():
@@ -134,6 +154,17 @@ def test_records_without_a_curve_are_read_and_strange_ones_refused():
     assert st.LevelRecord.from_json(json.dumps(fields)) == record
     del fields["quality"]
     assert st.LevelRecord.from_json(json.dumps(fields)).quality is None
+    older = {
+        "offset": 30.0,
+        "by_pixel_error": -4.0,
+        "by_merged": -1.0,
+        "by_covered": -0.8,
+        "error_db": 1,
+        "num_pictures": 9,
+    }
+    assert (
+        st.LevelRecord.from_json(json.dumps({**fields, "quality": older})).quality is None
+    )  # numbers of another meaning
     for strange in ({"offset": 1.0}, "high", {**vars(CURVE), "offset": "40"}):
         with pytest.raises(InputError, match=r"QualityCurve|level record"):
             st.LevelRecord.from_json(json.dumps({**fields, "quality": strange}))

@@ -13,7 +13,6 @@ from hypothesis import strategies as hs
 import splatree as st
 
 from ..laws.hard_scenes import hard_scenes
-from ..lod.test_quality import CURVE
 from .conftest import small_pages
 
 
@@ -131,7 +130,7 @@ def test_a_view_reads_only_pages_that_it_needs(folder):
         assert store.num_loaded == first
 
 
-def test_budgets_and_qualities_choose_the_same_nodes(folder, scene, tmp_path):
+def test_budgets_choose_the_same_nodes(folder, scene):
     with st.open_store(folder) as store:
         last = None
         for camera in CAMERAS:
@@ -140,15 +139,6 @@ def test_budgets_and_qualities_choose_the_same_nodes(folder, scene, tmp_path):
             np.testing.assert_array_equal(found.rows, wanted.rows)
             assert found.pixel_error == wanted.pixel_error
             last = found.pixel_error
-    measured = tmp_path / "measured.splatree"
-    record = replace(scene.tree.record, quality=CURVE)
-    st.write(replace(scene, tree=replace(scene.tree, record=record)), measured)
-    measured_scene = st.read(measured)
-    with st.open_store(measured) as store:
-        for quality in (20.0, 45.0):
-            options = st.SelectOptions(quality=quality)
-            wanted = st.select(measured_scene, CAMERAS[1], options)
-            np.testing.assert_array_equal(store.select(CAMERAS[1], options).rows, wanted.rows)
 
 
 def test_sessions_batches_and_scores_take_stores(folder, scene):
@@ -173,6 +163,8 @@ def test_what_needs_all_rows_is_refused(folder):
             store.select(CAMERAS[0], st.SelectOptions(rule="release"))
         with pytest.raises(st.InputError, match="found 'exact' for a store"):
             store.select(CAMERAS[0], st.SelectOptions(cull="exact"))
+        with pytest.raises(st.InputError, match="quality: found 40 dB for a store"):
+            store.select(CAMERAS[0], st.SelectOptions(quality=40))
         with pytest.raises(st.InputError, match="found a selector for a store"):
             st.render(store, CAMERAS[0], select=lambda view, *, threads=0: None)
 

@@ -15,16 +15,33 @@ from ..scenes import surface
 
 def test_the_fit_finds_the_curve_that_pictures_follow():
     rng = np.random.default_rng(5)
-    curve = st.QualityCurve(41.0, -5.0, -1.1, -0.7, error_db=0.0, num_pictures=60)
+    curve = st.QualityCurve(41.0, -5.0, -2.0, 4.0, -0.3, -0.7, error_db=0.0, num_pictures=60)
     samples = []
     for _ in range(60):
-        pixel_error, merged, covered = rng.uniform(2, 16), rng.uniform(0.01, 1), rng.uniform(0.05, 1)
-        samples.append((curve.psnr(pixel_error, merged=merged, covered=covered), pixel_error, merged, covered))
+        pixel_error, merged, varied = rng.uniform(0.5, 16), rng.uniform(0.01, 1), rng.uniform(0.001, 0.1)
+        samples.append((curve.psnr(pixel_error, merged=merged, varied=varied), pixel_error, merged, varied))
     found = _fitted(samples)
     assert found.error_db < 0.01
-    for name in ("offset", "by_pixel_error", "by_merged", "by_covered"):
+    for name in ("offset", "by_pixel_error", "by_fine", "fine_px", "by_merged", "by_varied"):
         # Keeping the numbers small costs 0.03² against 60 pictures: 1e-3 of them.
         assert getattr(found, name) == pytest.approx(getattr(curve, name), rel=1e-2)
+
+
+def test_a_fit_that_is_far_off_promises_less():
+    """What is taken off is 2.5 errors less 2 dB, if that is anything."""
+    rng = np.random.default_rng(6)
+    for scatter, taken in ((0.4, 0.0), (2.0, 2.5 * 2.0 - 2)):
+        samples = []
+        for _ in range(4000):
+            pixel_error, merged, varied = rng.uniform(2, 16), rng.uniform(0.01, 1), rng.uniform(0.001, 0.1)
+            psnr = 25 - 4 * np.log(pixel_error) - 7 * np.log10(varied) - 3 * np.log10(merged) + scatter * rng.normal()
+            samples.append((psnr, pixel_error, merged, varied))
+        found = _fitted(samples)
+        assert found.error_db == pytest.approx(scatter, rel=0.05)
+        at = {"merged": 0.3, "varied": 0.02}
+        true = 25 - 4 * np.log(6) - 7 * np.log10(0.02) - 3 * np.log10(0.3)
+        # Of 4000 pictures the mean is known to 0.03 dB, the error to 0.02, which counts 2.5 times.
+        assert true - found.psnr(6, **at) == pytest.approx(taken, abs=0.2)
 
 
 def test_a_fit_never_rises_with_the_pixel_error():

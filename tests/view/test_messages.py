@@ -27,6 +27,12 @@ def test_a_view_comes_in_world_coordinates():
     assert (found.camera.width, found.camera.height, found.camera.K[0, 0]) == (640, 360, 500)
 
 
+def test_a_quality_goes_before_a_pixel_error():
+    found = parse(json.dumps({**VIEW, "db": 40}), CENTRE).select
+    assert (found.quality, found.budget) == (40, 50_000)
+    assert parse(json.dumps({**VIEW, "db": None}), CENTRE).select.quality is None
+
+
 def test_an_acknowledgement_is_a_count():
     assert parse('{"ack": 7}', CENTRE) == Ack(7)
 
@@ -47,6 +53,7 @@ def test_an_acknowledgement_is_a_count():
         ({"c2w": [1] * 11 + [float("inf")]}, "c2w: found 'inf'"),
         ({"c2w": [1, 1, 1, 0] * 3}, "not orthonormal"),
         ({"c2w": {"0": 1}}, "c2w: wanted 12 numbers"),
+        ({"db": 61}, "db: found '61', wanted a number from 20 to 60"),
         ({"quality": 101}, "quality: found"),
         ({"packing": "exe"}, "packing: found 'exe'"),
         ({"box": [0] * 5}, "box: wanted 6 numbers"),

@@ -17,7 +17,6 @@ from splatree.cli.files import Files, inputs_and_output, lost_and_noted, read_op
 from splatree.cli.folders import in_words as folder_in_words
 from splatree.cli.folders import run_through_files
 from splatree.clusters.build import ClusterOptions, build_clusters
-from splatree.constants import PIXEL_ERROR
 from splatree.errors import InputError
 from splatree.io.estimate import estimated_compact_bytes
 from splatree.io.options import WriteOptions
@@ -290,11 +289,10 @@ def show(built: Built | BuiltFolder) -> str:
 
 
 def _quality_in_words(curve: QualityCurve) -> str:
-    """What the default cut looks like, where all is merged and where little is."""
-    far, near = (curve.psnr(PIXEL_ERROR, merged=merged, covered=1.0) for merged in (1.0, 0.1))
+    """How well the quality of a cut is known."""
     return (
-        f"quality: a cut at {PIXEL_ERROR:g} px has about {far:.1f} dB against all leaves where all is merged, {near:.1f} dB "
-        f"where a tenth is (within {curve.error_db:.1f} dB in {curve.num_pictures} pictures); --quality chooses the cut by it"
+        f"quality: PSNRs of cuts against all leaves are known within {curve.error_db:.1f} dB (of {curve.num_pictures} pictures); "
+        f"--quality 40 draws the coarsest cut of 40 dB"
     )
 
 

@@ -12,7 +12,7 @@ from tyro.conf import Positional, arg
 from splatree.cli.comparison import Drawing, Reporting, compared, in_words
 from splatree.cli.console import Console, UsageError, counted, table
 from splatree.cli.files import Reading, check_inputs, lost_and_noted, read_scene
-from splatree.cli.opening import bytes_of, counts_of, opened, sample_of
+from splatree.cli.opening import bytes_of, counts_of, needs_all_rows, opened, sample_of
 from splatree.errors import InputError
 from splatree.io.cameras.files import read_cameras
 from splatree.io.cameras.split import split_views
@@ -176,7 +176,7 @@ def run(command: Command) -> Evaluated | Comparison:
         raise UsageError("report: found no --reference, wanted a scene to compare with")
     source = command.cameras or command.data
     named = None if source is None else read_cameras(source)  # missing ones are told before any work
-    whole = command.method is not None or command.select.rule != "cut" or command.select.cull not in (None, "none")
+    whole = command.method is not None or needs_all_rows(command.select)
     with opened(command.paths, command.reading, command.max_memory, whole=whole) as scene:
         return _evaluated(command, scene if isinstance(scene, Store) else with_blocks(scene), named)
 

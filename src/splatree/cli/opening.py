@@ -13,7 +13,7 @@ from splatree.render.timing import peak_bytes
 from splatree.scene.options import SelectOptions
 from splatree.scene.scene import Scene
 
-__all__ = ["bytes_of", "counts_of", "opened", "sample_of"]
+__all__ = ["bytes_of", "counts_of", "needs_all_rows", "opened", "sample_of"]
 
 
 @contextmanager
@@ -41,6 +41,11 @@ def opened(
         return
     with open_store(paths[0], max_memory=max_memory) as store:
         yield store
+
+
+def needs_all_rows(select: SelectOptions) -> bool:
+    """Whether a selection cannot be made page by page."""
+    return select.rule != "cut" or select.cull not in (None, "none") or select.quality is not None
 
 
 def sample_of(scene: Scene | Store) -> Scene:

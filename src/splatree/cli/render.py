@@ -10,7 +10,7 @@ from tyro.conf import Positional, arg
 
 from splatree.cli.console import Console, UsageError, table
 from splatree.cli.files import Reading, check_inputs, lost_and_noted, read_scene
-from splatree.cli.opening import opened, sample_of
+from splatree.cli.opening import needs_all_rows, opened, sample_of
 from splatree.cli.pictures import (
     PlaneSuffix,
     Targets,
@@ -201,7 +201,7 @@ def _scene(command: Command) -> Iterator[Scene | Store]:
     if level is not None and one and (found := detect(command.paths[0])) is not None and found.holds.levels == "one of":
         yield read_scene(command.paths, command.reading, level=level)
         return
-    whole = level is not None or command.select.rule != "cut" or command.select.cull not in (None, "none")
+    whole = level is not None or needs_all_rows(command.select)
     with opened(command.paths, command.reading, command.max_memory, whole=whole) as scene:
         yield scene if level is None or isinstance(scene, Store) else level_of(scene, level)
 

@@ -1,137 +1,104 @@
 """Meet a quality: the coarsest τ_R whose cut is predicted to look as good as asked for.
 
-The quality is a PSNR against all leaves. The levels of a scene know a curve for it (scene/quality.py), which asks two numbers of
-a view. Both are sums over the selected nodes, with the area α σ₁ σ₂ (f/z)² of a node on the screen from its two larger axes:
-
-- *merged*, of a cut: the share of the areas that merged nodes have;
-- *covered*, of a view: 1 − exp(−1.5 · areas of a tile / 256 px²), the mean over the tiles of 16 × 16 px, from a coarse cut. An
-  area is that of all of the Gaussian then, 2π as large, at most that of the tile.
-
-Large selections are summed over a sample of their rows. Cost: a coarse cut, and four to eight cuts.
+The quality is a PSNR against all leaves. The levels of a scene know a curve for it (scene/quality.py), which asks for a sketch of
+each cut that is tried (lod/sketch.py). A view alone is searched from 4 px on: three or four cuts. The next view of a moving
+camera begins at the τ_R of the last: one or two.
 """
 
 import math
-from collections.abc import Callable, Sized
-from dataclasses import dataclass
-from typing import Final, TypeVar
+from collections.abc import Callable
+from typing import Final
 
-import numpy as np
-
-from splatree.constants import DILATION_PX2, TILE_PX
 from splatree.errors import InputError
+from splatree.lod.sketch import Sketcher
 from splatree.scene.cameras import Camera
 from splatree.scene.quality import QualityCurve
 from splatree.scene.scene import Scene
-from splatree.shapes import Array, Bool, Float32, Float64, check_fields
+from splatree.shapes import Array
 
-__all__ = [
-    "COARSEST_PX",
-    "COVERING_PX",
-    "Nodes",
-    "covered_share",
-    "curve_of",
-    "merged_share",
-    "nodes_of",
-    "pixel_error_for",
-]
+__all__ = ["COARSEST_PX", "FINEST_PX", "curve_of", "pixel_error_for"]
 
-COVERING_PX: Final = 12.0
-"""τ_R of the cut by which a view is found to be covered: few nodes, which are still smaller than a tile."""
+FIRST_PX: Final = 4.0
+"""Size of nodes at which the search of a view alone begins."""
 
-COARSEST_PX: Final = 24.0
-"""No coarser cut is chosen for a quality: curves are fitted to finer ones."""
+COARSEST_PX: Final = 32.0
+"""No cut of larger nodes is chosen for a quality: curves are fitted to smaller ones."""
 
 FINEST_PX: Final = 0.25
-"""For extents, which may be of any size: below it all leaves are drawn."""
+"""Below this size of merged nodes all leaves are drawn."""
 
 PRECISION_DB: Final = 0.25
 """A cut whose predicted quality is within this of what is asked for is not searched further."""
 
-TRIALS: Final = 8
-"""Most cuts that are tried: each halves the range of ln τ_R at least roughly, which is 4.6 at most."""
+TRIALS: Final = 10
+"""Most cuts that are tried."""
 
-SAMPLE: Final = 40_000
-"""Rows summed over, evenly spread: where a hundredth is merged, its share is found to a tenth, half a dB."""
+CLOSE: Final = 0.03
+"""A search ends where ln size is known to this: one large node may change the prediction by more than its precision."""
 
-LARGEST_PX2: Final = 1e4
-"""Area on the screen above which a node counts no more: it reaches beyond the picture."""
-
-
-Rows = TypeVar("Rows", bound=Sized)
-"""Rows of a selection: an array, or where they are (outofcore/paging.py)."""
-
-
-@dataclass(frozen=True, eq=False)
-class Nodes:
-    """What the quality of a cut depends on, of some of its nodes."""
-
-    means: Float32[Array, "v 3"]
-    """Means, world units."""
-    log_scales: Float32[Array, "v 3"]
-    """Logarithms of standard deviations, world units."""
-    logit_opacities: Float32[Array, "v"]
-    """Logits of opacities."""
-    is_merged: Bool[Array, "v"]
-    """Whether each was made by merging."""
-
-    def __post_init__(self) -> None:
-        check_fields(self)
-
-
-def nodes_of(scene: Scene, rows: Array) -> Nodes:
-    """Rows of a scene."""
-    g = scene.gaussians
-    means, log_scales, logits = (np.take(column, rows, axis=0) for column in (g.means, g.log_scales, g.logit_opacities))
-    return Nodes(means, log_scales, logits, scene.tree.subtree_end[rows] > rows + 1)
+FALL_DB: Final = 6.0
+"""Typical loss of PSNR for a unit of ln size, by which the search goes on from one cut."""
 
 
 def pixel_error_for(
-    rows_at: Callable[[float], tuple[Rows, int]],
-    nodes_at: Callable[[Rows, int], Nodes],
-    view: tuple[QualityCurve, Camera],
+    rows_at: Callable[[float], tuple[Array, int]],
+    sketcher: Sketcher,
+    camera: Camera,
     quality: float,
-    only_leaves: float,
+    *,
+    point_px: float,
+    last: float | None = None,
 ) -> float:
     """The largest τ_R whose cut is predicted to have the quality; 0, all leaves, where no cut of merged nodes has it.
 
     Args:
         rows_at: the selection at a τ_R, px.
-        nodes_at: each n-th of its rows.
-        view: the curve of the levels, and the camera.
+        sketcher: draws sketches of these rows.
+        camera: the view.
         quality: PSNR against all leaves that is wanted, dB.
-        only_leaves: τ_R below which only leaves are drawn, px.
+        point_px: the radius that the profile gives to a point, px: with a τ_R below it only leaves are drawn.
+        last: τ_R of a view nearby, at which the search begins, px; None: 4 px.
+
+    Raises:
+        InputError: the levels have no curve of their quality.
     """
-    curve, camera = view
+    curve = curve_of(sketcher.scene)
 
-    def sampled(pixel_error: float) -> tuple[Nodes, int]:
-        rows = rows_at(pixel_error)[0]
-        step = _step(len(rows))
-        return nodes_at(rows, step), step
-
-    covered = _covered(*sampled(COVERING_PX), camera)
-
-    def spare_at(pixel_error: float) -> float:
+    def spare_at(size_px: float) -> float:
         """By how much a cut is predicted to be better than asked for, dB."""
-        merged = _merged(sampled(pixel_error)[0], camera)
-        return curve.psnr(pixel_error, merged=merged, covered=covered) - quality
+        pixel_error = math.hypot(size_px, point_px)
+        seen = sketcher.draw(rows_at(pixel_error)[0], camera)
+        return curve.psnr(pixel_error, merged=seen.merged, varied=seen.varied) - quality
 
-    fine, coarse = math.log(max(1.02 * only_leaves, FINEST_PX)), math.log(COARSEST_PX)
-    spare, lack = spare_at(math.exp(fine)), spare_at(COARSEST_PX)
-    if lack >= 0:
-        return COARSEST_PX
-    if spare < 0:
-        return 0.0
+    fine: tuple[float, float] | None = None  # ln size of a cut that is good enough, and by how much it is better
+    coarse: tuple[float, float] | None = None  # of one that is not
+    nearby = FIRST_PX if last is None or not math.isfinite(last) else math.sqrt(max(last**2 - point_px**2, 0))
+    size = min(max(nearby, FINEST_PX), COARSEST_PX)
     for _ in range(TRIALS):
-        share = spare / (spare - lack) if math.isfinite(spare) else 0.5
-        middle = fine + min(max(share, 0.15), 0.85) * (coarse - fine)
-        found = spare_at(math.exp(middle))
-        if found >= 0:
-            fine, spare = middle, found
-            if found < PRECISION_DB:
+        spare = spare_at(size)
+        if spare >= 0:
+            fine = math.log(size), spare
+            if spare < PRECISION_DB or size >= COARSEST_PX:
                 break
         else:
-            coarse, lack = middle, found
-    return math.exp(fine)
+            coarse = math.log(size), spare
+            if size <= FINEST_PX:
+                return 0.0
+        if fine is not None and coarse is not None and coarse[0] - fine[0] < CLOSE:
+            break
+        size = min(max(math.exp(_between(fine, coarse)), FINEST_PX), COARSEST_PX)
+    return math.hypot(math.exp(fine[0]), point_px) if fine is not None else 0.0
+
+
+def _between(fine: tuple[float, float] | None, coarse: tuple[float, float] | None) -> float:
+    """ln size of the next cut to try: beyond the one that is known, or between two."""
+    aim = PRECISION_DB / 2
+    if fine is not None and coarse is not None:
+        share = (fine[1] - aim) / (fine[1] - coarse[1]) if math.isfinite(fine[1]) else 0.5
+        return fine[0] + min(max(share, 0.1), 0.9) * (coarse[0] - fine[0])
+    known, direction = (fine, 1.0) if fine is not None else (coarse, -1.0)
+    assert known is not None
+    return known[0] + direction * min(max(abs(known[1] - aim) / FALL_DB, 0.05), 1.5)
 
 
 def curve_of(scene: Scene) -> QualityCurve:
@@ -143,54 +110,3 @@ def curve_of(scene: Scene) -> QualityCurve:
             "call with_quality, or use pixel_error or budget"
         )
     return record.quality
-
-
-def merged_share(scene: Scene, rows: Array, camera: Camera) -> float:
-    """Share of the areas of selected rows on the screen that merged nodes have."""
-    return _merged(nodes_of(scene, rows[:: _step(len(rows))]), camera)
-
-
-def _merged(nodes: Nodes, camera: Camera) -> float:
-    _, squares = _places(nodes, camera)
-    areas = _opacities(nodes.logit_opacities) * np.minimum(squares + DILATION_PX2, LARGEST_PX2)
-    total = float(areas.sum())
-    return float(areas[nodes.is_merged].sum()) / total if total > 0 else 0.0
-
-
-def covered_share(scene: Scene, rows: Array, camera: Camera) -> float:
-    """Share of the picture in which the rows of a coarse cut draw something."""
-    step = _step(len(rows))
-    return _covered(nodes_of(scene, rows[::step]), step, camera)
-
-
-def _covered(nodes: Nodes, step: int, camera: Camera) -> float:
-    across, down = -(-camera.width // TILE_PX), -(-camera.height // TILE_PX)
-    places, squares = _places(nodes, camera)
-    inside = ((places >= 0) & (places < (camera.width, camera.height))).all(axis=1)
-    tiles = (places[inside] // TILE_PX).astype(np.int64)
-    areas = _opacities(nodes.logit_opacities[inside]) * np.minimum(2 * np.pi * squares[inside], TILE_PX**2)
-    sums = np.bincount(tiles[:, 1] * across + tiles[:, 0], areas, minlength=across * down)
-    return float(np.mean(1 - np.exp(-1.5 * step * sums / TILE_PX**2)))
-
-
-def _step(num_rows: int) -> int:
-    """Each n-th row is in the sample."""
-    return num_rows // SAMPLE + 1
-
-
-def _opacities(logits: Array) -> Float64[Array, "v"]:
-    with np.errstate(over="ignore"):
-        return np.asarray(1 / (1 + np.exp(-logits.astype(np.float64))))
-
-
-def _places(nodes: Nodes, camera: Camera) -> tuple[Float64[Array, "v 2"], Float64[Array, "v"]]:
-    """Centres of the nodes in the picture, px, and σ₁ σ₂ (f/z)² of their two larger axes, px²."""
-    pose, focal = camera.camera_from_world, camera.K[[0, 1], [0, 1]]
-    seen = nodes.means @ pose[:3, :3].T + pose[:3, 3]
-    depths = np.maximum(seen[:, 2], camera.near)
-    log_scales = nodes.log_scales.astype(np.float64)
-    larger_two = log_scales.sum(axis=1) - log_scales.min(axis=1)
-    with np.errstate(over="ignore"):
-        squares = np.exp(larger_two) * (focal.prod() / depths**2)
-        places = seen[:, :2] * (focal / depths[:, None]) + camera.K[:2, 2]
-    return places, squares

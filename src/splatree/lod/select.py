@@ -23,8 +23,9 @@ from splatree.kernels.cpu.frame import select as cpu
 from splatree.kernels.cpu.frame.blocks import index_blocks
 from splatree.kernels.reference import select as reference
 from splatree.lod.budget import meet_budget, meet_budget_from
-from splatree.lod.quality import Nodes, curve_of, nodes_of, pixel_error_for
+from splatree.lod.quality import curve_of, pixel_error_for
 from splatree.lod.serial import select_serial
+from splatree.lod.sketch import Sketcher
 from splatree.scene.cameras import Camera
 from splatree.scene.clusters import Culling
 from splatree.scene.frame import Selection
@@ -64,6 +65,7 @@ def select(
     *,
     culling: Culling | None = None,
     last: float | None = None,
+    sketcher: Sketcher | None = None,
     stages: FrameStages | None = None,
     threads: int = 0,
 ) -> Selection:
@@ -75,8 +77,9 @@ def select(
             `footprint` takes into account.
         options: pixel error, budget or quality, rule, profile and view test; None: the defaults.
         culling: what `cull_scene` found for the same view and options; None: it is found here.
-        last: τ_R, px, of the view before, for the budget of a camera that moves: the search begins there and is content with
-            90 % of the budget (lod/budget.py). None: a view alone.
+        last: τ_R, px, of the view before, for the budget or the quality of a camera that moves: the search begins there, and for
+            a budget is content with 90 % of it (lod/budget.py). None: a view alone.
+        sketcher: draws the sketches that a quality is predicted from; None: it is made here, by a pass over the scene.
         stages: the back end that selects by the rule `cut`; None: the CPU.
         threads: threads to use; 0: all. The result is the same for any number.
 
@@ -118,10 +121,13 @@ def select(
             rows = rows[cpu.small(scene.gaussians, scene.tree, rows, view, largest, threads=threads)]
         return rows, visited
 
-    def nodes_at(rows: Array, step: int) -> Nodes:
-        return nodes_of(scene, rows[::step])
-
-    rows, visited, pixel_error = chosen_by(rows_at, nodes_at, scene, view, options, last=last)
+    finest = options.pixel_error
+    if options.quality is not None:
+        curve_of(scene)  # refuses before anything is drawn
+        point_px = smallest_radius(options.resolved_profile, view.dilation_px2)
+        sketcher = sketcher or Sketcher.of(scene)
+        finest = pixel_error_for(rows_at, sketcher, view.camera, options.quality, point_px=point_px, last=last)
+    rows, visited, pixel_error = within_budget(rows_at, view, options, finest, last=last)
     notes = notes_on(scene, options, pixel_error, view)
     return Selection(rows, options.rule, options.resolved_profile, pixel_error, visited, notes)
 
@@ -130,31 +136,27 @@ Rows = TypeVar("Rows", bound=Sized)
 """Rows of a selection: an array, or where they are (outofcore/paging.py)."""
 
 
-def chosen_by(
+def within_budget(
     rows_at: Callable[[float], tuple[Rows, int]],
-    nodes_at: Callable[[Rows, int], Nodes],
-    scene: Scene,
     view: View,
     options: SelectOptions,
+    finest: float,
     *,
     last: float | None = None,
 ) -> tuple[Rows, int, float]:
-    """The rows that the pixel error, the quality or the budget of the options chooses, how many were looked at, and τ_R, px.
+    """The rows at the finest τ_R that the budget of the options allows, how many were looked at, and this τ_R, px.
 
     Args:
         rows_at: the rows at a τ_R, px, and how many were looked at.
-        nodes_at: each n-th of some rows.
-        scene: what the record of the levels is taken from; of the rows nothing is read here.
         view: the view.
-        options: with the profile of the levels.
+        options: with the profile of the levels; without a budget the rows are those at ``finest``.
+        finest: finest τ_R that is wanted, px.
         last: τ_R, px, of the view before.
 
     Raises:
-        InputError: as `select`.
+        InputError: more roots are in view than the budget allows.
     """
-    finest, smallest = options.pixel_error, smallest_radius(options.resolved_profile, view.dilation_px2)
-    if options.quality is not None:
-        finest = pixel_error_for(rows_at, nodes_at, (curve_of(scene), view.camera), options.quality, smallest)
+    smallest = smallest_radius(options.resolved_profile, view.dilation_px2)
     if options.budget is not None and last is not None:
         return meet_budget_from(rows_at, options.budget, (finest, smallest), last, view.camera)
     rows, visited = rows_at(finest)

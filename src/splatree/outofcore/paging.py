@@ -42,10 +42,6 @@ class Cut:
     def __len__(self) -> int:
         return len(self.rows)
 
-    def every(self, step: int) -> "Cut":
-        """Each n-th of the rows."""
-        return Cut(*(np.ascontiguousarray(column[::step]) for column in (self.rows, self.pages, self.places)))
-
     def by_page(self) -> Iterator[tuple[int, Int64[Array, "w"]]]:
         """Each page that rows are in, and which of the rows."""
         order = np.argsort(self.pages, kind="stable")
@@ -63,7 +59,7 @@ def cut_at(
         index: of the store.
         page_of: loads a page.
         view: the view.
-        options: of the rule `cut`, with the profile of the levels; a budget and a quality are not looked at.
+        options: of the rule `cut`, with the profile of the levels; a budget is not looked at.
         threads: threads to use; 0: all.
     """
     asked = _Asked(index, page_of, view, options, threads)

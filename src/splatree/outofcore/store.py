@@ -20,8 +20,7 @@ from splatree.errors import FormatError, InputError
 from splatree.io.check import checked_rows
 from splatree.io.formats.folder.manifest import MANIFEST, Manifest, checked_path, is_manifest, read_manifest
 from splatree.io.formats.splatree.rows import StoredScene, open_scene
-from splatree.lod.quality import Nodes
-from splatree.lod.select import chosen_by, for_levels, notes_on
+from splatree.lod.select import for_levels, notes_on, within_budget
 from splatree.outofcore.index import StoreIndex, index_of_file, index_of_folder
 from splatree.outofcore.index_file import read_index
 from splatree.outofcore.options import bytes_of, free_bytes
@@ -105,12 +104,12 @@ class Store:
 
         Args:
             view: a camera, for drawing with the options that the scene itself has; or a view.
-            options: pixel error, budget or quality, profile and view test; None: the defaults.
+            options: pixel error or budget, profile and view test; None: the defaults.
             last: τ_R, px, of the view before, as in `select`.
             threads: threads to use; 0: all.
 
         Raises:
-            InputError: the rule is not `cut`, a rule of culling is named, or a budget or quality cannot be met.
+            InputError: the rule is not `cut`, a rule of culling or a quality is named, or a budget cannot be met.
             FormatError: a page that is needed is damaged.
 
         Example:
@@ -147,10 +146,10 @@ class Store:
         _check_options(options)
 
         def cut_of(pixel_error: float) -> tuple[Cut, int]:
-            at = replace(options, pixel_error=pixel_error, quality=None)
+            at = replace(options, pixel_error=pixel_error)
             return cut_at(self.index, page_of, view, at, threads=threads)
 
-        cut, visited, pixel_error = chosen_by(cut_of, self.nodes, scene, view, options, last=last)
+        cut, visited, pixel_error = within_budget(cut_of, view, options, options.pixel_error, last=last)
         notes = notes_on(scene, options, pixel_error, view)
         return Selection(cut.rows, "cut", options.resolved_profile, pixel_error, visited, notes), cut
 
@@ -201,18 +200,6 @@ class Store:
             return own
         merged = np.uint32(self.index.largest_id + 1) + rows.astype(np.uint32)
         return np.where(page.tree.is_leaf[places], own, merged)
-
-    def nodes(self, cut: Cut, step: int) -> Nodes:
-        """Each n-th row of a cut, as its quality depends on them."""
-        sample = cut.every(step)
-        means, log_scales = np.empty((len(sample), 3), np.float32), np.empty((len(sample), 3), np.float32)
-        logits, is_merged = np.empty(len(sample), np.float32), np.empty(len(sample), bool)
-        for number, of_page in sample.by_page():
-            page, places = self.page(number), sample.places[of_page]
-            means[of_page], log_scales[of_page] = page.gaussians.means[places], page.gaussians.log_scales[places]
-            logits[of_page] = page.gaussians.logit_opacities[places]
-            is_merged[of_page] = ~page.tree.is_leaf[places]
-        return Nodes(means, log_scales, logits, is_merged)
 
     def sample(self) -> Scene:
         """A flat scene of Gaussians that are evenly spread over the store, for programs that choose views.
@@ -357,4 +344,9 @@ def _check_options(options: SelectOptions) -> None:
     if options.cull not in (None, "none"):
         raise InputError(
             f"cull: found {options.cull!r} for a store, wanted none; pages are left out by their own boxes"
+        )
+    if options.quality is not None:
+        raise InputError(
+            f"quality: found {options.quality:g} dB for a store, wanted a pixel error or a budget; a quality is predicted from "
+            "all leaves: read the scene"
         )

@@ -2,7 +2,8 @@
 
 Policies (FilterGS 2026, §3.3, Eq. 8; G is the mean contribution of a pair, render/contribution.py):
 
-- ``target`` (default): the largest τ whose mean loss of PSNR over the views is within a budget in dB, by bisection;
+- ``target`` (default): the largest τ whose mean loss of PSNR is within a budget in dB, over the nearer half of the views and over
+  the farther half, by bisection: far views, which lose little, then do not pay for near ones;
 - ``worst``: the largest τ at which no view loses more than the budget, so that near and far views keep the same promise;
 - ``paper``: τ = λ_G / G, as Eq. 8 says: crowded scenes, where G is small, are shrunk more;
 - ``release``: τ = λ_G · G, as the code of FilterGS computes: crowded scenes are shrunk less;
@@ -11,7 +12,9 @@ Policies (FilterGS 2026, §3.3, Eq. 8; G is the mean contribution of a pair, ren
 Unless another tile rule is asked for, ``target`` and ``worst`` take `balanced`, the others the same τ for all splats, `ellipse`.
 No τ goes below 1/255, down to which the blend draws anyway, nor above 0.5.
 
-What a loss of x dB means. With photographs: the mean over the views of PSNR(lossless, photo) − PSNR(shrunk, photo). Without: the
+Views are near or far by the mean depth of what they see; the middle one is in both halves, and views of nothing are in none.
+
+What a loss of x dB means. With photographs: the mean over views of PSNR(lossless, photo) − PSNR(shrunk, photo). Without: the
 lossless picture is taken to be Q dB from the truth (``scene_psnr``), and the error of shrinking independent of that one, so that
 their squares add up: a view that is P dB from its lossless picture loses
 
@@ -76,10 +79,11 @@ class CalibrateOptions:
     """
 
     policy: Policy = "target"
-    """`target` meets a mean loss of PSNR, `worst` a loss that no view exceeds; `paper` is λ_G / G, and `release` λ_G · G;
-    `fixed` is --threshold, or 1/255."""
+    """`target` meets a mean loss of PSNR, near by and far away, `worst` a loss that no view exceeds; `paper`
+    is λ_G / G, and `release` λ_G · G; `fixed` is --threshold, or 1/255."""
     loss_db: float = 0.1
-    """For `target` the mean loss of PSNR over the views that is allowed, for `worst` that of each view, dB."""
+    """Loss of PSNR that is allowed, dB: for `target` the mean over the nearer and over the farther half of the views, for `worst`
+    that of each view."""
     scene_psnr: float = 30.0
     """Without photographs: PSNR that the lossless pictures are assumed to have against the truth, dB."""
     lambda_g: float = 0.2
@@ -109,7 +113,7 @@ class Trial:
     threshold: float
     """τ."""
     loss_db: float
-    """Mean loss of PSNR, dB, as the head of this module defines it."""
+    """Mean loss of PSNR over the nearer or the farther half of the views, the larger, dB; the head of this module defines it."""
     worst_loss_db: float
     """Largest loss of a view, dB."""
     worst_view: str
@@ -135,7 +139,7 @@ class Calibration:
     threshold: float
     """τ: opacity at which a splat ends."""
     loss_db: float
-    """Mean loss of PSNR at this τ, dB."""
+    """Mean loss of PSNR at this τ over the nearer or the farther half of the views, the larger, dB."""
     worst_loss_db: float
     """Largest loss of a view at this τ, dB: what to expect of the worst view."""
     worst_view: str
@@ -301,8 +305,10 @@ class _Studio:
         self.pictures: list[Array] = []
         self.photo_psnrs: list[float] = []
         contributions = []
+        depths = []
         for view in self.views:
             frame = self.draw(view, lossless)
+            depths.append(_mean_depth(frame))
             self.num_pairs_lossless += frame.bins.num_pairs
             if self.photos:
                 self.photo_psnrs.append(psnr(_shown(frame), self.photos[view.name]))
@@ -312,6 +318,7 @@ class _Studio:
                 frame = self.session.trace(view, options=replace(lossless, tile_rule=self.options.lists))
             contributions.append(tile_contributions(frame).mean(tiles=self.options.tiles, unit=self.options.unit))
         self.contribution = float(np.mean(contributions))
+        self.halves = _halves(depths)
 
     def choose(self) -> tuple[Trial, list[Trial]]:
         """The trial that the policy asks for, and all that were made."""
@@ -362,12 +369,27 @@ class _Studio:
         worst = int(np.argmax(losses))
         return Trial(
             threshold=threshold,
-            loss_db=float(np.mean(losses)),
+            loss_db=max(float(np.mean(np.array(losses)[half])) for half in self.halves),
             worst_loss_db=float(losses[worst]),
             worst_view=self.views[worst].name or str(worst),
             psnr=-10 * math.log10(error) if error else None,
             num_pairs=num_pairs,
         )
+
+
+def _mean_depth(frame: Frame) -> float:
+    """Mean depth of what a picture shows; infinity if it shows nothing."""
+    alpha = frame.result.alpha.astype(np.float64)
+    shown = float(alpha.sum())
+    return float((alpha * frame.result.depth).sum()) / shown if shown > 0 else math.inf
+
+
+def _halves(depths: Sequence[float]) -> tuple[Array, Array]:
+    """Numbers of the nearer and of the farther half of the views; all, if none shows anything."""
+    order = np.argsort(depths, kind="stable")
+    order = order[: int(np.isfinite(depths).sum())] if np.isfinite(depths).any() else order
+    size = -(-len(order) // 2)
+    return order[:size], order[len(order) - size :]
 
 
 def _shown(frame: Frame) -> Array:

@@ -15,8 +15,10 @@ from splatree.kernels.contract import FrameStages, HeldScene
 from splatree.kernels.devices import DeviceName, feature_of, stages_of
 from splatree.kernels.reference.select import in_runs
 from splatree.lod.blocks import with_blocks
+from splatree.lod.quality import curve_of
 from splatree.lod.select import Selector, cull_rule, cull_scene, for_levels, notes_on
 from splatree.lod.select import select as select_rows
+from splatree.lod.sketch import Sketcher
 from splatree.render.stages import Clock, draw_rows, frame_of, result_of
 from splatree.render.updates import updated_scene
 from splatree.scene.clusters import Culling
@@ -40,11 +42,24 @@ class Engine:
         self.stages: FrameStages = stages_of(device)
         self.held: HeldScene | None = None
         self._threads = threads
+        self._sketcher: Sketcher | None = None
         hold = feature_of(device, "hold")
         if hold is not None:
             parts = (self.scene.gaussians, self.scene.ids, self.scene.tree, self.scene.blocks)
             self.held = cast(HeldScene, hold(*parts, columns))
             self.stages = cast(FrameStages, _HeldStages(self.held, self.stages))
+
+    @property
+    def sketcher(self) -> Sketcher:
+        """What the quality of cuts is predicted from: made when it is first asked for.
+
+        Raises:
+            InputError: the levels have no curve of their quality.
+        """
+        if self._sketcher is None:
+            curve_of(self.scene)
+            self._sketcher = Sketcher.of(self.scene)
+        return self._sketcher
 
     def settled(self, select: SelectOptions | Selector, view: View) -> SelectOptions | Selector:
         """The options of the selection with what follows from the scene and from how the view is drawn."""
@@ -112,15 +127,21 @@ class Engine:
         if cull_rule(self.scene, select) != "none":
             with clock.timed("cull"):
                 culling = cull_scene(self.scene, view, select, threads=self._threads)
+        sketcher = None if select.quality is None else self.sketcher
         with clock.timed("select"):
             selection = select_rows(
-                self.scene, view, select, culling=culling, stages=self.stages, threads=self._threads
+                *(self.scene, view, select),
+                culling=culling,
+                sketcher=sketcher,
+                stages=self.stages,
+                threads=self._threads,
             )
         return culling, selection
 
     def update(self, columns: Gaussians | Mapping[str, Array], *, keep_index: bool) -> None:
         """Replace columns of the Gaussians, here and on the device (render/updates.py)."""
         self.scene, names = updated_scene(self.scene, columns, keep_index=keep_index, threads=self._threads)
+        self._sketcher = None
         if self.held is not None:
             self.held.update(self.scene.gaussians, self.scene.blocks, names)
 

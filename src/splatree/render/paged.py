@@ -14,6 +14,7 @@ from splatree.kernels.contract import HeldScene
 from splatree.kernels.cpu.frame.project import gathered
 from splatree.kernels.devices import DeviceName, stages_of
 from splatree.lod.select import Selector
+from splatree.lod.sketch import Sketcher
 from splatree.outofcore.paging import Cut
 from splatree.outofcore.store import Store
 from splatree.render.engine import settled
@@ -39,6 +40,15 @@ class PagedEngine:
         self.stages = stages_of(device)
         self._threads = threads
         self._last: View | None = None
+
+    @property
+    def sketcher(self) -> Sketcher:
+        """Refused: a quality is predicted from all leaves.
+
+        Raises:
+            InputError: always.
+        """
+        raise InputError("quality: found a store, wanted a scene in memory; read it")
 
     def settled(self, select: SelectOptions | Selector, view: View) -> SelectOptions | Selector:
         """The options of the selection with what follows from the store and from how the view is drawn."""

@@ -30,6 +30,7 @@ from splatree.kernels.contract import FrameStages
 from splatree.kernels.devices import DeviceName
 from splatree.lod.select import Selector
 from splatree.outofcore.store import Store
+from splatree.lod.sketch import Sketcher
 from splatree.render.engine import Engine
 from splatree.render.lens import pinhole_of, through_lens
 from splatree.render.paged import PagedEngine
@@ -136,6 +137,16 @@ class Session:
     def stages(self) -> FrameStages:
         """The stages of the back end, for programs that run some of them alone (kernels/contract.py)."""
         return self._engine.stages
+
+    @property
+    def sketcher(self) -> Sketcher:
+        """What the quality of cuts is predicted from, made when it is first asked for (lod/sketch.py).
+
+        Raises:
+            InputError: the levels have no curve of their quality.
+        """
+        with self._working():
+            return self._engine.sketcher
 
     def view(self, camera: Camera, options: RenderOptions | None = None, wanted: Wanted = NOTHING) -> View:
         """The view that a camera is drawn as; of a camera with a lens, that of the pinhole that stands for it."""

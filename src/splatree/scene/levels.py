@@ -106,7 +106,8 @@ def record_from_fields(fields: Any) -> LevelRecord:
         if fields.get("merge") is not None:
             fields["merge"] = MergeOptions(**fields["merge"])
         if fields.get("quality") is not None:
-            fields["quality"] = QualityCurve(**fields["quality"])
+            is_older = isinstance(fields["quality"], dict) and "by_covered" in fields["quality"]  # of other numbers
+            fields["quality"] = None if is_older else QualityCurve(**fields["quality"])
         fields["steps"] = tuple(float(step) for step in fields.get("steps", ()))
         return LevelRecord(**fields)
     except (TypeError, ValueError) as error:

@@ -13,10 +13,12 @@ import numpy as np
 from splatree.errors import InputError
 from splatree.kernels.devices import DeviceName
 from splatree.lod.build import build_lod
+from splatree.lod.quality import curve_of
 from splatree.lod.select import Selector, select
 from splatree.progress import task
 from splatree.render.framing.frame import Framing, frame_scene
 from splatree.render.framing.trial import FOCUS_RADII
+from splatree.render.quality import with_quality
 from splatree.render.session import Session, open_session
 from splatree.scene.cameras import Camera
 from splatree.scene.frame import RenderResult, Selection
@@ -95,7 +97,10 @@ class Exhibit:
         def choose(view: View, *, threads: int = 0) -> Selection:
             # Footprints are ellipses; of squares the projection drops what is not seen.
             seen = replace(options, view_test="none") if view.is_square else options
-            return select(self.scene, view, seen, last=last, stages=self.session.stages, threads=threads)
+            sketcher = None if seen.quality is None else self.session.sketcher
+            return select(
+                *(self.scene, view, seen), last=last, sketcher=sketcher, stages=self.session.stages, threads=threads
+            )
 
         return choose
 
@@ -120,6 +125,7 @@ class Exhibit:
             "eye": (framing.eye - framing.centre).tolist(),
             "target": (framing.target - framing.centre).tolist(),
             "aspect": self._aspect(),
+            "measured": self.scene.tree.record is not None and self.scene.tree.record.quality is not None,
             "clusters": 0 if self.scene.clusters is None else len(self.scene.clusters),
         }
 
@@ -144,6 +150,7 @@ def exhibit(
     framing: Framing | None = None,
     up: Sequence[float] | None = None,
     device: DeviceName = "cpu",
+    measured: bool = False,
 ) -> Exhibit:
     """Make a scene ready to be shown: with levels and a block index, and a first view.
 
@@ -153,13 +160,18 @@ def exhibit(
         framing: how to look at it first; None: decided by the scene.
         up: direction that is up, for a framing that is decided here; None: guessed.
         device: where views are selected and pictures drawn.
+        measured: whether the quality of its levels must be known: it is measured if they are built here.
 
     Raises:
-        InputError: the scene is empty.
+        InputError: the scene is empty, or has levels whose quality was not measured and must be known.
     """
     if len(scene) == 0:
         raise InputError(f"{name}: found no Gaussians, wanted at least one to show")
-    session = open_session(with_levels(scene), device=device)
+    shown = with_levels(scene)
+    if measured:
+        shown = with_quality(shown) if shown is not scene else shown
+        curve_of(shown)
+    session = open_session(shown, device=device)
     if framing is None:
         with task(f"frame {name}"):
             framing = frame_scene(session.scene, up=up)

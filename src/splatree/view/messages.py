@@ -26,7 +26,7 @@ from splatree.scene.cameras import Camera
 from splatree.scene.options import SelectOptions
 from splatree.shapes import Array, Float64
 from splatree.view.boxes import BoxKind
-from splatree.view.options import CAPACITY
+from splatree.view.options import CAPACITY, LEAST_QUALITY_DB, MOST_QUALITY_DB
 from splatree.view.pictures import Layer, Packing
 
 __all__ = ["Ack", "Request", "Want", "pack_message", "parse"]
@@ -60,7 +60,7 @@ class Request:
     camera: Camera
     """The view, in world coordinates."""
     select: SelectOptions
-    """τ_R and budget."""
+    """τ_R or quality, and budget."""
     guard: float = 0.0
     """Share of the picture that is added on each side of a cut, for a camera that moves on."""
     layer: Layer = "color"
@@ -105,9 +105,7 @@ def parse(text: str, centre: Float64[Array, "3"]) -> Request | Ack:
         want=want,
         seq=int(_number(record, "seq", 0, 2**53)),
         camera=_camera(record, centre),
-        select=SelectOptions(
-            pixel_error=_number(record, "tau", 0, 1e4), budget=int(_number(record, "budget", 1_000, CAPACITY))
-        ),
+        select=_select(record),
         guard=_number(record, "guard", 0, 0.5, 0.0),
         layer=_name(record, "layer", Layer, "color"),
         packing=_name(record, "packing", Packing, "jpeg"),
@@ -117,6 +115,14 @@ def parse(text: str, centre: Float64[Array, "3"]) -> Request | Ack:
         at=(x, y),
         boxes=_name(record, "boxes", BoxKind, "blocks"),
     )
+
+
+def _select(record: dict[str, Any]) -> SelectOptions:
+    """A quality, where one is wanted, goes before τ_R."""
+    pixel_error, budget = _number(record, "tau", 0, 1e4), int(_number(record, "budget", 1_000, CAPACITY))
+    if record.get("db") is None:
+        return SelectOptions(pixel_error, budget)
+    return SelectOptions(budget=budget, quality=_number(record, "db", LEAST_QUALITY_DB, MOST_QUALITY_DB))
 
 
 def pack_message(header: dict[str, Any], payload: bytes = b"") -> bytes:

@@ -6,10 +6,14 @@ from splatree.constants import PIXEL_ERROR
 from splatree.errors import InputError
 from splatree.kernels.devices import DeviceName
 from splatree.scene.literals import check_literals
+from splatree.scene.options import SelectOptions
 from splatree.stream.http import LOOPBACK
 
 CAPACITY = 1 << 21
 """Nodes that a page holds at most: 64 MiB of graphics memory at 32 bytes a node."""
+
+LEAST_QUALITY_DB, MOST_QUALITY_DB = 20, 60
+"""Qualities that a page may ask for: levels are measured between 28 and 48 dB."""
 
 
 @dataclass(frozen=True)
@@ -29,6 +33,10 @@ class ViewOptions:
     """Largest number of nodes drawn; a slider of the page changes it."""
     pixel_error: float = PIXEL_ERROR
     """τ_R, px: a node stands for its subtree if its radius on the screen is at most this; a slider of the page changes it."""
+    quality: float | None = None
+    """PSNR against all leaves that each view shall have, dB, in place of a pixel error; a slider of the page changes it. Needs
+    levels whose quality `build` has measured; those that are built here are measured, too. The budget goes before it. None:
+    by pixel_error."""
     device: DeviceName = "cpu"
     """Where the nodes are chosen and exact pictures drawn: `cuda` is an NVIDIA GPU."""
     up: tuple[float, float, float] | None = None
@@ -46,6 +54,12 @@ class ViewOptions:
             raise InputError(f"budget: found {self.budget:,} nodes, wanted 1,000 to {CAPACITY:,}")
         if not 0 <= self.pixel_error <= 1e4:
             raise InputError(f"pixel_error: found {self.pixel_error}, wanted 0 to 10000 px")
+        if self.quality is not None:
+            SelectOptions(self.pixel_error, quality=self.quality)  # refuses what contradicts itself
+            if not LEAST_QUALITY_DB <= self.quality <= MOST_QUALITY_DB:
+                raise InputError(
+                    f"quality: found {self.quality:g} dB, wanted {LEAST_QUALITY_DB} to {MOST_QUALITY_DB} dB in the viewer"
+                )
         if not self.host:
             raise InputError("host: found nothing, wanted an address, such as 127.0.0.1")
 

@@ -97,6 +97,7 @@ class Server:
         settings = {
             "budget": self._options.budget,
             "tau": self._options.pixel_error,
+            "db": self._options.quality,
             "frames": self._options.frames,
             "scenes": [exhibit.name for exhibit in self.exhibits],
             "capacity": CAPACITY,

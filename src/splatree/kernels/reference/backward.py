@@ -33,7 +33,7 @@ from splatree.shapes import Array
 
 __all__ = ["blend_backward", "project_backward", "refuse_tapers"]
 
-SCALE = np.sqrt(0.5 * np.log2(np.e))
+SCALE = np.sqrt(0.5 * np.log2(math.e))
 """exp(−½ q²) = 2^−(SCALE q)²."""
 
 F = 2 * np.log(2)

@@ -9,7 +9,7 @@ export function readAddress(camera, state) {
   if (isPoint(up)) camera.up = up;
   if (Number(given.get('fov')) > 1) camera.fov = Math.min(170, Number(given.get('fov')));
   if (isPoint(eye) && isPoint(target)) camera.set(eye, target);
-  for (const name of ['tau', 'budget']) if (Number(given.get(name)) > 0) state[name] = Number(given.get(name));
+  for (const name of ['tau', 'budget', 'db']) if (Number(given.get(name)) > 0) state[name] = Number(given.get(name));
 }
 
 export function writeAddress(camera, state) {
@@ -19,6 +19,6 @@ export function writeAddress(camera, state) {
 /** The address of this view. */
 export function address(camera, state) {
   const url = new URL(location.href);
-  url.hash = `eye=${short(camera.eye)}&target=${short(camera.target)}&up=${short(camera.up)}&fov=${camera.fov}&tau=${state.tau}&budget=${state.budget}`;
+  url.hash = `eye=${short(camera.eye)}&target=${short(camera.target)}&up=${short(camera.up)}&fov=${camera.fov}&tau=${state.tau}&budget=${state.budget}${state.db ? `&db=${state.db}` : ''}`;
   return url.href;
 }

@@ -23,6 +23,7 @@ class App {
     this.state = {
       budget: Number(query.get('budget')) || (isPhone ? Math.min(settings.budget, 150_000) : settings.budget),
       tau: settings.tau,
+      db: settings.db, // PSNR that is wanted of each cut, in place of τ; null: by τ
       layer: 'color',
       background: 'theme',
       exact: query.get('exact') !== '0',
@@ -136,6 +137,7 @@ class App {
       near: layer.facts.near,
       budget: Math.min(this.state.budget, layer.facts.capacity),
       tau: this.state.tau,
+      db: layer.facts.measured ? this.state.db : null,
       guard: GUARD,
     };
   }
@@ -169,6 +171,7 @@ class App {
       h: Math.max(1, Math.round(request.h * factor)),
       f: request.f * factor,
       tau,
+      db: this.frames ? request.db : null, // the exact picture is of the cut that is on the screen
       budget: this.frames ? Math.max(1000, Math.round(request.budget * (isExact ? 1 : factor))) : layer.facts.capacity,
       layer: this.state.layer,
       background: this.page.background(),

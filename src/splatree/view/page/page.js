@@ -75,6 +75,9 @@ export class Page {
     };
     this.budget = slider('Nodes', { low: 20_000, high: 2_000_000, value: state.budget, show: count, hint: 'Most nodes that are drawn' }, set('budget'));
     this.tau = slider('τ', { low: 0.5, high: 200, value: Math.max(0.5, state.tau), show: (v) => `${v} px`, hint: 'A node that looks at most this large stands for all below it' }, set('tau'));
+    this.db = slider('Quality', { low: 25, high: 50, value: state.db ?? 40, show: (v) => `${v} dB`, hint: 'How near the cut shall be to all leaves: PSNR, predicted by what was measured at build time' }, set('db'));
+    this.by = choice('Detail by', [['tau', 'τ', 'By the size of a node on the screen'], ['db', 'Quality', 'By the PSNR against all leaves']], state.db ? 'db' : 'tau', (kind) => this.setDetail(kind));
+    this.detail = named('Detail by', this.by);
     this.layers = choice('Show', [['color', 'Colour'], ['levels', 'Levels', 'Depth in the tree: violet is coarse, yellow is fine'], ['cut', 'Cut', 'Green: leaves. Orange: merged nodes'], ['depth', 'Depth'], ['alpha', 'Alpha']].filter(([key]) => this.app.painter || !['levels', 'cut'].includes(key)), 'color', set('layer'));
     this.drawer = choice('Drawn by', [['browser', 'Browser', 'WebGL2 draws the nodes'], ['server', 'Server', 'Pictures come from the server: smaller ones while moving']], this.app.frames ? 'server' : 'browser', (name) => {
       this.app.setDrawer(name);
@@ -104,7 +107,7 @@ export class Page {
     this.clip = tick('Clipping box', false, (isOn) => this.setClip(isOn));
     this.clipRows = make('div', { class: 'clip', hidden: true });
     at('panel').append(
-      section('Detail', true, this.budget, this.tau, resolution, this.exact, this.leaves, this.histogram),
+      section('Detail', true, this.budget, this.detail, this.tau, this.db, resolution, this.exact, this.leaves, this.histogram),
       section('Show', true, named('Layer', this.layers), ...(this.app.painter ? [named('Boxes', boxes), named('Drawn by', this.drawer)] : []), named('Background', background)),
       section('Scene', false, named('Up', up), fov, this.clip, this.clipRows, this.facts),
       section('Cameras', false, ...this.views.rows()),
@@ -120,8 +123,26 @@ export class Page {
     this.facts.replaceChildren(...Object.entries(rows).flatMap(([name, value]) => [make('dt', {}, name), make('dd', {}, String(value))]));
     this.budget.setValue(this.app.state.budget);
     this.tau.setValue(Math.max(0.5, this.app.state.tau));
+    this.db.setValue(this.app.state.db ?? 40);
+    this.showDetail();
     if (!facts.sure) this.notice('Which way is up is a guess. “Up” under Scene in the settings changes it.', 6000);
     this.views.sceneCame();
+  }
+
+  /** Cuts follow τ or a quality; a quality where the levels were measured. */
+  setDetail(kind) {
+    this.app.state.db = kind === 'db' ? (this.app.state.db ?? 40) : null;
+    this.db.setValue(this.app.state.db ?? 40);
+    this.showDetail();
+    this.app.changed();
+  }
+
+  showDetail() {
+    const isKnown = Boolean(this.app.facts?.measured), isByQuality = isKnown && Boolean(this.app.state.db);
+    this.by.pick(isByQuality ? 'db' : 'tau', true);
+    this.detail.hidden = !isKnown;
+    this.tau.hidden = isByQuality;
+    this.db.hidden = !isByQuality;
   }
 
   showStatus() {

@@ -210,7 +210,7 @@ def _fill(
         above = np.flatnonzero(alphas > 1)
         num_opaque = len(above)
         d = np.minimum(4 * alphas[above].astype(np.float64) - 3, _OPAQUE_MAX)
-        log_scales[above] += 0.5 * np.log(areas_of_powers(np.exp((d * d - 1) / np.e)))[:, None]
+        log_scales[above] += 0.5 * np.log(areas_of_powers(np.exp((d * d - 1) / math.e)))[:, None]
     g.log_scales[rows] = log_scales
     steps = {"f32": (2.0**-148, 2.0**-24), "f16": (2.0**-24, 2.0**-11)}
     step_low, step_high = steps.get(chunk.properties["alpha"]["encoding"], (CODE_STEP, CODE_STEP))
