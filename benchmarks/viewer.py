@@ -20,7 +20,8 @@ import numpy as np
 
 import splatree
 from harness import measure, save, table
-from splatree.view.client import FIRST_TAU_PX, LADDER, with_guard
+from splatree.render.moving import guarded_by
+from splatree.view.client import FIRST_TAU_PX, LADDER
 from splatree.view.exhibit import Exhibit, exhibit
 from splatree.view.files import page_files
 from splatree.view.pictures import encode, layer_of
@@ -65,7 +66,7 @@ def steps(
         last, costs = FIRST_TAU_PX, []
         for camera in cameras:
             begin = None if is_alone else last
-            chosen = measure(partial(shown.cut, with_guard(camera, GUARD), options, begin))
+            chosen = measure(partial(shown.cut, guarded_by(camera, GUARD), options, begin))
             change = measure(partial(slots.move, chosen.value.rows, camera.position))
             last = chosen.value.pixel_error
             new, kilobytes = len(change.value.add), len(change.value.payload) / 1e3
@@ -100,7 +101,7 @@ def first_picture(shown: Exhibit) -> dict[str, object]:
     camera = turned(shown, 1.0, 0.0)
     slots = Slots(shown.scene, shown.centre, 1 << 21)
     options = splatree.SelectOptions(budget=LADDER[0])
-    chosen = measure(lambda: shown.cut(with_guard(camera, GUARD), options, FIRST_TAU_PX))
+    chosen = measure(lambda: shown.cut(guarded_by(camera, GUARD), options, FIRST_TAU_PX))
     change = measure(lambda: slots.move(chosen.value.rows, camera.position))
     costs = {"ms": 1e3 * (chosen.cpu_s + change.cpu_s), "select ms": 1e3 * chosen.cpu_s, "pack ms": 1e3 * change.cpu_s}
     page = sum(len(data) for data, _ in page_files().values()) / 1e3

@@ -39,7 +39,7 @@ class Engine:
         self.scene = with_blocks(scene, threads=threads)
         self.stages: FrameStages = stages_of(device)
         self.held: HeldScene | None = None
-        self._threads = threads
+        self.threads = threads
         hold = feature_of(device, "hold")
         if hold is not None:
             parts = (self.scene.gaussians, self.scene.ids, self.scene.tree, self.scene.blocks)
@@ -89,7 +89,7 @@ class Engine:
         clock = Clock()
         if self.held is None:
             culling, selection = self.choose(view, select, clock)
-            drawn = draw_rows(self.stages, self.scene, view, selection, clock, threads=self._threads)
+            drawn = draw_rows(self.stages, self.scene, view, selection, clock, threads=self.threads)
             return frame_of(view, culling, selection, drawn, clock)
         culling = None
         if self.is_whole(select):
@@ -105,11 +105,13 @@ class Engine:
         clock.cpu_milliseconds.update(traced.cpu_milliseconds)
         return frame_of(view, culling, selection, (traced.splats, traced.bins, traced.picture), clock)
 
-    def choose(self, view: View, select: SelectOptions | Selector, clock: Clock) -> tuple[Culling | None, Selection]:
-        """The rows to draw, and the clusters that were left out before."""
+    def choose(
+        self, view: View, select: SelectOptions | Selector, clock: Clock, *, last: float | None = None
+    ) -> tuple[Culling | None, Selection]:
+        """The rows to draw, and the clusters that were left out before; the search of a budget begins at ``last``, px."""
         if not isinstance(select, SelectOptions):
             with clock.timed("select"):
-                return None, select(view, threads=self._threads)
+                return None, select(view, threads=self.threads)
         if self.scene.blocks is None:  # an update kept the old index, which knows nothing of the new columns
             with clock.timed("select"):
                 rows = np.arange(len(self.scene), dtype=np.int32)
@@ -117,16 +119,16 @@ class Engine:
         culling = None
         if cull_rule(self.scene, select) != "none":
             with clock.timed("cull"):
-                culling = cull_scene(self.scene, view, select, threads=self._threads)
+                culling = cull_scene(self.scene, view, select, threads=self.threads)
         with clock.timed("select"):
             selection = select_rows(
-                self.scene, view, select, culling=culling, stages=self.stages, threads=self._threads
+                self.scene, view, select, culling=culling, last=last, stages=self.stages, threads=self.threads
             )
         return culling, selection
 
     def update(self, columns: Gaussians | Mapping[str, Array], *, keep_index: bool) -> None:
         """Replace columns of the Gaussians, here and on the device (render/updates.py)."""
-        self.scene, names = updated_scene(self.scene, columns, keep_index=keep_index, threads=self._threads)
+        self.scene, names = updated_scene(self.scene, columns, keep_index=keep_index, threads=self.threads)
         if self.held is not None:
             self.held.update(self.scene.gaussians, self.scene.blocks, names)
 
