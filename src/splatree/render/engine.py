@@ -38,6 +38,8 @@ class Engine:
         """``columns`` of the Gaussians lie on the device already; ``threads`` 0 means all there are."""
         self.scene = with_blocks(scene, threads=threads)
         self.stages: FrameStages = stages_of(device)
+        reusing = feature_of(device, "reusing_stages")
+        self._reusing: FrameStages = self.stages if reusing is None else reusing()
         self.held: HeldScene | None = None
         self.threads = threads
         hold = feature_of(device, "hold")
@@ -82,15 +84,15 @@ class Engine:
 
     def draw(self, view: View, select: SelectOptions | Selector) -> RenderResult:
         """Draw a view and wait for it."""
-        return self.enqueue(view, select)() if self.is_whole(select) else self.trace(view, select).result
+        if self.is_whole(select):
+            return self.enqueue(view, select)()
+        return (self.trace(view, select) if self.held is not None else self._staged(view, select, self._reusing)).result
 
     def trace(self, view: View, select: SelectOptions | Selector) -> Frame:
         """Draw a view and keep what each stage computed."""
-        clock = Clock()
         if self.held is None:
-            culling, selection = self.choose(view, select, clock)
-            drawn = draw_rows(self.stages, self.scene, view, selection, clock, threads=self.threads)
-            return frame_of(view, culling, selection, drawn, clock)
+            return self._staged(view, select, self.stages)
+        clock = Clock()
         culling = None
         if self.is_whole(select):
             traced = self.held.trace(view, select)
@@ -104,6 +106,13 @@ class Engine:
         clock.milliseconds.update(traced.milliseconds)
         clock.cpu_milliseconds.update(traced.cpu_milliseconds)
         return frame_of(view, culling, selection, (traced.splats, traced.bins, traced.picture), clock)
+
+    def _staged(self, view: View, select: SelectOptions | Selector, stages: FrameStages) -> Frame:
+        """A frame, stage by stage."""
+        clock = Clock()
+        culling, selection = self.choose(view, select, clock)
+        drawn = draw_rows(stages, self.scene, view, selection, clock, threads=self.threads)
+        return frame_of(view, culling, selection, drawn, clock)
 
     def choose(
         self, view: View, select: SelectOptions | Selector, clock: Clock, *, last: float | None = None
