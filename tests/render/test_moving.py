@@ -74,6 +74,8 @@ def test_while_the_camera_moves_little_the_cut_is_kept(scene: st.Scene) -> None:
         assert (first.has_chosen, again.has_chosen, near_by.has_chosen) == (True, False, False)
         assert again.image.tobytes() == first.image.tobytes()
         assert near_by.selection is first.selection
+        gathered = motion.draw(near_by.camera)
+        assert not gathered.has_chosen and "gather" in gathered.milliseconds
         exact = session.draw(near_by.camera)
         assert (
             st.psnr(clipped(near_by.image), clipped(exact.image)) > 40

@@ -5,12 +5,12 @@ What an exact frame makes anew and this one keeps:
 - *The cut.* It is chosen for a picture that is larger by `Moving.guard` on each side. While the picture lies within the larger
   one and the eye has moved by at most `Moving.step` of the distance, no node is looked at.
 - *The budget.* The search begins at the τ_R of the last cut: 1 to 1.1 cuts on a path, in place of 6 to 8.
-- *Colours.* They are those seen from where the cut was chosen: 5 % of the distance is an angle of 3°.
-- *Columns.* Those of the cut lie together, with 3 numbers of colour in place of 48.
+- *Columns.* From the fourth picture of a cut on, those of its nodes lie together, with 3 numbers of colour in place of 48.
+- *Colours.* They are then those seen from where the cut was chosen: 10 % of the distance is an angle of 6°.
 
 A pixel is finished once 1/255 of the light is left, not 10⁻⁴, and there is no depth. With a time to meet, the picture becomes
-smaller until it is met. Cost: where the cut is chosen anew, one or two cuts and one projection of all of its nodes; else what is
-drawn, at 56 bytes a node.
+smaller until it is met. Cost: where the cut is chosen anew, a cut or two; once a cut, a projection of all of its nodes; else
+what is drawn, at 56 bytes a node.
 """
 
 from collections.abc import Callable
@@ -52,6 +52,9 @@ SLOW, FAST = 1.2, 0.6
 SHRINK, GROW = 0.85, 1.15
 """… by these factors along each side."""
 
+GATHER_AFTER: Final = 3
+"""Pictures of a cut after which its columns are gathered: that costs what three more pictures save."""
+
 START_TAU_PX: Final = 8.0
 """Where the first search of a budget begins."""
 
@@ -75,8 +78,8 @@ class Moving:
     """Smallest side of such a picture over that of the camera's."""
     guard: float = 0.1
     """Share of the picture by which a cut reaches beyond each side. Until the camera has turned so far, the cut is kept."""
-    step: float = 0.05
-    """Share of the distance by which the eye may move until the cut and its colours are chosen anew; 0.05 are 3° at most."""
+    step: float = 0.1
+    """Share of the distance by which the eye may move until the cut and its colours are chosen anew; 0.1 are 6° at most."""
 
     def __post_init__(self) -> None:
         if self.target_ms is not None and not self.target_ms > 0:
@@ -119,20 +122,26 @@ class MovedFrame:
 
 @dataclass(frozen=True, eq=False)
 class _Cut:
-    """The nodes of a cut with all that a picture needs of them, as they are seen from one place."""
+    """The nodes of a cut, and for which picture it was chosen."""
 
     scene: Scene
     """What it was chosen from."""
     asked: tuple[SelectOptions, View]
     """How it was chosen."""
-    camera: Camera
+    view: View
     """The larger picture that it was chosen for."""
     distance: float
     """That nearly all nodes exceed, world units."""
     selection: Selection
-    """All of the rows."""
+    """The nodes."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Columns:
+    """All that a picture needs of the nodes that are in a larger picture, as they are seen from one place."""
+
     gaussians: Gaussians
-    """Those in the larger picture, of degree 0: the colours seen from there."""
+    """The nodes, of degree 0: the colours seen from there."""
     ids: UInt32[Array, "v"]
     """Their identities."""
     curves: Float32[Array, "v 4"] | None
@@ -162,6 +171,8 @@ class Motion:
         self._engine, self._moving, self._working = engine, moving, working
         self._options, self._select = defaults
         self._cut: _Cut | None = None
+        self._columns: _Columns | None = None
+        self._num_drawn = 0  # pictures of this cut
         self._scale, self._last = 1.0, START_TAU_PX
 
     def draw(
@@ -186,7 +197,7 @@ class Motion:
             clock = Clock()
             kept = self._cut
             cut = self._cut_of(view, select or self._select or SelectOptions(), clock)
-            frame = self._drawn(cut, replace(view, least_light=LEAST_LIGHT, sh_degree=0), clock, cut is not kept)
+            frame = self._drawn(cut, replace(view, least_light=LEAST_LIGHT), clock, cut is not kept)
             if not frame.has_chosen:
                 self._follow(sum(frame.milliseconds.values()))
             return frame
@@ -198,7 +209,7 @@ class Motion:
             kept is not None
             and kept.scene is engine.scene
             and _are_alike(kept.asked, (select, view))
-            and may_keep(kept.camera, view.camera, distance=kept.distance, step=self._moving.step)
+            and may_keep(kept.view.camera, view.camera, distance=kept.distance, step=self._moving.step)
         ):
             return kept
         guarded = replace(view, camera=guarded_by(view.camera, self._moving.guard))
@@ -207,16 +218,24 @@ class Motion:
             area = (guarded.camera.width * guarded.camera.height) / (view.camera.width * view.camera.height)
             wanted = replace(select, budget=max(1, round(select.budget * self._scale * area)))
         _, chosen = engine.choose(guarded, engine.settled(wanted, guarded), clock, last=self._last)
-        with clock.timed("gather"):
-            self._cut = _gathered(engine, chosen, guarded, (select, view))
-        self._last = chosen.pixel_error
+        distance = _near_distance(engine.scene, chosen.rows, view.camera.position)
+        self._cut = _Cut(engine.scene, (select, view), guarded, distance, chosen)
+        self._columns, self._num_drawn, self._last = None, 0, chosen.pixel_error
         return self._cut
 
     def _drawn(self, cut: _Cut, view: View, clock: Clock, has_chosen: bool) -> MovedFrame:
         stages, threads = self._engine.stages, self._engine.threads
-        rows = np.arange(len(cut.gaussians), dtype=np.int32)
+        if self._columns is None and self._num_drawn == GATHER_AFTER:
+            with clock.timed("gather"):
+                self._columns = _columns_of(self._engine, cut)
+        self._num_drawn += 1
+        kept = self._columns
+        g, ids, curves, rows = cut.scene.gaussians, cut.scene.ids, cut.scene.tree.curves, cut.selection.rows
+        if kept is not None:
+            g, ids, curves, rows = kept.gaussians, kept.ids, kept.curves, np.arange(len(kept.ids), dtype=np.int32)
+            view = replace(view, sh_degree=0)
         with clock.timed("project"):
-            splats = stages.project(cut.gaussians, cut.ids, rows, view, curves=cut.curves, threads=threads)
+            splats = stages.project(g, ids, rows, view, curves=curves, threads=threads)
         with clock.timed("bin"):
             bins = stages.bin(splats, view, threads=threads)
         with clock.timed("blend"):
@@ -275,25 +294,26 @@ def _are_alike(one: tuple[SelectOptions, View], other: tuple[SelectOptions, View
     )
 
 
-def _gathered(engine: Engine, chosen: Selection, view: View, asked: tuple[SelectOptions, View]) -> _Cut:
-    """The columns of the nodes of a cut that are in a picture, with the colours seen from there."""
-    scene = engine.scene
-    curves = scene.tree.curves
-    splats = engine.stages.project(scene.gaussians, scene.ids, chosen.rows, view, curves=curves, threads=engine.threads)
-    rows, g = splats.rows, scene.gaussians
+def _columns_of(engine: Engine, cut: _Cut) -> _Columns:
+    """The columns of the nodes of a cut that are in its larger picture, with the colours seen from there."""
+    scene, view = cut.scene, cut.view
+    curves, g = scene.tree.curves, scene.gaussians
+    splats = engine.stages.project(g, scene.ids, cut.selection.rows, view, curves=curves, threads=engine.threads)
+    rows = splats.rows
     means, quats, scales, logits = (
         np.take(c, rows, axis=0) for c in (g.means, g.quats, g.log_scales, g.logit_opacities)
     )
     sh = (splats.colors - np.float32(0.5)) / np.float32(SH_C0)
-    sample = means[:: len(rows) // SAMPLE + 1].astype(np.float64) - view.camera.position
-    distance = float(np.quantile(np.linalg.norm(sample, axis=1), NEAR_SHARE)) if len(sample) else np.inf
-    return _Cut(
-        scene,
-        asked,
-        view.camera,
-        distance,
-        chosen,
+    return _Columns(
         Gaussians(means, quats, scales, logits, sh[:, None]),
         rows.astype(np.uint32) if scene.ids is None else scene.ids[rows],
         None if curves is None else np.take(curves, rows, axis=0),
     )
+
+
+def _near_distance(scene: Scene, rows: Array, eye: Array) -> float:
+    """The distance from the eye that all but a few of the rows exceed."""
+    if len(rows) == 0:
+        return np.inf
+    sample = np.take(scene.gaussians.means, rows[:: len(rows) // SAMPLE + 1], axis=0)
+    return float(np.quantile(np.linalg.norm(sample.astype(np.float64) - eye, axis=1), NEAR_SHARE))
