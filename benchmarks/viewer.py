@@ -6,12 +6,14 @@ of 960 × 540 px.
 
 - *step*: the selection of at most ``--budget`` nodes, begun at the τ_R of the step before, and what takes the page there.
 - *step, alone*: the same where each budget is searched anew, as for a view alone.
-- *picture*: drawn on the server as for ``--frames``, at the sizes that a page asks for while it moves, and made a JPEG.
+- *picture*: drawn on the server as for ``--frames``, at the sizes that a page asks for while it moves, and made a JPEG; the mean
+  of all steps, since the cut is chosen anew in some of them only.
+- *picture, exact*: the same by itself, each budget searched from the last τ_R.
 - *first picture*: bytes of the first message with nodes, and of all files of the page.
 """
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -19,11 +21,12 @@ from pathlib import Path
 import numpy as np
 
 import splatree
-from harness import measure, save, table
-from splatree.view.client import FIRST_TAU_PX, LADDER, with_guard
+from harness import Cost, measure, save, table
+from splatree.render.moving import guarded_by
+from splatree.view.client import FIRST_TAU_PX, LADDER
 from splatree.view.exhibit import Exhibit, exhibit
 from splatree.view.files import page_files
-from splatree.view.pictures import encode, layer_of
+from splatree.view.pictures import encode, pixels_of
 from splatree.view.slots import Slots
 
 STEP_DEG = 2.0
@@ -65,7 +68,7 @@ def steps(
         last, costs = FIRST_TAU_PX, []
         for camera in cameras:
             begin = None if is_alone else last
-            chosen = measure(partial(shown.cut, with_guard(camera, GUARD), options, begin))
+            chosen = measure(partial(shown.cut, guarded_by(camera, GUARD), options, begin))
             change = measure(partial(slots.move, chosen.value.rows, camera.position))
             last = chosen.value.pixel_error
             new, kilobytes = len(change.value.add), len(change.value.payload) / 1e3
@@ -78,21 +81,35 @@ def steps(
 def pictures(
     shown: Exhibit, cameras: list[splatree.Camera], options: splatree.SelectOptions
 ) -> Iterator[dict[str, object]]:
-    """A picture for a page that does not draw, at three sizes."""
+    """A picture for a page that does not draw, at three sizes: as a moving camera's, and each by itself."""
     for factor in (1.0, 0.5, 0.25):
-        last, costs = FIRST_TAU_PX, []
+        small = [camera.scaled(factor) for camera in cameras]
         limited = replace(options, budget=max(1000, int(factor * (options.budget or 0))))
-        for camera in cameras:
-            small = camera.scaled(factor)
-            drawn = measure(partial(shown.draw, small, limited, (0.0, 0.0, 0.0), last=last))
+        size = f"picture {small[0].width} × {small[0].height}"
+        motion = shown.session.motion()
+        moving = [measure(partial(motion.draw, camera, select=limited)) for camera in small]
+        yield picture(size, [(drawn, drawn.value.image, drawn.value.selection) for drawn in moving], np.mean)
+        last, alone = FIRST_TAU_PX, []
+        for camera in small:
+            drawn = measure(partial(shown.draw, camera, limited, (0.0, 0.0, 0.0), last=last))
             result, chosen = drawn.value
-            file = measure(lambda result=result: encode(layer_of(result, "color"), "jpeg", 75))
-            last, seconds = chosen.pixel_error, drawn.wall_s + file.wall_s
-            costs.append((1e3 * drawn.cpu_s, 1e3 * file.cpu_s, len(chosen), len(file.value) / 1e3, seconds))
-        draw_ms, file_ms, nodes, kilobytes, seconds = np.median(costs[1:], axis=0)
-        both = {"ms": draw_ms + file_ms, "draw ms": draw_ms, "JPEG ms": file_ms}
-        size = f"picture {cameras[0].scaled(factor).width} × {cameras[0].scaled(factor).height}"
-        yield {"what": size, **both, "nodes": int(nodes), "kB": kilobytes, "a second": 1 / seconds}
+            last = chosen.pixel_error
+            alone.append((drawn, result.image, chosen))
+        yield picture(f"{size}, exact", alone, np.median)
+
+
+def picture(
+    what: str, frames: list[tuple[Cost, np.ndarray, splatree.Selection]], middle: Callable[..., np.ndarray]
+) -> dict[str, object]:
+    """What pictures after the first took, and the JPEG files made of them."""
+    costs = []
+    for drawn, image, chosen in frames[1:]:
+        file = measure(partial(encode, pixels_of(image), "jpeg", 75))
+        seconds = drawn.wall_s + file.wall_s
+        costs.append((1e3 * drawn.cpu_s, 1e3 * file.cpu_s, len(chosen), len(file.value) / 1e3, seconds))
+    draw_ms, file_ms, nodes, kilobytes, seconds = middle(costs, axis=0)
+    both = {"ms": draw_ms + file_ms, "draw ms": draw_ms, "JPEG ms": file_ms}
+    return {"what": what, **both, "nodes": int(nodes), "kB": kilobytes, "a second": 1 / seconds}
 
 
 def first_picture(shown: Exhibit) -> dict[str, object]:
@@ -100,7 +117,7 @@ def first_picture(shown: Exhibit) -> dict[str, object]:
     camera = turned(shown, 1.0, 0.0)
     slots = Slots(shown.scene, shown.centre, 1 << 21)
     options = splatree.SelectOptions(budget=LADDER[0])
-    chosen = measure(lambda: shown.cut(with_guard(camera, GUARD), options, FIRST_TAU_PX))
+    chosen = measure(lambda: shown.cut(guarded_by(camera, GUARD), options, FIRST_TAU_PX))
     change = measure(lambda: slots.move(chosen.value.rows, camera.position))
     costs = {"ms": 1e3 * (chosen.cpu_s + change.cpu_s), "select ms": 1e3 * chosen.cpu_s, "pack ms": 1e3 * change.cpu_s}
     page = sum(len(data) for data, _ in page_files().values()) / 1e3

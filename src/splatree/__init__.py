@@ -64,6 +64,7 @@ _NAMES = {
     "render.counters": ("FrameCounters", "frame_counters", "write_counters"),
     "render.evaluate": ("Evaluation", "evaluate"),
     "render.framing.frame": ("Framing", "frame_scene"),
+    "render.moving": ("Motion", "MovedFrame", "Moving"),
     "render.paths": ("PathOptions", "flyout", "orbit", "through", "turn"),
     "render.pending": ("Pending",),
     "render.pipeline": ("render", "trace"),

@@ -76,6 +76,9 @@ from splatree.render.evaluate import Evaluation as Evaluation
 from splatree.render.evaluate import evaluate as evaluate
 from splatree.render.framing.frame import Framing as Framing
 from splatree.render.framing.frame import frame_scene as frame_scene
+from splatree.render.moving import Motion as Motion
+from splatree.render.moving import MovedFrame as MovedFrame
+from splatree.render.moving import Moving as Moving
 from splatree.render.paths import PathOptions as PathOptions
 from splatree.render.paths import flyout as flyout
 from splatree.render.paths import orbit as orbit

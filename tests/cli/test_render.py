@@ -163,6 +163,17 @@ def test_orbit_is_still_there(draw, small_ply):
     assert SelectOptions().pixel_error == result["views"][0]["pixel_error"]
 
 
+def test_views_of_a_moving_camera_are_nearly_the_exact_ones(draw, splatree, small_tree, tmp_path):
+    draw("-o", "still", "--views", "3", scene=small_tree)
+    moved = draw("-o", "moved", "--views", "3", "--moving", scene=small_tree)
+    assert [view["selected"] > 0 for view in moved["views"]] == [True] * 3
+    for name in names(tmp_path / "still"):
+        still, moving = read_image(tmp_path / "still" / name), read_image(tmp_path / "moved" / name)
+        assert np.abs(still - moving).max() < 4 / 255  # the last 1/255 of the light is not drawn, and 8 bits twice
+    code, _, err = splatree("render", small_tree, "-o", tmp_path / "a.png", "--moving", "--depth", "exr")
+    assert code == 2 and "moving: found beside --depth or --counters" in err
+
+
 def test_a_quality_chooses_the_cut(splatree, small_ply, small_tree, tmp_path):
     """Levels that `build` has measured can be asked for it; levels that nobody measured refuse it with advice."""
     tree = tmp_path / "known.splatree"

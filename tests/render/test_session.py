@@ -42,6 +42,16 @@ def test_views_drawn_in_turn_are_those_drawn_alone(scene: st.Scene, device: Devi
             assert same_picture(session.draw(VIEWS[i]), wanted[i])
 
 
+def test_a_trace_is_not_overwritten_by_the_pictures_after_it(scene: st.Scene) -> None:
+    with st.open_session(scene) as session:
+        session.draw(VIEWS[0])
+        frame = session.trace(VIEWS[0])
+        kept = [array.tobytes() for array in (frame.splats.rows, frame.splats.records, frame.splats.order)]
+        for view in VIEWS[::-1]:
+            session.draw(view)
+        assert [array.tobytes() for array in (frame.splats.rows, frame.splats.records, frame.splats.order)] == kept
+
+
 def test_views_drawn_in_turn_on_a_device_are_those_drawn_alone(scene: st.Scene, at_hand: Device) -> None:
     wanted = drawn_elsewhere(scene, "cuda")
     with st.open_session(scene, device="cuda") as session:

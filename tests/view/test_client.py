@@ -12,13 +12,14 @@ import pytest
 from splatree.clusters.build import build_clusters
 from splatree.errors import InputError
 from splatree.lod.select import count_nested, select
+from splatree.render.moving import guarded_by
 from splatree.render.pipeline import render
 from splatree.scene.cameras import Camera
 from splatree.scene.options import SelectOptions
 from splatree.scene.quality import QualityCurve
 from splatree.scene.scene import Scene
 from splatree.view import client as module
-from splatree.view.client import Client, with_guard
+from splatree.view.client import Client
 from splatree.view.exhibit import exhibit
 
 from .scenes import gaussians, on_show, scene
@@ -190,6 +191,25 @@ def test_a_picture_is_that_of_render(page):
     assert (header["width"], header["height"], header["type"]) == (160, 90, "image/png")
 
 
+def test_a_picture_of_a_moving_camera_keeps_the_cut(page):
+    from io import BytesIO
+
+    from PIL import Image
+
+    camera = page.exhibit.framing.camera(160, 90)
+    visited = []
+    for seq in (1, 2):
+        page.ask(camera, want="frame", packing="png", tau=2.0, budget=50_000, moving=True, seq=seq)
+        header, payload = page.wait_for("frame", seq)
+        visited.append(header["rows"])
+    assert visited[0] == visited[1] > len(select(page.exhibit.scene, camera, SelectOptions(pixel_error=2.0)))
+    found = np.asarray(Image.open(BytesIO(payload))) / 255
+    image = render(page.exhibit.scene, camera, select=SelectOptions(pixel_error=2.0)).image
+    assert np.abs(found - np.clip(image, 0, 1)).max() < 3 / 255  # the last 1/255 of the light is not drawn, and 8 bits
+    page.ask(camera, want="frame", packing="png", tau=2.0, budget=50_000, moving=True, layer="depth", seq=3)
+    assert page.wait_for("frame", 3)[0]["rows"] < visited[0]  # a depth is that of an exact picture
+
+
 @pytest.mark.parametrize("layer", ["depth", "alpha"])
 def test_depth_and_alpha_are_pictures_too(page, layer):
     page.ask(want="frame", layer=layer, quality=90)
@@ -274,7 +294,7 @@ def test_an_error_is_told_and_the_page_lives_on(page, monkeypatch):
 
 def test_a_guard_adds_the_same_to_all_sides():
     camera = Camera.look_at([0, 0, -6], [0, 0, 0], width=200, height=100)
-    wide = with_guard(camera, 0.1)
+    wide = guarded_by(camera, 0.1)
     assert (wide.width, wide.height, wide.K[0, 2], wide.K[1, 2]) == (240, 120, 120, 60)
     assert wide.K[0, 0] == camera.K[0, 0]
-    assert with_guard(camera, 0.0) is camera
+    assert guarded_by(camera, 0.0) is camera

@@ -10,6 +10,7 @@ from typing import Literal
 from splatree.errors import OutputError
 from splatree.io.images import is_ours, write_image, write_plane
 from splatree.io.replacing import check_target
+from splatree.render.moving import MovedFrame
 from splatree.scene.cameras import Camera
 from splatree.scene.frame import RenderResult
 
@@ -37,11 +38,11 @@ class Targets:
         """All of them."""
         return tuple(path for path in (self.picture, self.depth, self.alpha, self.counters) if path is not None)
 
-    def write(self, result: RenderResult, *, force: bool) -> None:
+    def write(self, result: RenderResult | MovedFrame, *, force: bool) -> None:
         """Write picture, depth and alpha."""
         if self.picture is not None:
             write_image(result.image, self.picture, force=force)
-        if self.depth is not None:
+        if self.depth is not None and isinstance(result, RenderResult):
             write_plane(result.depth, self.depth, channel="Z", force=force)
         if self.alpha is not None:
             write_plane(result.alpha, self.alpha, channel="A", force=force)

@@ -27,11 +27,14 @@ from splatree.io.cut import level_of
 from splatree.io.registry import detect
 from splatree.kernels.devices import DeviceName
 from splatree.outofcore.store import Store
+from splatree.progress import track
 from splatree.render.batch import trace_batch
 from splatree.render.counters import frame_counters, write_counters
+from splatree.render.moving import MovedFrame
 from splatree.render.paths import PathOptions
+from splatree.render.session import open_session
 from splatree.render.video import check_video, open_video
-from splatree.scene.frame import Frame
+from splatree.scene.frame import Frame, RenderResult
 from splatree.scene.options import RenderOptions, SelectOptions
 from splatree.scene.scene import Scene
 from splatree.scene.view import Wanted
@@ -73,6 +76,9 @@ class Command:
     max_memory: str | None = None
     """Most memory for what is read of a .splatree or a folder of parts, such as 1G: only what the views need is read. A folder is
     always drawn so; by default it takes half of the free memory."""
+    moving: bool = False
+    """Draw the views as those of a camera that moves, several times faster: cuts and colours are kept while it moves little, and
+    there is no depth. What viewers show until the camera is still."""
     made: Annotated[PathOptions, arg(name="", help="")] = PathOptions()
     select: Annotated[SelectOptions, arg(name="", help="")] = SelectOptions()
     options: Annotated[RenderOptions, arg(name="", help="")] = RenderOptions()
@@ -123,6 +129,10 @@ class Rendered:
 def run(command: Command) -> Rendered:
     """Draw each view and write it before the next is drawn."""
     check_inputs(command.paths)
+    if command.moving and (command.depth or command.counters):
+        raise UsageError(
+            "moving: found beside --depth or --counters, which only exact pictures have; leave out one of them"
+        )
     video = _video(command)
     output = _output(command, video)
     named = named_views(command.viewpoint)
@@ -201,7 +211,7 @@ def _scene(command: Command) -> Iterator[Scene | Store]:
     if level is not None and one and (found := detect(command.paths[0])) is not None and found.holds.levels == "one of":
         yield read_scene(command.paths, command.reading, level=level)
         return
-    whole = level is not None or needs_all_rows(command.select)
+    whole = level is not None or command.moving or needs_all_rows(command.select)
     with opened(command.paths, command.reading, command.max_memory, whole=whole) as scene:
         yield scene if level is None or isinstance(scene, Store) else level_of(scene, level)
 
@@ -212,19 +222,33 @@ def _drawn(
     drawn = []
     with ExitStack() as stack:
         add = stack.enter_context(open_video(video, fps=command.fps, force=command.force)) if video else None
-        wanted = Wanted(last_pair=command.counters is not None)
-        frames = trace_batch(
-            scene, views.cameras, command.options, command.select, wanted=wanted, device=command.device
-        )
-        for target, frame in zip(targets, frames, strict=True):
-            target.write(frame.result, force=command.force)
-            if target.counters is not None:
+        for target, (result, frame) in zip(targets, _frames(command, scene, views), strict=True):
+            target.write(result, force=command.force)
+            if target.counters is not None and isinstance(frame, Frame):
                 described = scene.scene if isinstance(scene, Store) else scene
                 write_counters(frame_counters(described, frame), target.counters, force=command.force)
             if add is not None:
-                add(frame.result.image)
-            drawn.append(_view(frame, target.picture))
+                add(result.image)
+            drawn.append(_view(result, frame, target.picture))
     return tuple(drawn)
+
+
+def _frames(
+    command: Command, scene: Scene | Store, views: Views
+) -> Iterator[tuple[RenderResult, Frame] | tuple[MovedFrame, MovedFrame]]:
+    """Each picture, with the selection and the camera that it is of."""
+    if command.moving:
+        with open_session(scene, device=command.device, options=command.options, select=command.select) as session:
+            motion = session.motion()
+            for camera in track(list(views.cameras), "render views"):
+                moved = motion.draw(camera)
+                yield moved, moved
+        return
+    wanted = Wanted(last_pair=command.counters is not None)
+    for frame in trace_batch(
+        scene, views.cameras, command.options, command.select, wanted=wanted, device=command.device
+    ):
+        yield frame.result, frame
 
 
 def show(rendered: Rendered, *, verbose: bool = False) -> str:
@@ -244,14 +268,14 @@ def show(rendered: Rendered, *, verbose: bool = False) -> str:
     return "\n".join([*lines, f"wrote {' and '.join(str(target) for target in written if target)}"])
 
 
-def _view(frame: Frame, file: Path | None) -> View:
-    counters, chosen = frame.result.counters, frame.selection
+def _view(result: RenderResult | MovedFrame, frame: Frame | MovedFrame, file: Path | None) -> View:
+    counters, chosen = result.counters, frame.selection
     return View(
         name=frame.camera.name,
         file=file,
         selected=counters.num_selected,
         pairs=counters.num_pairs,
         pixel_error=chosen.pixel_error,
-        ms=frame.result.milliseconds,
+        ms=result.milliseconds,
         notes=chosen.notes,
     )

@@ -6,6 +6,8 @@ A back end is a package ``kernels/<name>/`` (kernels/devices.py finds it by its 
 ``frame_stages()``                    required  a module or an object with the functions of `FrameStages`
 ``hold(gaussians, ids, tree,          optional  a scene in the memory of the device, a `HeldScene`, which draws a frame as one
 blocks, columns)``                              piece of work; without it a frame is drawn stage by stage
+``reusing_stages()``                  optional  the stages for one session that draws: what they leave for the next stage may be
+                                                overwritten by the next frame
 ``borrow(tensors)``                   optional  tensors of other libraries in the device's memory as columns of a scene
 ``kmeans_steps(points, *, threads)``  optional  a function that assigns the points to centres: a step of K-means
 ====================================  ========  =========================================================================

@@ -40,8 +40,10 @@ class Engine:
         """``columns`` of the Gaussians lie on the device already; ``threads`` 0 means all there are."""
         self.scene = with_blocks(scene, threads=threads)
         self.stages: FrameStages = stages_of(device)
+        reusing = feature_of(device, "reusing_stages")
+        self._reusing: FrameStages = self.stages if reusing is None else reusing()
         self.held: HeldScene | None = None
-        self._threads = threads
+        self.threads = threads
         self._sketcher: Sketcher | None = None
         hold = feature_of(device, "hold")
         if hold is not None:
@@ -91,15 +93,15 @@ class Engine:
 
     def draw(self, view: View, select: SelectOptions | Selector) -> RenderResult:
         """Draw a view and wait for it."""
-        return self.enqueue(view, select)() if self.is_whole(select) else self.trace(view, select).result
+        if self.is_whole(select):
+            return self.enqueue(view, select)()
+        return (self.trace(view, select) if self.held is not None else self._staged(view, select, self._reusing)).result
 
     def trace(self, view: View, select: SelectOptions | Selector) -> Frame:
         """Draw a view and keep what each stage computed."""
-        clock = Clock()
         if self.held is None:
-            culling, selection = self.choose(view, select, clock)
-            drawn = draw_rows(self.stages, self.scene, view, selection, clock, threads=self._threads)
-            return frame_of(view, culling, selection, drawn, clock)
+            return self._staged(view, select, self.stages)
+        clock = Clock()
         culling = None
         if self.is_whole(select):
             traced = self.held.trace(view, select)
@@ -114,11 +116,20 @@ class Engine:
         clock.cpu_milliseconds.update(traced.cpu_milliseconds)
         return frame_of(view, culling, selection, (traced.splats, traced.bins, traced.picture), clock)
 
-    def choose(self, view: View, select: SelectOptions | Selector, clock: Clock) -> tuple[Culling | None, Selection]:
-        """The rows to draw, and the clusters that were left out before."""
+    def _staged(self, view: View, select: SelectOptions | Selector, stages: FrameStages) -> Frame:
+        """A frame, stage by stage."""
+        clock = Clock()
+        culling, selection = self.choose(view, select, clock)
+        drawn = draw_rows(stages, self.scene, view, selection, clock, threads=self.threads)
+        return frame_of(view, culling, selection, drawn, clock)
+
+    def choose(
+        self, view: View, select: SelectOptions | Selector, clock: Clock, *, last: float | None = None
+    ) -> tuple[Culling | None, Selection]:
+        """The rows to draw, and the clusters that were left out before; the search of a budget begins at ``last``, px."""
         if not isinstance(select, SelectOptions):
             with clock.timed("select"):
-                return None, select(view, threads=self._threads)
+                return None, select(view, threads=self.threads)
         if self.scene.blocks is None:  # an update kept the old index, which knows nothing of the new columns
             with clock.timed("select"):
                 rows = np.arange(len(self.scene), dtype=np.int32)
@@ -126,21 +137,22 @@ class Engine:
         culling = None
         if cull_rule(self.scene, select) != "none":
             with clock.timed("cull"):
-                culling = cull_scene(self.scene, view, select, threads=self._threads)
+                culling = cull_scene(self.scene, view, select, threads=self.threads)
         sketcher = None if select.quality is None else self.sketcher
         with clock.timed("select"):
             selection = select_rows(
                 *(self.scene, view, select),
                 culling=culling,
+                last=last,
                 sketcher=sketcher,
                 stages=self.stages,
-                threads=self._threads,
+                threads=self.threads,
             )
         return culling, selection
 
     def update(self, columns: Gaussians | Mapping[str, Array], *, keep_index: bool) -> None:
         """Replace columns of the Gaussians, here and on the device (render/updates.py)."""
-        self.scene, names = updated_scene(self.scene, columns, keep_index=keep_index, threads=self._threads)
+        self.scene, names = updated_scene(self.scene, columns, keep_index=keep_index, threads=self.threads)
         self._sketcher = None
         if self.held is not None:
             self.held.update(self.scene.gaussians, self.scene.blocks, names)

@@ -34,6 +34,7 @@ from splatree.lod.sketch import Sketcher
 from splatree.render.engine import Engine
 from splatree.render.lens import pinhole_of, through_lens
 from splatree.render.paged import PagedEngine
+from splatree.render.moving import Motion, Moving
 from splatree.render.pending import Pending
 from splatree.render.stages import Clock
 from splatree.render.tensors import TensorScene
@@ -287,6 +288,27 @@ class Session:
                     "draw_on_device: found a budget, a quality, a baseline or another rule than 'cut'; use draw"
                 )
             return self._engine.held.enqueue(view, chosen).finish()
+
+    def motion(self, moving: Moving | None = None) -> Motion:
+        """What draws a camera that moves, faster and less exactly than `draw`: render/moving.py says what is given up.
+
+        Args:
+            moving: what is given up for which time; None: the defaults.
+
+        Raises:
+            InputError: the device draws whole frames and keeps nothing between them, or the session draws by a baseline.
+
+        Example:
+            >>> motion = session.motion(st.Moving(target_ms=50))
+            >>> pictures = [motion.draw(camera).image for camera in cameras]
+        """
+        if isinstance(self._engine, PagedEngine):
+            raise InputError("motion: found a store, wanted a scene in memory; read it")
+        if self._engine.held is not None:
+            raise InputError(f"motion: device {self.device!r} draws whole frames; draw a smaller camera with draw")
+        if not (self._select is None or isinstance(self._select, SelectOptions)):
+            raise InputError("motion: found a baseline, wanted options of the selection; open another session")
+        return Motion(self._engine, moving or Moving(), (self._options, self._select), self._working)
 
     def update(self, columns: Gaussians | Mapping[str, Array], *, keep_index: bool = False) -> None:
         """Replace columns of the Gaussians; rows, tree and their order stay. Views asked for before show the old columns.

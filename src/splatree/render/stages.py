@@ -75,6 +75,7 @@ def frame_of(
 
 def result_of(picture: Picture, counts: tuple[int, int, int], clock: Clock) -> RenderResult:
     """A picture with its counters; ``counts`` are rows selected, splats visible and pairs."""
+    assert picture.depth is not None  # results are of views that want it
     counters = Counters(*counts, picture.num_evaluated, picture.num_blended)
     return RenderResult(
         picture.image, picture.alpha, picture.depth, counters, clock.milliseconds, clock.cpu_milliseconds

@@ -174,8 +174,8 @@ class Picture:
     """Colour over the background."""
     alpha: Float32[Array, "h w"]
     """Share of light that the splats stop."""
-    depth: Float32[Array, "h w"]
-    """Blended view depth of the splats divided by alpha, world units; 0 where nothing is drawn."""
+    depth: Float32[Array, "h w"] | None
+    """Blended view depth of the splats divided by alpha, world units; 0 where nothing is drawn; None if it was not wanted."""
     tiles: TileWork
     """What each tile took."""
     contributions: Float32[Array, "m"] | None = None

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from splatree.constants import ALPHA_THRESHOLD, DILATION_PX2, SHRINK_AREA_POWER
+from splatree.errors import InputError
 from splatree.scene.cameras import Camera
 from splatree.scene.literals import check_literals
 from splatree.scene.names import Mode
@@ -14,7 +15,7 @@ __all__ = ["View", "Wanted", "as_view", "view_of"]
 
 @dataclass(frozen=True)
 class Wanted:
-    """Outputs of the blend beside colour, alpha and depth. An output that is not wanted costs nothing.
+    """Outputs of the blend beside colour and alpha. An output that is not wanted costs nothing.
 
     Example:
         >>> frame = st.trace(scene, camera, wanted=st.Wanted(median_depth=True))
@@ -28,6 +29,9 @@ class Wanted:
     """`Picture.last_pair`: the last pair that each pixel blended. Also makes the counts of `TileWork` exact."""
     median_depth: bool = False
     """`Picture.median_depth`: the depth at which half of the light is stopped."""
+
+    depth: bool = True
+    """`Picture.depth`: the blended depth, which is kept unless it is declined; `render` needs it."""
 
     @property
     def of_pixels(self) -> bool:
@@ -61,11 +65,20 @@ class View:
     """Highest degree of harmonics that is evaluated, 0 to 3."""
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Colour behind the scene, RGB 0 to 1."""
+    least_light: float = 0.0
+    """A pixel is finished once less than this share of the light is left, and the splat that stopped it is drawn; then colour and
+    alpha alone can be wanted. 0: a pixel is finished before a splat that would leave less than 10⁻⁴, which is not drawn."""
     wanted: Wanted = Wanted()
-    """Outputs beside colour, alpha and depth."""
+    """Outputs beside colour and alpha."""
 
     def __post_init__(self) -> None:
         check_literals(self)
+        wanted = self.wanted
+        if self.least_light and (wanted.depth or wanted.contributions or wanted.of_pixels):
+            raise InputError(
+                f"least_light: found {self.least_light:g} beside {wanted}, wanted no output beside colour and alpha: "
+                "Wanted(depth=False)"
+            )
 
     @property
     def is_square(self) -> bool:

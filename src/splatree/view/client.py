@@ -14,12 +14,15 @@ from typing import Final
 import numpy as np
 
 from splatree.errors import InputError, SplatreeError
+from splatree.render.moving import Motion, guarded_by
 from splatree.scene.cameras import Camera
 from splatree.scene.frame import Selection
+from splatree.scene.options import RenderOptions
+from splatree.shapes import Array
 from splatree.view.boxes import boxes_of
 from splatree.view.exhibit import Exhibit
 from splatree.view.messages import Ack, Request, Want, pack_message, parse
-from splatree.view.pictures import encode, layer_of
+from splatree.view.pictures import encode, layer_of, pixels_of
 from splatree.view.slots import Slots
 
 __all__ = ["Client"]
@@ -60,6 +63,7 @@ class Client:
         self._slots = Slots(exhibit.scene, exhibit.centre, capacity)
         self._last = FIRST_TAU_PX  # τ_R of the last cut
         self._last_of_frames = FIRST_TAU_PX
+        self._motion: Motion | None = None
         self._rung = 0
         self.camera: Camera | None = None
         """The newest view of the page."""
@@ -128,7 +132,7 @@ class Client:
     def _begin(self, exhibit: Exhibit) -> None:
         if exhibit is not self._exhibit:  # another scene in the place of one that was shown: no steps, no flicker
             self._rung = len(LADDER)
-        self._exhibit = exhibit
+        self._exhibit, self._motion = exhibit, None
         self._slots = Slots(exhibit.scene, exhibit.centre, self._capacity)
         self._send(pack_message({"kind": "scene", "capacity": self._capacity, **exhibit.facts}))
 
@@ -148,7 +152,7 @@ class Client:
         is_step = self._rung < len(LADDER) and LADDER[self._rung] < budget
         if is_step:
             budget = LADDER[self._rung]
-        camera, eye = with_guard(request.camera, request.guard), request.camera.position
+        camera, eye = guarded_by(request.camera, request.guard), request.camera.position
         start = time.process_time()
         try:
             chosen = self._exhibit.cut(camera, replace(request.select, budget=budget), self._last)
@@ -190,6 +194,9 @@ class Client:
 
     def _frame(self, request: Request) -> None:
         start = time.perf_counter()
+        is_plain = request.layer == "color" and request.box is None
+        if request.is_moving and is_plain and not self._exhibit.session.draws_whole_frames:
+            return self._moving_frame(request, start)
         # A budget is searched from the last picture's τ_R; an exact picture names the τ_R of its cut and has no other limit.
         is_limited = request.select.budget is not None and request.select.budget < self._capacity
         last = self._last_of_frames if is_limited else None
@@ -198,8 +205,23 @@ class Client:
         )
         if is_limited:
             self._last_of_frames = chosen.pixel_error
+        pixels = layer_of(result, request.layer)
+        self._deliver_picture(request, pixels, chosen, result.counters.num_pairs, start)
+
+    def _moving_frame(self, request: Request, start: float) -> None:
+        """A picture while the camera moves: of an earlier cut, where that will do (render/moving.py)."""
+        if self._motion is None:
+            self._motion = self._exhibit.session.motion()
+        options = RenderOptions(background=request.background)
+        frame = self._motion.draw(request.camera, options=options, select=request.select)
+        self._last_of_frames = frame.selection.pixel_error
+        self._deliver_picture(request, pixels_of(frame.image), frame.selection, frame.counters.num_pairs, start)
+
+    def _deliver_picture(
+        self, request: Request, pixels: Array, chosen: Selection, num_pairs: int, start: float
+    ) -> None:
         drawn = time.perf_counter()
-        picture = encode(layer_of(result, request.layer), request.packing, request.quality)
+        picture = encode(pixels, request.packing, request.quality)
         header = {
             "kind": "frame",
             "seq": request.seq,
@@ -209,7 +231,7 @@ class Client:
             "rows": len(chosen),
             "visited": chosen.num_visited,
             "tau": finite(chosen.pixel_error),
-            "pairs": result.counters.num_pairs,
+            "pairs": num_pairs,
             "draw_ms": 1e3 * (drawn - start),
             "encode_ms": 1e3 * (time.perf_counter() - drawn),
         }
@@ -252,17 +274,6 @@ class Client:
             if not self._is_open:
                 return
         self._send(message)
-
-
-def with_guard(camera: Camera, guard: float) -> Camera:
-    """The camera with a larger picture: by a share on each side."""
-    if not guard:
-        return camera
-    x, y = round(guard * camera.width), round(guard * camera.height)
-    K = camera.K.copy()
-    K[0, 2] += x
-    K[1, 2] += y
-    return replace(camera, K=K, width=camera.width + 2 * x, height=camera.height + 2 * y)
 
 
 def finite(value: float) -> float | None:

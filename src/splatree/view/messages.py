@@ -67,6 +67,8 @@ class Request:
     """What a picture shows."""
     packing: Packing = "jpeg"
     """How a picture is sent."""
+    is_moving: bool = False
+    """Whether the camera moves: a picture that is made fast will do."""
     quality: int = 80
     """Quality of a JPEG, 1 to 100."""
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -109,6 +111,7 @@ def parse(text: str, centre: Float64[Array, "3"]) -> Request | Ack:
         guard=_number(record, "guard", 0, 0.5, 0.0),
         layer=_name(record, "layer", Layer, "color"),
         packing=_name(record, "packing", Packing, "jpeg"),
+        is_moving=_flag(record, "moving"),
         quality=int(_number(record, "quality", 1, 100, 80)),
         background=(max(red, 0.0), max(green, 0.0), max(blue, 0.0)),
         box=box,
@@ -151,6 +154,13 @@ def _number(record: dict[str, Any], key: str, low: float, high: float, default: 
     if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
         raise InputError(f"message: {key}: found {str(value)[:40]!r}, wanted a number from {low:g} to {high:g}")
     return float(value)
+
+
+def _flag(record: dict[str, Any], key: str) -> bool:
+    value = record.get(key, False)
+    if not isinstance(value, bool):
+        raise InputError(f"message: {key}: found {str(value)[:40]!r}, wanted true or false")
+    return value
 
 
 def _numbers(record: dict[str, Any], key: str, count: int, largest: float) -> list[float]:

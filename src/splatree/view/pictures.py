@@ -8,7 +8,7 @@ import numpy as np
 from splatree.scene.frame import RenderResult
 from splatree.shapes import Array, Float32, UInt8
 
-__all__ = ["Layer", "Packing", "encode", "layer_of"]
+__all__ = ["Layer", "Packing", "encode", "layer_of", "pixels_of"]
 
 Layer = Literal["color", "depth", "alpha"]
 """What a picture shows."""
@@ -40,6 +40,11 @@ def layer_of(result: RenderResult, layer: Layer) -> UInt8[Array, "h w 3"]:
         image = np.repeat(result.alpha[..., None], 3, axis=2)
     else:
         image = _depth_map(result.depth, result.alpha)
+    return pixels_of(image)
+
+
+def pixels_of(image: Float32[Array, "h w 3"]) -> UInt8[Array, "h w 3"]:
+    """Colours in 8 bits."""
     return np.asarray(np.rint(255 * np.clip(image, 0, 1)), np.uint8)
 
 

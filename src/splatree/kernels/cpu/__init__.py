@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from splatree.kernels.contract import FrameStages
     from splatree.shapes import Array
 
-__all__ = ["frame_stages", "kmeans_steps"]
+__all__ = ["frame_stages", "kmeans_steps", "reusing_stages"]
 
 
 def frame_stages() -> "FrameStages":
@@ -21,6 +21,13 @@ def frame_stages() -> "FrameStages":
     from splatree.kernels.cpu.frame import stages
 
     return stages
+
+
+def reusing_stages() -> "FrameStages":
+    """The same for one session: splats are overwritten by those of the next frame."""
+    from splatree.kernels.cpu.frame.reuse import ReusingStages
+
+    return ReusingStages()
 
 
 def kmeans_steps(points: "Array", *, threads: int = 0) -> "Callable[[Array], Any]":

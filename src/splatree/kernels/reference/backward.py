@@ -18,6 +18,8 @@ and from there through Σ' = M Mᵀ + d I, M = J W R S (project.py) to mean, qua
 seen moves its colour, where a channel is not clipped at 0.
 """
 
+import math
+
 import numpy as np
 
 from splatree.constants import ALPHA_MAX, DILATION_MIN_PX2, SIGMA_MAX_PX, TILE_PX, TRANSMITTANCE_MIN
@@ -65,6 +67,7 @@ def blend_backward(
     if upstream.depth is not None:  # depth = D / alpha
         alpha = picture.alpha.astype(np.float64)
         by_depth = np.divide(upstream.depth, alpha, out=by_depth, where=alpha > 0)
+        assert picture.depth is not None  # whoever has a derivative by the depth has the depth
         by_alpha = by_alpha - by_depth * picture.depth
     by_end = by_color @ np.asarray(view.background) - by_alpha
     errors = np.zeros_like(by_alpha) if upstream.errors is None else upstream.errors

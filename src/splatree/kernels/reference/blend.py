@@ -6,7 +6,8 @@ At a pixel with offset d from the centre of a splat (Kerbl 2023, Eq. 3 and raste
     C ← C + T α c,  D ← D + T α z,  T ← T (1 − α), T = 1 at first
     K ← K + T α of the pair, its contribution KPC (FilterGS 2026, Eq. 5)
 
-A pixel is finished before a splat that would leave T < 1e-4; that splat is not drawn. The picture is C + T · background, its
+A pixel is finished before a splat that would leave T < 1e-4; that splat is not drawn. Where `View.least_light` is above 0, it is
+finished once T is below that instead, and the splat that brought it there is drawn. The picture is C + T · background, its
 alpha 1 − T, its depth D / alpha.
 
 Splats shrunk to τ > 1/255 are drawn whole in the tiles that they keep (θ = 1/255, as the code of FilterGS), which ends them at
@@ -62,13 +63,15 @@ def blend(splats: Splats, bins: TileBins, view: View, *, threads: int = 0) -> Pi
             drawn = (whole >= floors[i]) & ~finished
             work.consumed[tile] += not finished.all()
             work.evaluated[tile] += (~finished).sum()
-            finished |= drawn & (T * (1 - alpha) < TRANSMITTANCE_MIN)
+            if not view.least_light:
+                finished |= drawn & (T * (1 - alpha) < TRANSMITTANCE_MIN)
             drawn &= ~finished
             weight = np.where(drawn, T * alpha, 0.0)
             C += weight[..., None] * colors[i]
             D += weight * depths[i]
             median_depth[area][drawn & (T >= HALF) & (T * (1 - alpha) < HALF)] = depths[i]
             T[drawn] *= 1 - alpha[drawn]
+            finished |= view.least_light > T
             last_pair[area][drawn] = pair
             work.blended[tile] += drawn.sum()
             of_pairs[pair] = weight.sum()
@@ -79,7 +82,7 @@ def blend(splats: Splats, bins: TileBins, view: View, *, threads: int = 0) -> Pi
     return Picture(
         color.astype(np.float32),
         alpha.astype(np.float32),
-        depth.astype(np.float32),
+        depth.astype(np.float32) if wanted.depth else None,
         work,
         of_pairs.astype(np.float32) if wanted.contributions else None,
         last_pair if wanted.last_pair else None,

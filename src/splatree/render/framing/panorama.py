@@ -6,8 +6,8 @@ from typing import Final
 import numpy as np
 
 from splatree.render.framing.survey import Survey, weighted_quantiles
-from splatree.render.framing.trial import draw, rays, trial_camera, trial_scene
-from splatree.scene.scene import Scene
+from splatree.render.framing.trial import draw, rays, trial_camera, trial_session
+from splatree.render.session import Session
 from splatree.shapes import Array, Float64
 
 __all__ = ["Panorama", "horizontals", "widest_view"]
@@ -28,7 +28,7 @@ TRIED: Final = 4
 class Panorama:
     """What is seen all round from a place."""
 
-    def __init__(self, sample: Scene, eye: Array, up: Array, radius: float) -> None:
+    def __init__(self, sample: Session, eye: Array, up: Array, radius: float) -> None:
         self.eye, self.up = eye, up
         north, east = horizontals(up)
         directions, alphas, depths, angles = [], [], [], []
@@ -72,7 +72,7 @@ class Panorama:
 
 def widest_view(survey: Survey, up: Array, centre: Array, radius: float) -> "Panorama":
     """What is seen from the place in the middle that is least closed in."""
-    sample = trial_scene(survey)
+    sample = trial_session(survey)
     views = [Panorama(sample, place, up, radius) for place in _middles(survey, up, centre, radius)]
     return max(views, key=lambda view: view.free_share(0.5))
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from splatree.render.framing.panorama import horizontals, widest_view
 from splatree.render.framing.survey import Survey
-from splatree.render.framing.trial import FOCUS_RADII, draw, judge, trial_camera, trial_scene
+from splatree.render.framing.trial import FOCUS_RADII, draw, judge, trial_camera, trial_session
 from splatree.shapes import Array, Float64
 
 __all__ = ["Standpoint", "from_inside", "from_outside", "looks_enclosed"]
@@ -75,7 +75,7 @@ def looks_enclosed(survey: Survey, up: Array, centre: Array, radius: float) -> t
 
 def from_outside(survey: Survey, up: Array, centre: Array, radius: float, aspect: float) -> Standpoint:
     """The view around the focus that shows most of it; from nearer where something stands before it all round."""
-    sample = trial_scene(survey)
+    sample = trial_session(survey)
     focus = survey.means[np.linalg.norm(survey.means - centre, axis=1) < FOCUS_RADII * radius]
     north, east = horizontals(up)
     best, best_score = None, -np.inf
@@ -88,8 +88,9 @@ def from_outside(survey: Survey, up: Array, centre: Array, radius: float, aspect
                 eye = target + nearer * distance * backward
                 camera = trial_camera(eye, target, up, (round(64 * aspect), 64), OUTSIDE_FOV_DEG)
                 trial = judge(draw(sample, camera), camera, focus, centre, radius)
-                if trial.score + 0.3 * survey.gaze(eye) > best_score + 1e-6:
-                    best, best_score, blocked = (eye, target), trial.score + 0.3 * survey.gaze(eye), trial.blocked
+                score = trial.score + 0.3 * survey.gaze(eye)
+                if score > best_score + 1e-6:
+                    best, best_score, blocked = (eye, target), score, trial.blocked
         if blocked < BLOCKED:
             break
     assert best is not None

@@ -8,6 +8,7 @@ few sheets of fog would outweigh the rest.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -64,27 +65,38 @@ class Survey:
         few = self._few
         along = self.means[few] - np.asarray(eye, np.float64)
         along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
-        towards, away = (self._shimmer(d) for d in (along, -along))
+        basis = basis_from_directions(along, self.gaussians.sh_degree)
+        # Harmonics of odd degree change their sign with the direction.
+        even, odd = (
+            np.einsum("nk,nkc->nc", basis[:, columns], self._harmonics[:, columns]) for columns in self._even_and_odd
+        )
+        towards, away = (np.linalg.norm(color, axis=1) for color in (even + odd, even - odd))
         ratio = np.log((towards + GLIMMER) / (away + GLIMMER))
         return float(np.average(ratio, weights=self.opacities[few]))
 
     def gaze_along(self, directions: Float64[Array, "d 3"]) -> Float64[Array, "d"]:
         """Mean magnitude of the view-dependent colour for looks along each direction; zeros without harmonics."""
         few = self._few
-        looks = (np.broadcast_to(d, self.means[few].shape) for d in directions)
-        return np.array([np.average(self._shimmer(look), weights=self.opacities[few]) for look in looks])
+        basis = basis_from_directions(directions, self.gaussians.sh_degree)
+        basis[:, 0] = 0
+        seen = np.tensordot(basis, self._harmonics, axes=(1, 1))  # [d n 3]
+        return np.asarray(np.average(np.linalg.norm(seen, axis=2), axis=1, weights=self.opacities[few]))
 
     @property
     def _few(self) -> slice:
         """About 8,000 rows: means over them err by 1 %."""
         return slice(None, None, max(1, len(self.means) // 8000))
 
-    def _shimmer(self, directions: Array) -> Array:
-        sh = self.gaussians.sh[self._few, 1:]
-        if sh.shape[1] == 0:
-            return np.zeros(len(sh))
-        basis = basis_from_directions(directions, self.gaussians.sh_degree)[:, 1:]
-        return np.asarray(np.linalg.norm(np.einsum("nk,nkc->nc", basis, sh), axis=1))
+    @cached_property
+    def _harmonics(self) -> Float64[Array, "n k 3"]:
+        """Those of these rows."""
+        return self.gaussians.sh[self._few].astype(np.float64)
+
+    @property
+    def _even_and_odd(self) -> tuple[list[int], list[int]]:
+        """Which harmonics are of even degree, and which of odd; not that of degree 0."""
+        degrees = np.sqrt(np.arange(self.gaussians.sh.shape[1])).astype(int)
+        return [k for k, d in enumerate(degrees) if d and d % 2 == 0], [k for k, d in enumerate(degrees) if d % 2]
 
 
 def survey_of(scene: Scene) -> Survey:

@@ -6,14 +6,14 @@ from typing import Final
 import numpy as np
 
 from splatree.render.framing.survey import Survey
-from splatree.render.pipeline import render
+from splatree.render.session import Session, open_session
 from splatree.scene.cameras import Camera
 from splatree.scene.frame import RenderResult
 from splatree.scene.options import SelectOptions
 from splatree.scene.scene import Scene
 from splatree.shapes import Array, Float64
 
-__all__ = ["FOCUS_RADII", "Trial", "draw", "judge", "rays", "trial_camera", "trial_scene"]
+__all__ = ["FOCUS_RADII", "Trial", "draw", "judge", "rays", "trial_camera", "trial_session"]
 
 FOCUS_RADII: Final = 1.6
 """What lies within so many radii of the centre belongs into a picture from outside."""
@@ -63,12 +63,13 @@ def trial_camera(eye: Array, target: Array, up: Array, size: tuple[int, int], fo
     return replace(camera, near=0.01 * float(np.linalg.norm(target - eye)))
 
 
-def draw(sample: Scene, camera: Camera) -> RenderResult:
-    return render(sample, camera, select=SelectOptions(pixel_error=0))
+def draw(sample: Session, camera: Camera) -> RenderResult:
+    return sample.draw(camera)
 
 
-def trial_scene(survey: Survey) -> Scene:
-    """The sample as a scene; where leaves were left out, those that stand for them are wider."""
+def trial_session(survey: Survey) -> Session:
+    """What draws the sample; where leaves were left out, those that stand for them are wider."""
     g = survey.gaussians
     wider = np.float32(0.5 * np.log(survey.spacing))
-    return Scene.flat(replace(g, log_scales=g.log_scales + wider))
+    scene = Scene.flat(replace(g, log_scales=g.log_scales + wider))
+    return open_session(scene, select=SelectOptions(pixel_error=0))

@@ -176,6 +176,7 @@ class App {
       layer: this.state.layer,
       background: this.page.background(),
       box: this.state.box,
+      moving: !isExact,
       packing: isExact && !isPhone ? 'png' : 'jpeg',
       quality: isExact ? 95 : 75,
     }, isExact);

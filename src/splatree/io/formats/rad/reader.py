@@ -22,6 +22,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import math
+
 import numpy as np
 
 from splatree.constants import ALPHA_THRESHOLD, SH_C0

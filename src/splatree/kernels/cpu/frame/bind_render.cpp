@@ -99,6 +99,7 @@ void blend_tiles(py::Splats splats, py::TileBins bins, py::View view, bool whole
                      float(std::log2(number<double>(view, "pixel_threshold"))),
                      optional_column<float>(bins, "floors"),
                      {float(background[0]), float(background[1]), float(background[2])},
+                     number_of(view, "least_light"),
                      whole_tile,
                      threads,
                      out_entry<float>(outputs, "image"),

@@ -63,13 +63,16 @@ SPLATREE_FN void blend_cell(Brush& brush, int cell, const Limits& limits, int32_
     const float after = before * (1.f - alpha);
     const bool passes = Ends::TAPERS ? whole >= brush.floor : log2_alpha >= brush.log2_threshold;
     const bool seen = passes & (before > 0.f);
-    const bool drawn = seen & (after >= TRANSMITTANCE_MIN);
+    const bool drawn = Keeps::OF_DEPTH ? seen & (after >= TRANSMITTANCE_MIN) : seen;
     const float weight = drawn ? before * alpha : 0.f;
-    transmittance[l] = drawn ? after : seen ? -before : before;
+    if (Keeps::OF_DEPTH)
+      transmittance[l] = drawn ? after : seen ? -before : before;
+    else
+      transmittance[l] = seen ? (after >= limits.least_light ? after : -after) : before;
     red[l] += weight * brush.red;
     green[l] += weight * brush.green;
     blue[l] += weight * brush.blue;
-    depth[l] += weight * brush.depth;
+    if (Keeps::OF_DEPTH) depth[l] += weight * brush.depth;
     tile.blended[l] += drawn ? 1 : 0;
     if (Keeps::OF_PAIRS) brush.contribution[l] += weight;
     if (Keeps::OF_PIXELS) {
@@ -133,7 +136,7 @@ void blend_tile(const BlendJob& job, int64_t index) {
   int64_t num_evaluated = 0;
   int open = open_cells(tile.transmittance);
   Brush brushes[GROUP];
-  const Limits limits = {unknown(ALPHA_MAX), unknown(0.f)};
+  const Limits limits = {unknown(ALPHA_MAX), unknown(0.f), job.least_light};
   int cells[GROUP];
   if (Keeps::OF_PAIRS && begin < end) memset(job.contributions + begin, 0, (end - begin) * sizeof(float));
   int64_t i = begin;
@@ -183,7 +186,7 @@ void blend_tile(const BlendJob& job, int64_t index) {
       job.image[3 * pixel + 1] = tile.green[cell][l] + left * job.background[1];
       job.image[3 * pixel + 2] = tile.blue[cell][l] + left * job.background[2];
       job.alpha[pixel] = alpha;
-      job.depth[pixel] = alpha > 0.f ? tile.depth[cell][l] / alpha : 0.f;
+      if (Keeps::OF_DEPTH) job.depth[pixel] = alpha > 0.f ? tile.depth[cell][l] / alpha : 0.f;
     }
   if (Keeps::OF_PIXELS) keep_pixels(job, index, x0, y0, pixels);
 }
@@ -200,7 +203,9 @@ void blend_keeping(const BlendJob& job) {
   if (job.contributions)
     of_pixels ? blend_all<Ends, AndBoth>(job) : blend_all<Ends, AndPairs>(job);
   else
-    of_pixels ? blend_all<Ends, AndPixels>(job) : blend_all<Ends, PictureAlone>(job);
+    of_pixels   ? blend_all<Ends, AndPixels>(job)
+    : job.depth ? blend_all<Ends, PictureAlone>(job)
+                : blend_all<Ends, ColorsAlone>(job);
 }
 
 }  // namespace

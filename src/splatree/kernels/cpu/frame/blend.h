@@ -13,11 +13,13 @@ struct BlendJob {
   float log2_threshold;  // smallest opacity drawn at a pixel
   const float* floors;   // v, opacity at which each splat is tapered off; null: none is
   float background[3];
-  bool whole_tile;  // evaluate all 4 × 4 px cells of a tile instead of those that the ellipse touches
+  float least_light;  // below which a pixel is finished, if neither depth nor anything of the kind is wanted
+  bool whole_tile;    // evaluate all 4 × 4 px cells of a tile instead of those that the ellipse touches
   int threads;
-  float* image;          // h w 3
-  float *alpha, *depth;  // h w
+  float* image;  // h w 3
+  float* alpha;  // h w
   // Null where they are not wanted:
+  float* depth;                                         // h w; wanted with any of the others
   float* contributions;                                 // m, Σ α T of each pair
   int64_t* last_pair;                                   // h w, index of the last pair that each pixel blended, -1 if none
   float* median_depth;                                  // h w, depth of the splat at which T falls below ½, 0 if it never does

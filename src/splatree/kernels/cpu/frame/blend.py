@@ -18,10 +18,13 @@ def blend(splats: Splats, bins: TileBins, view: View, *, threads: int = 0, whole
     """
     size, wanted, num_tiles = (view.camera.height, view.camera.width), view.wanted, len(bins.tile_start) - 1
     outputs: dict[str, Array] = {"image": np.empty((*size, 3), np.float32)}
-    outputs |= {name: np.empty(size, np.float32) for name in ("alpha", "depth")}
+    outputs["alpha"] = np.empty(size, np.float32)
+    if wanted.depth or wanted.contributions or wanted.of_pixels:
+        outputs["depth"] = np.empty(size, np.float32)
     if wanted.contributions:
         outputs["contributions"] = np.empty(bins.num_pairs, np.float32)
     outputs |= {name: np.empty(size, kind) for name, kind in PIXEL_OUTPUTS.items() if getattr(wanted, name)}
     work = {name: np.empty(num_tiles, np.int64) for name in ("consumed", "evaluated", "blended")}
     _core.blend_tiles(splats, bins, view, whole_tile, outputs | work, threads)
-    return Picture(**outputs, tiles=TileWork(**work, is_exact=wanted.last_pair))
+    depth = outputs.pop("depth", None)
+    return Picture(depth=depth, tiles=TileWork(**work, is_exact=wanted.last_pair), **outputs)

@@ -133,7 +133,7 @@ void backward_tile(const BlendBackwardJob& job, const PairSums& pairs, int64_t i
   const int x0 = int(index % job.num_tiles_x) * TILE, y0 = int(index / job.num_tiles_x) * TILE;
   Tile tile;
   load_tile(job, x0, y0, tile);
-  const Limits limits = {unknown(ALPHA_MAX), unknown(0.f)};
+  const Limits limits = {unknown(ALPHA_MAX), unknown(0.f), 0.f};
   int open = open_cells(tile.transmittance);
   for (int64_t i = begin; i < end; ++i) {
     if ((i - begin + 1) % PERIOD == 0) {

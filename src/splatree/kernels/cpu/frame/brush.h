@@ -30,7 +30,7 @@ float unknown(float x) {
 }
 
 struct Limits {
-  float alpha_max, zero;
+  float alpha_max, zero, least_light;
 };
 
 // Sets up the brush for a tile at (x, y) and returns a bit for each cell that the splat may touch.

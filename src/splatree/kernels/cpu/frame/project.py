@@ -12,7 +12,17 @@ from splatree.scene.gaussians import Gaussians
 from splatree.scene.view import View
 from splatree.shapes import Array, Float32, Int32, UInt32
 
-__all__ = ["gathered", "project"]
+__all__ = ["SplatRoom", "gathered", "project", "project_into"]
+
+
+class SplatRoom:
+    """Space for the splats of a frame, not written yet."""
+
+    def __init__(self, num_splats: int) -> None:
+        self.num_splats = num_splats
+        self.rows, self.order = np.empty(num_splats, np.int32), np.empty(num_splats, np.int32)
+        self.depths = np.empty(num_splats, np.float32)
+        self.records = _empty_records(num_splats)
 
 
 def project(
@@ -25,17 +35,28 @@ def project(
     threads: int = 0,
 ) -> Splats:
     """Splats of the rows that touch the image."""
+    return project_into(SplatRoom(len(rows)), gaussians, ids, rows, view, curves=curves, threads=threads)
+
+
+def project_into(
+    room: SplatRoom,
+    gaussians: Gaussians,
+    ids: UInt32[Array, "n"] | None,
+    rows: Int32[Array, "v"],
+    view: View,
+    *,
+    curves: Float32[Array, "n 4"] | None = None,
+    threads: int = 0,
+) -> Splats:
+    """The same, in a room for at least as many splats as there are rows."""
     if len(rows) and not (rows.min() >= 0 and rows.max() < len(gaussians)):
         raise InputError(f"rows: found {rows.min()} to {rows.max()}, wanted 0 to {len(gaussians) - 1}")
-    out_rows, depths = np.empty(len(rows), np.int32), np.empty(len(rows), np.float32)
-    records = _empty_records(len(rows))
     followed = curves if view.mode == "classic" else None
-    out = {"rows": out_rows, "records": records, "depths": depths}
+    out = {"rows": room.rows, "records": room.records, "depths": room.depths}
     num_splats = _core.project_rows(gaussians, followed, rows, pack_view(view), view, pack_square(view), out, threads)
-    out_rows, records = out_rows[:num_splats], records[:num_splats]
-    order = np.empty(num_splats, np.int32)
-    _core.order_splats(depths, out_rows, ids, order, threads)
-    return Splats(out_rows, records, order)
+    splats = Splats(room.rows[:num_splats], room.records[:num_splats], room.order[:num_splats])
+    _core.order_splats(room.depths, splats.rows, ids, splats.order, threads)
+    return splats
 
 
 def gathered(
