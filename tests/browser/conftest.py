@@ -3,7 +3,7 @@ from importlib.resources import as_file, files
 import pytest
 
 from splatree.io.reading import read
-from splatree.lod.build import build_lod
+from splatree.render.build import build_lod
 
 from .chromium import chromium
 

@@ -13,10 +13,10 @@ __all__ = ["in_words", "run_through_files"]
 
 def run_through_files(files: Files, options: BuildOptions, running: FolderOptions, mode: Mode | None) -> BuiltFolder:
     """Build the levels of the inputs through files."""
-    if options.method != "radius":
+    if options.only_method == "pairs":
         raise UsageError(
-            f"found --method {options.method} with --max-memory, --workers or the size of parts; wanted --method radius: pairs "
-            "are chosen from the whole scene in memory"
+            "found --method pairs, or options of pairs, with --max-memory, --workers or the size of parts; wanted --method "
+            "radius: pairs are chosen from the whole scene in memory"
         )
     inputs, output = inputs_and_folder(files)
     reading = files.reading

@@ -20,8 +20,8 @@ from splatree.io.registry import format_to_write, formats, stored_bytes
 from splatree.io.replacing import check_target
 from splatree.io.writing import write
 from splatree.kernels.devices import DeviceName
-from splatree.lod.build import build_lod
 from splatree.lod.options import BuildOptions
+from splatree.render.build import build_lod
 from splatree.train.checkpoint import CHECKPOINT
 from splatree.train.options import RunFiles, TrainOptions
 from splatree.train.run import train
