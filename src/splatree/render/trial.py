@@ -6,7 +6,7 @@ shares of the leaves in view. The mean PSNR decides. Nothing depends on the time
 answer on any number of threads.
 
 Cost: at most two builds of the sample and 28 pictures of 320 × 180 px, 1.5 CPU-seconds for 60,000 Gaussians of degree 3;
-nothing grows with the scene but the choice of the sample, 0.4 CPU-seconds a million Gaussians.
+nothing grows with the scene but the choice of the sample, 0.3 CPU-seconds a million Gaussians.
 """
 
 import dataclasses
