@@ -1,15 +1,17 @@
-"""Cuts of our levels against our own static `thin`, at equal visible nodes: the table that finds where levels lose.
+"""Cuts of our levels against static sets, at equal visible nodes: the table that finds where levels lose.
 
-``python benchmarks/levels.py [--scenes ...] [--shares 2 5 10 20 40 80]`` needs the shared scenes. A scene is thinned by pairs to
-a share of its Gaussians. In each view the thinned scene draws as many of its rows as are in view; the cuts of levels by a radius
-and by pairs get this number as their budget. All pictures are compared with that of all leaves. Views are of six classes: near,
+``python benchmarks/levels.py [--scenes ...] [--shares 2 5 10 20 40 80] [--peer-shares 10 40]`` needs the shared scenes. A scene
+is thinned by pairs to a share of its Gaussians, and by splat-transform's ``-d`` to each of the peer's shares (npm). In each view
+a thinned scene draws as many of its rows as are in view; the cuts of levels by a radius and by pairs get this number as their
+budget. All pictures are compared with that of all leaves; better ones than 60 dB count as that. Views are of six classes: near,
 low, street, middle, orbit, far.
 
-A cut that depends on the view should never be worse than a static set of as many Gaussians: a negative number is a loss. Levels
-of other programs are not part of this table; `benchmarks/streams.py` compares with theirs.
+A cut that depends on the view should never be worse than a static set of as many Gaussians: a negative number is a loss.
 """
 
 import argparse
+import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 from typing import get_args
 
@@ -17,6 +19,7 @@ import numpy as np
 
 import splatree as st
 from harness import DATA, save, table
+from quality import decimated
 from splatree.errors import InputError
 from splatree.scene.thinning import Method
 
@@ -25,7 +28,11 @@ SCENES: dict[str, Path] = {
     "city 5_1": DATA / "trained" / "semarang_city" / "5_1",
     "biker": DATA / "formats" / "biker.compressed.ply",
     "playbot": DATA / "trained" / "playbot",
+    "logo": DATA / "trained" / "playcanvas_logo",
+    "block": DATA / "formats" / "semarang_block" / "block_inria.ply",
 }
+PEER = "splat-transform -d"
+BEST_DB = 60.0
 
 
 def views_of(scene: st.Scene) -> dict[str, st.Camera]:
@@ -49,6 +56,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scenes", nargs="+", choices=SCENES, default=["city 5_9", "biker"])
     parser.add_argument("--shares", nargs="+", type=float, default=[2, 5, 10, 20, 40, 80])
+    parser.add_argument(
+        "--peer-shares", nargs="*", type=float, default=[], help="run splat-transform to these shares too"
+    )
     arguments = parser.parse_args()
     rows: list[dict[str, object]] = []
     for name in arguments.scenes:
@@ -57,25 +67,38 @@ def main() -> None:
         trees = {method: st.build_lod(flat, st.BuildOptions(method)) for method in get_args(Method)}
         views = views_of(flat)
         leaves = {key: picture(flat, view, None)[0] for key, view in views.items()}
-        for share in arguments.shares:
-            thinned = st.thin(flat, st.ThinOptions("pairs", keep=share / 100)).scene
+        for kind, share, static in statics(flat, arguments.shares, arguments.peer_shares):
             for key, view in views.items():
-                static, budget = picture(thinned, view, None)
-                row: dict[str, object] = {"scene": name, "share, %": share, "view": key, "visible nodes": budget}
-                row["thin, pairs, dB"] = st.psnr(static, leaves[key])
+                image, budget = picture(static, view, None)
+                found = min(st.psnr(image, leaves[key]), BEST_DB)
+                row: dict[str, object] = {"scene": name, "static set": kind, "share, %": share, "view": key}
+                row |= {"visible nodes": budget, "static, dB": found}
                 for method, tree in trees.items():
                     try:
                         cut, _ = picture(tree, view, budget)
                     except InputError:  # more roots are in view than the static set shows rows
-                        row[f"cut, {method}, dB"] = row[f"{method} − thin"] = ""
+                        row[f"cut, {method}, dB"] = row[f"{method} − static"] = ""
                         continue
-                    row[f"cut, {method}, dB"] = min(st.psnr(cut, leaves[key]), 60.0)
-                    row[f"{method} − thin"] = row[f"cut, {method}, dB"] - row["thin, pairs, dB"]  # type: ignore[operator]
+                    psnr = min(st.psnr(cut, leaves[key]), BEST_DB)
+                    row |= {f"cut, {method}, dB": psnr, f"{method} − static": psnr - found}
                 rows.append(row)
                 print(row, flush=True)
     print(table(rows))
     print(table(summary(rows)))
-    save("levels", rows, about="Cuts of our levels against our own static thinning by pairs, at equal visible nodes")
+    save("levels", rows, about="Cuts of our levels against static sets of as many visible nodes")
+
+
+def statics(flat: st.Scene, shares: list[float], peer_shares: list[float]) -> Iterator[tuple[str, float, st.Scene]]:
+    """Static sets of a scene: who made each, its share in %, and its Gaussians."""
+    for share in shares:
+        yield "thin, pairs", share, st.thin(flat, st.ThinOptions("pairs", keep=share / 100)).scene
+    if not peer_shares:
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        source = Path(folder) / "leaves.ply"
+        st.write(flat, source)
+        for share in peer_shares:
+            yield PEER, share, st.Scene.flat(decimated(source, share / 100), mode=flat.mode)
 
 
 def picture(scene: st.Scene, view: st.Camera, budget: int | None) -> tuple[np.ndarray, int]:
@@ -86,15 +109,22 @@ def picture(scene: st.Scene, view: st.Camera, budget: int | None) -> tuple[np.nd
 
 
 def summary(rows: list[dict[str, object]]) -> list[dict[str, object]]:
-    """Mean and worst difference by scene and method."""
+    """Mean and worst difference by scene, static set and method."""
     lines: list[dict[str, object]] = []
-    for name in dict.fromkeys(row["scene"] for row in rows):
+    for name, kind in dict.fromkeys((row["scene"], row["static set"]) for row in rows):
         for method in get_args(Method):
-            of = [row for row in rows if row["scene"] == name and row[f"{method} − thin"] != ""]
-            spare = [float(row[f"{method} − thin"]) for row in of]  # type: ignore[arg-type]
+            key = f"{method} − static"
+            of = [row for row in rows if (row["scene"], row["static set"]) == (name, kind) and row[key] != ""]
+            spare = [float(row[key]) for row in of]  # type: ignore[arg-type]
             worst = of[int(np.argmin(spare))]
             lines.append(
-                {"scene": name, "levels": method, "mean": float(np.mean(spare)), "worst": min(spare)}
+                {
+                    "scene": name,
+                    "static set": kind,
+                    "levels": method,
+                    "mean": float(np.mean(spare)),
+                    "worst": min(spare),
+                }
                 | {"worst at": f"{worst['share, %']:g} %, {worst['view']}", "losses": sum(x < 0 for x in spare)}
                 | {"cells": len(spare)}
             )

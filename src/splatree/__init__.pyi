@@ -39,7 +39,6 @@ from splatree.io.writing import write as write
 from splatree.lod.baselines import Baseline as Baseline
 from splatree.lod.baselines import BaselineOptions as BaselineOptions
 from splatree.lod.baselines import baseline as baseline
-from splatree.lod.build import build_lod as build_lod
 from splatree.lod.link import link_levels as link_levels
 from splatree.lod.options import BuildOptions as BuildOptions
 from splatree.lod.select import select as select
@@ -55,6 +54,7 @@ from splatree.outofcore.thin import ThinnedFile as ThinnedFile
 from splatree.outofcore.thin import thin_file as thin_file
 from splatree.render.batch import render_batch as render_batch
 from splatree.render.batch import trace_batch as trace_batch
+from splatree.render.build import build_lod as build_lod
 from splatree.render.calibrate import CalibrateOptions as CalibrateOptions
 from splatree.render.calibrate import Calibration as Calibration
 from splatree.render.calibrate import calibrate as calibrate
@@ -97,6 +97,7 @@ from splatree.render.tensors import TensorScene as TensorScene
 from splatree.render.tensors import scene_from_tensors as scene_from_tensors
 from splatree.render.timing import Timing as Timing
 from splatree.render.timing import time_frames as time_frames
+from splatree.render.trial import try_methods as try_methods
 from splatree.render.video import open_video as open_video
 from splatree.scene.cameras import Camera as Camera
 from splatree.scene.cameras import Cameras as Cameras
@@ -115,6 +116,7 @@ from splatree.scene.thinning import Groups as Groups
 from splatree.scene.thinning import MergeOptions as MergeOptions
 from splatree.scene.thinning import ThinOptions as ThinOptions
 from splatree.scene.tree import GaussianTree as GaussianTree
+from splatree.scene.trial import MethodTrial as MethodTrial
 from splatree.scene.view import View as View
 from splatree.scene.view import Wanted as Wanted
 from splatree.simplify.merge import merge as merge

@@ -3,7 +3,8 @@ from importlib.resources import as_file, files
 import pytest
 
 from splatree.io.reading import read
-from splatree.lod.build import build_lod
+from splatree.lod.options import BuildOptions
+from splatree.render.build import build_lod
 
 from .chromium import chromium
 
@@ -12,7 +13,7 @@ from .chromium import chromium
 def city_tree():
     """The bundled scene with levels of detail."""
     with as_file(files("splatree") / "data" / "semarang_5_9.sog") as path:
-        return build_lod(read(path))
+        return build_lod(read(path), BuildOptions("radius"))
 
 
 @pytest.fixture(scope="module")

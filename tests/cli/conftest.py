@@ -7,7 +7,7 @@ import pytest
 from splatree.cli.main import main
 from splatree.io.reading import read
 from splatree.io.writing import write
-from splatree.lod.build import build_lod
+from splatree.render.build import build_lod
 from splatree.scene.scene import Scene
 
 

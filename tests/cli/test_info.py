@@ -14,7 +14,7 @@ from splatree.io.options import ReadOptions
 from splatree.io.outline import outline_of, read_outline
 from splatree.io.reading import read
 from splatree.io.writing import write
-from splatree.lod.build import build_lod
+from splatree.render.build import build_lod
 from splatree.scene.scene import Scene
 
 from ..scenes import random_gaussians

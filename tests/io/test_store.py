@@ -6,7 +6,7 @@ import pytest
 import splatree
 from splatree import FormatError, Gaussians, GaussianTree, Scene
 from splatree.lod.blocks import with_blocks
-from splatree.lod.build import build_lod
+from splatree.render.build import build_lod
 from splatree.scene.scene import Source
 
 from ..scenes import random_gaussians

@@ -7,9 +7,9 @@ from splatree.kernels.cpu.codec import nodes as cpu
 from splatree.kernels.cpu.codec import slots as cpu_slots
 from splatree.kernels.reference import nodes as reference
 from splatree.kernels.reference import slots as reference_slots
-from splatree.lod.build import build_lod
 from splatree.maths.harmonics import colors_from_harmonics
 from splatree.maths.rotations import matrices_from_quats
+from splatree.render.build import build_lod
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Scene
 

@@ -87,7 +87,7 @@ def views() -> Iterator[tuple[str, st.RenderOptions, st.SelectOptions]]:
 
 
 def stored_files(folder: Path) -> Iterator[tuple[str, str]]:
-    tree = st.build_lod(piece())
+    tree = st.build_lod(piece(), st.BuildOptions("radius"))
     for suffix in (*PLAIN, *PACKED):
         path = folder / f"piece{suffix}"
         st.write(tree, path, force=True)

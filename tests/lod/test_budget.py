@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from splatree.errors import InputError
 from splatree.lod.budget import NEXT_SHARE, meet_budget_from
-from splatree.lod.build import build_lod
 from splatree.lod.select import count_nested, select
+from splatree.render.build import build_lod
 from splatree.scene.cameras import Camera
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.options import SelectOptions

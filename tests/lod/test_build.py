@@ -183,8 +183,8 @@ def test_impossible_options_are_refused(wrong):
 @pytest.mark.parametrize(
     ("given", "found"),
     [
-        ({"visibility": False}, "visibility: found False, but the method 'radius' does not use it"),
-        ({"pixel_size": 0.1}, r"pixel_size: found 0\.1"),
+        ({"method": "radius", "pixel_size": 0.2}, r"pixel_size: found 0\.2, but the method 'radius' does not use it"),
+        ({"radius": 0.2, "pixel_size": 0.1}, r"radius: found 0\.2, but the method 'pairs'|pixel_size: found 0\.1"),
         ({"method": "pairs", "radius": 0.1}, r"radius: found 0\.1, .* wanted 'auto'; leave it out, or .* 'radius'"),
         ({"method": "pairs", "importance": "opacity"}, "importance: found 'opacity'"),
         ({"method": "pairs", "color_radius": None}, "color_radius: found None"),

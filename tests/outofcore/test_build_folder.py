@@ -221,7 +221,7 @@ def test_outputs_are_replaced_only_with_force(tmp_path, ply):
 
 
 def test_what_cannot_be_built_is_refused_before_any_work(tmp_path, ply):
-    with pytest.raises(st.InputError, match="found 'pairs' for a build through files"):
+    with pytest.raises(st.InputError, match="found 'pairs', or options of pairs, for a build"):
         st.build_folder(ply, tmp_path / "a.splatree", st.BuildOptions(method="pairs"))
     tree = tmp_path / "tree.splatree"
     st.write(st.build_lod(st.read(ply)), tree)

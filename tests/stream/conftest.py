@@ -33,6 +33,6 @@ def forest(n, *, seed, sh_degree=0, num_roots=3):
 
 @pytest.fixture(scope="session")
 def city_tree():
-    """Levels over the bundled piece of a city: 237,000 leaves of degree 3, 350,000 nodes."""
+    """Levels by a radius over the bundled piece of a city: 237,000 leaves of degree 3, 350,000 nodes."""
     with as_file(files("splatree") / "data" / "semarang_5_9.sog") as path:
-        return st.build_lod(st.read(path))
+        return st.build_lod(st.read(path), st.BuildOptions("radius"))

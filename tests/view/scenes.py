@@ -2,7 +2,7 @@
 
 from functools import lru_cache
 
-from splatree.lod.build import build_lod
+from splatree.render.build import build_lod
 from splatree.scene.scene import Scene
 from splatree.view.exhibit import exhibit
 

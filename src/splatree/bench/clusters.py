@@ -22,9 +22,9 @@ from splatree.clusters.cull import cull
 from splatree.errors import InputError
 from splatree.kernels.cpu.frame.project import project
 from splatree.lod.blocks import with_blocks
-from splatree.lod.build import build_lod
 from splatree.lod.select import cull_scene, select
 from splatree.progress import track
+from splatree.render.build import build_lod
 from splatree.render.evaluate import score
 from splatree.render.session import open_session
 from splatree.render.timing import check_frames

@@ -14,7 +14,7 @@ from splatree.io.cameras.split import split_views
 from splatree.io.photos import Photos, photographed
 from splatree.io.reading import read
 from splatree.lod.blocks import with_blocks
-from splatree.lod.build import build_lod
+from splatree.render.build import build_lod
 from splatree.render.overlap import overlap_hint
 from splatree.render.paths import PathOptions, flyout
 from splatree.scene.cameras import Camera

@@ -24,21 +24,29 @@ from splatree.io.photos import PhotosUsed
 from splatree.io.reading import read_levels
 from splatree.io.registry import stored_bytes
 from splatree.io.writing import write
-from splatree.lod.build import build_lod
 from splatree.lod.link import link_levels
 from splatree.lod.options import BuildOptions
 from splatree.lod.report import report_levels
 from splatree.outofcore.build import BuiltFolder
 from splatree.outofcore.needs import needs_of
 from splatree.outofcore.options import FolderOptions
+from splatree.render.build import build_lod
 from splatree.render.calibrate import CalibrateOptions, Calibration, calibrate, calibrated
 from splatree.render.compare_page import Comparison
 from splatree.render.quality import with_quality
+from splatree.render.trial import FEWEST, try_methods
 from splatree.scene.names import Mode
 from splatree.scene.quality import QualityCurve
 from splatree.scene.scene import Scene
+from splatree.scene.trial import MethodTrial
 from splatree.train.refine import refine
 from splatree.train.refine_options import RefineOptions
+
+CHECKED = 15_000
+"""Gaussians on which levels by a radius are checked: a few tenths of a CPU-second."""
+
+WORTH_A_WORD_DB = 3.0
+"""Levels by a radius that are so much worse than by pairs are not written without a word."""
 
 STEPS = {"radii": "radius", "pixel_sizes": "pixel"}
 """What each level was made by, in the record of the levels and in the table."""
@@ -57,6 +65,9 @@ class Command:
     """`grow`: merge the Gaussians, by the options below; `file`: link the levels of the input, a streamed SOG."""
     mode: Mode | None = None
     """How the scene was trained and will be drawn; merged nodes depend on it. None: as the file says, else `classic`."""
+    fast: bool = False
+    """Levels by a radius, and no measurements: neither which method suits the scene, nor how good cuts of its levels look, nor
+    what is hidden."""
     compact: bool = False
     """Write a compact .splatree: values are rounded, and it is hardly larger than a .sog of the scene."""
     clusters: int | Literal["auto"] | None = None
@@ -111,6 +122,8 @@ class Built:
     """What the file does not hold, a sentence each."""
     quality: QualityCurve | None = None
     """How good cuts of the levels look; None: it was not measured."""
+    trial: MethodTrial | None = None
+    """How both methods of building did on a sample; None: the method was named, or the scene is too small to tell."""
     calibration: Calibration | None = None
     """The τ that was chosen, if views were given."""
     photographs: PhotosUsed | None = None
@@ -139,6 +152,10 @@ def run(command: Command) -> Built | BuiltFolder:
     learning = None if command.refine is None else RefineOptions(minutes=command.refine)
     if command.flat and command.levels == "file":
         raise UsageError("found --flat and --levels file, which contradict each other; wanted one of them")
+    if command.fast and (command.flat or command.levels == "file" or command.options.method == "pairs"):
+        raise UsageError(
+            "found --fast with --flat, --levels file or --method pairs, but it makes levels by a radius; wanted one of them"
+        )
     if (command.flat or command.levels == "file") and (changed := _changed(command.options)):
         raise UsageError(
             f"found {'--flat' if command.flat else '--levels file'} and {', '.join(changed)}, which only levels that grow use; "
@@ -149,13 +166,13 @@ def run(command: Command) -> Built | BuiltFolder:
     short: tuple[str, ...] = ()
     if (needs := needs_of(inputs, read_options(command.files.reading))) is not None and needs.are_large:
         needing = [*_in_memory(command), *([output.suffix] if output.suffix != ".splatree" else [])]
-        if command.options.method == "pairs":
+        if command.options.only_method == "pairs":
             needing.append("--method pairs")
         if not needing:
             built = run_through_files(command.files, command.options, command.running, command.mode)
             return replace(built, notes=(f"{needs}: a folder was built, through files", *built.notes))
         short = (f"{needs}, and it cannot go through files with {', '.join(needing)}",)
-    scene = _linked(command, inputs) if command.levels == "file" else _read(command, inputs)
+    scene, warned = _with_levels(command, inputs)
     learned: tuple[str, ...] = ()
     if learning is not None:
         refined = refine(scene, learning)
@@ -172,7 +189,7 @@ def run(command: Command) -> Built | BuiltFolder:
         views = views.relative_to(scene)
         calibration = calibrate(scene, views.cameras, command.calibration, photos=views.photos)
         scene = calibrated(scene, calibration, held_out=views.rule)
-    scene, unknown = _measured(scene) if command.measure_quality else (scene, ())
+    scene, unknown = _measured(scene) if command.measure_quality and not command.fast else (scene, ())
     lost, notes = lost_and_noted(scene, write(scene, output, force=command.files.force, options=writing))
     report = report_levels(scene)
     num_bytes, input_bytes = stored_bytes(output), sum(stored_bytes(Path(path)) for path in scene.source.paths)
@@ -192,9 +209,10 @@ def run(command: Command) -> Built | BuiltFolder:
         repairs=repairs_of(scene),
         lost=lost,
         quality=None if scene.tree.record is None else scene.tree.record.quality,
+        trial=None if scene.tree.record is None else scene.tree.record.trial,
         calibration=calibration,
         photographs=None if views is None else views.used,
-        notes=(*short, *notes, *learned, *unknown, *(() if views is None else views.notes)),
+        notes=(*short, *notes, *warned, *learned, *unknown, *(() if views is None else views.notes)),
         comparison=read_back(  # whose leaves are the input, bit for bit
             output, scene, command.reporting, made_from=", ".join(map(str, inputs)), force=command.files.force
         ),
@@ -236,9 +254,26 @@ def _changed(options: BuildOptions) -> list[str]:
     return [name for name, value in vars(options).items() if value != getattr(usual, name)]
 
 
-def _read(command: Command, inputs: Sequence[Path]) -> Scene:
+def _with_levels(command: Command, inputs: Sequence[Path]) -> tuple[Scene, tuple[str, ...]]:
+    """The scene that is read, with levels unless none are wanted, and what the user should know of them."""
+    if command.levels == "file":
+        return _linked(command, inputs), ()
     scene = _in_mode(read_scene(inputs, command.files.reading), command.mode)
-    return scene if command.flat else build_lod(scene, command.options)
+    if command.flat:
+        return scene, ()
+    options = replace(command.options, method="radius", visibility=False) if command.fast else command.options
+    built = build_lod(scene, options)
+    return built, _checked(built, options) if options.only_method == "radius" else ()
+
+
+def _checked(scene: Scene, options: BuildOptions) -> tuple[str, ...]:
+    """A warning if levels by a radius are much worse than levels by pairs would be."""
+    if scene.tree.num_leaves < FEWEST or replace(options, visibility=True) != BuildOptions(method="radius"):
+        return ()  # other rules than the usual ones were asked for: the user compares
+    trial = try_methods(scene, most=CHECKED)
+    if trial.pairs_db - trial.radius_db < WORTH_A_WORD_DB:
+        return ()
+    return (f"levels by a radius show this scene badly: {trial.in_words()}; wanted --method pairs, or no --method",)
 
 
 def _measured(scene: Scene) -> tuple[Scene, tuple[str, ...]]:
@@ -284,8 +319,15 @@ def show(built: Built | BuiltFolder) -> str:
     calibration = [] if built.calibration is None else [in_words(built.calibration)]
     views = views_in_words(built.photographs, built.notes)
     compared = [] if built.comparison is None else comparison_in_words(built.comparison)
+    tried = [] if built.trial is None else [f"levels by {_chosen(built)}: {built.trial.in_words()}"]
     measured = [] if built.quality is None else [_quality_in_words(built.quality)]
-    return "\n".join([wrote, *growth, *measured, *views, *calibration, *told(built.repairs, built.lost), *compared])
+    return "\n".join(
+        [wrote, *growth, *tried, *measured, *views, *calibration, *told(built.repairs, built.lost), *compared]
+    )
+
+
+def _chosen(built: Built) -> str:
+    return "pairs" if built.rules is not None and built.rules["rule"] == "pairs" else "a radius"
 
 
 def _quality_in_words(curve: QualityCurve) -> str:

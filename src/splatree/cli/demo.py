@@ -21,9 +21,9 @@ from splatree.cli.flight import Demo, DemoView
 from splatree.cli.report import write_report
 from splatree.errors import OutputError
 from splatree.io.reading import read
-from splatree.lod.build import build_lod
 from splatree.metrics.psnr import psnr
 from splatree.progress import task
+from splatree.render.build import build_lod
 from splatree.render.evaluate import Evaluation, evaluate
 from splatree.render.paths import PathOptions, bounds_of, flyout
 from splatree.render.pipeline import trace

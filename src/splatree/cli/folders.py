@@ -33,9 +33,9 @@ class Memory:
 
 def run_through_files(files: Files, options: BuildOptions, running: FolderOptions, mode: Mode | None) -> BuiltFolder:
     """Build the levels of the inputs through files."""
-    if options.method != "radius":
+    if options.only_method == "pairs":
         raise UsageError(
-            f"found --method {options.method} with --max-memory, --workers, --scheduler or the size of parts; wanted --method "
+            "found --method pairs, or options of pairs, with --max-memory, --workers, --scheduler or the size of parts; wanted --method "
             "radius: pairs are chosen from the whole scene in memory"
         )
     inputs, output = inputs_and_folder(files)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from splatree.constants import PIXEL_ERROR
 from splatree.kernels.cpu.build import merge as merge_kernel
 from splatree.kernels.cpu.frame.blocks import index_blocks
 from splatree.lod.follow import with_curves
@@ -80,7 +81,8 @@ def assemble(
     if seen is not None and n > num_leaves:
         seen_from_row = np.ones(n, np.float32)
         seen_from_row[row[:num_leaves]] = seen
-        gaussians, tree = with_curves(gaussians, tree, seen_from_row, threads=threads)
+        kept_extent = PIXEL_ERROR * resolved.judged_size if resolved.method == "pairs" else 0.0
+        gaussians, tree = with_curves(gaussians, tree, seen_from_row, kept_extent=kept_extent, threads=threads)
     source = with_report(scene.source, resolved, list(forest.sizes), {"nodes": list(forest.counts)})
     return with_tree(scene, gaussians, tree, ids, source, threads=threads)
 

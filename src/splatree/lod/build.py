@@ -4,8 +4,9 @@ Level 0 is the scene. Each further level merges the nodes of the one before by a
 pixel (`grow_pairs.py`): a group of two or more becomes a new node with its members as children. It ends with at most
 ``max_roots`` nodes. Roots and siblings stand along a Morton curve, rows in depth-first preorder.
 
-The steps are `measure` and `resolve` (what is automatic), `forest_of_leaves`, `grow`, `assemble`. A scene that is built in parts
-goes through the same steps part by part, then `forest_of_roots`, `grow` and `graft` above them: docs/explanation/parts.md.
+The steps are `measure` and `resolve` (what is automatic), `forest_of_leaves`, `grow`, `assemble`. `build_lod` (render/build.py)
+goes through them by the method that suits the scene, which pictures tell. A scene that is built in parts goes through the same
+steps part by part, then `forest_of_roots`, `grow` and `graft` above them: docs/explanation/parts.md.
 
 Memory: the result, plus 64 bytes a node while the levels grow.
 """
@@ -24,34 +25,15 @@ from splatree.shapes import Array, Float32
 from splatree.simplify.merge import check_finite
 from splatree.simplify.visibility import visibilities_in
 
-__all__ = ["build_lod"]
+__all__ = ["build_levels", "leaves_of"]
 
 
-def build_lod(scene: Scene, options: BuildOptions | None = None, *, threads: int = 0) -> Scene:
-    """Build levels of detail over the leaves of a scene.
-
-    Levels that the scene already has are dropped. The leaves are the given Gaussians bit for bit, in another order.
-
-    Args:
-        scene: any scene.
-        options: how the levels grow.
-        threads: threads to use; 0: all. The result is the same for any number.
-
-    Returns:
-        The scene with its tree. ``ids`` keep the identity of the leaves (their row, if the scene had none); inner nodes have
-        new ones. ``tree.record`` says how the levels were made, ``source.metadata["levels"]`` says the same to people.
+def build_levels(flat: Scene, options: BuildOptions, *, threads: int = 0) -> Scene:
+    """The levels of a flat scene with identities (`leaves_of`), by a method that is named.
 
     Raises:
-        InputError: NaN or infinity in the Gaussians.
-
-    Example:
-        >>> import splatree as st
-        >>> scene = st.build_lod(st.Scene.flat(st.Gaussians.empty()), st.BuildOptions(radius=0.05))
-        >>> scene.tree.record.rule
-        'radius-thinning'
+        InputError: NaN or infinity in the Gaussians, or no method is named.
     """
-    options = options or BuildOptions()
-    flat = _leaves_of(scene)
     check_finite(flat.gaussians)
     resolved = resolve(options, measure(flat.gaussians, options, flat.mode, threads=threads), flat.mode)
     forest = forest_of_leaves(flat, resolved, threads=threads)
@@ -69,7 +51,7 @@ def _seen(flat: Scene, forest: Forest, options: BuildOptions, threads: int) -> F
     return visibilities_in(flat.mode, flat.gaussians, threads=threads)[forest.base.order]
 
 
-def _leaves_of(scene: Scene) -> Scene:
+def leaves_of(scene: Scene) -> Scene:
     """The leaves of a scene, with their identities, as a flat scene."""
     ids = np.arange(len(scene), dtype=np.uint32) if scene.ids is None else scene.ids
     is_leaf = scene.tree.is_leaf

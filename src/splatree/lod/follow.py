@@ -21,6 +21,9 @@ g = G(h_l) and h_l, from which G follows at any h by a closed form. It is exact 
 Farther than that it is drawn as stored. So what is drawn is never larger or more opaque than what is stored, and all tests of
 what can be seen hold as they are.
 
+Nodes of the finest levels by pairs stand for few leaves that are nearly one Gaussian. They keep the Gaussian of their merge, with
+the opacity α that fits best, and m and n are scaled so that G(h_l) = α: up to 1 dB nearer to the leaves (a city at 80 %).
+
 Cost: 0.6 CPU-seconds a million leaves, and 0.7 for visibilities where the levels have not measured them. Memory: 16 bytes a node.
 """
 
@@ -37,7 +40,12 @@ __all__ = ["with_curves"]
 
 
 def with_curves(
-    gaussians: Gaussians, tree: GaussianTree, seen: Float32[Array, "n"], *, threads: int = 0
+    gaussians: Gaussians,
+    tree: GaussianTree,
+    seen: Float32[Array, "n"],
+    *,
+    kept_extent: float = 0.0,
+    threads: int = 0,
 ) -> tuple[Gaussians, GaussianTree]:
     """The rows of a scene of mode `classic`, with inner nodes that follow the pixel they are drawn at.
 
@@ -45,6 +53,7 @@ def with_curves(
         gaussians: the rows; leaves stay bit for bit.
         tree: the levels.
         seen: visibility of each row, 0 to 1; those of leaves count.
+        kept_extent: nodes of at most this extent keep their Gaussian, world units; for levels that are drawn by their extents.
         threads: threads to use; 0: all.
 
     Returns:
@@ -56,7 +65,9 @@ def with_curves(
     record, extents = tree.record, tree.extents
     if record is not None and record.profile == "sphere":  # the pixel of its level is a share of a node's extent
         share = DILATION_PX2 / PIXEL_ERROR**2
-        followed, curves = fit_curves(gaussians, tree.subtree_end, seen, share, extents, threads=threads)
+        followed, curves = fit_curves(
+            gaussians, tree.subtree_end, seen, share, extents, kept_extent=kept_extent, threads=threads
+        )
         return followed, dataclasses.replace(tree, curves=curves)
     # Levels by a radius: the pixel where a node's 3σ are the pixel error, τ_R.
     growth = 1.0 if record is None else record.growth or 1.0

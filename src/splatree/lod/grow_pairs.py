@@ -1,27 +1,36 @@
 """Levels by pairs: for each width of a pixel, the merges that such a pixel does not show.
 
-Level l is made for a pixel of width p_l = p_0 g^l, world units. Two Gaussians may become one if their merging changes the
-picture by at most ε = 0.2 px² of squared signal (kernels/reference/pairs.py has the cost E, here E ≤ ε p²), the cheapest pairs
-first and each Gaussian with its cheapest partner, round after round until few are left. Gaussians that became one are a family.
-The nodes of a level then stand for their leaves wherever a pixel is p_l or wider: their extent is e = τ_R p_l, so that the
-profile `sphere`, R = f e / (distance − e) ≤ τ_R, draws them from there on. Large even surfaces are merged early and small
-details late, whatever their size; all cuts are near the one with the fewest nodes for its squared error.
+Level l has the size s_l = s_0 g^l, world units. Two Gaussians may become one if their merging changes the picture by at most
+E ≤ ε s_l², ε = 0.1, in squared signal (kernels/reference/pairs.py has E), the cheapest pairs first and each Gaussian with its
+cheapest partner, round after round until few are left. Gaussians that became one are a family. The nodes of a level stand for
+their leaves wherever a pixel is s_l or wider: their extent is e = τ_R s_l, so that the profile `sphere`,
+R = f e / (distance − e) ≤ τ_R, draws them from there on. Large even surfaces are merged early and small details late, whatever
+their size; all cuts are near the one with the fewest nodes for its squared error.
 
-In mode `classic` each splat grows by 0.3 px². So does each Gaussian here before costs are computed and areas compared: p is
-known. Far away the dilation dominates, and many opaque splats share a pixel. The picture is saturated there, and sums of
-signals overstate what is seen. So a node that is smaller than a pixel, σ ≤ 0.68 p, is merged whatever the cost; `fitted`
-opacities are taken below 0.98, above it those of the rule `standard`, which widens what is opaque already.
+In mode `classic` each splat grows by 0.3 px². So does each Gaussian here before costs are computed and areas compared, by the
+pixel p_l at which the level is *judged*:
+
+    p_l = p_0 (s_l / p_0)^¼,     p_0 = 6 s_0: half of the median Gaussian
+
+Levels finer than p_0 are judged at a wider pixel than their size: they merge what changes next to nothing. Levels coarser than
+p_0 are judged at a finer pixel than their size, for a budget draws them there. Judged at their own size, they would blur away
+what such a pixel shows before costs are taken (docs/explanation/build.md, "The pixel of a level").
+
+Where the dilation dominates, many opaque splats share a pixel. The picture is saturated there, and sums of signals overstate what
+is seen. So a node that is smaller than a pixel, σ ≤ 0.68 p, is merged whatever the cost. `fitted` opacities are taken below 0.98,
+above it those of the rule `standard`, which widens what is opaque already.
 
 Hidden Gaussians count less (simplify/visibility.py), in the costs and in the look of the merged node.
 
-A node is at most 16 p long (σ). Seen with a focal length of 550 px it then ends within a tenth of the distance, and one width
-of a pixel is true of all of it.
+A node is at most 16 s long (σ), or 16 p where that is more. Seen with a focal length of 550 px it then ends within a tenth of the
+distance, and one width of a pixel is true of all of it.
 
 Cost: neighbours are looked for once a level, by those that lost some (`build/partners.cpp`); costs, about half a microsecond
 a Gaussian, once a level in mode `classic` and where a partner has gone; visibilities once.
 """
 
 import dataclasses
+import math
 
 import numpy as np
 
@@ -41,14 +50,17 @@ from splatree.simplify.pairs import means_of_pairs
 
 __all__ = ["Present", "grow_by_pairs"]
 
-CHANGE_PX2 = 0.2
-"""ε: squared change of the picture that one merge may make, px², summed over colours and coverage and three views."""
+CHANGE = 0.1
+"""ε: squared change of the picture that one merge may make, s², summed over colours and coverage and three views."""
 
-SMALL_PX = 0.68
-"""`classic`: a merged Gaussian of at most this standard deviation is merged whatever the change."""
+JUDGED_POWER = 0.25
+"""`classic`: the pixel of a level grows with this power of its size. At 1 tight budgets lose 1 to 2 dB (a city)."""
 
-LARGE_PX = 16.0
-"""A merged Gaussian of a larger standard deviation waits for a level of larger pixels."""
+SMALL = 0.68
+"""`classic`: a merged Gaussian of at most this standard deviation, in pixels p, is merged whatever the change."""
+
+LARGE = 16.0
+"""A merged Gaussian of a larger standard deviation waits for a larger level, in units of s or p, whichever is wider."""
 
 SATURATED = 0.98
 """A fitted opacity from here on says that more is shown than one Gaussian can; the merge's own rule follows."""
@@ -84,7 +96,7 @@ def grow_by_pairs(
             if num_before <= fewest:
                 forest = forest.skipped()
                 continue
-            group_from_row = present.merge_level(size, fewest, threads)
+            group_from_row = present.merge_level(size, judged_at(size, resolved), fewest, threads)
             start, rows = rows_by_group(group_from_row, len(present))
             level = NewLevel(
                 size=size,
@@ -99,6 +111,11 @@ def grow_by_pairs(
             forest = forest.with_level(level)
             advance(float(num_before - len(present)))
     return forest
+
+
+def judged_at(size: float, resolved: ResolvedBuild) -> float:
+    """Width of the pixel at which a level of that size is judged, world units; it counts in mode `classic` alone."""
+    return resolved.judged_size * math.pow(size / resolved.judged_size, JUDGED_POWER)
 
 
 class Present:
@@ -122,14 +139,14 @@ class Present:
     def __len__(self) -> int:
         return len(self.gaussians)
 
-    def merge_level(self, pixel_size: float, max_roots: int, threads: int) -> Array:
-        """Merge what a pixel of that width does not show; returns where each row went."""
+    def merge_level(self, size: float, pixel_size: float, max_roots: int, threads: int) -> Array:
+        """Merge what changes less than a level of that size allows, seen by pixels of that width; returns where each row went."""
         if self.is_classic:
             self.partners.is_stale[:] = 1  # costs are those of dilated Gaussians
         group_from_row = np.arange(len(self), dtype=np.int32)
         search = True
         while len(self) > max_roots:
-            pairs = self._match(pixel_size, search, threads)
+            pairs = self._match(size, pixel_size, search, threads)
             num_merged = len(self) - len(pairs)
             if num_merged:
                 self._merge(pairs, pixel_size, threads)
@@ -139,16 +156,16 @@ class Present:
             search = False
         return group_from_row
 
-    def _match(self, pixel_size: float, search: bool, threads: int) -> Groups:
+    def _match(self, size: float, pixel_size: float, search: bool, threads: int) -> Groups:
         dilation = DILATION_PX2 * pixel_size**2 if self.is_classic else 0.0
         partners = self.partners
         partners.find(
             self.gaussians, self.weights, self.visibilities, dilation=dilation, search=search, threads=threads
         )
-        size = np.float64(pixel_size)  # its square may be beyond float32
-        allowed = (partners.costs <= CHANGE_PX2 * size**2) & (partners.sigmas <= LARGE_PX * size)
+        width = np.float64(size)  # its square may be beyond float32
+        allowed = (partners.costs <= CHANGE * width**2) & (partners.sigmas <= LARGE * max(size, pixel_size))
         if self.is_classic:
-            allowed |= partners.sigmas <= SMALL_PX * size
+            allowed |= partners.sigmas <= SMALL * pixel_size
         rows = np.where(allowed, partners.rows, np.int32(-1))
         return group(match_pairs(rows, partners.costs, int(ROUND_SHARE * len(self)) + 1, threads=threads))
 

@@ -27,6 +27,9 @@ from splatree.scene.scene import Source
 
 __all__ = ["BuiltFolder", "build_folder"]
 
+UNTRIED = "levels are by a radius, as all that are built through files: pairs are chosen from the whole scene in memory"
+"""Said unless the method was named."""
+
 
 @dataclass(frozen=True)
 class BuiltFolder:
@@ -76,7 +79,7 @@ def build_folder(
     Args:
         inputs: one path or several of one scene, of formats that are read in chunks: .ply, .spz, .splat, .sog, .ksplat.
         output: the new folder.
-        options: how levels grow, by a radius; None: the defaults.
+        options: how levels grow; the method `auto` is a radius here. None: the defaults.
         running: memory, processes and the size of parts; None: half of the free memory and this process.
         reading: how the inputs are read.
         mode: how the scene is drawn, where the files do not say it.
@@ -103,10 +106,13 @@ def build_folder(
         True
     """
     options, running, reading = options or BuildOptions(), running or FolderOptions(), reading or ReadOptions()
-    if options.method != "radius":
+    if options.only_method == "pairs":
         raise InputError(
-            f"method: found {options.method!r} for a build through files, wanted 'radius': pairs are chosen from the whole scene"
+            "method: found 'pairs', or options of pairs, for a build through files, wanted 'radius': pairs are chosen from the "
+            "whole scene"
         )
+    untried = options.only_method is None
+    options = replace(options, method="radius")
     target = _target(Path(output), force)
     work = Work(target.with_name(target.name + ".work"))
     with (
@@ -123,7 +129,12 @@ def build_folder(
         bytes=total_bytes([manifest.crown, *manifest.parts]),
         rules=report,
         repairs=opened.repairs,
-        notes=(*opened.notes, *cut.notes(running), *_note_on_pixels(cut.plan, options)),
+        notes=(
+            *opened.notes,
+            *((UNTRIED,) if untried else ()),
+            *cut.notes(running),
+            *_note_on_pixels(cut.plan, options),
+        ),
     )
 
 

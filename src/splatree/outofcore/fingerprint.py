@@ -9,7 +9,7 @@ from functools import cache
 
 import numpy as np
 
-from splatree.lod.build import build_lod
+from splatree.lod.build import build_levels, leaves_of
 from splatree.lod.options import BuildOptions
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Scene
@@ -31,7 +31,7 @@ def fingerprint() -> str:
         np.ascontiguousarray(numbers[:, 10]) * 4 - np.float32(2),
         np.ascontiguousarray(numbers[:, 11:14]).reshape(NUM_ROWS, 1, 3),
     )
-    tree = build_lod(Scene.flat(gaussians), BuildOptions(radius=0.05), threads=1)
+    tree = build_levels(leaves_of(Scene.flat(gaussians)), BuildOptions(radius=0.05), threads=1)
     digest = hashlib.blake2b(digest_size=8)
     for column in (*vars(tree.gaussians).values(), tree.tree.extents, tree.tree.subtree_end):
         digest.update(np.ascontiguousarray(column).data)

@@ -18,6 +18,7 @@ from splatree.scene.literals import check_literals
 from splatree.scene.names import Mode, Profile
 from splatree.scene.quality import QualityCurve
 from splatree.scene.thinning import Importance, MergeOptions
+from splatree.scene.trial import MethodTrial
 
 __all__ = ["UNKNOWN_LEVELS", "LevelRecord", "LevelRule", "common_record", "record_from_fields"]
 
@@ -56,6 +57,8 @@ class LevelRecord:
     """`pairs`: whether hidden Gaussians counted less."""
     quality: QualityCurve | None = None
     """How good cuts of the levels look; None: it was not measured."""
+    trial: MethodTrial | None = None
+    """How both methods did on a sample of the scene; None: the method was named, and none was tried."""
 
     def __post_init__(self) -> None:
         check_literals(self)
@@ -108,6 +111,8 @@ def record_from_fields(fields: Any) -> LevelRecord:
         if fields.get("quality") is not None:
             is_older = isinstance(fields["quality"], dict) and "by_covered" in fields["quality"]  # of other numbers
             fields["quality"] = None if is_older else QualityCurve(**fields["quality"])
+        if fields.get("trial") is not None:
+            fields["trial"] = MethodTrial(**fields["trial"])
         fields["steps"] = tuple(float(step) for step in fields.get("steps", ()))
         return LevelRecord(**fields)
     except (TypeError, ValueError) as error:

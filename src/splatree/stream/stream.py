@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import get_args
 
 from splatree.errors import InputError
-from splatree.lod.build import build_lod
 from splatree.lod.options import BuildOptions
+from splatree.render.build import build_lod
 from splatree.scene.scene import Scene
 from splatree.stream.archive import write_archive
 from splatree.stream.options import StreamFormat, StreamOptions

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from splatree.io.photos import PhotosUsed
 from splatree.kernels.devices import DeviceName, training_stages_of
-from splatree.lod.build import build_lod
+from splatree.render.build import build_lod
 from splatree.lod.options import BuildOptions
 from splatree.progress import task
 from splatree.scene.scene import Scene, Source

@@ -12,10 +12,10 @@ import numpy as np
 
 from splatree.errors import InputError
 from splatree.kernels.devices import DeviceName
-from splatree.lod.build import build_lod
 from splatree.lod.quality import curve_of
 from splatree.lod.select import Selector, select
 from splatree.progress import task
+from splatree.render.build import build_lod
 from splatree.render.framing.frame import Framing, frame_scene
 from splatree.render.framing.trial import FOCUS_RADII
 from splatree.render.quality import with_quality

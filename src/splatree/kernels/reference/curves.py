@@ -10,6 +10,9 @@ the node becomes the Gaussian with the moments of its leaves, weighted by α v. 
 
 with the opacity min(0.99, g) and the variances w s + (w − 1) h_l, where s are those of the moments. Its curve is
 m = √(Σ α A(0) · Σ α v A(0)), n = √(Σ α · Σ α v), g, h_l.
+
+A node whose extent is at most the *kept extent* stays as it is: its own variances are those of A_node, g is its opacity, at most
+0.99, and m and n are multiplied by g A_node(h_l) / √(Σ α A(h_l) · Σ α v A(h_l)).
 """
 
 import numpy as np
@@ -42,6 +45,8 @@ def fit_curves(
     seen: Float32[Array, "n"],
     dilation_share: float,
     extents: Float32[Array, "n"] | None = None,
+    *,
+    kept_extent: float = 0.0,
 ) -> tuple[Gaussians, Float32[Array, "n 4"]]:
     """The Gaussians with other inner nodes, and the curve of each row: m, n, g, h_l; 0 for leaves.
 
@@ -65,16 +70,24 @@ def fit_curves(
         h = max(dilation_share * float(own[0] if extents is None else np.float64(extents[row]) ** 2), 1e-30)
         variances = np.exp(2 * log_scales)
         bare, shown = (_areas(variances, at) for at in (0.0, h))
-        mass = np.sqrt((alphas @ shown) * (weights @ shown)) / _areas(own[None], h)[0]
+        curve = np.sqrt([(alphas @ bare) * (weights @ bare), alphas.sum() * weights.sum()])
+        total = np.sqrt((alphas @ shown) * (weights @ shown))
+        if extents is not None and extents[row] <= kept_extent:
+            node = gaussians.take(np.array([row]))
+            opacity = min(float(node.opacities()[0]), ALPHA_MAX)
+            kept = np.exp(2 * np.minimum(node.log_scales.astype(np.float64), MERGED_LOG_SCALE_MAX))
+            scaled = *(curve * (opacity * _areas(kept, h)[0] / total)), opacity, h
+            curves[row] = scaled if max(scaled) < LARGEST else 0
+            continue
+        mass = total / _areas(own[None], h)[0]
         wide = max(mass / ALPHA_MAX, 1.0) ** 0.3
         opacity = np.clip(mass, LEAST_OPACITY, ALPHA_MAX)
         columns["means"][row] = mean
         columns["quats"][row] = quats_from_matrices((axes * [1, 1, np.sign(np.linalg.det(axes))])[None])[0]
         columns["log_scales"][row] = np.minimum(np.log(wide * own + (wide - 1) * h) / 2, MERGED_LOG_SCALE_MAX)
         columns["logit_opacities"][row] = np.log(opacity) - np.log1p(-opacity)
-        curve = np.sqrt((alphas @ bare) * (weights @ bare)), np.sqrt(alphas.sum() * weights.sum()), mass, h
-        if max(curve) < LARGEST:
-            curves[row] = curve
+        if max(*curve, mass, h) < LARGEST:
+            curves[row] = *curve, mass, h
     return Gaussians(**columns, sh=gaussians.sh), curves
 
 

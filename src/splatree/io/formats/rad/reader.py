@@ -15,14 +15,13 @@ Reading goes over the file twice: the links say where each row belongs, so that 
 and those of a chunk on all processors, into their places.
 """
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
-
-import math
 
 import numpy as np
 

@@ -87,7 +87,7 @@ void merge_groups(nb::handle gaussians, nb::handle groups, In<float> weights, nb
 }
 
 void fit_rows(nb::handle gaussians, In<int32_t> subtree_end, In<float> seen, double dilation_share,
-              std::optional<In<float>> extents, Out<float> curves, int threads) {
+              std::optional<In<float>> extents, double kept_extent, Out<float> curves, int threads) {
   CurvesJob job{};
   job.n = int64_t(nb::len(gaussians));
   job.subtree_end = subtree_end.data();
@@ -98,6 +98,7 @@ void fit_rows(nb::handle gaussians, In<int32_t> subtree_end, In<float> seen, dou
   job.quats = out_column<float>(gaussians, "quats");
   job.log_scales = out_column<float>(gaussians, "log_scales");
   job.logit_opacities = out_column<float>(gaussians, "logit_opacities");
+  job.kept_extent = kept_extent;
   job.curves = curves.data();
   job.threads = threads;
   nb::gil_scoped_release release;
@@ -166,7 +167,8 @@ void bind_thin(nb::module_& m) {
                      threads);
   });
   m.def("fit_curves", &fit_rows, nb::arg("gaussians"), nb::arg("subtree_end"), nb::arg("seen"), nb::arg("dilation_share"),
-        nb::arg("extents").none(), nb::arg("curves"), nb::arg("threads"), "Overwrite the inner nodes, and fill their curves.");
+        nb::arg("extents").none(), nb::arg("kept_extent"), nb::arg("curves"), nb::arg("threads"),
+        "Overwrite the inner nodes, and fill their curves.");
 }
 
 }  // namespace splatree

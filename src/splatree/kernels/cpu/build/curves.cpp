@@ -114,21 +114,30 @@ class Fitter {
   }
 
   void write(int64_t row) const {
+    if (job_.extents && job_.extents[row] <= job_.kept_extent)
+      keep(row);
+    else
+      become_moments(row);
+  }
+
+  // The node as it is, with the mass of its leaves at any h in proportion to that at h_l.
+  void keep(int64_t row) const {
+    const double h = level_of(row, 0);
+    double variance[3];
+    for (int a = 0; a < 3; ++a)
+      variance[a] = std::exp(2 * std::min<double>(job_.log_scales[3 * row + a], constants::MERGED_LOG_SCALE_MAX));
+    const double alpha = std::min(1 / (1 + std::exp(-static_cast<double>(job_.logit_opacities[row]))), constants::ALPHA_MAX);
+    write_curve(row, alpha * area(variance, h) / shown(row, h), alpha, h);
+  }
+
+  void become_moments(int64_t row) const {
     const Moments& m = moments(row);
     const double* c = m.covariance;
     double matrix[3][3] = {{c[0], c[1], c[2]}, {c[1], c[3], c[4]}, {c[2], c[4], c[5]}}, variance[3], rotation[9];
     eigen_symmetric(matrix, variance, rotation);
     for (double& v : variance) v = std::max(v, LEAST_VARIANCE);
-    const double size2 = job_.extents ? static_cast<double>(job_.extents[row]) * job_.extents[row] : variance[0];
-    const double h = std::max(job_.dilation_share * size2, 1e-30);
-
-    double alpha = 0, weight = 0;  // Σ α 3 A(h), Σ α v 3 A(h)
-    const int32_t end = leaves_before_[job_.subtree_end[row]];
-    for (int32_t i = leaves_before_[row]; i < end; ++i) {
-      const double shown = area(leaves_[i].variance, h);
-      alpha += leaves_[i].alpha * shown, weight += leaves_[i].weight * shown;
-    }
-    const double mass = std::sqrt(alpha * weight) / area(variance, h);  // G(h_l) = √(ρ ρ_v)
+    const double h = level_of(row, variance[0]);
+    const double mass = shown(row, h) / area(variance, h);  // G(h_l) = √(ρ ρ_v)
     const double wide = std::pow(std::max(mass / constants::ALPHA_MAX, 1.0), WIDENING);
     const double opacity = std::min(std::max(mass, LEAST_OPACITY), constants::ALPHA_MAX);
 
@@ -139,7 +148,29 @@ class Fitter {
     }
     quat_from_rotation(rotation, job_.quats + 4 * row);
     job_.logit_opacities[row] = static_cast<float>(std::log(opacity) - std::log1p(-opacity));
-    const double curve[4] = {std::sqrt(m.bare_alpha * m.bare_weight), std::sqrt(m.alpha * m.weight), mass, h};
+    write_curve(row, 1, mass, h);
+  }
+
+  // h_l, from the extent or the variance along the longest axis
+  double level_of(int64_t row, double variance) const {
+    const double size2 = job_.extents ? static_cast<double>(job_.extents[row]) * job_.extents[row] : variance;
+    return std::max(job_.dilation_share * size2, 1e-30);
+  }
+
+  // √(Σ α 3 A(h) Σ α v 3 A(h))
+  double shown(int64_t row, double h) const {
+    double alpha = 0, weight = 0;
+    const int32_t end = leaves_before_[job_.subtree_end[row]];
+    for (int32_t i = leaves_before_[row]; i < end; ++i) {
+      const double each = area(leaves_[i].variance, h);
+      alpha += leaves_[i].alpha * each, weight += leaves_[i].weight * each;
+    }
+    return std::sqrt(alpha * weight);
+  }
+
+  void write_curve(int64_t row, double scale, double mass, double h) const {
+    const Moments& m = moments(row);
+    const double curve[4] = {scale * std::sqrt(m.bare_alpha * m.bare_weight), scale * std::sqrt(m.alpha * m.weight), mass, h};
     const bool is_sane = std::all_of(curve, curve + 4, [](double x) { return x < LARGEST; });
     for (int k = 0; k < 4; ++k) job_.curves[4 * row + k] = is_sane ? static_cast<float>(curve[k]) : 0.f;
   }

@@ -16,11 +16,12 @@ def fit_curves(
     dilation_share: float,
     extents: Float32[Array, "n"] | None = None,
     *,
+    kept_extent: float = 0.0,
     threads: int = 0,
 ) -> tuple[Gaussians, Float32[Array, "n 4"]]:
     """The Gaussians with other inner nodes, and the curve of each row; the given Gaussians stay as they are."""
     columns = ("means", "quats", "log_scales", "logit_opacities")
     fitted = Gaussians(**{name: getattr(gaussians, name).copy() for name in columns}, sh=gaussians.sh)
     curves = np.empty((len(gaussians), 4), np.float32)
-    _core.fit_curves(fitted, subtree_end, seen, dilation_share, extents, curves, threads)
+    _core.fit_curves(fitted, subtree_end, seen, dilation_share, extents, kept_extent, curves, threads)
     return fitted, curves

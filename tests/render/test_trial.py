@@ -1,0 +1,113 @@
+"""Which method of building levels suits a scene (render/trial.py, render/build.py)."""
+
+import json
+from dataclasses import replace
+from importlib.resources import as_file, files
+
+import numpy as np
+import pytest
+
+import splatree as st
+from splatree.errors import InputError
+from splatree.render import trial as trial_module
+from splatree.scene.levels import LevelRecord
+
+from ..scenes import surface
+
+
+def city(num: int = 6000) -> st.Scene:
+    """A part of the bundled city, with neighbours together."""
+    with as_file(files("splatree") / "data" / "semarang_5_9.sog") as path:
+        gaussians = st.read(path).gaussians
+    apart = np.linalg.norm(gaussians.means - np.median(gaussians.means, axis=0), axis=1)
+    return st.Scene.flat(gaussians.take(np.sort(np.argsort(apart)[:num])))
+
+
+def test_a_trial_has_the_same_figures_for_any_number_of_threads():
+    scene = city()
+    one, two = (st.try_methods(scene, threads=threads) for threads in (1, 2))
+    assert one == two
+    assert one.num_gaussians == 6000
+    assert one.num_pictures >= 6
+
+
+def test_the_default_takes_the_method_of_the_better_pictures_and_keeps_both_figures():
+    scene = city()
+    trial = st.try_methods(scene)
+    assert trial.pairs_db > trial.radius_db + 0.5  # a city; found: 1.9 dB more
+    built = st.build_lod(scene)
+    assert built.tree.record.rule == "pairs"
+    assert built.tree.record.trial == trial
+    named = st.build_lod(scene, st.BuildOptions("pairs"))
+    assert named.tree.record.trial is None
+    np.testing.assert_array_equal(named.gaussians.means, built.gaussians.means)
+
+
+def test_a_sample_is_the_cube_round_the_middle():
+    scene = city(8000)
+    trial = st.try_methods(scene, most=5000)
+    assert trial.num_gaussians == 5000
+    leaves = replace(scene, ids=np.arange(8000, dtype=np.uint32))
+    sample = trial_module._middle_of(leaves, 5000)
+    centre = trial_module.bounds_of(leaves)[0].astype(np.float32)
+    reach = np.abs(scene.gaussians.means - centre).max(axis=1)
+    inside = np.zeros(8000, bool)
+    inside[sample.ids] = True
+    assert reach[inside].max() <= reach[~inside].min()
+
+
+def test_the_built_tree_does_not_depend_on_whether_the_sample_is_the_scene(monkeypatch):
+    scene = city()
+    whole = st.build_lod(scene)
+    monkeypatch.setattr(trial_module.try_both, "__kwdefaults__", {"most": 5000, "threads": 0})
+    sampled = st.build_lod(scene)
+    assert sampled.tree.record.trial.num_gaussians == 5000
+    for name in ("means", "log_scales", "logit_opacities"):
+        np.testing.assert_array_equal(getattr(whole.gaussians, name), getattr(sampled.gaussians, name))
+
+
+def test_a_small_scene_is_built_by_a_radius_untried():
+    built = st.build_lod(st.Scene.flat(surface(500)))
+    assert built.tree.record.rule == "radius-thinning"
+    assert built.tree.record.trial is None
+
+
+@pytest.mark.parametrize(
+    ("options", "rule"),
+    [
+        (st.BuildOptions(radius=0.1), "radius-thinning"),
+        (st.BuildOptions(color_radius=None), "radius-thinning"),
+        (st.BuildOptions(pixel_size=0.1), "pairs"),
+        (st.BuildOptions(merge=st.MergeOptions(opacity="fitted")), "pairs"),
+    ],
+)
+def test_an_option_of_one_method_decides_for_it(options, rule):
+    assert st.build_lod(st.Scene.flat(surface(300)), options).tree.record.rule == rule
+    with pytest.raises(InputError, match="only levels by"):
+        st.try_methods(st.Scene.flat(surface(300)), options)
+
+
+def test_steps_of_a_build_need_a_method_that_is_named():
+    from splatree.lod.resolve import measure
+
+    with pytest.raises(InputError, match=r"method: found 'auto', wanted 'radius' or 'pairs'"):
+        measure(surface(50), st.BuildOptions(), "classic")
+
+
+def test_the_figures_go_through_files(tmp_path):
+    scene = st.build_lod(st.Scene.flat(surface(300)), st.BuildOptions("pairs"))
+    trial = st.MethodTrial(radius_db=20.5, pairs_db=24.0, num_gaussians=300, num_pictures=4)
+    record = replace(scene.tree.record, trial=trial)
+    st.write(replace(scene, tree=replace(scene.tree, record=record)), tmp_path / "a.splatree")
+    assert st.read(tmp_path / "a.splatree").tree.record.trial == trial
+    damaged = json.loads(record.to_json())
+    damaged["trial"]["pairs_db"] = -3
+    with pytest.raises(InputError, match="level record"):
+        LevelRecord.from_json(json.dumps(damaged))
+
+
+def test_the_better_method_is_that_of_more_decibels():
+    trial = st.MethodTrial(radius_db=20.5, pairs_db=24.0, num_gaussians=300, num_pictures=4)
+    assert trial.better == "pairs"
+    assert replace(trial, radius_db=25.0).better == "radius"
+    assert "pairs 24.0 dB, radius 20.5 dB" in trial.in_words()
