@@ -2,7 +2,6 @@
 
 import json
 import shutil
-from dataclasses import replace
 from unittest import mock
 
 import numpy as np

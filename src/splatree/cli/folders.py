@@ -35,8 +35,8 @@ def run_through_files(files: Files, options: BuildOptions, running: FolderOption
     """Build the levels of the inputs through files."""
     if options.only_method == "pairs":
         raise UsageError(
-            "found --method pairs, or options of pairs, with --max-memory, --workers, --scheduler or the size of parts; wanted --method "
-            "radius: pairs are chosen from the whole scene in memory"
+            "found --method pairs, or options of pairs, with --max-memory, --workers, --scheduler or the size of parts; wanted "
+            "--method radius: pairs are chosen from the whole scene in memory"
         )
     inputs, output = inputs_and_folder(files)
     return build_folder(

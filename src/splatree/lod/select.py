@@ -38,7 +38,6 @@ from splatree.shapes import Array
 
 __all__ = [
     "Selector",
-    "chosen_by",
     "count_nested",
     "count_uncovered",
     "cull_rule",
@@ -47,6 +46,7 @@ __all__ = [
     "notes_on",
     "select",
     "smallest_radius",
+    "within_budget",
 ]
 
 

@@ -29,12 +29,12 @@ from splatree.errors import InputError
 from splatree.kernels.contract import FrameStages
 from splatree.kernels.devices import DeviceName
 from splatree.lod.select import Selector
-from splatree.outofcore.store import Store
 from splatree.lod.sketch import Sketcher
+from splatree.outofcore.store import Store
 from splatree.render.engine import Engine
 from splatree.render.lens import pinhole_of, through_lens
-from splatree.render.paged import PagedEngine
 from splatree.render.moving import Motion, Moving
+from splatree.render.paged import PagedEngine
 from splatree.render.pending import Pending
 from splatree.render.stages import Clock
 from splatree.render.tensors import TensorScene

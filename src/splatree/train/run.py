@@ -15,9 +15,9 @@ from pathlib import Path
 
 from splatree.io.photos import PhotosUsed
 from splatree.kernels.devices import DeviceName, training_stages_of
-from splatree.render.build import build_lod
 from splatree.lod.options import BuildOptions
 from splatree.progress import task
+from splatree.render.build import build_lod
 from splatree.scene.scene import Scene, Source
 from splatree.shapes import Array, Float64
 from splatree.train.checkpoint import Identity, load, read_log, save
