@@ -29,7 +29,7 @@ def train_row(device: Device, scene: st.Scene, size: tuple[int, int], repeat: in
         for _ in range(repeat + 1):  # the first compiles, or makes pages
             busy = time.process_time()
             now = rates(0.5, 1.0, rows.moments, scene.gaussians.sh.shape[1])
-            learn(rows, Sightings.none(len(scene)), target, np.ones(3), now, 1.0, Drawing(timed, scene.mode, 3, 0))
+            learn(rows, Sightings.none(len(scene)), target, np.eye(3, 4), now, 1.0, Drawing(timed, scene.mode, 3, 0))
             cpu.append(1e3 * (time.process_time() - busy))
         stages_ms = {stage: statistics.median(took[1:]) for stage, took in timed.took.items()}
         found[name] = {"stages": stages_ms, "wall": sum(stages_ms.values()), "CPU": statistics.median(cpu[1:])}

@@ -112,7 +112,7 @@ def test_options_that_contradict_each_other_are_a_wrong_line(splatree, small_ply
     assert "--flat and radius, growth, which" in wrong_line(
         splatree(*build, "--flat", "--clusters", "9", "--radius", "1", "--growth", "3")
     )
-    assert "visibility: found False" in wrong_line(splatree(*build, "--no-visibility"))
+    assert "pixel_size: found 0.1" in wrong_line(splatree(*build, "--pixel-size", "0.1", "--method", "radius"))
     assert "importance: found 'opacity'" in wrong_line(
         splatree("thin", *build[1:], "--keep", "0.5", "--importance", "opacity")
     )

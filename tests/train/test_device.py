@@ -35,7 +35,7 @@ def steps_on(stages: object, mode: str, count: int) -> tuple[Rows, Sightings, li
     for i in range(count):
         photo = np.random.default_rng(i).integers(0, 256, (32, 48, 3)).astype(np.uint8)
         target = Target(camera(48, 32, distance=3.0), photo, mask)
-        losses.append(learn(rows, seen, target, np.ones(3), rates(0.5, 1.0, rows.moments, 4), 1.0, drawing).value)
+        losses.append(learn(rows, seen, target, np.eye(3, 4), rates(0.5, 1.0, rows.moments, 4), 1.0, drawing)[0].value)
     return rows, seen, losses
 
 

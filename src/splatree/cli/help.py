@@ -71,9 +71,9 @@ def _lines(option: Option, width: int) -> Iterable[str]:
     names = ", ".join((*sorted(option.aliases), option.name.upper() if option.is_positional else option.name))
     values = "" if option.is_positional else placeholder(option.kind)
     head = f"  {names} {values}".rstrip()
-    text = _texts(option.owner).get(option.field, "") + _default(option)
+    text = " ".join((_texts(option.owner).get(option.field, "") + _default(option)).split())
     text = text.replace("; None: ", "; without it: ").replace("None: ", "Without it: ")
-    wrapped = textwrap.wrap(" ".join(text.split()), width - INDENT) or [""]
+    wrapped = textwrap.wrap(text, width - INDENT) or [""]
     if len(head) >= INDENT - 1:
         yield from textwrap.wrap(head.strip(), width, initial_indent="  ", subsequent_indent=" " * 6)
     else:

@@ -126,6 +126,7 @@ def thin_file(
     with opened_inputs(inputs, reading, mode) as opened:
         options = replace(options, method="radius", merge=options.merge.resolved(opened.chunks.mode))
         decided = BuildOptions(
+            method="radius",
             radius=options.radius if isinstance(options.radius, float | int) and options.radius > 0 else "auto",
             importance=options.importance,
             color_radius=options.color_radius,
