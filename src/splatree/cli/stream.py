@@ -94,7 +94,7 @@ def run(command: Command) -> Result:
             write_stream_report(report, scene, written, command.report, cameras, force=True)
         else:
             with replacing(command.report, force=True) as temporary:
-                temporary.write_text(report.to_json())
+                temporary.write_text(report.to_json(), "utf-8")
     origin = scene.source.origin
     relative = (
         [f"the origin {origin_in_words(origin)}: coordinates of the stream are relative to it"] if any(origin) else []

@@ -169,7 +169,7 @@ def _answer(token: str) -> dict[str, str | None]:
     from pathlib import Path
 
     try:
-        seen = Path(token).read_text()
+        seen = Path(token).read_text("utf-8")
     except OSError:
         seen = None
     return {"version": program_version(), "token": seen, "fingerprint": fingerprint()}

@@ -150,8 +150,8 @@ def free_bytes() -> int:
 def _free_of_group(folder: Path = Path("/sys/fs/cgroup")) -> int:
     """What the limit of a container leaves; what files back can be given up."""
     try:
-        limit, used = (int((folder / name).read_text()) for name in ("memory.max", "memory.current"))
-        backed = re.search(r"^inactive_file (\d+)$", (folder / "memory.stat").read_text(), re.MULTILINE)
+        limit, used = (int((folder / name).read_text("utf-8")) for name in ("memory.max", "memory.current"))
+        backed = re.search(r"^inactive_file (\d+)$", (folder / "memory.stat").read_text("utf-8"), re.MULTILINE)
     except (OSError, ValueError):  # no such group, or "max": no limit
         return sys.maxsize
     return max(0, limit - used + (int(backed[1]) if backed else 0))
@@ -159,7 +159,7 @@ def _free_of_group(folder: Path = Path("/sys/fs/cgroup")) -> int:
 
 def _free_of_machine() -> int:
     info = Path("/proc/meminfo")
-    if info.exists() and (found := re.search(r"^MemAvailable:\s+(\d+) kB", info.read_text(), re.MULTILINE)):
+    if info.exists() and (found := re.search(r"^MemAvailable:\s+(\d+) kB", info.read_text("utf-8"), re.MULTILINE)):
         return int(found[1]) * 1024
     try:
         return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")

@@ -98,7 +98,7 @@ def read_plan(work: Work) -> Plan:
         InputError: the file cannot be used.
     """
     try:
-        return Plan.from_json(work.plan.read_text())
+        return Plan.from_json(work.plan.read_text("utf-8"))
     except (OSError, ValueError, TypeError, KeyError, IndexError) as error:
         raise InputError(f"{work.plan}: cannot be used ({error}); delete {work.folder} and build again") from error
 

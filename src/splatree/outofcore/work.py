@@ -97,7 +97,7 @@ class Work:
         if not path.exists():
             return None
         try:
-            mark = json.loads(path.read_text())
+            mark = json.loads(path.read_text("utf-8"))
         except ValueError:
             return None  # of another program: the piece is done again
         return mark["result"] if isinstance(mark, dict) and mark.get("run") == run else None
@@ -110,7 +110,7 @@ class Work:
 def write_text(path: Path, text: str) -> None:
     """Write a small file, whole or not at all."""
     with replacing(path, force=True) as temporary:
-        temporary.write_text(text)
+        temporary.write_text(text, "utf-8")
 
 
 def write_array(path: Path, array: Array) -> None:

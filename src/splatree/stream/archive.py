@@ -43,7 +43,7 @@ def write_archive(
 
 
 def _zip(folder: Path, target: Path) -> None:
-    units = [Path(name).parent for name in json.loads((folder / MANIFEST).read_text())["filenames"]]
+    units = [Path(name).parent for name in json.loads((folder / MANIFEST).read_text("utf-8"))["filenames"]]
     names = [Path(MANIFEST), *(unit / file.name for unit in units for file in sorted((folder / unit).iterdir()))]
     with zipfile.ZipFile(target, "w", zipfile.ZIP_STORED) as bundle:
         for name in names:

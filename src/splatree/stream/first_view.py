@@ -25,7 +25,7 @@ def _coarsest(stream: Path) -> Scene:
     """The coarsest level, the root tile, or the nodes of the first chunk."""
     if stream.suffix == ".rad":
         return read_first_chunk(stream)
-    manifest = json.loads(stream.read_text())
+    manifest = json.loads(stream.read_text("utf-8"))
     if stream.name == "tileset.json":
         return read(stream.parent / manifest["root"]["content"]["uri"])
     return read(stream.parent, level=int(manifest["lodLevels"]) - 1)

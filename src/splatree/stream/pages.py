@@ -20,7 +20,7 @@ def viewer_page(viewer: str, base: str, *, has_versions: bool) -> str | None:
     """The page of a viewer whose packages lie at ``base``, with their versions in the address or not; None if there is none."""
     if viewer not in VIEWERS.values():
         return None
-    text = (files("splatree.stream") / "page" / f"{viewer}.html").read_text()
+    text = (files("splatree.stream") / "page" / f"{viewer}.html").read_text("utf-8")
     for name, version in PACKAGES.items():
         text = text.replace(f"{{{{{name}}}}}", f"{base}/{name}{f'@{version}' if has_versions else ''}")
     return text
@@ -36,5 +36,5 @@ def index_page(title: str, streams: tuple[str, ...]) -> str:
             f'<li><a href="{escape(link)}">Open in {_NAMES[viewer]}</a> <a class="file" href="{escape(quote(stream))}">'
             f"{escape(stream)}</a></li>"
         )
-    text = (files("splatree.stream") / "page" / "index.html").read_text()
+    text = (files("splatree.stream") / "page" / "index.html").read_text("utf-8")
     return text.replace("{{title}}", escape(title)).replace("{{streams}}", "\n".join(items))

@@ -91,7 +91,7 @@ class Folder:
     def finish(self, manifest: str, parts: Iterable[str]) -> None:
         """Write the manifest, then remove parts that it does not name."""
         with replacing(self._manifest, force=True) as temporary:
-            temporary.write_text(manifest)
+            temporary.write_text(manifest, "utf-8")
         named = set(parts)
         for entry in self.path.iterdir():
             if _is_unfinished(entry.name) or (_PART.match(entry.name) and entry.name not in named):

@@ -104,7 +104,7 @@ def save(folder: Path, state: State, identity: Identity) -> None:
     exposures = dict(zip(identity.digests, state.exposures.relative().tolist(), strict=True))
     for name, content in ((LOG, [asdict(e) for e in state.replay_log]), (EXPOSURE, exposures)):
         with replacing(folder / name, force=True) as temporary:
-            temporary.write_text(json.dumps(content, indent=1) + "\n")
+            temporary.write_text(json.dumps(content, indent=1) + "\n", "utf-8")
 
 
 def load(folder: Path, identity: Identity) -> State:

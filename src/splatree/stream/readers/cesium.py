@@ -53,7 +53,7 @@ class TilesChosen:
 
 def open_tileset(folder: Path) -> Tileset:
     """Read the ``tileset.json`` of a folder."""
-    root = json.loads((folder / "tileset.json").read_text())["root"]
+    root = json.loads((folder / "tileset.json").read_text("utf-8"))["root"]
     names: list[str] = []
     boxes: list[list[Array]] = []
     errors: list[float] = []

@@ -93,7 +93,7 @@ def open_sog_stream(folder: Path) -> SogStream:
         FormatError: the manifest is not one.
     """
     files_of_stream(folder)  # checks what frames the units
-    return SogStream(folder, json.loads((folder / MANIFEST).read_text()))
+    return SogStream(folder, json.loads((folder / MANIFEST).read_text("utf-8")))
 
 
 def _ranges(meta: dict[str, Any]) -> Ranges:

@@ -81,7 +81,7 @@ def write_folder(chunks: Chunks, path: Path, options: WriteOptions) -> tuple[str
         for target, data in targets.items():
             with replacing(target, force=True) as temporary:
                 temporary.write_bytes(data)
-        path.write_text(json.dumps(meta))
+        path.write_text(json.dumps(meta), "utf-8")
     except BaseException:  # a full disk, an interruption: no meta.json will name these
         for target in new:
             target.unlink(missing_ok=True)
