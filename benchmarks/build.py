@@ -7,24 +7,30 @@ in one process show how much they differ.
 
 import argparse
 from itertools import product
-from typing import get_args
 
 import splatree
 from harness import measure, save, table
 from splatree.lod.report import report_levels
-from splatree.scene.thinning import Method
 from thin import city, slope
+
+WAYS = {
+    "auto": splatree.BuildOptions(),
+    "pairs": splatree.BuildOptions("pairs"),
+    "radius": splatree.BuildOptions("radius"),
+    "fast": splatree.BuildOptions("radius", visibility=False),
+}
+"""As `build` makes levels by default, by `--method`, and by `--fast`."""
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--counts", type=int, nargs="+", default=[1_000_000])
     parser.add_argument("--degree", type=int, default=3)
-    parser.add_argument("--method", nargs="+", choices=get_args(Method), default=["radius", "pairs"])
+    parser.add_argument("--method", nargs="+", choices=WAYS, default=list(WAYS))
     arguments = parser.parse_args()
     rows: list[dict[str, object]] = []
     for count, method in product(arguments.counts, arguments.method):
-        scene, options = splatree.Scene.flat(city(count, arguments.degree)), splatree.BuildOptions(method)
+        scene, options = splatree.Scene.flat(city(count, arguments.degree)), WAYS[method]
         cost = measure(lambda s=scene, o=options: splatree.build_lod(s, o))
         again_s = measure(lambda s=scene, o=options: splatree.build_lod(s, o)).cpu_s
         report = report_levels(cost.value)
