@@ -1,6 +1,7 @@
 """Measuring how good the cuts of a scene look (render/quality.py)."""
 
 from dataclasses import replace
+from importlib import import_module
 from importlib.resources import as_file, files
 
 import numpy as np
@@ -86,3 +87,14 @@ def test_the_measurement_is_the_same_for_any_number_of_threads():
     cameras = [camera, *(replace(c, near=camera.near) for c in st.dolly(scene, camera, 8, step=-0.4))]
     one, many = (st.with_quality(scene, cameras, threads=threads).tree.record.quality for threads in (1, 3))
     assert one == many
+
+
+def test_a_scene_too_large_for_many_views_is_measured_in_as_many_as_a_curve_needs(monkeypatch):
+    """However few nodes may be drawn: views are begun until there are pictures enough, and then no more."""
+    with as_file(files("splatree") / "data" / "semarang_5_9.sog") as path:
+        city = st.read(path)
+    tree = st.build_lod(st.Scene.flat(city.gaussians.take(np.arange(0, 24_000))), st.BuildOptions("radius"))
+    most = st.with_quality(tree).tree.record.quality.num_pictures
+    for name in ("NODES_DRAWN", "FEWEST_NODES"):
+        monkeypatch.setattr(import_module("splatree.render.quality"), name, 0)
+    assert 8 <= st.with_quality(tree).tree.record.quality.num_pictures < most

@@ -53,7 +53,7 @@ FAR_TOO_GOOD_DB: Final = 60.0
 """Above this the next cut is two steps coarser."""
 
 NODES_DRAWN: Final = 10
-"""Nodes drawn for each Gaussian of the scene after which no further view is begun."""
+"""Nodes drawn for each Gaussian of the scene after which no further view is begun, if there are pictures enough."""
 
 FEWEST_NODES: Final = 8_000_000
 """The same for small scenes: two seconds' work."""
@@ -103,7 +103,7 @@ def with_quality(scene: Scene, cameras: Cameras | Sequence[Camera] | None = None
     sketcher = Sketcher.of(scene)
     with open_session(scene, threads=threads) as session:
         for camera in track(views, "measure quality"):
-            if num_drawn > max(NODES_DRAWN * scene.tree.num_leaves, FEWEST_NODES):
+            if len(samples) >= FEWEST and num_drawn > max(NODES_DRAWN * scene.tree.num_leaves, FEWEST_NODES):
                 break
             of_view, num_nodes = _samples(session, sketcher, camera)
             samples += of_view
