@@ -10,7 +10,6 @@ selection (R = 3σ) makes; ours is chosen by a budget, view by view.
 import argparse
 import json
 from collections.abc import Iterator
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -50,8 +49,7 @@ def score(scene: st.Scene, targets: list[Target], selects: list[st.SelectOptions
 
 def placed(scene: st.Scene, target: Target) -> st.Camera:
     """The view of a target in the world of a trained scene."""
-    near = json.loads(scene.source.metadata["training"])["near"]
-    return replace(target.camera.moved(np.asarray(scene.source.origin)), near=near)
+    return st.Cameras((target.camera,)).relative_to(scene.source).views[0]
 
 
 def rows_of(name: str, seconds: float) -> list[dict[str, object]]:

@@ -138,7 +138,7 @@ def test_cameras_follow_the_origin(utm, world, tmp_path):
     scene = st.read(utm)
     camera = st.Camera.look_at(FAR + (0, 0, 110), FAR + (0, 0, 120), width=64, height=48)
     st.write_cameras([camera], tmp_path / "cameras.json")
-    (moved,) = st.read_cameras(tmp_path / "cameras.json", origin=scene.source.origin)
+    (moved,) = st.read_cameras(tmp_path / "cameras.json", source=scene.source)
     np.testing.assert_allclose(moved.position, (0, 0, 110), atol=1e-6)
     local = Gaussians(
         (world - FAR).astype(np.float32), GAUSSIANS.quats, GAUSSIANS.log_scales, GAUSSIANS.logit_opacities, GAUSSIANS.sh

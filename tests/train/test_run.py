@@ -3,7 +3,7 @@
 import json
 import shutil
 import sys
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -103,6 +103,26 @@ def test_a_scene_says_how_it_was_trained(photographs, tmp_path):
     assert record["photographs"] == 3 and record["held_out"] == "every 4th view from the first: 1 of 4"
     assert record["score"]["psnr"] == trained.history[-1].score.psnr
     assert [scored.share for scored in trained.history][-1] == 1.0
+
+
+def test_views_begin_where_training_began(photographs, tmp_path):
+    scene = st.train(photographs, st.TrainOptions(iterations=2, max_gaussians=100, score=False)).scene
+    near = scene.source.near
+    assert 0 < near < 0.2  # a hundredth of the extent of the cameras
+    st.write(scene, tmp_path / "trained.splatree")
+    st.convert(
+        tmp_path / "trained.splatree", tmp_path / "half.splatree", st.ConvertOptions(edit=st.EditOptions(scale=0.5))
+    )
+    kept, half = st.read(tmp_path / "trained.splatree"), st.read(tmp_path / "half.splatree")
+    assert kept.source.near == near
+    assert half.source.near == st.edit(scene, st.EditOptions(scale=0.5)).source.near == 0.5 * near
+    assert st.read([tmp_path / "trained.splatree", tmp_path / "half.splatree"]).source.near == 0.5 * near
+    views = st.read_cameras(photographs, source=kept.source)
+    assert {view.near for view in views} == {near}
+    chosen = st.Cameras((replace(views.views[0], near=0.7),))
+    assert chosen.relative_to(kept.source).views[0].near == 0.7
+    with pytest.raises(st.InputError, match="near: found 'far', wanted a number"):
+        read_cameras(photographs).relative_to(replace(kept.source, metadata={"near": "far"}))
 
 
 def test_minutes_are_a_budget_and_their_log_repeats_the_run(photographs, tmp_path):

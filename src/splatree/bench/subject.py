@@ -110,7 +110,7 @@ def _views(scene: Scene, options: SubjectOptions) -> tuple[tuple[Camera, ...], t
         made = PathOptions(views=options.views or 6, width=options.size, height=options.size * 9 // 16)
         cameras = chosen(flyout(scene, made).views)
         return cameras, cameras, "a flight away from the scene", None
-    known = read_cameras(source, origin=scene.source.origin)
+    known = read_cameras(source, source=scene.source)
     hint = overlap_hint(scene, known.views)
     named = "; ".join([source.name, *known.notes, *([hint] if hint else [])])
     if options.data is None:

@@ -55,7 +55,7 @@ class TrainingViews:
 
     def relative_to(self, scene: Scene) -> "TrainingViews":
         """The same views in the coordinates of a scene, and a note if none of them sees it."""
-        cameras = Cameras(tuple(self.cameras)).relative_to(scene.source.origin).views
+        cameras = Cameras(tuple(self.cameras)).relative_to(scene.source).views
         hint = overlap_hint(scene, cameras)
         return replace(self, cameras=cameras, notes=(*self.notes, *([hint] if hint else [])))
 

@@ -183,7 +183,7 @@ def run(command: Command) -> Evaluated | Comparison:
 
 def _evaluated(command: Command, drawn_from: Scene | Store, named: Cameras | None) -> Evaluated:
     scene = sample_of(drawn_from)
-    cameras = flyout(scene, command.made) if named is None else named.relative_to(scene.source.origin)
+    cameras = flyout(scene, command.made) if named is None else named.relative_to(scene.source)
     photos = None if command.data is None else Photos(command.data, cameras.views)
     hint = None if named is None else overlap_hint(scene, cameras.views)
     held_out, training, compared_with = _views(cameras.views if photos is None else photos.views, command)
@@ -232,7 +232,7 @@ def _against_reference(command: Command) -> Comparison:
     named = None if command.cameras is None else read_cameras(command.cameras)
     scene = read_scene(command.paths, command.reading)
     reference = read_scene([command.reference], command.reading)
-    made = comparison_views(reference, command.made) if named is None else named.relative_to(reference.source.origin)
+    made = comparison_views(reference, command.made) if named is None else named.relative_to(reference.source)
     cameras = made.views[:: command.every]
     return compared(
         scene,

@@ -79,7 +79,7 @@ def run(command: Command) -> Result:
     cameras: tuple[Camera, ...] | None = None
     seen: tuple[str, ...] = ()
     if command.cameras is not None:
-        found = read_cameras(command.cameras).relative_to(scene.source.origin)
+        found = read_cameras(command.cameras).relative_to(scene.source)
         cameras, hint = found.views, overlap_hint(scene, found.views)
         seen = (*found.notes, *([hint] if hint else []))
     refined = refine(scene, command.options, cameras=cameras, device=command.device)

@@ -88,7 +88,7 @@ def run(command: Command) -> Result:
     written = stream(scene, output, command.format, command.options, force=command.force)
     report = None
     if command.report is not None:
-        cameras = None if command.cameras is None else list(read_cameras(command.cameras, origin=scene.source.origin))
+        cameras = None if command.cameras is None else list(read_cameras(command.cameras, source=scene.source))
         report = report_stream(scene, written, cameras)
         if command.report.suffix.lower() in (".html", ".htm"):
             write_stream_report(report, scene, written, command.report, cameras, force=True)

@@ -60,7 +60,7 @@ def run(command: Command) -> Viewed:
     if command.photos is not None and cameras is not None:
         photos = Photos(command.photos, list(cameras))
     scene = in_mode(read_scene(command.paths, command.reading), command.mode)
-    cameras = None if cameras is None else cameras.relative_to(scene.source.origin)
+    cameras = None if cameras is None else cameras.relative_to(scene.source)
     beside = None if command.beside is None else read_scene((command.beside,), command.reading)
     for path, shown in ((command.paths[0], scene), (command.beside, beside)):
         if shown is not None and not has_levels(shown):

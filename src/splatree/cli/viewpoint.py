@@ -67,7 +67,7 @@ class Views:
 
 def relative_to(views: Views, scene: Scene) -> Views:
     """Views of files in the coordinates of a scene, and a note if none of them sees it."""
-    cameras = Cameras(views.cameras).relative_to(scene.source.origin).views
+    cameras = Cameras(views.cameras).relative_to(scene.source).views
     hint = overlap_hint(scene, cameras)
     return replace(views, cameras=cameras, notes=(*views.notes, *([hint] if hint else [])))
 

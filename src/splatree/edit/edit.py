@@ -70,7 +70,8 @@ def edit(scene: Scene, options: EditOptions) -> Scene:
         )
         blocks = None if scene.blocks is None else index_blocks(gaussians, tree)
         scene = replace(scene, gaussians=gaussians, tree=tree, blocks=blocks, clusters=kept_clusters)
-    scene = replace(scene, source=replace(scene.source, origin=move.origin))
+    metadata = similarity.metadata(scene.source.metadata)
+    scene = replace(scene, source=replace(scene.source, metadata=metadata, origin=move.origin))
     if options.order == "morton":
         scene = in_morton_order(scene)
     if clusters is not None and scene.clusters is None:

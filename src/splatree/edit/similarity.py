@@ -5,6 +5,7 @@ each degree by its Wigner matrix (`maths.harmonics.rotations_of_harmonics`); opa
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -15,6 +16,7 @@ from splatree.maths.harmonics import rotations_of_harmonics
 from splatree.maths.rotations import matrix_from_angles, quat_from_matrix
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.origin import NO_ORIGIN, Origin, settled
+from splatree.scene.scene import NEAR_KEY, Source
 from splatree.shapes import Array, Float32, Float64, check_fields
 
 __all__ = ["Move", "Similarity", "move_from_options"]
@@ -73,6 +75,12 @@ class Similarity:
         # radius, taken four times as large.
         reach = np.abs(means).max(initial=0)
         return np.asarray(extents * np.float32(self.scale * (1 + 2**-21)) + np.float32(reach * 2**-21), np.float32)
+
+    def metadata(self, metadata: Mapping[str, str]) -> Mapping[str, str]:
+        """What is known of the scene, with the depth that it is drawn from scaled."""
+        if NEAR_KEY not in metadata or self.scale == 1:
+            return metadata
+        return {**metadata, NEAR_KEY: str(self.scale * Source(metadata=metadata).near)}
 
 
 @dataclass(frozen=True, eq=False)

@@ -178,5 +178,6 @@ def _edited_chunks(chunks: Chunks, options: EditOptions) -> Chunks:
         num_gaussians=count,
         sh_degree=min(chunks.sh_degree, options.sh_degree),
         make=lambda: (edit_rows(chunk, options, move) for chunk in chunks),
+        metadata=move.similarity.metadata(chunks.metadata),
         origin=move.origin,
     )

@@ -17,7 +17,7 @@ from splatree.maths.axes import AXES
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.levels import UNKNOWN_LEVELS, LevelRecord, common_record
 from splatree.scene.origin import Origin
-from splatree.scene.scene import Scene, Source
+from splatree.scene.scene import NEAR_KEY, Scene, Source
 from splatree.scene.tree import GaussianTree
 from splatree.shapes import Array
 
@@ -117,6 +117,8 @@ def joined_source(sources: Sequence[Source]) -> Source:
                 for rule, count in json.loads(value).items():
                     counts[rule] = counts.get(rule, 0) + count
             metadata[key] = json.dumps(counts)
+        elif key == NEAR_KEY:
+            metadata[key] = str(min(source.near for source in sources))
         elif key in ("lost", "notes"):
             metadata[key] = json.dumps(
                 list(dict.fromkeys(sentence for value in values for sentence in json.loads(value)))

@@ -8,6 +8,7 @@ import numpy as np
 from splatree.constants import NEAR
 from splatree.errors import InputError
 from splatree.scene.lens import Lens
+from splatree.scene.scene import Source
 from splatree.shapes import Array, Float64, check_fields
 
 
@@ -137,11 +138,10 @@ class Cameras:
     notes: tuple[str, ...] = ()
     """What the reader of their file chose or left out, a sentence each."""
 
-    def relative_to(self, origin: tuple[float, float, float]) -> "Cameras":
-        """The same views in the coordinates of a scene whose ``source.origin`` is ``origin``."""
-        if not any(origin):
-            return self
-        return replace(self, views=tuple(camera.moved(np.asarray(origin)) for camera in self.views))
+    def relative_to(self, source: Source) -> "Cameras":
+        """The same views of a scene, by its ``source``: in its coordinates and, if they say nothing else, from its depth on."""
+        views = [camera.moved(np.asarray(source.origin)) if any(source.origin) else camera for camera in self.views]
+        return replace(self, views=tuple(replace(v, near=source.near) if v.near == NEAR else v for v in views))
 
     def __len__(self) -> int:
         return len(self.views)

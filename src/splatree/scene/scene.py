@@ -1,12 +1,13 @@
 """A scene: what one file holds."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 
-from splatree.constants import ALPHA_THRESHOLD
+from splatree.constants import ALPHA_THRESHOLD, NEAR
 from splatree.errors import InputError, ShapeError
 from splatree.scene.clusters import ClusterIndex
 from splatree.scene.gaussians import Gaussians
@@ -15,6 +16,9 @@ from splatree.scene.names import Mode
 from splatree.scene.origin import NO_ORIGIN, Origin
 from splatree.scene.tree import BlockIndex, GaussianTree
 from splatree.shapes import Array, UInt32, check_fields
+
+NEAR_KEY = "near"
+"""Where a scene says from which depth it is drawn, in ``source.metadata``."""
 
 TileRule = Literal["ellipse", "balanced", "tau", "3sigma"]
 """Named rules for the tiles that a splat is listed in (docs/explanation/shrinking.md)."""
@@ -34,6 +38,22 @@ class Source:
     the reader did."""
     origin: Origin = NO_ORIGIN
     """Where the zero of the scene lies in the world: world units to be added to the means (scene/origin.py)."""
+
+    @property
+    def near(self) -> float:
+        """Depth from which the scene is drawn, world units: what its training took, or else the usual one.
+
+        Raises:
+            InputError: the metadata names no such depth.
+        """
+        text = self.metadata.get(NEAR_KEY, str(NEAR))
+        try:
+            near = float(text)
+        except ValueError:
+            near = math.nan
+        if not 0 < near < math.inf:
+            raise InputError(f"metadata near: found {text!r}, wanted a number of world units above 0")
+        return near
 
 
 @dataclass(frozen=True, eq=False)

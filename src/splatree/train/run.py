@@ -18,7 +18,7 @@ from splatree.kernels.devices import DeviceName, training_stages_of
 from splatree.lod.options import BuildOptions
 from splatree.progress import task
 from splatree.render.build import build_lod
-from splatree.scene.scene import Scene, Source
+from splatree.scene.scene import NEAR_KEY, Scene, Source
 from splatree.shapes import Array, Float64
 from splatree.train.checkpoint import Identity, load, read_log, save
 from splatree.train.densify import Rows, Sightings, densified
@@ -237,14 +237,14 @@ def _trained(work: Work, state: State, folder: Path, stopped: bool, threads: int
         "photographs": len(work.targets),
         "held_out": work.rule,
         "division": work.schedule.finest,
-        "near": work.world.near,
         "extent": work.world.extent,
         "iterations": state.step,
         "cpu_minutes": round(state.spent_s / 60, 4),
         "stopped": stopped,
         "score": None if last is None else asdict(last),
     }
-    source = Source((str(folder),), "photographs", {METADATA_KEY: json.dumps(record)}, work.world.origin)
+    metadata = {METADATA_KEY: json.dumps(record), NEAR_KEY: str(work.world.near)}
+    source = Source((str(folder),), "photographs", metadata, work.world.origin)
     scene, levels = Scene.flat(state.rows.gaussians, mode=work.options.mode, source=source), work.options.levels
     if state.rows.lineage is not None:
         scene = state.rows.lineage.tree(scene)

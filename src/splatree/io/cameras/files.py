@@ -17,7 +17,7 @@ from splatree.io import untrusted
 from splatree.io.cameras import camera_path, colmap, foreign, llff, nerfstudio
 from splatree.io.replacing import replacing
 from splatree.scene.cameras import Camera, Cameras
-from splatree.scene.origin import NO_ORIGIN, Origin
+from splatree.scene.scene import Source
 
 _SPLITS = ("transforms_train.json", "transforms_val.json", "transforms_test.json")
 """Files of synthetic scenes (Mildenhall 2020), a part of the views each."""
@@ -26,7 +26,7 @@ COLMAP_FOLDERS = ("sparse", "colmap/sparse", "")
 """Where a model or several numbered ones lie in a folder of pictures, in the order in which they are tried."""
 
 
-def read_cameras(path: str | os.PathLike[str], *, origin: Origin = NO_ORIGIN) -> Cameras:
+def read_cameras(path: str | os.PathLike[str], *, source: Source | None = None) -> Cameras:
     """Read the views of a file or folder.
 
     - ``cameras.json`` of a 3DGS training. Its rotation is camera-to-world, its position the centre. Views are in the order of the
@@ -39,7 +39,8 @@ def read_cameras(path: str | os.PathLike[str], *, origin: Origin = NO_ORIGIN) ->
 
     Args:
         path: the file or folder.
-        origin: ``source.origin`` of the scene that is looked at; poses are given relative to it.
+        source: ``source`` of the scene that is looked at; poses are given in its coordinates, and views that say nothing of
+            ``near`` begin where its training began. None: as in the file.
 
     Returns:
         The views, with OpenCV axes and intrinsics in px.
@@ -55,7 +56,7 @@ def read_cameras(path: str | os.PathLike[str], *, origin: Origin = NO_ORIGIN) ->
     cameras = _read(Path(path))
     if not len(cameras):
         raise FormatError(f"{path}: found no camera in it, wanted at least one")
-    return cameras.relative_to(origin)
+    return cameras if source is None else cameras.relative_to(source)
 
 
 def _read(root: Path) -> Cameras:
