@@ -9,6 +9,7 @@ import splatree as st
 from splatree.kernels.devices import training_stages_of
 from splatree.scene.frame import Splats
 from splatree.scene.gradients import GaussianGradients, PictureGradients, SplatGradients
+from splatree.train import refine as school
 from splatree.train.lessons import lessons_of, made_views
 from splatree.train.proxies import Proxies
 
@@ -121,6 +122,17 @@ def test_a_node_that_forgets_has_its_first_bits(tree):
     proxies.forget(rows)
     changed = proxies.scene().gaussians.sh[:, 0] != tree.gaussians.sh[:, 0]
     assert not changed[rows].any() and changed[proxies.rows[1::2]].any(axis=1).all()
+
+
+def test_nodes_of_all_sizes_are_looked_at_before_they_keep_what_they_learned(tree, monkeypatch):
+    looked_at, errors = [], school._School.errors
+    monkeypatch.setattr(
+        school._School, "errors", lambda self, lessons: looked_at.append(lessons) or errors(self, lessons)
+    )
+    st.refine(tree, st.RefineOptions(iterations=2, made_views=48, finest=2, coarsest=32))
+    before, after = ([tau for _, tau in lessons] for lessons in looked_at)
+    assert before == after  # or they could not be compared
+    assert np.bincount(np.log2(before).astype(int), minlength=5)[1:].min() >= len(before) // 5  # of four octaves
 
 
 def test_a_calibrated_threshold_and_clusters_are_dropped_and_said(tree):

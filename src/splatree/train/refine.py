@@ -147,17 +147,17 @@ def refine(
     judges = [lessons[i] for i in sorted(held)]
 
     school = _School(scene, stages, threads)
-    middle = math.sqrt(options.finest * options.coarsest)
+    looked_at = _at_all_sizes(learned_from[::2], options)
+    judged = [(lesson, math.sqrt(options.finest * options.coarsest)) for lesson in judges]
     judging = time.process_time()
-    before, errors_before = school.judge(judges, middle), school.errors(learned_from[::2], middle)
+    before, errors_before = school.judge(judged), school.errors(looked_at)
     judging = JUDGED_AGAIN * (time.process_time() - judging)
     iterations = school.learn(learned_from, options, began + 60 * options.minutes - judging)
-    errors_after = school.errors(learned_from[::2], middle)
-    worse = np.flatnonzero(errors_after > errors_before)
+    worse = np.flatnonzero(school.errors(looked_at) > errors_before)
     whole = school.proxies.scene()
-    after = school.judge(judges, middle)
+    after = school.judge(judged)
     school.proxies.forget(worse)
-    careful = school.judge(judges, middle)
+    careful = school.judge(judged)
     if careful.mean() >= after.mean():
         whole, after = school.proxies.scene(), careful
     differs = _num_different(scene, whole)
@@ -171,6 +171,12 @@ def refine(
             notes = (*notes, *more)
     spent = time.process_time() - began
     return Refined(whole, iterations, before, after, differs, len(school.proxies.rows), spent, notes)
+
+
+def _at_all_sizes(lessons: list[Lesson], options: RefineOptions) -> list[tuple[Lesson, float]]:
+    """Lessons with a τ_R each, from the finest to the coarsest evenly in its logarithm: nodes of all sizes are drawn."""
+    share = np.random.default_rng([options.seed, 3]).permutation((np.arange(len(lessons)) + 0.5) / len(lessons))
+    return list(zip(lessons, (options.finest * (options.coarsest / options.finest) ** share).tolist(), strict=True))
 
 
 def _bare(scene: Scene) -> tuple[Scene, tuple[str, ...]]:
@@ -283,19 +289,19 @@ class _School:
         few = Splats(splats.rows[chosen], splats.records[chosen], np.arange(count, dtype=np.int32))
         return few, SplatGradients(sums.moments[chosen], sums.colors[chosen])
 
-    def judge(self, lessons: list[Lesson], tau: float) -> Float64[Array, "j"]:
-        """PSNR of the cut at a τ_R in each view."""
+    def judge(self, lessons: list[tuple[Lesson, float]]) -> Float64[Array, "j"]:
+        """PSNR of the cut of each view at its τ_R."""
         scores = []
-        for lesson in lessons:
+        for lesson, tau in lessons:
             image = np.clip(self._draw(lesson.camera, tau)[4].image, 0, 1)
             square = np.mean((image - lesson.picture.astype(np.float64) / 255) ** 2)
             scores.append(-10 * math.log10(square + 1e-10))
         return np.array(scores)
 
-    def errors(self, lessons: list[Lesson], tau: float) -> Float64[Array, "n"]:
-        """How wrong the pixels are that each row covers, summed over the views."""
+    def errors(self, lessons: list[tuple[Lesson, float]]) -> Float64[Array, "n"]:
+        """How wrong the pixels are that each row covers, summed over the views, each at its τ_R."""
         total = np.zeros(len(self._scene))
-        for lesson in lessons:
+        for lesson, tau in lessons:
             view, _, splats, bins, picture = self._draw(lesson.camera, tau)
             loss = self._stages.photo_loss(picture.image, lesson.picture, np.ones(3), threads=self._threads)
             upstream = PictureGradients(loss.image, errors=loss.errors)
