@@ -1,8 +1,5 @@
 """What goes through a folder in runs of rows gives what the whole tree in memory gives."""
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 

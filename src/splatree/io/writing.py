@@ -5,8 +5,8 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from splatree.errors import InputError, OutputError, SplatreeError
 from splatree.constants import ALPHA_THRESHOLD
+from splatree.errors import InputError, OutputError, SplatreeError
 from splatree.io.chunks import Chunks, chunks_of
 from splatree.io.cut import cut_at
 from splatree.io.formats.folder.whole import WholeTree

@@ -92,12 +92,13 @@ class Page:
         if not largest_magnitude(sh[first : end_block * HARMONIC_ROWS]) <= SH_MAX:
             rows = np.arange(first, min(end_block * HARMONIC_ROWS, len(self)))
             refuse_unusable(self.gaussians.take(rows), self.where, first_row=self.begin + first)
-        for block in range(first_block, end_block) if self.harmonics is not None else ():
+        wanted = {} if self.harmonics is None else dict(enumerate(self.harmonics[first_block:end_block], first_block))
+        for block, checksum in wanted.items():
             begin, end = block * HARMONIC_ROWS, min((block + 1) * HARMONIC_ROWS, len(self))
-            if self.harmonics[block] != (found := zlib.crc32(sh[begin:end].data)):
+            if checksum != (found := zlib.crc32(sh[begin:end].data)):
                 raise FormatError(
                     f"{self.where}: rows {self.begin + begin} to {self.begin + end}: found harmonics of checksum {found:08x}, "
-                    f"wanted {self.harmonics[block]:08x}; the file is damaged or has been replaced"
+                    f"wanted {checksum:08x}; the file is damaged or has been replaced"
                 )
         self.is_checked[first_block:end_block] = True
 

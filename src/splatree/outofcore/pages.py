@@ -8,7 +8,8 @@ A folder of parts is a store of several files. Leaves of the crown are copies of
 numbered, part by part. A page of a part knows the numbers of the roots that it belongs to. A page of the crown stands for what is
 below its portals, too: its box holds theirs.
 
-Cost: 60 bytes a page of 1 MB, 28 bytes a block of 60 kB and 4 bytes a row of the crown. Making the table reads everything but the harmonics, once.
+Cost: 60 bytes a page of 1 MB, 28 bytes a block of 60 kB and 4 bytes a row of the crown. Making the table reads everything but the
+harmonics, once.
 """
 
 import math
@@ -232,7 +233,9 @@ class _Noted:
         begin, end, lower, upper, scales, roots = zip(*self._pages, strict=True) if self._pages else [()] * 6
         rows, stops, means, quats, log_scales, extents = zip(*self._nodes, strict=True) if self._nodes else [()] * 6
         points, numbers = np.zeros((0, 3), np.float32), np.zeros(0, np.float32)
-        block_columns = (np.concatenate(column) for column in zip((points, points, numbers), *self._blocks, strict=True))
+        block_columns = (
+            np.concatenate(column) for column in zip((points, points, numbers), *self._blocks, strict=True)
+        )
         block_lower, block_upper, block_leaf_scales = block_columns
         table = PageTable(
             begin=np.array(begin, np.int32),

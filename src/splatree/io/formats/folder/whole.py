@@ -23,7 +23,7 @@ from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Scene
 from splatree.scene.tree import GaussianTree
-from splatree.shapes import Array, Int32, Int64
+from splatree.shapes import Array, Int32, Int64, UInt8
 
 __all__ = ["WholeTree", "open_whole"]
 
@@ -58,37 +58,62 @@ class WholeTree:
         Raises:
             FormatError: a value cannot be used, or a node is too deep.
         """
-        n, k = end - begin, (self.head.sh_degree + 1) ** 2
-        first = int(np.searchsorted(self.first_row, begin, side="right")) - 1
-        last = int(np.searchsorted(self.first_row, end, side="left"))
-        nodes = np.repeat(np.arange(first, last), np.diff(np.clip(self.first_row[first : last + 1], begin, end)))
-        shift = self.first_row[nodes] - self.row_of[nodes]  # of a row of the whole against its own file
-        own = np.arange(begin, end) - shift
-        columns = {f.name: np.empty((n, *shape), np.float32) for f, shape in zip(fields(Gaussians), _shapes(k), strict=True)}
-        ends, depth, extents, ids = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.float32), np.empty(n, np.int64)
-        file_of = self.file_of[nodes]
-        for number in np.unique(file_of):
-            at, file = np.flatnonzero(file_of == number), self.files[number].file
-            rows = own[at]
-            for name, column in columns.items():
-                column[at] = file.rows(f"gaussians.{name}")[rows]
-            extents[at], depth[at] = file.rows("tree.extents")[rows], file.rows("tree.depth")[rows]
-            stops = file.rows("tree.subtree_end")[rows]
+        rows = np.arange(begin, end)
+        places = self._placed(rows)
+        ends, depth = self._shape(places)
+        extents, ids = np.empty(len(rows), np.float32), rows + self.first_id
+        is_leaf = ends == rows + 1
+        for number, at, own in places.by_file():
+            stored = self.files[number]
+            extents[at] = stored.file.rows("tree.extents")[own]
+            if number > 0:
+                own_ids = stored.file.rows("ids")[own] if stored.head.has_ids else own
+                ids[at] = np.where(is_leaf[at], own_ids, ids[at])
+        check_extents(extents, str(self.path), first_row=begin)
+        gaussians = self._gaussians(places, begin)
+        return SceneRows(begin, gaussians, ends, depth, extents, ids.astype(np.uint32))
+
+    def shape(self, begin: int, end: int) -> tuple[Int32[Array, "n"], UInt8[Array, "n"]]:
+        """Where the subtrees of rows end, and their depths; nothing else of them is read.
+
+        Raises:
+            FormatError: a node is too deep.
+        """
+        return self._shape(self._placed(np.arange(begin, end)))
+
+    def take(self, rows: Int64[Array, "v"]) -> Gaussians:
+        """The Gaussians of rows, ascending; their values have been checked.
+
+        Raises:
+            FormatError: a value cannot be used.
+        """
+        return self._gaussians(self._placed(rows), int(rows[0]) if len(rows) else 0)
+
+    def _placed(self, rows: Array) -> "_Places":
+        nodes = np.searchsorted(self.first_row, rows, side="right") - 1
+        shift = self.first_row[nodes] - self.row_of[nodes]
+        return _Places(nodes, shift, self.file_of[nodes], rows - shift)
+
+    def _shape(self, places: "_Places") -> tuple[Array, Array]:
+        ends, depth = np.empty(len(places.own), np.int64), np.empty(len(places.own), np.int64)
+        above = self.files[0].file.rows("tree.depth")
+        for number, at, own in places.by_file():
+            stops, depth[at] = (self.files[number].file.rows(f"tree.{name}")[own] for name in ("subtree_end", "depth"))
             if number == 0:
                 ends[at] = self.first_row[stops]
             else:
-                ends[at] = stops + shift[at]
-                depth[at] += self.files[0].file.rows("tree.depth")[nodes[at]]
-                ids[at] = file.rows("ids")[rows] if self.files[number].head.has_ids else rows
-        is_inner = ends > np.arange(begin, end) + 1
-        ids[is_inner] = self.first_id + begin + np.flatnonzero(is_inner)
+                ends[at] = stops + places.shift[at]
+                depth[at] += above[places.nodes[at]]
         if depth.max(initial=0) > 255:
             raise FormatError(f"{self.path}: found a node {depth.max()} levels below its root, wanted at most 255")
-        gaussians, _ = checked_rows(Gaussians(**columns), str(self.path), repair=False, first_row=begin)
-        check_extents(extents, str(self.path), first_row=begin)
-        return SceneRows(
-            begin, gaussians, ends.astype(np.int32), depth.astype(np.uint8), extents, ids.astype(np.uint32)
-        )
+        return ends.astype(np.int32), depth.astype(np.uint8)
+
+    def _gaussians(self, places: "_Places", first_row: int) -> Gaussians:
+        columns = _room(len(places.own), self.head.sh_degree)
+        for number, at, own in places.by_file():
+            for name, column in columns.items():
+                column[at] = self.files[number].file.rows(f"gaussians.{name}")[own]
+        return checked_rows(Gaussians(**columns), str(self.path), repair=False, first_row=first_row)[0]
 
     def runs(self, what: str) -> Iterator[SceneRows]:
         """All rows, a chunk at a time; ``what`` names the work for who watches it."""
@@ -123,14 +148,15 @@ class WholeTree:
 
     def scene(self) -> Scene:
         """All rows in memory."""
-        n, k = len(self), (self.head.sh_degree + 1) ** 2
-        columns = {f.name: np.empty((n, *shape), np.float32) for f, shape in zip(fields(Gaussians), _shapes(k), strict=True)}
+        n = len(self)
+        columns = _room(n, self.head.sh_degree)
         ends, depth, extents = np.empty(n, np.int32), np.empty(n, np.uint8), np.empty(n, np.float32)
         ids = np.empty(n, np.uint32)
         for run in self.runs(f"read {self.path.name}"):
             at = slice(run.begin, run.begin + len(run))
             for name, column in columns.items():
                 column[at] = getattr(run.gaussians, name)
+            assert run.ids is not None
             ends[at], depth[at], extents[at], ids[at] = run.subtree_end, run.depth, run.extents, run.ids
         head = self.head
         tree = GaussianTree(ends, depth, extents, record=head.record, roots=head.roots)
@@ -138,9 +164,27 @@ class WholeTree:
         return replace(scene, tile_rule=head.tile_rule, source=head.source)
 
 
-def _shapes(k: int) -> tuple[tuple[int, ...], ...]:
-    """Shape of a row of each column of `Gaussians`."""
-    return (3,), (4,), (3,), (), (k, 3)
+@dataclass(frozen=True, eq=False)
+class _Places:
+    """Where rows of the whole are."""
+
+    nodes: Array  # the row of the crown that each is, or that stands for it
+    shift: Array  # its row in the whole less its row in its file
+    file: Array
+    own: Array  # its row in its file
+
+    def by_file(self) -> Iterator[tuple[int, Array, Array]]:
+        """Each file that rows are in, which of the rows, and their rows there."""
+        for number in np.unique(self.file):
+            at = np.flatnonzero(self.file == number)
+            yield int(number), at, self.own[at]
+
+
+def _room(n: int, degree: int) -> dict[str, Array]:
+    """Columns of `Gaussians` to be filled."""
+    none = Gaussians.empty(degree)
+    shapes = {f.name: getattr(none, f.name).shape[1:] for f in fields(Gaussians)}
+    return {name: np.empty((n, *shape), np.float32) for name, shape in shapes.items()}
 
 
 def open_whole(path: Path) -> WholeTree:
@@ -165,9 +209,9 @@ def open_whole(path: Path) -> WholeTree:
 def _opened(path: Path, file: StoredFile) -> StoredScene:
     """A file whose bytes are those that the manifest speaks of, and whose rows are a tree."""
     stored = open_scene(checked_path(path, file))
-    columns = (stored.file.rows(f"tree.{name}") for name in ("subtree_end", "depth", "extents"))
+    ends, depth, extents = (stored.file.rows(f"tree.{name}") for name in ("subtree_end", "depth", "extents"))
     try:
-        GaussianTree(*columns)
+        GaussianTree(ends, depth, extents)
     except ShapeError as error:
         raise FormatError(f"{path / file.name}: {error}; the file is damaged") from error
     return stored
@@ -191,13 +235,17 @@ def _fitted(path: Path, manifest: Manifest, crown: StoredScene, parts: list[Stor
         part_ends = part.file.rows("tree.subtree_end")
         roots = np.flatnonzero(part.file.rows("tree.depth") == 0)
         if num_roots + len(roots) > len(copies):
-            raise FormatError(f"{path / file.name}: found more roots than the {len(copies)} that the crown has copies of")
+            raise FormatError(
+                f"{path / file.name}: found more roots than the {len(copies)} that the crown has copies of"
+            )
         own = copies[num_roots : num_roots + len(roots)]
         num_roots += len(roots)
         if part.head.sh_degree != crown.head.sh_degree or not np.array_equal(
             part.file.rows("gaussians.means")[roots], means[own]
         ):
-            raise FormatError(f"{path / file.name}: found roots that are not those of the crown; the file is of another build")
+            raise FormatError(
+                f"{path / file.name}: found roots that are not those of the crown; the file is of another build"
+            )
         sizes[own], file_of[own], row_of[own] = part_ends[roots] - roots, number, roots
         is_leaf = part_ends == np.arange(1, len(part) + 1)
         ids = part.file.rows("ids")[is_leaf] if part.head.has_ids else np.flatnonzero(is_leaf)
