@@ -187,8 +187,12 @@ def _room(n: int, degree: int) -> dict[str, Array]:
     return {name: np.empty((n, *shape), np.float32) for name, shape in shapes.items()}
 
 
-def open_whole(path: Path) -> WholeTree:
-    """Open a folder to go through its whole tree; all files are held against their digests.
+def open_whole(path: Path, *, checked: bool = True) -> WholeTree:
+    """Open a folder to go through its whole tree.
+
+    Args:
+        path: the folder.
+        checked: hold all files against their digests, for which all of them are read; without, their sizes and their trees.
 
     Raises:
         FormatError: a file is not the one that the manifest speaks of, or the files do not fit each other.
@@ -201,14 +205,14 @@ def open_whole(path: Path) -> WholeTree:
     with task(f"check {path.name}", float(sum(file.num_bytes for file in named))) as advance:
         opened = []
         for file in named:
-            opened.append(_opened(path, file))
+            opened.append(_opened(path, file, checked=checked))
             advance(float(file.num_bytes))
     return _fitted(path, manifest, opened[0], opened[1:])
 
 
-def _opened(path: Path, file: StoredFile) -> StoredScene:
+def _opened(path: Path, file: StoredFile, *, checked: bool) -> StoredScene:
     """A file whose bytes are those that the manifest speaks of, and whose rows are a tree."""
-    stored = open_scene(checked_path(path, file))
+    stored = open_scene(checked_path(path, file) if checked else path / file.name)
     ends, depth, extents = (stored.file.rows(f"tree.{name}") for name in ("subtree_end", "depth", "extents"))
     try:
         GaussianTree(ends, depth, extents)
