@@ -151,13 +151,18 @@ def row_bytes_of(head: SceneHead) -> int:
 
 
 def table_of(
-    stored: StoredScene, *, checksums: bool = False, advance: Callable[[float], None] = lambda rows: None
+    stored: StoredScene,
+    *,
+    checksums: bool = False,
+    look: Callable[[Page], None] = lambda page: None,
+    advance: Callable[[float], None] = lambda rows: None,
 ) -> FilePages:
     """Go through a file page by page and note what a selection has to know of each.
 
     Args:
         stored: the file.
         checksums: also note checksums, for which harmonics have to be read.
+        look: is given each page.
         advance: is told how many rows were gone through.
 
     Raises:
@@ -169,7 +174,9 @@ def table_of(
     while begin < n:
         end = _end_of_page(stored, begin, page_rows)
         rows = stored.rows(begin, end, harmonics=False)
-        path = noted.add(rows, page_of(rows, str(stored.file.path), path))
+        page = page_of(rows, str(stored.file.path), path)
+        look(page)
+        path = noted.add(rows, page)
         stored.forget(begin, end)
         advance(float(end - begin))
         begin = end
