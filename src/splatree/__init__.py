@@ -47,6 +47,7 @@ _NAMES = {
     "metrics.psnr": ("psnr",),
     "metrics.ssim": ("ssim",),
     "outofcore.build": ("BuiltFolder", "build_folder"),
+    "outofcore.check": ("Checked", "check"),
     "outofcore.options": ("FolderOptions",),
     "outofcore.store": ("Store", "open_store"),
     "outofcore.thin": ("ThinnedFile", "thin_file"),

@@ -47,6 +47,8 @@ from splatree.metrics.psnr import psnr as psnr
 from splatree.metrics.ssim import ssim as ssim
 from splatree.outofcore.build import BuiltFolder as BuiltFolder
 from splatree.outofcore.build import build_folder as build_folder
+from splatree.outofcore.check import Checked as Checked
+from splatree.outofcore.check import check as check
 from splatree.outofcore.options import FolderOptions as FolderOptions
 from splatree.outofcore.store import Store as Store
 from splatree.outofcore.store import open_store as open_store

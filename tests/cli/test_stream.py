@@ -3,6 +3,7 @@ import json
 import numpy as np
 import pytest
 
+import splatree as st
 from splatree.io.reading import read, read_levels
 
 
@@ -78,3 +79,21 @@ def test_the_name_of_a_file_makes_no_folder(splatree, small_tree, tmp_path, name
 def test_a_rad_has_its_suffix(splatree, small_tree, tmp_path):
     code, _, err = splatree("stream", small_tree, tmp_path / "out", "--format", "rad")
     assert code == 1 and "wanted one that ends in .rad" in err
+
+
+@pytest.mark.parametrize("format", ["sog", "3dtiles"])
+def test_a_folder_of_parts_is_streamed_as_its_tree_in_memory(splatree, small_ply, tmp_path, format):
+    folder = st.build_folder(small_ply, tmp_path / "parts.splatree", running=st.FolderOptions(part_rows=500)).path
+    code, _, err = splatree("stream", folder, tmp_path / "web", "--format", format)
+    assert code == 0, err
+    st.stream(st.read(folder), tmp_path / "wanted", format)
+    found, wanted = (
+        {
+            path.relative_to(tmp_path / name): path.read_bytes()
+            for path in (tmp_path / name).rglob("*")
+            if path.is_file()
+        }
+        for name in ("web", "wanted")
+    )
+    assert found == wanted
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["parts.splatree", "wanted", "web"]

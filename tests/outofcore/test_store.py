@@ -164,8 +164,20 @@ def test_what_needs_all_rows_is_refused(folder):
             store.select(CAMERAS[0], st.SelectOptions(cull="exact"))
         with pytest.raises(st.InputError, match="quality: found 40 dB for a store"):
             store.select(CAMERAS[0], st.SelectOptions(quality=40))
-        with pytest.raises(st.InputError, match="found a selector for a store"):
-            st.render(store, CAMERAS[0], select=lambda view, *, threads=0: None)
+
+
+def test_any_rows_are_drawn_as_from_the_whole_tree(folder, scene):
+    rng = np.random.default_rng(2)
+    with st.open_store(folder) as store:
+        for count in (0, 1, 40, 2000):
+            rows = np.sort(rng.choice(len(scene), count, replace=False)).astype(np.int32)
+            np.testing.assert_array_equal(store.depths(store.located(rows)), scene.tree.depth[rows])
+
+            def chosen(view, *, threads=0, rows=rows):
+                return st.Selection(rows, "cut", "sphere", 0.0, len(rows))
+
+            pictures = [st.render(each, CAMERAS[1], select=chosen).image.tobytes() for each in (store, scene)]
+            assert pictures[0] == pictures[1]
 
 
 def test_pages_are_loaded_ahead(folder):

@@ -98,10 +98,14 @@ def put(name, place, value):
     return lambda columns, numbers: columns[name].__setitem__(place, value)
 
 
+def shorter(columns):
+    return {name: column[:1] for name, column in columns.items() if name.startswith("table.block")}
+
+
 HOSTILE = {
     "a page beyond its file": (put("table.end", -1, 10**6), "follow each other|checksums"),
     "a page before its file": (put("table.begin", 0, -5), "follow each other"),
-    "a gap": (put("table.begin", 1, 3), "follow each other"),
+    "a gap": (put("table.begin", 1, 3), "follow each other|checksums"),
     "files": (put("file_start", 1, 0), "follow each other|files with"),
     "no such ancestor": (put("table.ancestors", 0, 10**6), "ancestors that are not there"),
     "starts of ancestors": (put("table.ancestor_start", 1, -1), "ancestors that are not there"),
@@ -113,6 +117,7 @@ HOSTILE = {
     "a negative number": (lambda columns, numbers: numbers.update(num_rows=-1), "num_rows"),
     "too few rows": (lambda columns, numbers: numbers.update(num_rows=7), "whole_rows|num_rows|rows and"),
     "no such column": (lambda columns, numbers: columns.pop("whole_rows"), "found no column 'whole_rows'"),
+    "blocks": (lambda columns, numbers: columns.update(shorter(columns)), "table: found 1 blocks"),
     "a type": (lambda columns, numbers: columns.update(whole_rows=np.zeros(3, np.float32)), "found dtype float32"),
     "checksums": (lambda columns, numbers: columns.update(block_checksums=np.zeros(3, np.uint32)), "found 3 checksums"),
 }

@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 
 from splatree.kernels.cpu.codec.nodes import pack_nodes
 from splatree.view import slots as module
+from splatree.view.shown import InMemory
 from splatree.view.slots import Slots
 
 from .scenes import scene
@@ -38,7 +39,7 @@ class Mirror:
 def test_a_page_holds_the_cut_after_any_changes(seed, counts):
     rng = np.random.default_rng(seed)
     shown = scene()
-    slots, mirror = Slots(shown, CENTRE, 512), Mirror(512)
+    slots, mirror = Slots(InMemory(shown), CENTRE, 512), Mirror(512)
     for count in counts:
         rows = np.sort(rng.choice(len(shown), count, replace=False)).astype(np.int32)
         mirror.take(slots.move(rows, FAR))
@@ -50,7 +51,7 @@ def test_a_page_holds_the_cut_after_any_changes(seed, counts):
 
 
 def test_the_same_cut_again_sends_nothing():
-    slots = Slots(scene(), CENTRE, 512)
+    slots = Slots(InMemory(scene()), CENTRE, 512)
     rows = np.arange(300, dtype=np.int32)
     slots.move(rows, FAR)
     again = slots.move(rows, FAR)
@@ -58,7 +59,7 @@ def test_the_same_cut_again_sends_nothing():
 
 
 def test_the_slots_can_be_filled_to_the_last():
-    slots, mirror = Slots(scene(), CENTRE, 400), Mirror(400)
+    slots, mirror = Slots(InMemory(scene()), CENTRE, 400), Mirror(400)
     for first in (0, 400, 800, 200):
         mirror.take(slots.move(np.arange(first, first + 400, dtype=np.int32), FAR))
         assert mirror.live.all()
@@ -66,7 +67,7 @@ def test_the_slots_can_be_filled_to_the_last():
 
 def test_colours_follow_an_eye_that_moves_and_not_one_that_rests():
     shown = scene()
-    slots, mirror = Slots(shown, CENTRE, 512), Mirror(512)
+    slots, mirror = Slots(InMemory(shown), CENTRE, 512), Mirror(512)
     rows = np.arange(300, dtype=np.int32)
     mirror.take(slots.move(rows, FAR))
     near = slots.move(rows, FAR + [0.02, 0, 0])
@@ -82,7 +83,7 @@ def test_colours_follow_an_eye_that_moves_and_not_one_that_rests():
 
 
 def test_a_scene_without_harmonics_sends_no_colours():
-    slots = Slots(scene(degree=0), CENTRE, 512)
+    slots = Slots(InMemory(scene(degree=0)), CENTRE, 512)
     rows = np.arange(300, dtype=np.int32)
     slots.move(rows, FAR)
     assert len(slots.move(rows, -FAR).tint) == 0
@@ -90,7 +91,7 @@ def test_a_scene_without_harmonics_sends_no_colours():
 
 def test_colours_of_many_nodes_come_in_parts(monkeypatch):
     monkeypatch.setattr(module, "TINTS", 100)
-    slots = Slots(scene(), CENTRE, 512)
+    slots = Slots(InMemory(scene()), CENTRE, 512)
     rows = np.arange(250, dtype=np.int32)
     slots.move(rows, FAR)
     sent, steps = 0, 0
@@ -108,7 +109,7 @@ def test_merged_nodes_come_as_they_look_and_come_again_when_that_changes():
 
     shown = splatree.build_lod(scene(degree=0), splatree.BuildOptions(max_roots=4))
     assert shown.tree.curves is not None
-    slots, mirror = Slots(shown, CENTRE, 2048), Mirror(2048)
+    slots, mirror = Slots(InMemory(shown), CENTRE, 2048), Mirror(2048)
     rows = np.arange(0, len(shown), 3, dtype=np.int32)
     inner = shown.tree.curves[rows, 2] > 0
     opacities = []

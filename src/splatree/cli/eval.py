@@ -176,7 +176,7 @@ def run(command: Command) -> Evaluated | Comparison:
         raise UsageError("report: found no --reference, wanted a scene to compare with")
     source = command.cameras or command.data
     named = None if source is None else read_cameras(source)  # missing ones are told before any work
-    whole = command.method is not None or needs_all_rows(command.select)
+    whole = [*(["method"] if command.method is not None else []), *needs_all_rows(command.select)]
     with opened(command.paths, command.reading, command.max_memory, whole=whole) as scene:
         return _evaluated(command, scene if isinstance(scene, Store) else with_blocks(scene), named)
 

@@ -5,6 +5,7 @@ __all__ = ["BASIC", "EXAMPLES"]
 EXAMPLES: dict[str, tuple[str, ...]] = {
     "demo": ("splatree demo", "splatree demo --output folder/"),
     "info": ("splatree info city.ply", "splatree info chunk_*/ --json"),
+    "check": ("splatree check city.splatree", "splatree check chunk_*/ --json"),
     "train": (
         "splatree train PHOTOGRAPHS -o scene.splatree --minutes 10",
         "splatree train PHOTOGRAPHS -o scene.splatree --levels pairs --max-gaussians 500000 --minutes 60",
@@ -83,6 +84,7 @@ BASIC: dict[str, tuple[str, ...]] = {
         "quality",
     ),
     "info": ("level", "repair"),
+    "check": ("repair",),
     "train": (
         "output", "minutes", "iterations", "max-gaussians", "size", "degree", "mode", "levels", "held-out", "masks", "exposure",
         "cameras", "resume", "force",

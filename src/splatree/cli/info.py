@@ -56,6 +56,8 @@ class Info:
     """Gaussians that were not made by merging: the leaves."""
     num_nodes: int
     """All rows, merged nodes included."""
+    num_sampled: int
+    """Gaussians that everything beside counts, levels and sizes is taken of: all, or of a folder of parts a million at most."""
     levels: int
     """Largest depth + 1."""
     nodes_per_depth: tuple[int, ...]
@@ -132,16 +134,16 @@ def describe(outline: Outline) -> Info:
     distances = np.linalg.norm(means - centre.astype(np.float32), axis=1)
     upright = guess_up(survey_of(outline.sample), scene.source) if len(scene) else None
     origin = np.asarray(scene.source.origin)
-    box = means if len(means) else np.zeros((1, 3), np.float32)
     degree = outline.sample.gaussians.sh_degree
     return Info(
         paths=scene.source.paths,
         format=scene.source.format,
         compact=_is_compact(scene.source),
-        num_gaussians=len(leaves),
-        num_nodes=len(scene),
-        levels=scene.tree.num_levels,
-        nodes_per_depth=tuple(int(n) for n in np.bincount(scene.tree.depth)),
+        num_gaussians=outline.num_leaves,
+        num_nodes=outline.num_nodes,
+        num_sampled=len(leaves),
+        levels=len(outline.nodes_per_depth),
+        nodes_per_depth=outline.nodes_per_depth,
         record=scene.tree.record,
         clusters=_clusters(scene),
         sh_degree=degree,
@@ -150,8 +152,8 @@ def describe(outline: Outline) -> Info:
         tile_rule=scene.tile_rule or "ellipse",
         file_bytes=sum(stored_bytes(Path(path)) for path in scene.source.paths),
         bytes=outline.nbytes,
-        box_min=_point(box.min(axis=0) + origin),
-        box_max=_point(box.max(axis=0) + origin),
+        box_min=_point(outline.box[0] + origin),
+        box_max=_point(outline.box[1] + origin),
         centre=_point(centre + origin),
         origin=scene.source.origin,
         coordinate_step=coarsest_step(float(np.abs(centre).max())),
@@ -167,9 +169,9 @@ def describe(outline: Outline) -> Info:
         up_reason="" if upright is None else upright.reason,
         up_is_sure=upright is not None and upright.lead > 1,
         outliers=outliers_of(scene, sizes, opacities, float(np.median(distances)) if len(leaves) else 0.0),
-        estimated_bytes=estimated_bytes(len(leaves), degree),
+        estimated_bytes=estimated_bytes(outline.num_leaves, degree),
         in_chunks=outline.in_chunks,
-        next=_next(scene),
+        next=_next(scene, has_levels=len(outline.nodes_per_depth) > 1),
         metadata=dict(scene.source.metadata),
     )
 
@@ -179,10 +181,10 @@ def _is_compact(source: Source) -> bool:
     return any(is_compact(path) for path in files)
 
 
-def _next(scene: Scene) -> str:
+def _next(scene: Scene, *, has_levels: bool) -> str:
     """The command that a user would want next: levels where there are none, else a picture."""
     paths = " ".join(shlex.quote(path) for path in scene.source.paths) or "INPUT"
-    if scene.tree.num_levels > 1:
+    if has_levels:
         return f"splatree render {paths} -o pictures"
     stem = scene.source.paths[0].rstrip("/").rsplit("/", 1)[-1].split(".")[0] if scene.source.paths else "scene"
     output = shlex.quote(f"{stem or 'scene'}.splatree")
@@ -211,6 +213,7 @@ def show(info: Info) -> str:
         ("format", f"{info.format}, compact: values are rounded" if info.compact else info.format),
         ("Gaussians", f"{info.num_gaussians:,}"),
         ("nodes", f"{info.num_nodes:,} in {counted(info.levels, 'level')}"),
+        *([("statistics", f"of {info.num_sampled:,} Gaussians")] if info.num_sampled < info.num_gaussians else []),
         ("nodes per depth", " ".join(f"{n:,}" for n in info.nodes_per_depth)),
         *([("levels", _record_words(info.record))] if info.record else []),
         *([("clusters", _cluster_words(info.clusters))] if info.clusters else []),

@@ -35,6 +35,7 @@ from splatree.errors import InputError, OutputError, SplatreeError
 VERBS = {
     "demo": "build, draw and judge a bundled piece of a real city",
     "info": "say what a scene holds",
+    "check": "say whether files are whole: digests, values, levels",
     "train": "train a scene from photographs whose cameras are known",
     "convert": "write a scene in another format",
     "clean": "drop floaters and outliers",

@@ -6,8 +6,9 @@ from pathlib import Path
 
 from splatree.cli.console import UsageError
 from splatree.cli.files import Reading, read_scene
-from splatree.io.registry import detect
+from splatree.io.registry import detect, stored_bytes
 from splatree.lod.baselines import Baseline
+from splatree.outofcore.options import free_bytes
 from splatree.outofcore.store import Store, open_store
 from splatree.render.timing import peak_bytes
 from splatree.scene.options import SelectOptions
@@ -18,11 +19,11 @@ __all__ = ["bytes_of", "counts_of", "needs_all_rows", "opened", "sample_of"]
 
 @contextmanager
 def opened(
-    paths: Sequence[Path], reading: Reading, max_memory: str | None, *, whole: bool = False
+    paths: Sequence[Path], reading: Reading, max_memory: str | None, *, whole: Sequence[str] = ()
 ) -> Iterator[Scene | Store]:
     """The scene of all paths, read; or a store, where one path is a folder of parts or ``max_memory`` is given.
 
-    With ``whole``, something is asked for that needs all rows: then a folder is read.
+    ``whole`` names options that are given and need all rows: then a folder is read.
 
     Raises:
         UsageError: ``max_memory`` is given, and the paths cannot be read page by page, or all rows are needed.
@@ -31,10 +32,18 @@ def opened(
     name = None if found is None else found.name
     is_folder = name == "splatree-folder"
     if max_memory is not None and (whole or not (is_folder or name == "splatree")):
-        why = "options that need all rows in memory" if whole else ", ".join(map(str, paths))
+        if whole:
+            raise UsageError(
+                f"max_memory: found {_named(whole)}, which needs all rows in memory; leave out one of both"
+            )
         raise UsageError(
-            f"max_memory: found {why}, wanted one .splatree or one folder of parts, drawn by the rule `cut`; "
-            "splatree build makes either"
+            f"max_memory: found {', '.join(map(str, paths))}, wanted one .splatree or one folder of parts; splatree build makes "
+            "either"
+        )
+    if whole and is_folder and (needed := stored_bytes(paths[0])) > (free := free_bytes()):
+        raise UsageError(
+            f"{_named(whole)}: needs all rows of {paths[0]} in memory, {needed / 1e9:.1f} GB, and {free / 1e9:.1f} GB are free; "
+            "without it only the pages are read that views need"
         )
     if whole or not (is_folder or max_memory is not None):
         yield read_scene(paths, reading)
@@ -43,9 +52,18 @@ def opened(
         yield store
 
 
-def needs_all_rows(select: SelectOptions) -> bool:
-    """Whether a selection cannot be made page by page."""
-    return select.rule != "cut" or select.cull not in (None, "none") or select.quality is not None
+def _named(options: Sequence[str]) -> str:
+    return ", ".join(f"--{name.replace('_', '-')}" for name in options)
+
+
+def needs_all_rows(select: SelectOptions) -> list[str]:
+    """The options of a selection that cannot be made page by page."""
+    needed = {
+        "rule": select.rule != "cut",
+        "cull": select.cull not in (None, "none"),
+        "quality": select.quality is not None,
+    }
+    return [name for name, is_needed in needed.items() if is_needed]
 
 
 def sample_of(scene: Scene | Store) -> Scene:

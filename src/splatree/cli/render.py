@@ -211,7 +211,8 @@ def _scene(command: Command) -> Iterator[Scene | Store]:
     if level is not None and one and (found := detect(command.paths[0])) is not None and found.holds.levels == "one of":
         yield read_scene(command.paths, command.reading, level=level)
         return
-    whole = level is not None or command.moving or needs_all_rows(command.select)
+    whole = [*(["level"] if level is not None else []), *(["moving"] if command.moving else [])]
+    whole += needs_all_rows(command.select)
     with opened(command.paths, command.reading, command.max_memory, whole=whole) as scene:
         yield scene if level is None or isinstance(scene, Store) else level_of(scene, level)
 

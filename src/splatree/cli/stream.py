@@ -1,5 +1,7 @@
 """``splatree stream``: a scene as viewers on the web load it, piece by piece."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
@@ -10,9 +12,12 @@ from splatree.cli.console import Console, UsageError, counted, size, table
 from splatree.cli.files import Reading, in_mode, lost_and_noted, read_scene, repairs_of, told
 from splatree.errors import InputError
 from splatree.io.cameras.files import read_cameras
+from splatree.io.formats.folder.manifest import MANIFEST, is_manifest
 from splatree.io.notes import origin_in_words
 from splatree.io.replacing import check_target, replacing
+from splatree.outofcore.mapped import mapped_whole
 from splatree.scene.names import Mode
+from splatree.scene.scene import Scene
 from splatree.stream.options import StreamFormat, StreamOptions
 from splatree.stream.report import StreamReport, ViewQuality, report_stream
 from splatree.stream.report_page import write_stream_report
@@ -80,7 +85,21 @@ def run(command: Command) -> Result:
         raise UsageError("--cameras: are the views of a report; name its file with --report")
     if command.report is not None:
         check_target(command.report)
-    read = in_mode(read_scene(inputs, command.reading), command.mode)
+    with _scene(command, inputs, output) as read:
+        return _streamed(command, in_mode(read, command.mode), output)
+
+
+@contextmanager
+def _scene(command: Command, inputs: tuple[Path, ...], output: Path) -> Iterator[Scene]:
+    """The scene, read; or mapped, where it is a folder of parts."""
+    if len(inputs) == 1 and is_manifest(inputs[0] / MANIFEST):
+        with mapped_whole(inputs[0], output) as scene:
+            yield scene
+    else:
+        yield read_scene(inputs, command.reading)
+
+
+def _streamed(command: Command, read: Scene, output: Path) -> Result:
     degree = command.options.sh_degree
     if degree is not None and degree < read.gaussians.sh_degree:
         read = replace(read, gaussians=read.gaussians.with_sh_degree(degree), clusters=None)

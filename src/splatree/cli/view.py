@@ -3,6 +3,7 @@
 import contextlib
 import sys
 import webbrowser
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -10,10 +11,14 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from splatree.cli.console import Console, UsageError
-from splatree.cli.files import Reading, check_inputs, in_mode, read_scene
+from splatree.cli.files import Reading, check_inputs, in_mode
+from splatree.cli.opening import opened
 from splatree.io.cameras.files import read_cameras
 from splatree.io.photos import Photos
+from splatree.outofcore.store import Store
+from splatree.scene.cameras import Cameras
 from splatree.scene.names import Mode
+from splatree.scene.scene import Scene
 from splatree.view.exhibit import has_levels
 from splatree.view.options import ViewOptions
 from splatree.view.viewer import Viewer
@@ -31,6 +36,9 @@ class Command:
     """Views to list: cameras.json, transforms.json or a COLMAP model."""
     photos: Path | None = None
     """Folder of the photographs of these views."""
+    max_memory: str | None = None
+    """Most memory for what is read of a .splatree or a folder of parts, such as 1G: only what the views need is read. A folder is
+    always shown so; by default it takes half of the free memory."""
     no_browser: bool = False
     """Only print the address."""
     mode: Mode | None = None
@@ -59,9 +67,37 @@ def run(command: Command) -> Viewed:
     photos = None
     if command.photos is not None and cameras is not None:
         photos = Photos(command.photos, list(cameras))
-    scene = in_mode(read_scene(command.paths, command.reading), command.mode)
-    cameras = None if cameras is None else cameras.relative_to(scene.source)
-    beside = None if command.beside is None else read_scene((command.beside,), command.reading)
+    with ExitStack() as stack:
+        scene, beside = (
+            None if paths is None else stack.enter_context(_opened(command, paths))
+            for paths in (command.paths, None if command.beside is None else (command.beside,))
+        )
+        assert scene is not None
+        return _shown(command, scene, beside, cameras, photos)
+
+
+def _opened(command: Command, paths: tuple[Path, ...]) -> AbstractContextManager[Scene | Store]:
+    """A scene, or a store where it is not read as a whole."""
+    whole = {"quality": command.options.quality is not None}
+    return opened(paths, command.reading, command.max_memory, whole=[name for name, needed in whole.items() if needed])
+
+
+def _shown(
+    command: Command,
+    scene: Scene | Store,
+    beside: Scene | Store | None,
+    cameras: Cameras | None,
+    photos: Photos | None,
+) -> Viewed:
+    """Show scenes until interrupted."""
+    if isinstance(scene, Scene):
+        scene = in_mode(scene, command.mode)
+    elif command.mode not in (None, scene.scene.mode):
+        raise UsageError(
+            f"mode: found levels of detail that were made for {scene.scene.mode}, wanted none; build them for {command.mode}"
+        )
+    source = (scene if isinstance(scene, Scene) else scene.scene).source
+    cameras = None if cameras is None else cameras.relative_to(source)
     for path, shown in ((command.paths[0], scene), (command.beside, beside)):
         if shown is not None and not has_levels(shown):
             _say(command, f"{path}: has no levels of detail; building them (splatree build keeps them in a file)")

@@ -17,6 +17,9 @@ from splatree.edit.edit import edit, edit_rows, move_from_options
 from splatree.edit.options import EditOptions
 from splatree.errors import InputError
 from splatree.io.chunks import Chunks
+from splatree.io.formats.folder.manifest import MANIFEST, is_manifest
+from splatree.io.formats.folder.whole import open_whole
+from splatree.io.formats.splatree.writer import create_scene
 from splatree.io.inputs import find_inputs
 from splatree.io.joined import joined
 from splatree.io.joined_chunks import joined_chunks, opened_chunks
@@ -128,6 +131,10 @@ def _converted_from(found: Sequence[Path], target: Path, options: ConvertOptions
     chosen = format_to_write(target)
     by_rows = options.read.level is None and options.depth is None and options.edit.order == "kept"
     by_rows = by_rows and not options.write.compact
+    if by_rows and len(found) == 1 and is_manifest(found[0] / MANIFEST) and chosen.write_chunks is not None:
+        by_pages = _by_pages(found[0], target, options, force)
+        if by_pages is not None:
+            return by_pages
     if chosen.write_chunks is not None and by_rows and (parts := opened_chunks(found, options.read)) is not None:
         return _in_chunks(found, parts, target, options, force)
 
@@ -138,6 +145,30 @@ def _converted_from(found: Sequence[Path], target: Path, options: ConvertOptions
     scene = edit(scene, options.edit)
     lost = write(scene, target, depth=options.depth, force=force, options=options.write)
     return _converted(num_read, scene.tree.num_leaves, scene.source.metadata, lost, scene.source.origin)
+
+
+def _by_pages(folder: Path, target: Path, options: ConvertOptions, force: bool) -> Converted | None:
+    """A folder of parts as one file, in runs of rows; None if the tree has to be in memory for it."""
+    chosen, tree = format_to_write(target), open_whole(folder)
+    source = replace(tree.head.source, paths=(str(folder),), format="splatree-folder")
+    tree = replace(tree, head=replace(tree.head, source=source))
+    if chosen.holds.levels == "tree":
+        if chosen.name != "splatree" or options.edit != EditOptions() or options.mode not in (None, tree.head.mode):
+            return None
+        with create_scene(target, tree.head, force=force) as writer:
+            for run in tree.runs(f"write {target.name}"):
+                writer.append(run)
+        lost: tuple[str, ...] = ()
+        num_written = tree.num_leaves
+    else:
+        chunks = tree.leaves()
+        if options.mode is not None:
+            chunks = replace(chunks, mode=options.mode)
+        edited = _edited_chunks(chunks, options.edit)
+        num_written = len(edited)
+        lost = write_chunks(edited, target, force=force, options=options.write, cut_from=tree)
+    converted = _converted(tree.num_leaves, num_written, source.metadata, lost, source.origin)
+    return replace(converted, in_chunks=True)
 
 
 def _in_chunks(

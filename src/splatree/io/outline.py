@@ -1,18 +1,22 @@
 """What describes a scene without holding all of it: every row without its harmonics, and a sample with them.
 
 Harmonics are three quarters of a scene at degree 3. A file that can be read in chunks is gone through once, and they are left
-behind: 56 bytes a Gaussian stay in memory, of 248 in a .ply. Other formats are read whole.
+behind: 56 bytes a Gaussian stay in memory, of 248 in a .ply. Of a folder of parts only the tree and the means are gone through,
+and leaves that are evenly spread over it are read, a million at most. Other formats are read whole.
 """
 
 import json
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
+from splatree.io.formats.folder.manifest import MANIFEST, is_manifest
+from splatree.io.formats.folder.whole import open_whole
+from splatree.io.formats.splatree.rows import StoredScene
 from splatree.io.inputs import find_inputs
 from splatree.io.joined import joined_source
 from splatree.io.joined_chunks import joined_chunks, opened_chunks
@@ -24,11 +28,18 @@ from splatree.io.registry import detect
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Scene, Source
+from splatree.shapes import Array
 
 __all__ = ["Outline", "outline_of", "read_outline"]
 
 SAMPLE: Final = 60_000
 """Rows with their harmonics, at least, of a scene that has so many: as many as framing looks at."""
+
+FOLDER_SAMPLE: Final = 1_000_000
+"""Leaves of a folder of parts that are looked at, at most: quantiles then err by a thousandth; 56 MB."""
+
+FOLDER_RUN: Final = 1 << 17
+"""Rows of a folder that are gone through at once."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,22 +47,43 @@ class Outline:
     """A scene, possibly without its harmonics."""
 
     scene: Scene
-    """Every row; of degree 0 if the file went through in chunks."""
+    """Every row; of degree 0 if the file went through in chunks. Of a folder of parts, evenly spread leaves."""
     sample: Scene
     """Rows with all their columns, spread evenly over the file; the scene itself where it was read whole."""
     in_chunks: bool
     """Whether the file went through in chunks."""
+    nodes_per_depth: tuple[int, ...]
+    """Nodes of the scene at each depth, roots first."""
+    num_leaves: int
+    """Leaves of the scene."""
+
+    box: tuple[Array, Array]
+    """Least and largest coordinates of the leaves' means, world units; zeros if there are none."""
+
+    @property
+    def num_nodes(self) -> int:
+        """Nodes of the scene."""
+        return sum(self.nodes_per_depth)
 
     @property
     def nbytes(self) -> int:
         """Memory of all columns of the scene, harmonics included, bytes."""
-        missing: int = self.sample.gaussians.sh.shape[1] - self.scene.gaussians.sh.shape[1]
-        return self.scene.gaussians.nbytes + 12 * missing * len(self.scene)
+        return self.num_nodes * (11 * 4 + 12 * self.sample.gaussians.sh.shape[1])
 
 
 def outline_of(scene: Scene) -> Outline:
     """The outline of a scene in memory: the scene itself."""
-    return Outline(scene, scene, in_chunks=False)
+    is_leaf, means = scene.tree.is_leaf, scene.gaussians.means
+    return Outline(scene, scene, False, _per_depth(scene.tree.depth), int(is_leaf.sum()), _box_of([means[is_leaf]]))
+
+
+def _box_of(runs: Iterable[Array]) -> tuple[Array, Array]:
+    bounds = [(run.min(axis=0), run.max(axis=0)) for run in runs if len(run)] or [(np.zeros(3, np.float32),) * 2]
+    return np.min([low for low, _ in bounds], axis=0), np.max([high for _, high in bounds], axis=0)
+
+
+def _per_depth(depths: Array) -> tuple[int, ...]:
+    return tuple(int(n) for n in np.bincount(depths))
 
 
 def read_outline(paths: Sequence[Path], options: ReadOptions) -> Outline:
@@ -67,7 +99,10 @@ def read_outline(paths: Sequence[Path], options: ReadOptions) -> Outline:
     """
     with local_inputs(paths) as local:
         found = find_inputs(local.paths, lambda path: detect(path) is not None)
-        outline = _in_chunks(found.paths, options) if options.level is None else None
+        outline = None
+        if options.level is None:
+            is_folder = len(found.paths) == 1 and is_manifest(found.paths[0] / MANIFEST)
+            outline = _of_folder(found.paths[0]) if is_folder else _in_chunks(found.paths, options)
         if outline is None:
             outline = outline_of(
                 read(
@@ -81,6 +116,41 @@ def read_outline(paths: Sequence[Path], options: ReadOptions) -> Outline:
     source = outline.scene.source
     source = with_notes(replace(source, paths=tuple(map(local.named, source.paths))), found.notes)
     return replace(outline, scene=replace(outline.scene, source=source), sample=replace(outline.sample, source=source))
+
+
+def _of_folder(path: Path) -> Outline:
+    tree = open_whole(path, checked=False)
+    per_depth, leaves = np.zeros(256, np.int64), []
+    step, num_before = -(-tree.num_leaves // FOLDER_SAMPLE) or 1, 0
+    with task(f"read {path.name}", float(len(tree))) as advance:
+        for begin in range(0, len(tree), FOLDER_RUN):
+            ends, depth = tree.shape(begin, min(begin + FOLDER_RUN, len(tree)))
+            per_depth += np.bincount(depth, minlength=256)
+            rows = begin + np.flatnonzero(ends == begin + 1 + np.arange(len(ends)))
+            leaves.append(rows[-num_before % step :: step])
+            num_before += len(rows)
+            advance(float(len(ends)))
+    rows = np.concatenate([np.zeros(0, np.int64), *leaves])
+    few = rows[:: -(-len(rows) // SAMPLE) or 1]
+    head, source = tree.head, replace(tree.head.source, paths=(str(path),), format="splatree-folder")
+    plain = Gaussians.concatenate(
+        [
+            Gaussians.empty(0),
+            *(tree.take(rows[i : i + FOLDER_RUN]).with_sh_degree(0) for i in range(0, len(rows), FOLDER_RUN)),
+        ]
+    )
+    scene, sample = (Scene.flat(g, mode=head.mode, source=source) for g in (plain, tree.take(few)))
+    drawn = {"threshold": head.threshold, "tile_rule": head.tile_rule}
+    scene = replace(scene, tree=replace(scene.tree, record=head.record), **drawn)
+    nodes = tuple(int(n) for n in np.trim_zeros(per_depth, "b"))
+    return Outline(
+        scene, replace(sample, **drawn), True, nodes, tree.num_leaves, _box_of(map(_leaf_means, tree.files[1:]))
+    )
+
+
+def _leaf_means(part: StoredScene) -> Array:
+    is_leaf = part.file.rows("tree.subtree_end") == np.arange(1, len(part) + 1)
+    return part.file.rows("gaussians.means")[is_leaf]
 
 
 def _in_chunks(paths: Sequence[Path], options: ReadOptions) -> Outline | None:
@@ -102,7 +172,7 @@ def _in_chunks(paths: Sequence[Path], options: ReadOptions) -> Outline | None:
     source = Source(joined.paths, joined.format, _with_repairs(chunks.metadata, [part.repairs for part in parts]))
     source = replace(source, origin=chunks.origin)
     scene, sample = (Scene.flat(g, mode=chunks.mode, source=source) for g in (plain, Gaussians.concatenate(samples)))
-    return Outline(scene, sample, in_chunks=True)
+    return Outline(scene, sample, True, _per_depth(scene.tree.depth), len(scene), _box_of([scene.gaussians.means]))
 
 
 def _format_name(path: Path) -> str:

@@ -5,9 +5,11 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from splatree.constants import ALPHA_THRESHOLD
 from splatree.errors import InputError, OutputError, SplatreeError
 from splatree.io.chunks import Chunks, chunks_of
 from splatree.io.cut import cut_at
+from splatree.io.formats.folder.whole import WholeTree
 from splatree.io.holds import losses, origin_lost
 from splatree.io.options import WriteOptions
 from splatree.io.registry import FOLDER_FILE, Format, format_to_write
@@ -91,13 +93,25 @@ def _folder_of(target: Path) -> Iterator[None]:
 
 
 def write_chunks(
-    chunks: Chunks, path: str | os.PathLike[str], *, force: bool = False, options: WriteOptions | None = None
+    chunks: Chunks,
+    path: str | os.PathLike[str],
+    *,
+    force: bool = False,
+    options: WriteOptions | None = None,
+    cut_from: WholeTree | None = None,
 ) -> tuple[str, ...]:
-    """As `write`, of Gaussians in chunks, in a format that is written so."""
+    """As `write`, of Gaussians in chunks, in a format that is written so; they may be the leaves of a tree that is not kept."""
     target, options = Path(path), options or WriteOptions()
     chosen = format_to_write(target)
     options.check_taken(chosen.options, f"{target} ({chosen.name})")
-    lost: Iterable[str] = losses(chosen.holds, chosen.name, sh_degree=chunks.sh_degree, mode=chunks.mode)
+    lost: Iterable[str] = losses(
+        chosen.holds,
+        chosen.name,
+        sh_degree=chunks.sh_degree,
+        mode=chunks.mode,
+        threshold=ALPHA_THRESHOLD if cut_from is None else cut_from.head.threshold,
+        num_merged=0 if cut_from is None else len(cut_from) - cut_from.num_leaves,
+    )
     lost = (*lost, *origin_lost(chosen.holds, chosen.name, chunks.origin))
     return (*lost, *_written(chosen, chunks, target, force, options))
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from splatree.constants import BLOCK_ROWS
 from splatree.errors import FormatError, InputError, ShapeError
 from splatree.io.formats.splatree.rows import StoredScene
 from splatree.outofcore.page import HARMONIC_ROWS, Checksums
@@ -157,12 +158,14 @@ def _numbered(pages: Sequence[FilePages]) -> list[PageTable]:
 
 
 def _widened(table: PageTable, num_own: int, copies: Array, roots: Array, pages: Sequence[FilePages]) -> PageTable:
-    """The table in which the pages of the crown hold what is below their portals."""
-    start = np.searchsorted(copies, table.begin[:num_own])  # each page ends behind a leaf, so it has a portal
+    """The table in which the pages of the crown, and their blocks, hold what is below their portals."""
+    page = np.searchsorted(table.begin[:num_own], copies, side="right") - 1
+    block = table.block_start[page] + (copies - table.begin[page]) // BLOCK_ROWS
     widened = {}
     for name, bound in (("lower", np.minimum), ("upper", np.maximum), ("scales", np.maximum)):
         of_roots = np.concatenate([getattr(part, f"root_{name}") for part in pages])[roots]
         column = f"leaf_{name}" if name == "scales" else name
-        widened[column] = getattr(table, column).copy()
-        bound(widened[column][:num_own], bound.reduceat(of_roots, start, axis=0), out=widened[column][:num_own])
+        for kind, place in ((column, page), (f"block_{column}", block)):
+            widened[kind] = getattr(table, kind).copy()
+            bound.at(widened[kind], place, of_roots)
     return replace(table, **widened)

@@ -76,7 +76,7 @@ def read_index(path: Path, files: Sequence[StoredScene]) -> StoreIndex:
 
 def _column(container: Container, name: str, where: str) -> Array:
     if name not in container.columns:
-        raise FormatError(f"{where}: found no column {name!r}; the file is damaged")
+        raise FormatError(f"{where}: found no column {name!r}; the file is damaged or of an older version: build again")
     return container.rows(name)
 
 
@@ -97,6 +97,8 @@ def _wrong(index: StoreIndex, num_rows: Sequence[int]) -> Iterator[str]:
         or np.any(lasts & (table.end != rows_of_page))
     ):
         yield "table: found pages that do not follow each other from the first row of each file to the last"
+    elif len(table.block_lower) != table.block_start[-1]:
+        yield f"table: found {len(table.block_lower)} blocks, wanted {table.block_start[-1]}"
     ancestor_start, c = table.ancestor_start, len(table.rows)
     if (
         ancestor_start[0] != 0

@@ -4,7 +4,7 @@ A page begins anywhere and ends behind a leaf. An ancestor of a row of a page th
 first row, too. So a page is decided alone, given the few ancestors of its first row: where one of them is drawn, it shadows the
 rows up to its end, which are a run at the beginning of the page. Blocks of 256 rows (scene/tree.py) do the same.
 
-The harmonics of a page are three quarters of its bytes. They are read and checked in runs of 256 rows, of which one is drawn.
+The harmonics of a page are three quarters of its bytes. They are read and checked in runs of 64 rows, of which one is drawn.
 """
 
 import zlib
@@ -26,8 +26,9 @@ from splatree.shapes import Array, Bool, Int32, Int64, UInt8, UInt32
 
 __all__ = ["HARMONIC_ROWS", "Checksums", "Page", "load_page", "page_of"]
 
-HARMONIC_ROWS = 256
-"""Rows whose harmonics are read and checked together: 49 kB at degree 3; smaller runs take longer to check."""
+HARMONIC_ROWS = 64
+"""Rows whose harmonics are read and checked together: 12 kB at degree 3. Runs of 256 rows touch a sixth more harmonics in a near
+view, runs of 16 a twelfth fewer for four times the checksums."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,9 +50,9 @@ class Page:
     ids: UInt32[Array, "n"] | None
     """Identity of each row in the file; None: the row number."""
     harmonics: UInt32[Array, "h"] | None
-    """CRC-32 of the harmonics of each 256 rows; None: it is not known."""
+    """CRC-32 of the harmonics of each 64 rows; None: it is not known."""
     is_checked: Bool[Array, "h"]
-    """Whether the harmonics of each 256 rows have been checked; the first one who draws one of them does so."""
+    """Whether the harmonics of each 64 rows have been checked; the first one who draws one of them does so."""
 
     def __len__(self) -> int:
         return len(self.tree)
@@ -82,21 +83,24 @@ class Page:
             FormatError: a value cannot be used, or they are not those that were indexed.
         """
         blocks = np.unique(rows // HARMONIC_ROWS)
-        for block in blocks[~self.is_checked[blocks]]:
-            first = int(block) * HARMONIC_ROWS
-            run = slice(first, first + HARMONIC_ROWS)
-            if not largest_magnitude(self.gaussians.sh[run]) <= SH_MAX:
-                refuse_unusable(
-                    self.gaussians.take(np.arange(len(self))[run]), self.where, first_row=self.begin + first
-                )
-            if self.harmonics is not None and self.harmonics[block] != (
-                found := zlib.crc32(self.gaussians.sh[run].data)
-            ):
+        blocks = blocks[~self.is_checked[blocks]]
+        for run in np.split(blocks, np.flatnonzero(np.diff(blocks) > 1) + 1) if len(blocks) else ():
+            self._check_run(int(run[0]), int(run[-1]) + 1)
+
+    def _check_run(self, first_block: int, end_block: int) -> None:
+        first, sh = first_block * HARMONIC_ROWS, self.gaussians.sh
+        if not largest_magnitude(sh[first : end_block * HARMONIC_ROWS]) <= SH_MAX:
+            rows = np.arange(first, min(end_block * HARMONIC_ROWS, len(self)))
+            refuse_unusable(self.gaussians.take(rows), self.where, first_row=self.begin + first)
+        wanted = {} if self.harmonics is None else dict(enumerate(self.harmonics[first_block:end_block], first_block))
+        for block, checksum in wanted.items():
+            begin, end = block * HARMONIC_ROWS, min((block + 1) * HARMONIC_ROWS, len(self))
+            if checksum != (found := zlib.crc32(sh[begin:end].data)):
                 raise FormatError(
-                    f"{self.where}: rows {self.begin + first} to {self.begin + min(run.stop, len(self))}: found harmonics of "
-                    f"checksum {found:08x}, wanted {self.harmonics[block]:08x}; the file is damaged or has been replaced"
+                    f"{self.where}: rows {self.begin + begin} to {self.begin + end}: found harmonics of checksum {found:08x}, "
+                    f"wanted {checksum:08x}; the file is damaged or has been replaced"
                 )
-            self.is_checked[block] = True
+        self.is_checked[first_block:end_block] = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +110,7 @@ class Checksums:
     plain: int
     """CRC-32 of all columns but the harmonics."""
     harmonics: UInt32[Array, "h"]
-    """CRC-32 of the harmonics of each 256 rows."""
+    """CRC-32 of the harmonics of each 64 rows."""
 
     @staticmethod
     def of(rows: SceneRows) -> "Checksums":

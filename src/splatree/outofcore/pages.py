@@ -1,13 +1,15 @@
 """The table of the pages of a store: what is known of a page before it is read.
 
-A page has a box around what it draws, the largest standard deviation in it, and the ancestors of its first row, which are kept
-with the table. So most pages of a view are left out unread: they are out of the image, or below a node that is drawn.
+A page has a box around what it draws, the largest standard deviation in it, the same of each of its blocks of 256 rows, and the
+ancestors of its first row, which are kept with the table. So most pages of a view are left out unread: all their blocks are out
+of the image, or below a node that is drawn.
 
 A folder of parts is a store of several files. Leaves of the crown are copies of roots of parts, its *portals*; all portals are
 numbered, part by part. A page of a part knows the numbers of the roots that it belongs to. A page of the crown stands for what is
 below its portals, too: its box holds theirs.
 
-Cost: 60 bytes a page of 1 MB and 4 bytes a row of the crown. Making the table reads everything but the harmonics, once.
+Cost: 60 bytes a page of 1 MB, 28 bytes a block of 60 kB and 4 bytes a row of the crown. Making the table reads everything but the
+harmonics, once.
 """
 
 import math
@@ -16,6 +18,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from splatree.constants import BLOCK_ROWS
 from splatree.errors import FormatError
 from splatree.io.formats.splatree.fields import column_types
 from splatree.io.formats.splatree.head import SceneHead
@@ -48,6 +51,12 @@ class PageTable:
     """Largest coordinates."""
     leaf_scales: Float32[Array, "p"]
     """Largest standard deviation as in `BlockIndex.leaf_scales`, world units."""
+    block_lower: Float32[Array, "b 3"]
+    """Smallest coordinates of the means in each block of 256 rows of each page, world units (`BlockIndex.lower`)."""
+    block_upper: Float32[Array, "b 3"]
+    """Largest coordinates."""
+    block_leaf_scales: Float32[Array, "b"]
+    """Largest standard deviation as in `BlockIndex.leaf_scales`, world units."""
     first_root: Int64[Array, "p"]
     """Number of the first root that begins in each page."""
     ancestor_start: Int32[Array, "p+1"]
@@ -72,6 +81,11 @@ class PageTable:
 
     def __len__(self) -> int:
         return len(self.begin)
+
+    @property
+    def block_start(self) -> Int64[Array, "q"]:
+        """The first block of each page, and behind the last one the number of blocks."""
+        return np.concatenate([[0], np.cumsum(-(-(self.end - self.begin) // BLOCK_ROWS))])
 
     def path(self, page: int) -> Int64[Array, "a"]:
         """Where the subtrees of the ancestors of a page end, from the root down."""
@@ -137,13 +151,18 @@ def row_bytes_of(head: SceneHead) -> int:
 
 
 def table_of(
-    stored: StoredScene, *, checksums: bool = False, advance: Callable[[float], None] = lambda rows: None
+    stored: StoredScene,
+    *,
+    checksums: bool = False,
+    look: Callable[[Page], None] = lambda page: None,
+    advance: Callable[[float], None] = lambda rows: None,
 ) -> FilePages:
     """Go through a file page by page and note what a selection has to know of each.
 
     Args:
         stored: the file.
         checksums: also note checksums, for which harmonics have to be read.
+        look: is given each page.
         advance: is told how many rows were gone through.
 
     Raises:
@@ -155,7 +174,9 @@ def table_of(
     while begin < n:
         end = _end_of_page(stored, begin, page_rows)
         rows = stored.rows(begin, end, harmonics=False)
-        path = noted.add(rows, page_of(rows, str(stored.file.path), path))
+        page = page_of(rows, str(stored.file.path), path)
+        look(page)
+        path = noted.add(rows, page)
         stored.forget(begin, end)
         advance(float(end - begin))
         begin = end
@@ -168,6 +189,7 @@ class _Noted:
     def __init__(self, with_checksums: bool) -> None:
         self._checksums: list[Checksums] | None = [] if with_checksums else None
         self._pages: list[tuple[int, int, Array, Array, float, int]] = []
+        self._blocks: list[tuple[Array, Array, Array]] = []
         self._ancestors: list[list[int]] = []
         self._nodes: list[tuple[int, int, Array, Array, Array, float]] = []
         self._path: list[int] = []  # numbers of nodes
@@ -180,6 +202,7 @@ class _Noted:
         begin, end, blocks = page.begin, page.begin + len(page), page.blocks
         lower, upper = blocks.group_lower.min(axis=0), blocks.group_upper.max(axis=0)
         self._pages.append((begin, end, lower, upper, float(blocks.group_leaf_scales.max()), self._num_roots))
+        self._blocks.append((blocks.lower, blocks.upper, blocks.leaf_scales))
         if self._checksums is not None:
             self._checksums.append(Checksums.of(rows))
         self._ancestors.append(list(self._path))
@@ -216,12 +239,20 @@ class _Noted:
         """All that was noted."""
         begin, end, lower, upper, scales, roots = zip(*self._pages, strict=True) if self._pages else [()] * 6
         rows, stops, means, quats, log_scales, extents = zip(*self._nodes, strict=True) if self._nodes else [()] * 6
+        points, numbers = np.zeros((0, 3), np.float32), np.zeros(0, np.float32)
+        block_columns = (
+            np.concatenate(column) for column in zip((points, points, numbers), *self._blocks, strict=True)
+        )
+        block_lower, block_upper, block_leaf_scales = block_columns
         table = PageTable(
             begin=np.array(begin, np.int32),
             end=np.array(end, np.int32),
             lower=np.array(lower, np.float32).reshape(-1, 3),
             upper=np.array(upper, np.float32).reshape(-1, 3),
             leaf_scales=np.array(scales, np.float32),
+            block_lower=block_lower,
+            block_upper=block_upper,
+            block_leaf_scales=block_leaf_scales,
             first_root=np.array(roots, np.int64),
             ancestor_start=np.cumsum([0, *map(len, self._ancestors)]).astype(np.int32),
             ancestors=np.array([node for path in self._ancestors for node in path], np.int32),
@@ -232,8 +263,7 @@ class _Noted:
             log_scales=np.array(log_scales, np.float32).reshape(-1, 3),
             extents=np.array(extents, np.float32),
         )
-        points = np.zeros((0, 3), np.float32)
-        none = [np.zeros(0, np.int32), points, points, np.zeros(0, np.float32), np.zeros(0, np.uint8)]
+        none = [np.zeros(0, np.int32), points, points, numbers, np.zeros(0, np.uint8)]
         columns = zip(none, *self._roots, strict=True)
         sizes, low, high, root_scales, levels = (np.concatenate(column) for column in columns)
         return FilePages(

@@ -1,7 +1,8 @@
 """The cut of a view by pages: the rows of `select` on the whole tree, from the pages that the view needs.
 
 1. Nodes of the table that are ancestors of pages are asked whether they stop: a page is skipped where one shadows all of it.
-2. A page is skipped where its box is out of the image, by the test that the selection has for blocks (kernels/shared/select.h).
+2. A page is skipped where its box, or that of each of its blocks, is out of the image, by the test that the selection has for
+   blocks (kernels/shared/select.h).
 3. What is left is loaded, and selects its own rows.
 
 In a folder, the crown is asked first. Its inner nodes are drawn as they are. A leaf of it that nothing shadows is an open portal:
@@ -14,6 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from splatree.constants import BLOCK_ROWS
 from splatree.kernels.cpu.frame import select as kernel
 from splatree.outofcore.index import StoreIndex
 from splatree.outofcore.page import Page
@@ -96,7 +98,7 @@ class _Asked:
         self._packed = kernel.pack(view, options)
         self._packed_unseen = kernel.pack(view, replace(options, view_test="none"))
         self._shadows = _shadows(index.table, view, options)
-        self.is_open = _may_be_seen(index.table, view, options, self._packed) & (self._shadows < index.table.end)
+        self.is_open = _may_be_seen(index, view, options, self._packed, self._shadows)
         self._found: list[tuple[Array, int, Array]] = []
         self._portals: list[tuple[Array, Array]] = []
         self._visited = 0
@@ -173,19 +175,41 @@ def _shadows(table: PageTable, view: View, options: SelectOptions) -> Int64[Arra
     return np.asarray(np.where(np.diff(table.ancestor_start) > 0, longest, 0), np.int64)
 
 
-def _may_be_seen(table: PageTable, view: View, options: SelectOptions, packed: kernel.PackedCut) -> Bool[Array, "p"]:
-    """Whether the box of each page may have something in the image: the test of blocks in kernels/cpu/frame/select.cpp."""
+def _may_be_seen(
+    index: StoreIndex, view: View, options: SelectOptions, packed: kernel.PackedCut, shadows: Int64[Array, "p"]
+) -> Bool[Array, "p"]:
+    """Whether each page may have something in the image that is not below a node that is drawn."""
+    table = index.table
+    may_be = ~_outside((table.lower, table.upper, table.leaf_scales), view, options, packed) & (shadows < table.end)
+    pages = np.flatnonzero(may_be)
+    if len(pages):
+        start = table.block_start
+        counts = start[pages + 1] - start[pages]
+        firsts = np.cumsum(counts) - counts
+        nth = np.arange(counts.sum()) - np.repeat(firsts, counts)
+        blocks = nth + np.repeat(start[pages], counts)
+        boxes = (table.block_lower[blocks], table.block_upper[blocks], table.block_leaf_scales[blocks])
+        end = np.repeat(table.begin[pages], counts) + (nth + 1) * BLOCK_ROWS
+        is_needed = ~_outside(boxes, view, options, packed) & (end > np.repeat(shadows[pages], counts))
+        may_be[pages] = np.logical_or.reduceat(is_needed, firsts)
+    return may_be
+
+
+def _outside(
+    boxes: tuple[Array, Array, Array], view: View, options: SelectOptions, packed: kernel.PackedCut
+) -> Bool[Array, "b"]:
+    """Whether the image has nothing of each box, of its corners and largest standard deviation: the test of blocks in
+    kernels/cpu/frame/select.cpp."""
     question, sides = packed
+    outside = np.zeros(len(boxes[0]), bool)
     if not sides.is_culled:
-        return np.ones(len(table), bool)
-    lower, upper = table.lower.astype(np.float64), table.upper.astype(np.float64)
+        return outside
+    lower, upper, scales = (column.astype(np.float64) for column in boxes)
     centre, half = (lower + upper) / 2, (upper - lower) / 2
-    scales = table.leaf_scales.astype(np.float64)
     if question.rule.sphere:
         farthest = np.linalg.norm(np.abs(centre - view.camera.position) + half, axis=1)
         scales = np.maximum(scales, options.pixel_error * farthest / (3 * question.rule.focal_max))
-    outside = np.zeros(len(table), bool)
     for plane, reach in zip(sides.planes, sides.reaches, strict=False):
         nearest = centre @ plane[:3] + plane[3] - half @ np.abs(plane[:3])
         outside |= nearest > reach * scales
-    return ~outside
+    return outside

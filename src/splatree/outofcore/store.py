@@ -23,6 +23,7 @@ from splatree.io.formats.splatree.rows import StoredScene, open_scene
 from splatree.lod.select import for_levels, notes_on, within_budget
 from splatree.outofcore.index import StoreIndex, index_of_file, index_of_folder
 from splatree.outofcore.index_file import read_index
+from splatree.outofcore.locate import crown_rows, located
 from splatree.outofcore.options import bytes_of, free_bytes
 from splatree.outofcore.page import Page, load_page
 from splatree.outofcore.pages import row_bytes_of, table_of
@@ -35,7 +36,7 @@ from splatree.scene.options import SelectOptions
 from splatree.scene.scene import Scene
 from splatree.scene.tree import GaussianTree
 from splatree.scene.view import View, view_of
-from splatree.shapes import Array, Int32, UInt32
+from splatree.shapes import Array, Int32, UInt8, UInt32
 
 __all__ = ["Store", "open_store"]
 
@@ -73,6 +74,7 @@ class Store:
         self._bytes = 0
         self._lock = threading.RLock()
         self._ahead: tuple[ThreadPoolExecutor, Future[None]] | None = None
+        self._last_view: View | None = None
         self._is_open = True
 
     @property
@@ -83,6 +85,11 @@ class Store:
         tree = GaussianTree(none, none.astype(np.uint8), none.astype(np.float32), record=head.record)
         scene = Scene(Gaussians.empty(head.sh_degree), tree, mode=head.mode, threshold=head.threshold)
         return replace(scene, tile_rule=head.tile_rule, source=head.source)
+
+    @property
+    def follows(self) -> bool:
+        """Whether merged nodes follow the pixel that they are drawn at (`GaussianTree.curves`)."""
+        return self._files[0].head.has_curves
 
     def __len__(self) -> int:
         return self.index.num_rows
@@ -125,10 +132,30 @@ class Store:
         options: SelectOptions | None = None,
         *,
         last: float | None = None,
+        look_ahead: bool = False,
         threads: int = 0,
     ) -> tuple[Selection, Cut]:
-        """As `select`, and the page that each row is in."""
-        return self._cut(view, options, self.page, last=last, threads=threads)
+        """As `select`, and the page that each row is in.
+
+        With ``look_ahead``, views that follow each other are taken for those of a camera that moves: the pages of its next view
+        are loaded beside.
+        """
+        before = self.num_loaded
+        found = self._cut(view, options, self.page, last=last, threads=threads)
+        if look_ahead:
+            self._look_ahead(view, options, self.num_loaded - before, len(np.unique(found[1].pages)))
+        return found
+
+    def _look_ahead(self, view: Camera | View, options: SelectOptions | None, num_loaded: int, num_pages: int) -> None:
+        """Load the pages of the next view of a camera that moves on as it does, if pages come and most were there."""
+        if isinstance(view, Camera):
+            view = view_of(self.scene, view)
+        last, self._last_view = self._last_view, view
+        if last is None or not 0 < num_loaded <= num_pages / 2:
+            return
+        pose = view.camera.camera_from_world
+        step = pose @ np.linalg.inv(last.camera.camera_from_world)
+        self.prefetch(replace(view, camera=replace(view.camera, camera_from_world=step @ pose)), options)
 
     def _cut(
         self,
@@ -200,6 +227,24 @@ class Store:
             return own
         merged = np.uint32(self.index.largest_id + 1) + rows.astype(np.uint32)
         return np.where(page.tree.is_leaf[places], own, merged)
+
+    def located(self, rows: Int32[Array, "v"]) -> Cut:
+        """The pages of rows of the whole tree, ascending.
+
+        Raises:
+            FormatError: a page that is needed for it is damaged.
+        """
+        return located(self.index, self._files[0], self.page, rows)
+
+    def depths(self, cut: Cut) -> UInt8[Array, "v"]:
+        """The depth of each row in the whole tree."""
+        found = np.empty(len(cut), np.int64)
+        for number, of_page in cut.by_page():
+            found[of_page] = self.page(number).depth[cut.places[of_page]]
+        if self.index.has_parts:
+            above = self._files[0].file.rows("tree.depth")[crown_rows(self.index, cut.rows)]
+            found += np.where(cut.pages < self.index.num_own, 0, above)
+        return np.minimum(found, 255).astype(np.uint8)
 
     def sample(self) -> Scene:
         """A flat scene of Gaussians that are evenly spread over the store, for programs that choose views.

@@ -1,11 +1,10 @@
 """A store drawn view by view: what `Engine` is for a scene in memory.
 
 Rows are selected page by page (outofcore/paging.py) and projected page by page, where they lie. From the splats on, a frame is
-that of a scene in memory, with the same bits. While a camera moves on, the pages of its next view are loaded beside.
+that of a scene in memory, with the same bits.
 """
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
 
 import numpy as np
 
@@ -39,7 +38,6 @@ class PagedEngine:
         self.store, self.scene = store, store.scene
         self.stages = stages_of(device)
         self._threads = threads
-        self._last: View | None = None
 
     @property
     def sketcher(self) -> Sketcher:
@@ -94,20 +92,9 @@ class PagedEngine:
 
     def _cut(self, view: View, select: SelectOptions | Selector) -> tuple[Selection, Cut]:
         if not isinstance(select, SelectOptions):
-            raise InputError("select: found a selector for a store, wanted options of the rule 'cut'; read the scene")
-        before = self.store.num_loaded
-        selection, cut = self.store.cut(view, select, threads=self._threads)
-        self._look_ahead(view, select, self.store.num_loaded - before, len(np.unique(cut.pages)))
-        return selection, cut
-
-    def _look_ahead(self, view: View, select: SelectOptions, num_loaded: int, num_pages: int) -> None:
-        """Load the pages of the next view of a camera that moves on as it does, if pages come and most were there."""
-        last, self._last = self._last, view
-        if last is None or not 0 < num_loaded <= num_pages / 2:
-            return
-        pose = view.camera.camera_from_world
-        step = pose @ np.linalg.inv(last.camera.camera_from_world)
-        self.store.prefetch(replace(view, camera=replace(view.camera, camera_from_world=step @ pose)), select)
+            selection = select(view, threads=self._threads)
+            return selection, self.store.located(selection.rows)
+        return self.store.cut(view, select, look_ahead=True, threads=self._threads)
 
     def _splats(self, cut: Cut, view: View) -> Splats:
         ids = np.empty(len(cut), np.uint32)

@@ -135,6 +135,11 @@ class Session:
         return self._engine.held is not None
 
     @property
+    def has_motion(self) -> bool:
+        """Whether `motion` draws here: a scene in memory, stage by stage."""
+        return isinstance(self._engine, Engine) and self._engine.held is None
+
+    @property
     def stages(self) -> FrameStages:
         """The stages of the back end, for programs that run some of them alone (kernels/contract.py)."""
         return self._engine.stages

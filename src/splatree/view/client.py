@@ -19,7 +19,6 @@ from splatree.scene.cameras import Camera
 from splatree.scene.frame import Selection
 from splatree.scene.options import RenderOptions
 from splatree.shapes import Array
-from splatree.view.boxes import boxes_of
 from splatree.view.exhibit import Exhibit
 from splatree.view.messages import Ack, Request, Want, pack_message, parse
 from splatree.view.pictures import encode, layer_of, pixels_of
@@ -60,7 +59,7 @@ class Client:
         self._new_exhibit: Exhibit | None = exhibit
         self._sent = self._acked = 0
         self._is_open = True
-        self._slots = Slots(exhibit.scene, exhibit.centre, capacity)
+        self._slots = Slots(exhibit.shown, exhibit.centre, capacity)
         self._last = FIRST_TAU_PX  # τ_R of the last cut
         self._last_of_frames = FIRST_TAU_PX
         self._motion: Motion | None = None
@@ -133,7 +132,7 @@ class Client:
         if exhibit is not self._exhibit:  # another scene in the place of one that was shown: no steps, no flicker
             self._rung = len(LADDER)
         self._exhibit, self._motion = exhibit, None
-        self._slots = Slots(exhibit.scene, exhibit.centre, self._capacity)
+        self._slots = Slots(exhibit.shown, exhibit.centre, self._capacity)
         self._send(pack_message({"kind": "scene", "capacity": self._capacity, **exhibit.facts}))
 
     def _answer(self, request: Request) -> None:
@@ -172,7 +171,7 @@ class Client:
         else:
             self._rung = len(LADDER)
         is_last = not (is_step or change.is_behind)
-        depths = np.bincount(self._exhibit.scene.tree.depth[chosen.rows], minlength=1)
+        depths = np.bincount(self._exhibit.shown.depths(chosen.rows), minlength=1)
         header = {
             "kind": "cut",
             "seq": request.seq,
@@ -195,7 +194,7 @@ class Client:
     def _frame(self, request: Request) -> None:
         start = time.perf_counter()
         is_plain = request.layer == "color" and request.box is None
-        if request.is_moving and is_plain and not self._exhibit.session.draws_whole_frames:
+        if request.is_moving and is_plain and self._exhibit.session.has_motion:
             return self._moving_frame(request, start)
         # A budget is searched from the last picture's τ_R; an exact picture names the τ_R of its cut and has no other limit.
         is_limited = request.select.budget is not None and request.select.budget < self._capacity
@@ -256,7 +255,7 @@ class Client:
         self._send(pack_message({"kind": "point", "seq": request.seq, "point": point}))
 
     def _boxes(self, request: Request) -> None:
-        boxes = boxes_of(self._exhibit.scene, request.boxes, self._slots.rows, BOXES_MAX)
+        boxes = self._exhibit.shown.boxes(request.boxes, self._slots.rows, BOXES_MAX)
         boxes = (boxes - self._exhibit.centre).astype("<f4")
         header = {"kind": "boxes", "seq": request.seq, "of": request.boxes, "count": len(boxes)}
         self._send(pack_message(header, boxes.tobytes()))

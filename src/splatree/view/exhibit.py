@@ -13,7 +13,8 @@ import numpy as np
 from splatree.errors import InputError
 from splatree.kernels.devices import DeviceName
 from splatree.lod.quality import curve_of
-from splatree.lod.select import Selector, select
+from splatree.lod.select import Selector
+from splatree.outofcore.store import Store
 from splatree.progress import task
 from splatree.render.build import build_lod
 from splatree.render.framing.frame import Framing, frame_scene
@@ -26,6 +27,7 @@ from splatree.scene.options import RenderOptions, SelectOptions
 from splatree.scene.scene import Scene
 from splatree.scene.view import View
 from splatree.shapes import Array, Float64
+from splatree.view.shown import Shown, shown_of
 
 __all__ = ["Exhibit", "exhibit", "has_levels", "with_levels"]
 
@@ -43,6 +45,8 @@ WIDE_SHARE = 0.99
 class Exhibit:
     """A scene as it is shown."""
 
+    shown: Shown
+    """What is shown."""
     session: Session
     """What selects and draws, one call at a time."""
     name: str
@@ -83,7 +87,7 @@ class Exhibit:
         def within(view: View, *, threads: int = 0) -> Selection:
             chosen = choose(view, threads=threads)
             if box is not None:
-                means = self.scene.gaussians.means[chosen.rows]
+                means = self.shown.means(chosen.rows)
                 chosen = replace(chosen, rows=chosen.rows[((means >= box[0]) & (means <= box[1])).all(axis=1)])
             found.append(chosen)
             return chosen
@@ -97,25 +101,22 @@ class Exhibit:
         def choose(view: View, *, threads: int = 0) -> Selection:
             # Footprints are ellipses; of squares the projection drops what is not seen.
             seen = replace(options, view_test="none") if view.is_square else options
-            sketcher = None if seen.quality is None else self.session.sketcher
-            return select(
-                *(self.scene, view, seen), last=last, sketcher=sketcher, stages=self.session.stages, threads=threads
-            )
+            return self.shown.select(self.session, view, seen, last, threads)
 
         return choose
 
     @property
     def facts(self) -> dict[str, Any]:
         """What the page is told of it."""
-        tree, g, framing = self.scene.tree, self.scene.gaussians, self.framing
+        scene, framing = self.scene, self.framing
         return {
             "name": self.name,
-            "nodes": len(self.scene),
-            "leaves": tree.num_leaves,
-            "levels": tree.num_levels,
-            "degree": g.sh_degree,
-            "mode": self.scene.mode,
-            "centre": (framing.centre + self.scene.source.origin).tolist(),
+            "nodes": self.shown.num_nodes,
+            "leaves": self.shown.num_leaves,
+            "levels": self.shown.num_levels,
+            "degree": scene.gaussians.sh_degree,
+            "mode": scene.mode,
+            "centre": (framing.centre + scene.source.origin).tolist(),
             "radius": framing.radius,
             "up": framing.up.tolist(),
             "sure": framing.is_sure,
@@ -125,14 +126,15 @@ class Exhibit:
             "eye": (framing.eye - framing.centre).tolist(),
             "target": (framing.target - framing.centre).tolist(),
             "aspect": self._aspect(),
-            "measured": self.scene.tree.record is not None and self.scene.tree.record.quality is not None,
-            "clusters": 0 if self.scene.clusters is None else len(self.scene.clusters),
+            "measured": self.shown.is_measured,
+            "clusters": 0 if scene.clusters is None else len(scene.clusters),
         }
 
     def _aspect(self) -> float:
         """Width over height of a window that is just wide enough for the dense part of the scene in the first view."""
         framing, camera = self.framing, self.framing.camera()
-        means = self.scene.gaussians.means[self.scene.tree.is_leaf]
+        sample = self.shown.sample
+        means = sample.gaussians.means[sample.tree.is_leaf]
         means = means[:: -(-len(means) // SAMPLE)].astype(np.float64)
         means = means[np.linalg.norm(means - framing.centre, axis=1) < FOCUS_RADII * framing.radius]
         x, _, z = (means @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3]).T
@@ -144,7 +146,7 @@ class Exhibit:
 
 
 def exhibit(
-    scene: Scene,
+    scene: Scene | Store,
     name: str = "scene",
     *,
     framing: Framing | None = None,
@@ -155,7 +157,7 @@ def exhibit(
     """Make a scene ready to be shown: with levels and a block index, and a first view.
 
     Args:
-        scene: what is shown.
+        scene: what is shown; a store is read page by page.
         name: what it is called in the page.
         framing: how to look at it first; None: decided by the scene.
         up: direction that is up, for a framing that is decided here; None: guessed.
@@ -163,23 +165,34 @@ def exhibit(
         measured: whether the quality of its levels must be known: it is measured if they are built here.
 
     Raises:
-        InputError: the scene is empty, or has levels whose quality was not measured and must be known.
+        InputError: the scene is empty, or has levels whose quality was not measured and must be known, or is a store whose
+            quality must be known.
     """
     if len(scene) == 0:
         raise InputError(f"{name}: found no Gaussians, wanted at least one to show")
-    shown = with_levels(scene)
-    if measured:
-        shown = with_quality(shown) if shown is not scene else shown
-        curve_of(shown)
-    session = open_session(shown, device=device)
+    if isinstance(scene, Store):
+        if measured:
+            raise InputError(
+                f"{name}: found a store and a wanted quality, which is predicted from all leaves: read the scene"
+            )
+        session, shown = open_session(scene, device=device), shown_of(scene)
+    else:
+        made = with_levels(scene)
+        if measured:
+            made = with_quality(made) if made is not scene else made
+            curve_of(made)
+        session = open_session(made, device=device)
+        shown = shown_of(session.scene)
     if framing is None:
         with task(f"frame {name}"):
-            framing = frame_scene(session.scene, up=up)
-    return Exhibit(session, name, framing)
+            framing = frame_scene(shown.sample, up=up)
+    return Exhibit(shown, session, name, framing)
 
 
-def has_levels(scene: Scene) -> bool:
-    """Whether a scene can be shown as it is: it has levels of detail, or is small enough to do without."""
+def has_levels(scene: Scene | Store) -> bool:
+    """Whether a scene can be shown as it is: it has levels of detail, or is small enough to do without, or is a store."""
+    if isinstance(scene, Store):
+        return True
     return bool(scene.tree.depth.any()) or len(scene) <= FLAT_MAX
 
 

@@ -7,26 +7,27 @@ import numpy as np
 
 from splatree.kernels.reference.nodes import LOG_SCALE_MAX
 from splatree.kernels.reference.project import follow
-from splatree.scene.scene import Scene
+from splatree.scene.gaussians import Gaussians
 from splatree.scene.view import View
 from splatree.shapes import Array, Float32, Int32, UInt32
 
-__all__ = ["dilations_of", "followed", "has_drifted"]
+__all__ = ["dilations_at", "followed", "has_drifted"]
 
 DRIFT = 1.15
 """Factor on its dilation in world units² at which a node is sent again: 7 % of its distance."""
 
 
-def dilations_of(scene: Scene, rows: Int32[Array, "v"], view: View | None) -> Float32[Array, "v"] | None:
-    """The dilation at the depth of each row, world units², at most that of its level; None: nodes do not follow."""
-    curves = scene.tree.curves
-    if curves is None or view is None or view.mode != "classic":
+def dilations_at(
+    means: Float32[Array, "v 3"], limits: Float32[Array, "v"], view: View | None
+) -> Float32[Array, "v"] | None:
+    """The dilation at the depth of each node, world units², at most that of its level; None: nodes do not follow."""
+    if view is None or view.mode != "classic":
         return None
     camera = view.camera
     forward = camera.camera_from_world[2]
-    depths = scene.gaussians.means[rows] @ forward[:3].astype(np.float32) + np.float32(forward[3])
+    depths = means @ forward[:3].astype(np.float32) + np.float32(forward[3])
     dilations = np.float32(view.dilation_px2 / (camera.K[0, 0] * camera.K[1, 1])) * depths * depths
-    return np.asarray(np.minimum(dilations, curves[rows, 3]))
+    return np.asarray(np.minimum(dilations, limits))
 
 
 def has_drifted(now: Float32[Array, "v"], sent: Float32[Array, "v"]) -> Array:
@@ -35,15 +36,19 @@ def has_drifted(now: Float32[Array, "v"], sent: Float32[Array, "v"]) -> Array:
 
 
 def followed(
-    words: UInt32[Array, "v 8"], scene: Scene, rows: Int32[Array, "v"], dilations: Float32[Array, "v"]
+    words: UInt32[Array, "v 8"],
+    gaussians: Gaussians,
+    curves: Float32[Array, "n 4"],
+    rows: Int32[Array, "v"],
+    dilations: Float32[Array, "v"],
 ) -> UInt32[Array, "v 8"]:
     """Packed nodes (kernels/reference/nodes.py) with the scales and opacities that they are drawn with."""
-    assert scene.tree.curves is not None
-    at = np.flatnonzero(scene.tree.curves[rows, 2] > 0)
-    chosen, g = rows[at], scene.gaussians
-    curves = scene.tree.curves[chosen].astype(np.float64)
-    given = np.exp(g.log_scales[chosen].astype(np.float64))
-    scales, opacities = follow(curves, dilations[at].astype(np.float64), given, np.ones(len(at)))
+    at = np.flatnonzero(curves[rows, 2] > 0)
+    chosen = rows[at]
+    given = np.exp(gaussians.log_scales[chosen].astype(np.float64))
+    scales, opacities = follow(
+        curves[chosen].astype(np.float64), dilations[at].astype(np.float64), given, np.ones(len(at))
+    )
     shares = np.clip(np.log(np.maximum(scales, 1e-30)) / LOG_SCALE_MAX, -1, 1)
     codes = np.rint((shares + 1) * 32767.5).astype(np.uint32)
     words[at, 3] = (words[at, 3] & np.uint32(0xFFFF)) | np.rint(65535 * opacities).astype(np.uint32) << np.uint32(16)

@@ -2,7 +2,7 @@
 
 A page keeps its nodes in numbered slots. The numbers are given out here, so a message needs no answer: each one names the slots
 that fall free and the slots that new nodes go into, and turns one exact cut into another. Cost of a step: a few passes over the
-rows of the cut; memory: 4 bytes a row of the scene, touched where rows were shown, and 16 bytes a slot.
+rows of the cut; memory: 4 bytes a row of the scene, touched where rows were shown, and 36 bytes a slot.
 """
 
 from dataclasses import dataclass
@@ -11,10 +11,11 @@ import numpy as np
 
 from splatree.kernels.cpu.codec.nodes import pack_colors, pack_nodes
 from splatree.kernels.cpu.codec.slots import keep, release, stale
-from splatree.scene.scene import Scene
+from splatree.kernels.reference.nodes import NODE_WORDS, with_depths
 from splatree.scene.view import View
 from splatree.shapes import Array, Float64, Int32, UInt32
-from splatree.view.follow import dilations_of, followed, has_drifted
+from splatree.view.follow import dilations_at, followed, has_drifted
+from splatree.view.shown import Shown
 
 __all__ = ["Change", "Slots"]
 
@@ -52,19 +53,20 @@ class Change:
 class Slots:
     """The slots of one page; not for several threads at once."""
 
-    def __init__(self, scene: Scene, centre: Float64[Array, "3"], capacity: int) -> None:
-        self._scene, self._centre, self.capacity = scene, centre, capacity
-        self._slot_after = np.zeros(
-            len(scene), np.int32
-        )  # slot + 1 of each row, 0 for none: zeros cost no memory at first
+    def __init__(self, shown: Shown, centre: Float64[Array, "3"], capacity: int) -> None:
+        self._shown, self._centre, self.capacity = shown, centre, capacity
+        # Slot + 1 of each row, 0 for none: zeros cost no memory at first.
+        self._slot_after = np.zeros(shown.num_nodes, np.int32)
         self._stamps = np.zeros(capacity, np.int32)  # the last step in which each slot was used
         self._step = 0
         self._free = np.arange(capacity - 1, -1, -1, dtype=np.int32)  # a stack of free slots …
         self._num_free = capacity  # … up to here
-        self._eyes = np.zeros((capacity, 3), np.float32) if scene.gaussians.sh_degree else None
+        self._means = np.zeros((capacity, 3), np.float32)
+        self._eyes = np.zeros((capacity, 3), np.float32) if shown.scene.gaussians.sh_degree else None
         self._eye: Float64[Array, 3] | None = None
         self._is_behind = False
         self._dilations = np.zeros(capacity, np.float32)  # that each node was sent with
+        self._limits = np.zeros(capacity, np.float32)  # the largest dilation that changes a node
         self.rows: Int32[Array, v] = np.zeros(0, np.int32)
         """Rows that the page holds, ascending."""
 
@@ -90,20 +92,35 @@ class Slots:
         if self._eyes is not None:
             self._eyes[add] = eye - self._centre
         self.rows = rows
-        nodes = pack_nodes(self._scene.gaussians, self._scene.tree, new, eye, self._centre)
-        dilations = dilations_of(self._scene, new, view)
-        if dilations is not None:
-            nodes = followed(nodes, self._scene, new, dilations)
-            self._dilations[add] = dilations
+        nodes = self._nodes(new, add, eye, view)
         tint, colors = self._tints(eye)
         return Change(drop.view(np.uint32), add.view(np.uint32), nodes, tint.view(np.uint32), colors, self._is_behind)
 
+    def _nodes(
+        self, rows: Int32[Array, "a"], slots: Int32[Array, "a"], eye: Array, view: View | None
+    ) -> UInt32[Array, "a 8"]:
+        """Rows as they go into slots."""
+        nodes = np.empty((len(rows), NODE_WORDS), np.uint32)
+        for part in self._shown.parts(rows):
+            own, curves = slots[part.of_rows], part.tree.curves
+            words = pack_nodes(part.gaussians, part.tree, part.places, eye, self._centre)
+            self._means[own] = part.gaussians.means[part.places]
+            if (
+                curves is not None
+                and (dilations := dilations_at(self._means[own], curves[part.places, 3], view)) is not None
+            ):
+                words = followed(words, part.gaussians, curves, part.places, dilations)
+                self._limits[own], self._dilations[own] = curves[part.places, 3], dilations
+            nodes[part.of_rows] = words
+        with_depths(nodes, self._shown.depths(rows))
+        return nodes
+
     def _let_drift(self, view: View | None) -> Int32[Array, "d"]:
         """Slots of nodes that look too different by now; their rows are forgotten, so that they come again as new ones."""
-        now = dilations_of(self._scene, self.rows, view)
+        slots = self.slots
+        now = dilations_at(self._means[slots], self._limits[slots], view) if self._shown.follows else None
         if now is None:
             return np.zeros(0, np.int32)
-        slots = self.slots
         drifts = has_drifted(now, self._dilations[slots])
         self._slot_after[self.rows[drifts]] = 0
         self.rows = self.rows[~drifts]
@@ -114,8 +131,12 @@ class Slots:
         if self._eyes is None or (not self._is_behind and self._eye is not None and np.array_equal(eye, self._eye)):
             return np.zeros(0, np.int32), np.zeros(0, np.uint32)
         self._eye = eye
-        g, view = self._scene.gaussians, (eye, self._centre, EYE_SHARE)
-        rows, self._is_behind = stale(self.rows, self._slot_after, g.means, self._eyes, view, TINTS)
-        slots = self._slot_after[rows] - 1
+        held, view = self.slots, (eye, self._centre, EYE_SHARE)
+        nth = np.arange(len(held), dtype=np.int32)
+        nth, self._is_behind = stale(nth, held + 1, self._means[held], self._eyes, view, TINTS)
+        rows, slots = self.rows[nth], held[nth]
         self._eyes[slots] = eye - self._centre
-        return slots, pack_colors(g, rows, eye)
+        colors = np.empty(len(rows), np.uint32)
+        for part in self._shown.parts(rows):
+            colors[part.of_rows] = pack_colors(part.gaussians, part.places, eye)
+        return slots, colors

@@ -9,6 +9,7 @@ from types import TracebackType
 from typing import Any
 
 from splatree.errors import InputError
+from splatree.outofcore.store import Store
 from splatree.scene.cameras import Camera, Cameras
 from splatree.scene.scene import Scene
 from splatree.shapes import Array
@@ -20,10 +21,10 @@ __all__ = ["Viewer", "view"]
 
 
 def view(
-    scene: Scene,
+    scene: Scene | Store,
     options: ViewOptions | None = None,
     *,
-    beside: Scene | None = None,
+    beside: Scene | Store | None = None,
     cameras: Cameras | None = None,
     photos: Mapping[str, Array] | None = None,
     block: bool = True,
@@ -35,7 +36,7 @@ def view(
     gets them first.
 
     Args:
-        scene: what is shown.
+        scene: what is shown; of a store only the pages are read that views need.
         options: where, and with how many nodes; None: the defaults.
         beside: another scene to compare it with, under the same camera.
         cameras: views listed in the page, for instance those of the training.
@@ -79,10 +80,10 @@ class Viewer:
 
     def __init__(
         self,
-        scene: Scene,
+        scene: Scene | Store,
         options: ViewOptions | None = None,
         *,
-        beside: Scene | None = None,
+        beside: Scene | Store | None = None,
         names: tuple[str, ...] = ("scene", "beside"),
         cameras: Cameras | None = None,
         photos: Mapping[str, Array] | None = None,
@@ -113,7 +114,7 @@ class Viewer:
     @property
     def num_nodes(self) -> int:
         """Nodes of the scene that is shown, with levels that were built for it."""
-        return len(self._server.exhibits[0].scene)
+        return self._server.exhibits[0].shown.num_nodes
 
     @property
     def camera(self) -> Camera:
@@ -127,7 +128,7 @@ class Viewer:
         for client in self._server.clients():
             client.look(camera)
 
-    def set_scene(self, scene: Scene, *, beside: bool = False) -> None:
+    def set_scene(self, scene: Scene | Store, *, beside: bool = False) -> None:
         """Show another scene in the place of the first one, or of the one beside it; pages keep their cameras.
 
         Raises:

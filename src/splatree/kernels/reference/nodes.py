@@ -18,9 +18,9 @@ import numpy as np
 from splatree.maths.harmonics import colors_from_harmonics
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.tree import GaussianTree
-from splatree.shapes import Array, Float64, Int32, UInt32
+from splatree.shapes import Array, Float64, Int32, UInt8, UInt32
 
-__all__ = ["COLOR_MAX", "LOG_SCALE_MAX", "NODE_WORDS", "pack_colors", "pack_nodes", "unpack_nodes"]
+__all__ = ["COLOR_MAX", "LOG_SCALE_MAX", "NODE_WORDS", "pack_colors", "pack_nodes", "unpack_nodes", "with_depths"]
 
 NODE_WORDS = 8
 """Words of a node."""
@@ -65,6 +65,13 @@ def pack_nodes(
     words[:, 3] = largest | depth << 8 | leaf << 15 | opacity << 16
     words[:, 4] = pack_colors(gaussians, rows, eye)
     return words
+
+
+def with_depths(words: UInt32[Array, "v 8"], depths: UInt8[Array, "v"]) -> None:
+    """Put depths in the tree in the place of those that packed nodes have, which may count from a row within it."""
+    words[:, 3] = (words[:, 3] & np.uint32(~np.uint32(0x7F00))) | np.minimum(depths, 127).astype(
+        np.uint32
+    ) << np.uint32(8)
 
 
 def pack_colors(gaussians: Gaussians, rows: Int32[Array, "v"], eye: Float64[Array, "3"]) -> UInt32[Array, "v"]:

@@ -9,6 +9,7 @@ from splatree.io.joined import joined_source
 from splatree.scene.levels import LevelRecord, common_record
 from splatree.scene.literals import check_literals
 from splatree.scene.names import Mode
+from splatree.scene.roots import Roots
 from splatree.scene.scene import Scene, Source, TileRule
 
 __all__ = ["SceneHead", "common_head"]
@@ -40,6 +41,8 @@ class SceneHead:
     """Whether each row has an identity."""
     has_curves: bool = False
     """Whether inner nodes follow the pixel that they are drawn at (`GaussianTree.curves`)."""
+    roots: Roots | None = None
+    """What merging must know to go on above the roots (`GaussianTree.roots`); None: it is not known."""
     source: Source = field(default_factory=Source)
     """Where the scene came from."""
 
@@ -64,6 +67,7 @@ class SceneHead:
             record=scene.tree.record,
             has_ids=scene.ids is not None,
             has_curves=scene.tree.curves is not None,
+            roots=scene.tree.roots,
             source=scene.source,
         )
 
@@ -102,5 +106,6 @@ def common_head(heads: Sequence[SceneHead]) -> SceneHead:
         record=common_record([head.record for head in heads if head.record is not None]),
         has_ids=any(head.has_ids for head in heads),
         has_curves=any(head.has_curves for head in heads),
+        roots=None,
         source=joined_source([head.source for head in heads]),
     )

@@ -13,13 +13,14 @@ import numpy as np
 from splatree.errors import FormatError, InputError
 from splatree.io.check import checked_rows, magnitudes_of
 from splatree.io.formats.splatree.container import Container, open_container
-from splatree.io.formats.splatree.fields import column_types, source_from, value_of
+from splatree.io.formats.splatree.fields import column_types, source_from, struct_from, value_of
 from splatree.io.formats.splatree.head import SceneHead
 from splatree.io.formats.splatree.older import record_of_provenance
 from splatree.io.levels import check_extents
 from splatree.kernels.cpu.frame.blocks import index_blocks
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.levels import LevelRecord
+from splatree.scene.roots import Roots
 from splatree.scene.scene import Scene
 from splatree.scene.tree import GaussianTree
 from splatree.shapes import Array, Float32, Int32, UInt8, UInt32, check_fields
@@ -188,6 +189,11 @@ def open_scene(path: str | os.PathLike[str]) -> StoredScene:
         raise FormatError(f"{path}: {error}") from error
 
 
+def _roots_of(file: Container, where: str) -> Roots | None:
+    columns = {name: file.rows(name) for name in file.columns if name.startswith("tree.roots.")}
+    return struct_from(Roots, "tree.roots.", columns, file.values, where) if columns else None
+
+
 def _head_of(file: Container) -> SceneHead:
     where, columns, values = str(file.path), file.columns, file.values
     sh = columns.get("gaussians.sh")
@@ -219,6 +225,7 @@ def _head_of(file: Container) -> SceneHead:
             record=record,
             has_ids=has_ids,
             has_curves=has_curves,
+            roots=_roots_of(file, where),
             source=replace(source, paths=(where,), format="splatree"),
         )
     except TypeError as error:

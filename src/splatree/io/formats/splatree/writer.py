@@ -16,7 +16,7 @@ import numpy as np
 from splatree.errors import InputError
 from splatree.io.check import refuse_unusable
 from splatree.io.formats.splatree.container import Column, header_bytes, placed
-from splatree.io.formats.splatree.fields import STORED_AS, column_types, source_text
+from splatree.io.formats.splatree.fields import STORED_AS, column_types, columns_of, source_text, values_of
 from splatree.io.formats.splatree.head import SceneHead
 from splatree.io.formats.splatree.rows import SceneRows
 from splatree.io.replacing import replacing
@@ -44,11 +44,16 @@ class SceneWriter:
         """Rows written so far."""
         self._file = file
         k = (head.sh_degree + 1) ** 2
-        self._places = placed(column_types(head.num_rows, k, has_ids=head.has_ids, has_curves=head.has_curves))
+        roots = {} if head.roots is None else dict(columns_of(head.roots, "tree.roots."))
+        own = column_types(head.num_rows, k, has_ids=head.has_ids, has_curves=head.has_curves)
+        ids = {"ids": own.pop("ids")} if head.has_ids else {}
+        self._places = placed(own | {name: (column.dtype, column.shape) for name, column in roots.items()} | ids)
         text = header_bytes(_values(head), self._places)
         self._start = len(text)
         file.write(text)
         file.truncate(self._start + sum(place.num_bytes for place in self._places.values()))
+        for name, column in roots.items():
+            self._write(name, 0, column)
 
     def append(self, part: Scene | SceneRows) -> None:
         """Write the rows of a part after those before it.
@@ -123,9 +128,10 @@ def create_scene(path: str | os.PathLike[str], head: SceneHead, *, force: bool =
 
 def _values(head: SceneHead) -> dict[str, str]:
     """The strings of the header, as `format.write` has them."""
-    values = {"mode": json.dumps(head.mode), "threshold": json.dumps(head.threshold)}
+    values = {} if head.record is None else {"tree.record": head.record.to_json()}
+    if head.roots is not None:
+        values |= dict(values_of(head.roots, "tree.roots."))
+    values |= {"mode": json.dumps(head.mode), "threshold": json.dumps(head.threshold)}
     if head.tile_rule is not None:
         values[STORED_AS["tile_rule"]] = json.dumps(head.tile_rule)
-    if head.record is not None:
-        values["tree.record"] = head.record.to_json()
     return {**values, "source": source_text(head.source)}

@@ -1,0 +1,142 @@
+"""Check a scene on disk: everything that a reader or a store may ever touch, with the memory of a page or a chunk.
+
+What is drawn page by page is checked page by page, when it is touched. So a damaged page of a large scene may be met late.
+`check` touches all: digests, values, trees, and the index of a folder, which is made anew and compared.
+"""
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+
+from splatree.errors import FormatError
+from splatree.io.formats.folder.manifest import MANIFEST, is_manifest, read_manifest
+from splatree.io.formats.folder.whole import open_whole
+from splatree.io.formats.splatree.fields import column_types
+from splatree.io.formats.splatree.format import is_compact
+from splatree.io.formats.splatree.rows import StoredScene, open_scene
+from splatree.io.inputs import find_inputs
+from splatree.io.joined_chunks import opened_chunks
+from splatree.io.local import local_inputs
+from splatree.io.options import ReadOptions
+from splatree.io.reading import read_one
+from splatree.io.registry import detect, stored_bytes
+from splatree.outofcore.index import index_of_folder
+from splatree.outofcore.index_file import read_index
+from splatree.outofcore.page import Page
+from splatree.outofcore.pages import FilePages, table_of
+from splatree.progress import task, track
+
+__all__ = ["Checked", "check"]
+
+
+@dataclass(frozen=True)
+class Checked:
+    """What was checked, and is whole.
+
+    Example:
+        >>> (checked,) = st.check("city.ply")
+        >>> checked.format, checked.num_gaussians
+        ('ply', 253)
+    """
+
+    path: str
+    """File or folder."""
+    format: str
+    """Name of the format."""
+    num_gaussians: int
+    """Gaussians that were not made by merging."""
+    num_nodes: int
+    """All rows, merged nodes included."""
+    num_bytes: int
+    """Bytes of all files."""
+    by_pages: bool
+    """Whether it went through in pages or chunks, with bounded memory."""
+
+
+def check(
+    path: str | os.PathLike[str] | Sequence[str | os.PathLike[str]], options: ReadOptions | None = None
+) -> tuple[Checked, ...]:
+    """Touch everything of scenes on disk, as no other call has to, and say what is wrong with the first that is damaged.
+
+    A folder of parts and a ``.splatree`` are gone through page by page, other formats in chunks where they can be read so.
+
+    Args:
+        path: one file or folder, or several, each of which is checked by itself.
+        options: how they are read; None: the defaults.
+
+    Returns:
+        What each holds.
+
+    Raises:
+        FormatError: a file does not hold what it promises; the message says where and what to do.
+        InputError: nothing is there, or it is of no known format.
+
+    Example:
+        >>> [checked.num_gaussians for checked in st.check(["city.ply", "city.splatree"])]
+        [253, 253]
+    """
+    options = options or ReadOptions()
+    paths = [path] if isinstance(path, str | os.PathLike) else list(path)
+    with local_inputs([Path(p) for p in paths]) as local:
+        found = find_inputs(local.paths, lambda p: detect(p) is not None)
+        return tuple(_checked(path, options) for path in found.paths)
+
+
+def _checked(path: Path, options: ReadOptions) -> Checked:
+    found = detect(path)
+    name, num_bytes = "" if found is None else found.name, stored_bytes(path)
+    if is_manifest(path / MANIFEST):
+        return Checked(str(path), name, *_folder(path), num_bytes, True)
+    if name == "splatree" and not is_compact(path) and _has_rows_alone(stored := open_scene(path)):
+        pages = _pages(stored)
+        return Checked(str(path), name, pages.num_leaves, len(stored), num_bytes, True)
+    chunks = opened_chunks([path], options)
+    if chunks is not None:
+        count = sum(map(len, track(chunks[0], f"check {path.name}")))
+        return Checked(str(path), name, count, count, num_bytes, True)
+    scene = read_one(path, options)
+    return Checked(str(path), name, scene.tree.num_leaves, len(scene), num_bytes, False)
+
+
+def _has_rows_alone(stored: StoredScene) -> bool:
+    """Whether a file has nothing but columns of rows and the state of its roots; clusters are checked by reading all."""
+    head = stored.head
+    known = column_types(len(stored), 1, has_ids=head.has_ids, has_curves=head.has_curves)
+    return all(name in known or name.startswith("tree.roots.") for name in stored.file.columns)
+
+
+def _pages(stored: StoredScene, *, checksums: bool = False) -> FilePages:
+    """Go through a file with its harmonics."""
+
+    def look(page: Page) -> None:
+        page.check_harmonics(np.arange(len(page), dtype=np.int32))
+
+    with task(f"check {stored.file.path.name}", float(len(stored))) as advance:
+        return table_of(stored, checksums=checksums, look=look, advance=advance)
+
+
+def _folder(path: Path) -> tuple[int, int]:
+    """The leaves and the rows of a folder."""
+    tree = open_whole(path)
+    for begin in range(0, len(tree), 1 << 17):  # too deep, where crown and part are put together
+        tree.shape(begin, min(begin + (1 << 17), len(tree)))
+    manifest, (crown, *parts) = read_manifest(path), tree.files
+    if tree.num_leaves != manifest.num_leaves:
+        raise FormatError(
+            f"{path / MANIFEST}: found {tree.num_leaves} leaves in the files, wanted {manifest.num_leaves}"
+        )
+    own, pages = _pages(crown, checksums=True), [_pages(part, checksums=True) for part in parts]
+    if manifest.index is not None:
+        wanted = index_of_folder(crown, own, pages, path)
+        found = read_index(path / manifest.index.name, tree.files)
+        for struct, other in ((wanted, found), (wanted.table, found.table)):
+            for f in fields(struct):
+                one, two = getattr(struct, f.name), getattr(other, f.name)
+                if isinstance(one, np.ndarray | int) and not np.array_equal(one, two):
+                    raise FormatError(
+                        f"{path / manifest.index.name}: found another {f.name} than that of the files; build the scene again"
+                    )
+    return tree.num_leaves, len(tree)

@@ -1,0 +1,78 @@
+"""`check` touches everything: whatever is damaged in a scene on disk is named, and what is whole passes in little memory."""
+
+import shutil
+
+import numpy as np
+import pytest
+
+import splatree as st
+from splatree.clusters.build import build_clusters
+from splatree.io.formats.splatree.container import open_container
+
+from .conftest import small_pages
+from .test_store_damage import flip, put, rewritten
+
+
+@pytest.fixture
+def copy(folder, tmp_path):
+    return shutil.copytree(folder, tmp_path / "copy.splatree")
+
+
+def test_what_is_whole_passes(folder, scene, ply, tmp_path):
+    st.write(scene, tmp_path / "one.splatree")
+    with small_pages(60):
+        checked = st.check([folder, tmp_path / "one.splatree"])
+    for each, name in zip(checked, ("splatree-folder", "splatree"), strict=True):
+        assert (each.format, each.by_pages) == (name, True)
+        assert (each.num_gaussians, each.num_nodes) == (scene.tree.num_leaves, len(scene))
+    (flat,) = st.check(ply)
+    assert (flat.format, flat.num_gaussians, flat.by_pages) == ("ply", 700, True)
+    st.write(build_clusters(scene), tmp_path / "clustered.splatree")
+    assert not st.check(tmp_path / "clustered.splatree")[0].by_pages
+
+
+@pytest.mark.parametrize("name", ["crown.splatree", "parts/00001.splatree", "pages.index"])
+def test_a_flipped_byte_anywhere_in_a_folder_is_found(copy, name):
+    rng = np.random.default_rng(0)
+    for place in rng.integers(0, (copy / name).stat().st_size, 5):
+        flip(copy / name, int(place))
+        with small_pages(60), pytest.raises(st.InputError, match=r"copy\.splatree"):
+            st.check(copy)
+        flip(copy / name, int(place))
+    with small_pages(60):
+        st.check(copy)
+
+
+@pytest.mark.parametrize(
+    "name", ["table.lower", "table.block_upper", "table.leaf_scales", "block_checksums", "table.means"]
+)
+def test_an_index_that_is_not_that_of_the_files_is_found(copy, name):
+    rewritten(copy, put(name, -1, 3))
+    said = name.removeprefix("table.")
+    with (
+        small_pages(60),
+        pytest.raises(st.FormatError, match=rf"pages\.index: found another {said} than that of the files"),
+    ):
+        st.check(copy)
+
+
+@pytest.mark.parametrize("column", ["gaussians.sh", "gaussians.means", "gaussians.quats", "tree.extents"])
+def test_a_value_that_cannot_be_used_is_found_in_any_row_of_a_file(scene, tmp_path, column):
+    path = tmp_path / "one.splatree"
+    st.write(scene, path)
+    place = open_container(path).columns[column]
+    data = bytearray(path.read_bytes())
+    for row in (0, len(scene) // 2, len(scene) - 1):
+        at = place.start + row * place.bytes_per_row
+        whole, data[at : at + 4] = bytes(data[at : at + 4]), np.float32(np.nan).tobytes()
+        path.write_bytes(data)
+        with small_pages(60), pytest.raises(st.FormatError, match=rf"one\.splatree: row {row}\b"):
+            st.check(path)
+        data[at : at + 4] = whole
+
+
+def test_a_file_that_is_missing_or_of_no_format_is_told(tmp_path):
+    (tmp_path / "in.txt").write_text("nothing")
+    for path in (tmp_path / "in.txt", tmp_path / "missing.ply"):
+        with pytest.raises(st.InputError, match=path.name):
+            st.check(path)
