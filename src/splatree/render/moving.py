@@ -222,7 +222,7 @@ class Motion:
         return self._cut
 
     def _drawn(self, cut: _Cut, view: View, clock: Clock, has_chosen: bool) -> MovedFrame:
-        stages, threads = self._engine.stages, self._engine.threads
+        stages, threads = self._engine.reusing, self._engine.threads
         if self._columns is None and self._num_drawn == GATHER_AFTER:
             with clock.timed("gather"):
                 self._columns = _columns_of(self._engine, cut)
@@ -296,7 +296,7 @@ def _columns_of(engine: Engine, cut: _Cut) -> _Columns:
     """The columns of the nodes of a cut that are in its larger picture, with the colours seen from there."""
     scene, view = cut.scene, cut.view
     curves, g = scene.tree.curves, scene.gaussians
-    splats = engine.stages.project(g, scene.ids, cut.selection.rows, view, curves=curves, threads=engine.threads)
+    splats = engine.reusing.project(g, scene.ids, cut.selection.rows, view, curves=curves, threads=engine.threads)
     rows = splats.rows
     means, quats, scales, logits = (
         np.take(c, rows, axis=0) for c in (g.means, g.quats, g.log_scales, g.logit_opacities)
