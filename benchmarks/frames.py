@@ -1,4 +1,4 @@
-"""What a frame takes, stage by stage: six kinds of views, four choices of nodes, three sizes, one thread and two.
+"""What a frame takes, stage by stage: seven kinds of views, four choices of nodes, three sizes, one thread and two.
 
 ``python benchmarks/frames.py [CITY.splatree]`` needs the shared city, with levels as ``splatree build`` makes them; without the
 file they are built first, in 30 processor seconds. `leaves` draws all leaves; `40 dB` and `33 dB` draw the coarsest cut with
@@ -29,7 +29,8 @@ CITY = DATA / "trained" / "semarang_city"
 VIEWS = DATA / "cameras" / "semarang_city_made_views.json"
 CITY_VIEWS = {"far": "far_00", "high": "flight_00", "orbit": "orbit_00", "middle": "flight_08", "low": "flight_15"}
 """All of the city; from 180 m; round a stadium; from 115 m; from 50 m."""
-OBJECT = DATA / "trained" / "playbot" / "0_0"
+OBJECTS = {"robot": DATA / "trained" / "playbot" / "0_0", "biker": DATA / "formats" / "biker.compressed.ply"}
+"""Objects that fill the picture: of 500,000 and of 150,000 Gaussians, the second without harmonics."""
 BUDGET = 200_000
 QUALITIES_DB = (40.0, 33.0)
 COARSEST_PX, FINEST_PX = 64.0, 1.7
@@ -42,17 +43,17 @@ LEAVES = st.SelectOptions(pixel_error=0)
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("city", type=Path, nargs="?")
-    parser.add_argument("--views", nargs="+", choices=["object", *CITY_VIEWS], default=["object", *CITY_VIEWS])
+    parser.add_argument("--views", nargs="+", choices=[*OBJECTS, *CITY_VIEWS], default=[*OBJECTS, *CITY_VIEWS])
     parser.add_argument("--heights", nargs="+", type=int, default=[360, 720, 1080], help="of pictures, px")
     parser.add_argument("--repeat", type=int, default=3, help="frames of each kind")
     arguments = parser.parse_args()
-    if not CITY.is_dir() or not VIEWS.is_file() or not OBJECT.is_dir():
-        raise SystemExit(f"needs the city at {CITY}, its views at {VIEWS} and the robot at {OBJECT}")
+    if not all(path.exists() for path in (CITY, VIEWS, *OBJECTS.values())):
+        raise SystemExit(f"needs the city at {CITY}, its views at {VIEWS} and objects at {list(OBJECTS.values())}")
     views = {camera.name: camera for camera in st.read_cameras(VIEWS)}
     city = st.read(arguments.city) if arguments.city else st.build_lod(st.read(sorted(CITY.glob("5_*"))))
     rows: list[dict[str, Any]] = []
     for kind in arguments.views:
-        scene = city if kind in CITY_VIEWS else st.build_lod(st.read(OBJECT))
+        scene = city if kind in CITY_VIEWS else st.build_lod(st.read(OBJECTS[kind]))
         camera = views[CITY_VIEWS[kind]] if kind in CITY_VIEWS else near_view(scene)
         for height in arguments.heights:
             sized = camera.scaled(height / camera.height)
@@ -65,7 +66,7 @@ def main() -> None:
             "frames",
             rows,
             about=f"Processor milliseconds of a frame, medians of {arguments.repeat}: a city of {city.tree.num_leaves:,} leaves, "
-            "and a robot of 500,000. `select` to `alone` are of one thread; `next` is the frame after it in one session, "
+            "a robot of 500,000 and a biker of 150,000. `select` to `alone` are of one thread; `next` is the frame after it in one session, "
             "`moving` the same while the camera moves",
         )
     print(table(rows))

@@ -54,6 +54,11 @@ def test_an_optional_stage_is_missing_or_as_the_contract_says(device: str, stage
     assert found is None or arguments_of(found) == arguments_of(getattr(contract.BackwardStages, stage))
 
 
+@pytest.mark.parametrize("device", ["cpu", "reference"])
+def test_cuts_of_a_range_are_found_as_the_contract_says(device: str) -> None:
+    assert arguments_of(stages_of(device).select_range) == arguments_of(contract.RangeStages.select_range)
+
+
 def test_stages_of_one_back_end_take_what_those_of_another_leave() -> None:
     scene, view = st.Scene.flat(gaussians(100, 1)), st.View(camera())
     rows = np.arange(100, dtype=np.int32)

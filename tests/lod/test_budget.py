@@ -6,10 +6,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from splatree.errors import InputError
-from splatree.lod.budget import NEXT_SHARE, meet_budget_from
+from splatree.lod.budget import LARGEST_LIMIT, NEXT_SHARE, fill_budget, least_limit, meet_budget_from
 from splatree.lod.select import count_nested, select
 from splatree.render.build import build_lod
 from splatree.scene.cameras import Camera
+from splatree.scene.frame import CutRange
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.options import SelectOptions
 from splatree.scene.scene import Scene
@@ -77,3 +78,93 @@ def test_select_begins_at_the_last_view():
         assert count_nested(scene.tree, moving.rows) == 0
     unchanged = select(scene, CAMERA, options, last=alone.pixel_error)
     np.testing.assert_array_equal(unchanged.rows, alone.rows)
+
+
+def forest(seed, num_trees=400):
+    """Sizes of nodes that enter and leave as those of a tree: a root above two inner nodes above two leaves each."""
+    rng = np.random.default_rng(seed)
+    root = rng.lognormal(4, 1, num_trees)
+    inner = root[:, None] * rng.uniform(0.05, 0.9, (num_trees, 2))
+    enters = np.column_stack([root, inner, np.zeros((num_trees, 4))]).astype(np.float32)
+    leaves = np.column_stack([np.full(num_trees, 3e38), root, root, inner.repeat(2, axis=1)]).astype(np.float32)
+    return enters, leaves
+
+
+def range_of(enters, leaves):
+    """The cuts of a forest: for `fill_budget`."""
+
+    def range_at(finest, coarsest, every=1):
+        range_at.asked.append((finest, coarsest, every))
+        fine, coarse = (np.float32((tau / 3) ** 2) for tau in (finest, coarsest))
+        some = slice(None, None, every)
+        e, v = enters[some].ravel().copy(), leaves[some].ravel().copy()
+        e[e <= fine] = 0
+        is_drawn = (e <= coarse) & (v > fine)
+        v[v > coarse] = 3.4e38
+        return CutRange(np.flatnonzero(is_drawn).astype(np.int32), e[is_drawn], v[is_drawn])
+
+    range_at.asked = []
+    return range_at
+
+
+@given(seed=st.integers(0, 99), budget=st.integers(400, 1700), finest=st.sampled_from([0.0, 1.0, 30.0]))
+def test_the_finest_cut_within_a_budget_does_not_depend_on_the_guess(seed, budget, finest):
+    enters, leaves = forest(seed)
+
+    def count_at(tau):
+        limit = np.float32((tau / 3) ** 2)
+        return int(((np.where(enters <= limit, 0, enters) <= limit) & (leaves > limit)).sum())
+
+    options = SelectOptions(budget=budget, profile="exact")
+    found = [fill_budget(range_of(enters, leaves), None, options, finest, CAMERA, every=every) for every in (1, 4, 40)]
+    for rows, _, tau in found:
+        assert len(rows) == count_at(tau) <= budget
+        assert tau == finest or count_at(tau * (1 - 1e-6)) > budget
+        assert tau == found[0][2]
+        np.testing.assert_array_equal(enters.ravel()[rows], enters.ravel()[found[0][0]])
+
+
+@pytest.mark.parametrize("num_roots", [390, 400])
+def test_what_no_finite_limit_draws_is_left_to_the_roots(num_roots):
+    enters, leaves = forest(1)
+    options = SelectOptions(budget=399, profile="exact")
+
+    def met():
+        def rows_at(tau):
+            assert tau == np.inf
+            return np.zeros(num_roots, np.int32), 1
+
+        return fill_budget(range_of(enters, leaves), rows_at, options, 1.0, CAMERA, every=4)
+
+    if num_roots > 399:
+        with pytest.raises(InputError, match="found 400 roots in view"):
+            met()
+    else:
+        assert met()[2] == np.inf
+
+
+def test_nodes_of_one_size_are_exchanged_together():
+    rows = np.arange(4, dtype=np.int32)
+    enters, leaves = np.float32([0, 0, 0, 5]), np.float32([5, 5, LARGEST_LIMIT, LARGEST_LIMIT])
+    found = CutRange(rows, enters, leaves)
+    assert [least_limit(found, budget) for budget in (1, 2, 3)] == [None, 5.0, 0.0]
+    np.testing.assert_array_equal(found.at(5.0), [2, 3])
+
+
+def test_a_budget_is_filled_and_its_cut_is_the_cut_of_its_pixel_error():
+    rng = np.random.default_rng(5)
+    n = 3000
+    flat = Gaussians(
+        rng.uniform(-1, 1, (n, 3)).astype(np.float32),
+        np.tile(np.float32([1, 0, 0, 0]), (n, 1)),
+        np.full((n, 3), -4, np.float32),
+        np.zeros(n, np.float32),
+        np.zeros((n, 1, 3), np.float32),
+    )
+    scene = build_lod(Scene.flat(flat))
+    for budget in (100, 300, 700):
+        met = select(scene, CAMERA, SelectOptions(pixel_error=1.0, budget=budget))
+        alone = select(scene, CAMERA, SelectOptions(pixel_error=met.pixel_error))
+        np.testing.assert_array_equal(met.rows, alone.rows)
+        finer = select(scene, CAMERA, SelectOptions(pixel_error=met.pixel_error * (1 - 1e-6)))
+        assert len(met) <= budget < len(finer)

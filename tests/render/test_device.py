@@ -53,7 +53,6 @@ def test_a_trace_holds_what_the_processors_does(scene: st.Scene, at_hand: Device
 @pytest.mark.parametrize(
     "select",
     [
-        st.SelectOptions(budget=60),
         st.SelectOptions(rule="release"),
         st.SelectOptions(max_radius=20.0),
         st.SelectOptions(pixel_error=0.5),
@@ -67,6 +66,13 @@ def test_all_options_of_the_selection_can_be_drawn(scene: st.Scene, at_hand: Dev
     assert found.selection.pixel_error == wanted.selection.pixel_error
     assert found.selection.notes == wanted.selection.notes
     assert st.psnr(found.result.image, wanted.result.image) > 90
+
+
+def test_a_budget_is_met_by_the_cut_of_the_processor_at_the_same_pixel_error(scene: st.Scene, at_hand: Device) -> None:
+    found = st.trace(scene, VIEWS[0], select=st.SelectOptions(budget=60), device="cuda").selection
+    wanted = st.select(scene, VIEWS[0], st.SelectOptions(pixel_error=found.pixel_error))
+    np.testing.assert_array_equal(found.rows, wanted.rows)
+    assert 0 < len(found) <= 60
 
 
 @pytest.mark.parametrize(

@@ -153,7 +153,7 @@ def test_a_first_cut_comes_in_steps(monkeypatch):
 
 def test_of_a_thousand_views_only_the_newest_are_answered(page):
     page.wait_for("scene")
-    with page.exhibit.session._lock:  # the worker waits here, while views come in
+    with page.exhibit.session._turns.working():  # the worker waits here, while views come in
         for seq in range(1, 1001):
             page.ask(seq=seq)
         time.sleep(0.02)

@@ -23,7 +23,7 @@ full vectors that never depend on their place, and equal keys are ordered by the
 
 from typing import Any, Protocol
 
-from splatree.scene.frame import Picture, Splats, TileBins
+from splatree.scene.frame import CutRange, Picture, Splats, TileBins
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.gradients import GaussianGradients, Moments, PhotoLoss, PictureGradients, SplatGradients
 from splatree.scene.options import SelectOptions
@@ -31,7 +31,15 @@ from splatree.scene.tree import BlockIndex, GaussianTree
 from splatree.scene.view import View
 from splatree.shapes import Array, Bool, Float32, Float64, Int32, UInt8, UInt32
 
-__all__ = ["BackwardStages", "FrameStages", "HeldScene", "QueuedFrame", "TracedFrame", "TrainingStages"]
+__all__ = [
+    "BackwardStages",
+    "FrameStages",
+    "HeldScene",
+    "QueuedFrame",
+    "RangeStages",
+    "TracedFrame",
+    "TrainingStages",
+]
 
 
 class FrameStages(Protocol):
@@ -73,6 +81,29 @@ class FrameStages(Protocol):
 
     def blend(self, splats: Splats, bins: TileBins, view: View, *, threads: int = 0) -> Picture:
         """The picture of the tiles' lists, with the outputs that ``view.wanted`` names."""
+        ...
+
+
+class RangeStages(Protocol):
+    """The optional stage of back ends that find the cuts of many τ_R at once: a budget is then met without a search."""
+
+    def select_range(
+        self,
+        gaussians: Gaussians,
+        tree: GaussianTree,
+        blocks: BlockIndex | None,
+        view: View,
+        options: SelectOptions,
+        *,
+        coarsest: float,
+        every: int = 1,
+        runs: Int32[Array, "r 2"] | None = None,
+        threads: int = 0,
+    ) -> CutRange:
+        """The cuts of all τ_R from that of the options to ``coarsest``, px and finite, by the rule `cut`.
+
+        With ``every`` above 1 a share of the rows stands for all; only numbers of rows are then to be used.
+        """
         ...
 
 

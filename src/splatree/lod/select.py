@@ -11,6 +11,7 @@ A budget is met by raising τ_R (lod/budget.py). A quality chooses τ_R by what 
 
 from collections.abc import Callable, Sized
 from dataclasses import replace
+from functools import partial
 from typing import Protocol, TypeVar
 
 import numpy as np
@@ -22,13 +23,13 @@ from splatree.kernels.contract import FrameStages
 from splatree.kernels.cpu.frame import select as cpu
 from splatree.kernels.cpu.frame.blocks import index_blocks
 from splatree.kernels.reference import select as reference
-from splatree.lod.budget import meet_budget, meet_budget_from
+from splatree.lod.budget import fill_budget, meet_budget, meet_budget_from
 from splatree.lod.quality import curve_of, pixel_error_for
 from splatree.lod.serial import select_serial
 from splatree.lod.sketch import Sketcher
 from splatree.scene.cameras import Camera
 from splatree.scene.clusters import Culling
-from splatree.scene.frame import Selection
+from splatree.scene.frame import CutRange, Selection
 from splatree.scene.names import Profile
 from splatree.scene.options import Cull, SelectOptions
 from splatree.scene.scene import Scene
@@ -48,6 +49,10 @@ __all__ = [
     "smallest_radius",
     "within_budget",
 ]
+
+
+SAMPLED, FEW_BLOCKS = 32, 4096
+"""The τ_R of a budget is guessed from one of so many blocks, but of fewer blocks than these all are looked at."""
 
 
 class Selector(Protocol):
@@ -127,9 +132,35 @@ def select(
         point_px = smallest_radius(options.resolved_profile, view.dilation_px2)
         sketcher = sketcher or Sketcher.of(scene)
         finest = pixel_error_for(rows_at, sketcher, view.camera, options.quality, point_px=point_px, last=last)
-    rows, visited, pixel_error = within_budget(rows_at, view, options, finest, last=last)
+    find_range = getattr(cpu if stages is None else stages, "select_range", None)
+    if options.budget is None or last is not None or find_range is None or options.rule != "cut":
+        rows, visited, pixel_error = within_budget(rows_at, view, options, finest, last=last)
+    else:
+        find = partial(find_range, scene.gaussians, scene.tree, blocks, view, runs=runs, threads=threads)
+        every = 1 if blocks is None or len(blocks.min_logits) < FEW_BLOCKS else SAMPLED
+        range_at = partial(_range_at, find, scene, view, options, threads)
+        rows, visited, pixel_error = fill_budget(range_at, rows_at, options, finest, view.camera, every=every)
     notes = notes_on(scene, options, pixel_error, view)
     return Selection(rows, options.rule, options.resolved_profile, pixel_error, visited, notes)
+
+
+def _range_at(
+    find: Callable[..., CutRange],
+    scene: Scene,
+    view: View,
+    options: SelectOptions,
+    threads: int,
+    finest: float,
+    coarsest: float,
+    every: int = 1,
+) -> CutRange:
+    """The cuts from one τ_R to another, px, of nodes that are not too large to be drawn."""
+    found = find(replace(options, pixel_error=finest, quality=None), coarsest=coarsest, every=every)
+    if options.max_radius is None:
+        return found
+    largest = replace(options, pixel_error=options.max_radius)
+    is_left = cpu.small(scene.gaussians, scene.tree, found.rows, view, largest, threads=threads)
+    return CutRange(found.rows[is_left], found.enters[is_left], found.leaves[is_left], found.num_visited)
 
 
 Rows = TypeVar("Rows", bound=Sized)

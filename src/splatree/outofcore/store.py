@@ -107,7 +107,9 @@ class Store:
         last: float | None = None,
         threads: int = 0,
     ) -> Selection:
-        """Choose the nodes to draw in a view: the rows that `select` chooses of the whole tree.
+        """Choose the nodes to draw in a view: the rows that `select` chooses of the whole tree at the same pixel error.
+
+        A budget is met to 2 % by reading few pages, while `select` meets it to a node: their pixel errors differ a little.
 
         Args:
             view: a camera, for drawing with the options that the scene itself has; or a view.

@@ -41,7 +41,7 @@ class Engine:
         self.scene = with_blocks(scene, threads=threads)
         self.stages: FrameStages = stages_of(device)
         reusing = feature_of(device, "reusing_stages")
-        self._reusing: FrameStages = self.stages if reusing is None else reusing()
+        self.reusing: FrameStages = self.stages if reusing is None else reusing()
         self.held: HeldScene | None = None
         self.threads = threads
         self._sketcher: Sketcher | None = None
@@ -95,7 +95,7 @@ class Engine:
         """Draw a view and wait for it."""
         if self.is_whole(select):
             return self.enqueue(view, select)()
-        return (self.trace(view, select) if self.held is not None else self._staged(view, select, self._reusing)).result
+        return (self.trace(view, select) if self.held is not None else self._staged(view, select, self.reusing)).result
 
     def trace(self, view: View, select: SelectOptions | Selector) -> Frame:
         """Draw a view and keep what each stage computed."""

@@ -4,7 +4,7 @@ What an exact frame makes anew and this one keeps:
 
 - *The cut.* It is chosen for a picture that is larger by `Moving.guard` on each side. While the picture lies within the larger
   one and the eye has moved by at most `Moving.step` of the distance, no node is looked at.
-- *The budget.* The search begins at the τ_R of the last cut: 1 to 1.1 cuts on a path, in place of 6 to 8.
+- *The budget.* The search begins at the τ_R of the last cut: 1 to 1.1 cuts on a path.
 - *Columns.* From the fourth picture of a cut on, those of its nodes lie together, with 3 numbers of colour in place of 48.
 - *Colours.* They are then those seen from where the cut was chosen: 10 % of the distance is an angle of 6°.
 
@@ -54,9 +54,6 @@ SHRINK, GROW = 0.85, 1.15
 
 GATHER_AFTER: Final = 3
 """Pictures of a cut after which its columns are gathered: that costs what three more pictures save."""
-
-START_TAU_PX: Final = 8.0
-"""Where the first search of a budget begins."""
 
 
 @dataclass(frozen=True)
@@ -173,7 +170,8 @@ class Motion:
         self._cut: _Cut | None = None
         self._columns: _Columns | None = None
         self._num_drawn = 0  # pictures of this cut
-        self._scale, self._last = 1.0, START_TAU_PX
+        self._scale = 1.0
+        self._last: float | None = None  # τ_R of the last cut
 
     def draw(
         self, camera: Camera, *, options: RenderOptions | None = None, select: SelectOptions | None = None
@@ -224,7 +222,7 @@ class Motion:
         return self._cut
 
     def _drawn(self, cut: _Cut, view: View, clock: Clock, has_chosen: bool) -> MovedFrame:
-        stages, threads = self._engine.stages, self._engine.threads
+        stages, threads = self._engine.reusing, self._engine.threads
         if self._columns is None and self._num_drawn == GATHER_AFTER:
             with clock.timed("gather"):
                 self._columns = _columns_of(self._engine, cut)
@@ -298,7 +296,7 @@ def _columns_of(engine: Engine, cut: _Cut) -> _Columns:
     """The columns of the nodes of a cut that are in its larger picture, with the colours seen from there."""
     scene, view = cut.scene, cut.view
     curves, g = scene.tree.curves, scene.gaussians
-    splats = engine.stages.project(g, scene.ids, cut.selection.rows, view, curves=curves, threads=engine.threads)
+    splats = engine.reusing.project(g, scene.ids, cut.selection.rows, view, curves=curves, threads=engine.threads)
     rows = splats.rows
     means, quats, scales, logits = (
         np.take(c, rows, axis=0) for c in (g.means, g.quats, g.log_scales, g.logit_opacities)

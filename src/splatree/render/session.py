@@ -12,18 +12,14 @@
 What a session makes once: the copies of the columns on a device, its arrays for a frame, the index of the blocks. What it makes
 a frame: a `View`, in which nothing is left open, and from it the frame. `render` and `trace` open a session, draw and close it.
 
-How a view is drawn is in render/engine.py. A session adds that any thread may call, that views can be asked for ahead, and
-that cameras may have a lens. It never asks which device it is.
+How a view is drawn is in render/engine.py. A session adds that any thread may call, that views can be asked for ahead
+(render/pending.py), and that cameras may have a lens. It never asks which device it is.
 """
 
-import threading
-from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import replace
 from types import TracebackType
 from typing import Any
-from weakref import WeakSet
 
 from splatree.errors import InputError
 from splatree.kernels.contract import FrameStages
@@ -35,7 +31,7 @@ from splatree.render.engine import Engine
 from splatree.render.lens import pinhole_of, through_lens
 from splatree.render.moving import Motion, Moving
 from splatree.render.paged import PagedEngine
-from splatree.render.pending import Pending
+from splatree.render.pending import Pending, Turns
 from splatree.render.stages import Clock
 from splatree.render.tensors import TensorScene
 from splatree.scene.cameras import Camera
@@ -118,10 +114,7 @@ class Session:
         self.device = device
         self._options, self._select = defaults
         self._engine = engine
-        self._lock = threading.RLock()
-        self._worker: ThreadPoolExecutor | None = None
-        self._pending: WeakSet[Pending] = WeakSet()
-        self._is_open = True
+        self._turns = Turns()
 
     @property
     def scene(self) -> Scene:
@@ -151,7 +144,7 @@ class Session:
         Raises:
             InputError: the levels have no curve of their quality.
         """
-        with self._working():
+        with self._turns.working():
             return self._engine.sketcher
 
     def view(self, camera: Camera, options: RenderOptions | None = None, wanted: Wanted = NOTHING) -> View:
@@ -182,7 +175,7 @@ class Session:
         Example:
             >>> coarse = session.draw(camera, select=st.SelectOptions(pixel_error=8)).image
         """
-        with self._working():
+        with self._turns.working():
             view, chosen = self._settled(camera, options, select)
             return through_lens(self._engine.draw(view, chosen), view.camera, camera)
 
@@ -202,17 +195,13 @@ class Session:
             >>> pending = [session.enqueue(camera) for camera in cameras]
             >>> images = [view.result().image for view in pending]
         """
-        with self._working():
+        with self._turns.working():
             view, chosen = self._settled(camera, options, select)
             if self._engine.is_whole(chosen):
-                drawn = self._in_turn(self._engine.enqueue(view, chosen))
+                drawn = self._turns.waiting_for(self._engine.enqueue(view, chosen))
             else:
-                if self._worker is None:
-                    self._worker = ThreadPoolExecutor(1, "splatree-session")
-                drawn = self._worker.submit(self._in_turn(lambda: self._engine.draw(view, chosen))).result
-            pending = Pending(lambda: through_lens(drawn(), view.camera, camera))
-            self._pending.add(pending)
-            return pending
+                drawn = self._turns.begun(lambda: self._engine.draw(view, chosen))
+            return self._turns.pending(lambda: through_lens(drawn(), view.camera, camera))
 
     def trace(
         self,
@@ -241,7 +230,7 @@ class Session:
         Example:
             >>> last = session.trace(camera, st.Wanted(last_pair=True)).picture.last_pair
         """
-        with self._working():
+        with self._turns.working():
             frame = self._engine.trace(*self._settled(camera, options, select, wanted))
             return replace(frame, result=through_lens(frame.result, frame.camera, camera))
 
@@ -260,7 +249,7 @@ class Session:
         Example:
             >>> num_nodes = len(session.select(camera))
         """
-        with self._working():
+        with self._turns.working():
             return self._engine.choose(*self._settled(camera, options, select), Clock())[1]
 
     def draw_on_device(
@@ -282,7 +271,7 @@ class Session:
         Example:
             >>> image = torch.from_dlpack(session.draw_on_device(camera).image)
         """
-        with self._working():
+        with self._turns.working():
             view, chosen = self._settled(camera, options, select)
             if self._engine.held is None:
                 raise InputError(f"draw_on_device: device {self.device!r} has no memory of its own; use draw")
@@ -313,7 +302,7 @@ class Session:
             raise InputError(f"motion: device {self.device!r} draws whole frames; draw a smaller camera with draw")
         if not (self._select is None or isinstance(self._select, SelectOptions)):
             raise InputError("motion: found a baseline, wanted options of the selection; open another session")
-        return Motion(self._engine, moving or Moving(), (self._options, self._select), self._working)
+        return Motion(self._engine, moving or Moving(), (self._options, self._select), self._turns.working)
 
     def update(self, columns: Gaussians | Mapping[str, Array], *, keep_index: bool = False) -> None:
         """Replace columns of the Gaussians; rows, tree and their order stay. Views asked for before show the old columns.
@@ -330,17 +319,13 @@ class Session:
         Example:
             >>> session.update({"sh": brighter})
         """
-        self._wait_for_pending()
-        with self._working():
+        self._turns.wait()
+        with self._turns.working():
             self._engine.update(columns, keep_index=keep_index)
 
     def close(self) -> None:
         """Give back what the session holds, after the views asked for were drawn; a closed session cannot draw."""
-        with self._lock:
-            self._is_open = False
-        self._wait_for_pending()
-        if self._worker is not None:
-            self._worker.shutdown()
+        self._turns.close()
         self._engine.held = None
 
     def __enter__(self) -> "Session":
@@ -350,18 +335,6 @@ class Session:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
-
-    @contextmanager
-    def _working(self) -> Iterator[None]:
-        """One call at a time, of a session that is open."""
-        with self._lock:
-            if not self._is_open:
-                raise InputError("session: found it closed, wanted it open; open another with open_session")
-            yield
-
-    def _wait_for_pending(self) -> None:
-        for pending in list(self._pending):
-            pending.wait()
 
     def _settled(
         self,
@@ -373,12 +346,3 @@ class Session:
         """The view and the choice of nodes for one call."""
         view = self.view(camera, options, wanted)
         return view, self._engine.settled(select or self._select or SelectOptions(), view)
-
-    def _in_turn(self, work: Callable[[], RenderResult]) -> Callable[[], RenderResult]:
-        """The same work, done when no other call is at work."""
-
-        def in_turn() -> RenderResult:
-            with self._lock:
-                return work()
-
-        return in_turn

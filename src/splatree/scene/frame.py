@@ -54,6 +54,30 @@ class Selection:
 
 
 @dataclass(frozen=True, eq=False)
+class CutRange:
+    """The rows of all cuts of a range of limits, each with the limits at which it is drawn.
+
+    A limit is what sizes of nodes are compared with: (τ_R / 3)², px²; with the profile `sphere` τ_R, px.
+    """
+
+    rows: Int32[Array, "v"]
+    """Rows of the scene, ascending, none twice."""
+    enters: Float32[Array, "v"]
+    """The least limit that draws each row: its size, 0 if the finest limit does."""
+    leaves: Float32[Array, "v"]
+    """The limit from which on it is not drawn, as an ancestor is; beyond the coarsest limit if that draws it."""
+    num_visited: int = 0
+    """Number of rows that were looked at."""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+    def at(self, limit: float) -> Int32[Array, "w"]:
+        """The rows that a limit of the range draws."""
+        return self.rows[(self.enters <= limit) & (limit < self.leaves)]
+
+
+@dataclass(frozen=True, eq=False)
 class Splats:
     """Projected Gaussians that touch the image, in the order of their rows, and their order by depth.
 

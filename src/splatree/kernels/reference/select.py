@@ -33,12 +33,16 @@ from splatree.constants import CENTRE_PAD, DILATION_PX2, EIGENVALUE_FLOOR_PX4, S
 from splatree.maths.covariance import axes_from_gaussians
 from splatree.maths.slopes import held_slopes
 from splatree.scene.cameras import Camera
+from splatree.scene.frame import CutRange
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.names import Profile
 from splatree.scene.options import SelectOptions, ViewTest
 from splatree.scene.tree import BlockIndex, GaussianTree
 from splatree.scene.view import View
 from splatree.shapes import Array, Bool, Float64, Int32
+
+LARGEST_SIZE = 3.4e38
+"""Size of a node that no finite limit makes small."""
 
 __all__ = [
     "Footprints",
@@ -49,6 +53,7 @@ __all__ = [
     "project",
     "radii",
     "select",
+    "select_range",
     "shadowed",
     "visible",
 ]
@@ -90,6 +95,43 @@ def select(
     if runs is not None:
         drawn &= in_runs(np.arange(len(tree), dtype=np.int32), runs)
     return np.flatnonzero(drawn).astype(np.int32), len(tree)
+
+
+def select_range(
+    gaussians: Gaussians,
+    tree: GaussianTree,
+    blocks: BlockIndex | None,
+    view: View,
+    options: SelectOptions,
+    *,
+    coarsest: float,
+    every: int = 1,
+    runs: Int32[Array, "r 2"] | None = None,
+    threads: int = 0,
+) -> CutRange:
+    """The cuts of all τ_R from that of the options to ``coarsest``, px and finite, by the rule `cut`: with sizes s and limits L,
+
+        v is drawn by L  ⇔  s(v) ≤ L < min { s(u) : u a proper ancestor of v },  a leaf also if s(v) > L.
+
+    All rows are looked at, whatever ``every`` says; ``blocks`` and ``threads`` are not used.
+    """
+    profile = options.resolved_profile
+    sizes = radii(gaussians, tree.extents, view.camera, profile, view.dilation_px2)
+    finest, largest = options.pixel_error, coarsest
+    if profile != "sphere":
+        sizes, finest, largest = (sizes / SIGMAS) ** 2, (finest / SIGMAS) ** 2, (largest / SIGMAS) ** 2
+    leave = np.full(len(tree), np.inf)
+    for row in np.flatnonzero(~tree.is_leaf):
+        below = slice(row + 1, tree.subtree_end[row])
+        leave[below] = np.minimum(leave[below], sizes[row])
+    enter = np.where(tree.is_leaf | (sizes <= finest), 0, sizes)
+    drawn = (enter <= largest) & (enter < leave) & (finest < leave)
+    drawn &= visible(gaussians, view.camera, options.view_test, view.dilation_px2, view.least_threshold)
+    if runs is not None:
+        drawn &= in_runs(np.arange(len(tree), dtype=np.int32), runs)
+    rows = np.flatnonzero(drawn).astype(np.int32)
+    beyond = np.where(leave > largest, LARGEST_SIZE, leave)
+    return CutRange(rows, enter[rows].astype(np.float32), beyond[rows].astype(np.float32), len(tree))
 
 
 def in_runs(rows: Int32[Array, "v"], runs: Int32[Array, "r 2"]) -> Bool[Array, "v"]:

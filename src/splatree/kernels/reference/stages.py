@@ -6,6 +6,16 @@ from splatree.kernels.reference.blend import blend
 from splatree.kernels.reference.loss import photo_loss
 from splatree.kernels.reference.optimise import step
 from splatree.kernels.reference.project import project
-from splatree.kernels.reference.select import select
+from splatree.kernels.reference.select import select, select_range
 
-__all__ = ["bin", "blend", "blend_backward", "photo_loss", "project", "project_backward", "select", "step"]
+__all__ = [
+    "bin",
+    "blend",
+    "blend_backward",
+    "photo_loss",
+    "project",
+    "project_backward",
+    "select",
+    "select_range",
+    "step",
+]

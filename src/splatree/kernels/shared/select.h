@@ -6,7 +6,7 @@ namespace splatree {
 
 // Which nodes are small, and which can be seen: what an options struct says, prepared for comparison.
 struct SelectRule {
-  float limit;                // (τ_R / 3)²: a node is small if the larger eigenvalue of its splat is at most this, px²
+  float limit;                // a node is small if its size is at most this: (τ_R / 3)², px²; of balls τ_R, px
   float add, least_diagonal;  // the dilated diagonal is greatest(Σ'ii + add, least_diagonal), px²
   float floor;                // under the root of the eigenvalue, px⁴
   float pixel_error;          // τ_R, px
@@ -44,18 +44,24 @@ SPLATREE_FN Slopes clamped_slopes(const View& view, const Point& p) {
           least(greatest(p.y * inverse_z, view.slope_min_y), view.slope_max_y)};
 }
 
-// Whether R <= τ_R. A comparison with NaN is false: such a node is refined, and so is one not beyond the near plane.
-SPLATREE_FN int is_small(const View& view, const SelectRule& rule, const Point& p, const Factor& m) {
+// The size of a node, which is small if this is at most the rule's limit: the larger eigenvalue of its splat, px². A node that is
+// not beyond the near plane is refined by any finite limit, and so is one of NaN.
+constexpr float LARGEST_SIZE = 3.4e38f;
+
+SPLATREE_FN float size_of(const View& view, const SelectRule& rule, const Point& p, const Factor& m) {
   const float xx = dot(m.x, m.x), xy = dot(m.x, m.y), yy = dot(m.y, m.y);
   const float a = greatest(xx + rule.add, rule.least_diagonal), b = greatest(yy + rule.add, rule.least_diagonal);
   const float half_difference = 0.5f * (a - b);
   const float root = __builtin_sqrtf(greatest(half_difference * half_difference + xy * xy, rule.floor));
-  return (p.z > view.near) & (0.5f * (a + b) + root <= rule.limit);
+  const float eigenvalue = 0.5f * (a + b) + root;
+  return (p.z > view.near) & (eigenvalue < LARGEST_SIZE) ? eigenvalue : LARGEST_SIZE;
 }
 
-SPLATREE_FN int is_small_ball(const SelectRule& rule, const Point& p, float extent) {
+// The same where the size is that of the ball: its radius on the image, px.
+SPLATREE_FN float size_of_ball(const SelectRule& rule, const Point& p, float extent) {
   const float distance = __builtin_sqrtf(p.dx * p.dx + p.dy * p.dy + p.dz * p.dz) - extent;
-  return (distance > 0) & (rule.focal_max * extent <= rule.pixel_error * distance);
+  const float radius = rule.focal_max * extent / distance;
+  return (distance > 0) & (radius < LARGEST_SIZE) ? radius : LARGEST_SIZE;
 }
 
 enum Answer { NO, YES, OPEN };

@@ -2,10 +2,14 @@
 // kernels/cpu/frame/select.py.
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/pair.h>
+#include <nanobind/stl/tuple.h>
 
+#include <algorithm>
 #include <cstring>
 #include <memory>
 #include <optional>
+#include <tuple>
+#include <type_traits>
 #include <utility>
 #include <vector>
 
@@ -19,11 +23,14 @@
 namespace splatree {
 namespace {
 
-using Vector32 = nb::ndarray<nb::numpy, int32_t, nb::ndim<1>>;
+template <class T>
+using Made = nb::ndarray<nb::numpy, T, nb::ndim<1>>;
+using Vector32 = Made<int32_t>;
 
-Vector32 to_numpy(int32_t* data, size_t size) {
-  const nb::capsule owner(data, [](void* p) noexcept { delete[] static_cast<int32_t*>(p); });
-  return Vector32(data, {size}, owner);
+template <class T>
+Made<T> to_numpy(T* data, size_t size) {
+  const nb::capsule owner(data, [](void* p) noexcept { delete[] static_cast<T*>(p); });
+  return Made<T>(data, {size}, owner);
 }
 
 Vector32 copied(const std::vector<int32_t>& values) {
@@ -56,38 +63,89 @@ BlockColumns blocks_of(const py::BlockIndex& blocks) {
       column<int32_t>(blocks, "ancestors")};
 }
 
-std::pair<Vector32, int64_t> select_cut(py::Gaussians gaussians, py::GaussianTree tree, py::BlockIndex blocks,
-                                        py::PackedQuestion question, py::PackedSides sides, std::optional<In<int32_t>> runs,
-                                        int threads) {
+SelectJob cut_job(const py::Gaussians& gaussians, const py::GaussianTree& tree, const py::BlockIndex& blocks,
+                  const py::PackedQuestion& question, const py::PackedSides& sides, const std::optional<In<int32_t>>& runs) {
   SelectJob job = job_of(gaussians, tree, question);
   job.index = blocks_of(blocks);
   job.runs = runs ? runs->data() : nullptr;
   job.num_runs = runs ? int64_t(runs->shape(0)) : 0;
+  job.fine_limit = job.rule.limit;
+  job.every = 1;
   bound(sides, job);
+  return job;
+}
 
+// Rows, and of a range also their limits.
+struct Found {
+  CutRows rows;
+  int64_t num_selected, num_visited;
+};
+
+// What the groups of a job find, one behind the other.
+Found select_groups(const SelectJob& job, bool is_range, int threads) {
+  struct Part {
+    std::vector<int32_t> rows;
+    std::vector<float> enters, leaves;
+    int64_t num_visited;
+  };
   const int64_t rows_per_group = int64_t(job.index.rows_per_block) * BLOCKS_PER_GROUP;
   const int64_t num_groups = (job.num_rows + rows_per_group - 1) / rows_per_group;
-  int32_t* rows;
-  int64_t num_selected = 0, num_visited = 0;
+  std::vector<Part> parts(num_groups);
+  parallel_chunks(num_groups, threads, [&](int64_t group) {
+    const int64_t room = rows_per_group + 16;
+    const std::unique_ptr<int32_t[]> rows(new int32_t[room]);
+    const std::unique_ptr<float[]> limits(is_range ? new float[2 * room] : nullptr);
+    float* leaves = is_range ? limits.get() + room : nullptr;
+    const RunResult found = kernels().select_group(job, group, {rows.get(), limits.get(), leaves});
+    Part& part = parts[group];
+    part.rows.assign(rows.get(), rows.get() + found.num_selected);
+    if (is_range) {
+      part.enters.assign(limits.get(), limits.get() + found.num_selected);
+      part.leaves.assign(leaves, leaves + found.num_selected);
+    }
+    part.num_visited = found.num_visited;
+  });
+  Found all{};
+  for (const Part& part : parts) all.num_selected += int64_t(part.rows.size()), all.num_visited += part.num_visited;
+  const auto joined = [&](auto member) {
+    using T = typename std::decay_t<decltype(parts[0].*member)>::value_type;
+    T* const values = new T[all.num_selected];
+    T* place = values;
+    for (const Part& part : parts) place = std::copy((part.*member).begin(), (part.*member).end(), place);
+    return values;
+  };
+  all.rows.rows = joined(&Part::rows);
+  if (is_range) all.rows.enters = joined(&Part::enters), all.rows.leaves = joined(&Part::leaves);
+  return all;
+}
+
+std::pair<Vector32, int64_t> select_cut(py::Gaussians gaussians, py::GaussianTree tree, py::BlockIndex blocks,
+                                        py::PackedQuestion question, py::PackedSides sides, std::optional<In<int32_t>> runs,
+                                        int threads) {
+  const SelectJob job = cut_job(gaussians, tree, blocks, question, sides, runs);
+  Found found;
   {
     nb::gil_scoped_release release;
-    std::vector<std::vector<int32_t>> parts(num_groups);
-    std::vector<int64_t> visited(num_groups);
-    parallel_chunks(num_groups, threads, [&](int64_t group) {
-      const std::unique_ptr<int32_t[]> space(new int32_t[rows_per_group + 16]);
-      const RunResult found = kernels().select_group(job, group, space.get());
-      parts[group].assign(space.get(), space.get() + found.num_selected);
-      visited[group] = found.num_visited;
-    });
-    for (int64_t g = 0; g < num_groups; ++g) num_selected += int64_t(parts[g].size()), num_visited += visited[g];
-    rows = new int32_t[num_selected];
-    int32_t* place = rows;
-    for (const std::vector<int32_t>& part : parts) {
-      if (!part.empty()) std::memcpy(place, part.data(), part.size() * sizeof(int32_t));
-      place += part.size();
-    }
+    found = select_groups(job, false, threads);
   }
-  return {to_numpy(rows, size_t(num_selected)), num_visited};
+  return {to_numpy(found.rows.rows, size_t(found.num_selected)), found.num_visited};
+}
+
+std::tuple<Vector32, Made<float>, Made<float>, int64_t> select_range(py::Gaussians gaussians, py::GaussianTree tree,
+                                                                     py::BlockIndex blocks, py::PackedQuestion question,
+                                                                     py::PackedSides sides, std::optional<In<int32_t>> runs,
+                                                                     float fine_limit, int64_t every, int threads) {
+  SelectJob job = cut_job(gaussians, tree, blocks, question, sides, runs);
+  job.fine_limit = fine_limit;
+  job.every = every;
+  Found found;
+  {
+    nb::gil_scoped_release release;
+    found = select_groups(job, true, threads);
+  }
+  const size_t size = size_t(found.num_selected);
+  return {to_numpy(found.rows.rows, size), to_numpy(found.rows.enters, size), to_numpy(found.rows.leaves, size),
+          found.num_visited};
 }
 
 Vector32 select_ancestors(py::Gaussians gaussians, py::GaussianTree tree, In<int32_t> ancestors, py::PackedQuestion question,
@@ -176,6 +234,11 @@ void bind_select(nb::module_& m) {
   m.def("select_cut", &select_cut, nb::arg("gaussians"), nb::arg("tree"), nb::arg("blocks"), nb::arg("question"),
         nb::arg("sides"), nb::arg("runs").none(), nb::arg("threads"),
         "Rows of the visible cut, ascending, and the number of rows visited.");
+  m.def(
+      "select_range", &select_range, nb::arg("gaussians"), nb::arg("tree"), nb::arg("blocks"), nb::arg("question"),
+      nb::arg("sides"), nb::arg("runs").none(), nb::arg("fine_limit"), nb::arg("every"), nb::arg("threads"),
+      "Rows of the visible cuts of a range of limits, those from which on and up to which each is drawn, and the number of rows "
+      "visited.");
   m.def("select_ancestors", &select_ancestors, nb::arg("gaussians"), nb::arg("tree"), nb::arg("ancestors"), nb::arg("question"),
         nb::arg("unseen_shadow"), nb::arg("only_leaves_ask"), nb::arg("threads"),
         "Rows drawn by FilterGS's ancestor table, ascending.");

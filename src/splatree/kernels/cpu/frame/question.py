@@ -7,11 +7,12 @@ import numpy as np
 
 from splatree.constants import CENTRE_PAD, DILATION_PX2, EIGENVALUE_FLOOR_PX4, SIGMAS
 from splatree.kernels.cpu.frame.view import PackedView, pack_view
+from splatree.scene.names import Profile
 from splatree.scene.options import SelectOptions
 from splatree.scene.view import View
 from splatree.shapes import Array, Float64
 
-__all__ = ["PackedQuestion", "PackedRule", "PackedSides", "pack_question", "pack_sides"]
+__all__ = ["PackedQuestion", "PackedRule", "PackedSides", "limit_of", "pack_question", "pack_sides", "pixel_error_of"]
 
 CULL_BELOW_PX = 1e6
 """Largest τ_R for which blocks are tested against the image: drawn inner nodes reach out of their block by as much."""
@@ -24,7 +25,7 @@ class PackedRule(NamedTuple):
     """The numbers of the struct SelectRule in shared/select.h, by their names there."""
 
     limit: float
-    """(τ_R / 3)², px²."""
+    """Largest size of a small node: `limit_of`."""
     add: float
     """Variance added to both axes before sizes are compared, px²."""
     least_diagonal: float
@@ -53,7 +54,7 @@ def _pack_rule(view: View, options: SelectOptions) -> PackedRule:
     """The numbers that the kernels take of the options."""
     camera, dilation_px2, threshold = view.camera, view.dilation_px2, view.least_threshold
     focal = camera.K[0, 0], camera.K[1, 1]
-    limit = (options.pixel_error / SIGMAS) ** 2
+    limit = limit_of(options.pixel_error, options.resolved_profile)
     added = (0.0, DILATION_PX2) if options.resolved_profile == "ref" else (dilation_px2, 0.0)
     floor = 0.0 if options.resolved_profile == "exact" else EIGENVALUE_FLOOR_PX4
     # Opacities are compared as logits; the slack of 1e-3 covers the rounding of the sigmoid in the projection.
@@ -61,6 +62,16 @@ def _pack_rule(view: View, options: SelectOptions) -> PackedRule:
     pads = CENTRE_PAD * camera.width / 2, CENTRE_PAD * camera.height / 2
     sizes = limit, *added, floor, options.pixel_error, max(focal), min(focal), _reach_of_opaque(threshold)
     return PackedRule(*sizes, logit_min, *pads, options.resolved_profile == "sphere")
+
+
+def limit_of(pixel_error: float, profile: Profile) -> float:
+    """What the kernels compare sizes with: (τ_R / 3)², px²; τ_R, px, where the size is that of the sphere."""
+    return float(pixel_error if profile == "sphere" else (pixel_error / SIGMAS) ** 2)
+
+
+def pixel_error_of(limit: float, profile: Profile) -> float:
+    """The τ_R, px, of a float32 that sizes are compared with: its limit is this float32 again."""
+    return limit if profile == "sphere" else SIGMAS * math.sqrt(limit)
 
 
 def _reach_of_opaque(threshold: float) -> float:

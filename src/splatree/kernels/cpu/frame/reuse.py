@@ -7,7 +7,7 @@ its largest frame; what is never written costs nothing.
 from splatree.kernels.cpu.frame.bin import bin
 from splatree.kernels.cpu.frame.blend import blend
 from splatree.kernels.cpu.frame.project import SplatRoom, project_into
-from splatree.kernels.cpu.frame.select import select
+from splatree.kernels.cpu.frame.select import select, select_range
 from splatree.scene.frame import Splats
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.view import View
@@ -21,7 +21,7 @@ class ReusingStages:
 
     def __init__(self) -> None:
         self._room = SplatRoom(0)
-        self.select, self.bin, self.blend = select, bin, blend
+        self.select, self.select_range, self.bin, self.blend = select, select_range, bin, blend
 
     def project(
         self,

@@ -13,141 +13,11 @@
 // the full computation: the result is the same for any size of block.
 #include "cpu/frame/select.h"
 
+#include "cpu/frame/asked.h"
 #include "cpu/runtime/isa.h"
 
 namespace splatree::SPLATREE_ISA {
 namespace {
-
-constexpr int LANES = 16;
-
-struct alignas(64) Planes {
-  float mean[3][LANES], log_scale[3][LANES], quat[4][LANES], logit[LANES], extent[LANES];
-  int32_t answer[LANES];
-};
-
-template <int WIDTH>
-void gather(const float* column, const int32_t* rows, float (*planes)[LANES]) {
-  for (int l = 0; l < LANES; ++l) {
-    const float* row = column + int64_t(rows[l]) * WIDTH;
-    for (int i = 0; i < WIDTH; ++i) planes[i][l] = row[i];
-  }
-}
-
-// A list of rows with room to fill its last vector by repetition.
-struct Rows {
-  int32_t row[MAX_BLOCK_ROWS + LANES];
-  int size = 0;
-
-  void pad() {
-    for (int l = 0; l < LANES; ++l) row[size + l] = size ? row[size - 1] : 0;
-  }
-};
-
-void answer_small(const SelectJob& job, const int32_t* rows, Planes& p) {
-  gather<3>(job.means, rows, p.mean);
-  if (job.rule.sphere) {
-    gather<1>(job.extents, rows, &p.extent);
-#pragma omp simd
-    for (int l = 0; l < LANES; ++l)
-      p.answer[l] = is_small_ball(job.rule, point_of(job.view, p.mean[0][l], p.mean[1][l], p.mean[2][l]), p.extent[l]);
-    return;
-  }
-  gather<3>(job.log_scales, rows, p.log_scale);
-  gather<4>(job.quats, rows, p.quat);
-#pragma omp simd
-  for (int l = 0; l < LANES; ++l) {
-    const Point point = point_of(job.view, p.mean[0][l], p.mean[1][l], p.mean[2][l]);
-    const Factor m = factor_of(job.view, point, p.quat[0][l], p.quat[1][l], p.quat[2][l], p.quat[3][l],
-                               {p.log_scale[0][l], p.log_scale[1][l], p.log_scale[2][l]});
-    p.answer[l] = is_small(job.view, job.rule, point, m);
-  }
-}
-
-void answer_visible_bounds(const SelectJob& job, const int32_t* rows, Planes& p) {
-  gather<3>(job.means, rows, p.mean);
-  if (job.view_test == CENTRE) {
-#pragma omp simd
-    for (int l = 0; l < LANES; ++l)
-      p.answer[l] = is_centred(job.view, job.rule, point_of(job.view, p.mean[0][l], p.mean[1][l], p.mean[2][l]));
-    return;
-  }
-  gather<3>(job.log_scales, rows, p.log_scale);
-  gather<1>(job.logit_opacities, rows, &p.logit);
-#pragma omp simd
-  for (int l = 0; l < LANES; ++l)
-    p.answer[l] = is_visible_bound(job.view, job.rule, point_of(job.view, p.mean[0][l], p.mean[1][l], p.mean[2][l]),
-                                   {p.log_scale[0][l], p.log_scale[1][l], p.log_scale[2][l]}, p.logit[l]);
-}
-
-void answer_visible(const SelectJob& job, const int32_t* rows, Planes& p) {
-  gather<3>(job.means, rows, p.mean);
-  gather<3>(job.log_scales, rows, p.log_scale);
-  gather<4>(job.quats, rows, p.quat);
-  gather<1>(job.logit_opacities, rows, &p.logit);
-#pragma omp simd
-  for (int l = 0; l < LANES; ++l) {
-    const Point point = point_of(job.view, p.mean[0][l], p.mean[1][l], p.mean[2][l]);
-    const Factor m = factor_of(job.view, point, p.quat[0][l], p.quat[1][l], p.quat[2][l], p.quat[3][l],
-                               {p.log_scale[0][l], p.log_scale[1][l], p.log_scale[2][l]});
-    p.answer[l] = is_visible(job.view, point, m, p.logit[l]);
-  }
-}
-
-using Answers = void (*)(const SelectJob&, const int32_t*, Planes&);
-
-// The answers to `ask` for a padded list.
-void ask_all(const SelectJob& job, Answers ask, const Rows& rows, uint8_t* answers) {
-  Planes planes;
-  for (int begin = 0; begin < rows.size; begin += LANES) {
-    ask(job, rows.row + begin, planes);
-    for (int l = 0; l < LANES; ++l) answers[begin + l] = uint8_t(planes.answer[l]);
-  }
-}
-
-// Whether each row of a padded list can be seen: 0 or 1.
-void ask_visible(const SelectJob& job, const Rows& rows, uint8_t* answers) {
-  ask_all(job, answer_visible_bounds, rows, answers);
-  Rows open;
-  int32_t place[MAX_BLOCK_ROWS + LANES];
-  int size = 0;
-  for (int i = 0; i < rows.size; ++i) {
-    open.row[size] = rows.row[i];
-    place[size] = i;
-    size += answers[i] == OPEN;
-  }
-  if (!size) return;
-  open.size = size;
-  open.pad();
-  uint8_t full[MAX_BLOCK_ROWS + LANES];
-  ask_all(job, answer_visible, open, full);
-  for (int i = 0; i < size; ++i) answers[place[i]] = full[i];
-}
-
-// For each byte of eight flags, the places of those that are set.
-struct PlacesOfByte {
-  uint8_t place[256][8] = {};
-
-  constexpr PlacesOfByte() {
-    for (int byte = 0; byte < 256; ++byte)
-      for (int bit = 0, size = 0; bit < 8; ++bit)
-        if (byte >> bit & 1) place[byte][size++] = uint8_t(bit);
-  }
-};
-
-constexpr PlacesOfByte PLACES;
-
-// first + i for each i < count with flags[i] = 1; flags end with zeros up to a multiple of 8, out has room for 8 more.
-int compact(const uint8_t* flags, int count, int32_t first, int32_t* out) {
-  int size = 0;
-  for (int i = 0; i < count; i += 8) {
-    uint64_t bytes;
-    __builtin_memcpy(&bytes, flags + i, 8);
-    const unsigned byte = unsigned(bytes * 0x0102040810204080u >> 56);  // gathers the lowest bits of the eight
-    for (int l = 0; l < 8; ++l) out[size + l] = first + i + PLACES.place[byte][l];
-    size += __builtin_popcount(byte);
-  }
-  return size;
-}
 
 // How a run of rows lies to the image.
 struct Placement {
@@ -197,34 +67,61 @@ Placement place(const SelectJob& job, const RunBounds& bounds, int64_t run) {
   return found;
 }
 
-// Asks in order for the rows of a list that are not shadowed, and calls stop(row) for each that is small; `shadow` moves on.
-template <class Stop>
-void each_stop(const SelectJob& job, const int32_t* rows, int size, int64_t& shadow, const Stop& stop) {
+// What lies over the row that a walk is at. Of a range of limits, a node that is small for all of them casts a shadow: nothing of
+// its subtree is drawn. One that is small for some casts a shade: what is below it is drawn by smaller limits only.
+struct Walk {
+  struct Shade {
+    int64_t end;
+    float limit;
+  };
+
+  int64_t shadow = -1;  // rows before it are shadowed; −1: not known
+  Shade shades[256];    // outer first; a tree has at most as many levels
+  int num_shades = 0;
+
+  void restart() { shadow = num_shades = 0; }
+
+  // The limit from which a row is not drawn, as an ancestor stops.
+  float leave(int64_t row) {
+    while (num_shades && shades[num_shades - 1].end <= row) --num_shades;
+    return num_shades ? shades[num_shades - 1].limit : LARGEST_SIZE;
+  }
+};
+
+// Asks in order for the rows of a list that are not shadowed. Calls stop(row) for each that is small for all limits, and
+// fade(row, size) for each that is small from a limit on at which no ancestor stops; the walk moves on.
+template <class Stop, class Fade>
+void each_stop(const SelectJob& job, const int32_t* rows, int size, Walk& walk, const Stop& stop, const Fade& fade) {
   Planes planes;
   int32_t batch[LANES];
   for (int i = 0; i < size;) {
     int used = 0;
     for (; i < size && used < LANES; ++i) {
       batch[used] = rows[i];
-      used += rows[i] >= shadow;
+      used += rows[i] >= walk.shadow;
     }
     if (!used) return;
     for (int l = used; l < LANES; ++l) batch[l] = batch[used - 1];
-    if (!job.all_small) answer_small(job, batch, planes);
+    if (!job.all_small) measure(job, batch, planes);
     for (int l = 0; l < used; ++l) {
-      if (batch[l] < shadow || !(job.all_small || planes.answer[l])) continue;
-      shadow = job.subtree_end[batch[l]];
-      stop(batch[l]);
+      const int32_t row = batch[l];
+      if (row < walk.shadow) continue;
+      if (job.all_small || planes.size[l] <= job.fine_limit) {
+        walk.shadow = job.subtree_end[row];
+        stop(row);
+      } else if (planes.size[l] <= job.rule.limit && planes.size[l] < walk.leave(row)) {
+        walk.shades[walk.num_shades++] = {job.subtree_end[row], planes.size[l]};
+        fade(row, planes.size[l]);
+      }
     }
   }
 }
 
-// The end of the shadow in which a block begins, 0 if none.
-int64_t shadow_before(const SelectJob& job, int64_t block) {
-  int64_t shadow = 0;
+// Begins a walk at the first row of a block.
+void begin_walk(const SelectJob& job, int64_t block, Walk& walk) {
+  walk.restart();
   const int32_t* start = job.index.ancestor_start + block;
-  each_stop(job, job.index.ancestors + start[0], start[1] - start[0], shadow, [](int64_t) {});
-  return shadow;
+  each_stop(job, job.index.ancestors + start[0], start[1] - start[0], walk, [](int64_t) {}, [](int64_t, float) {});
 }
 
 // The first run that ends behind a row, num_runs if there is none.
@@ -249,15 +146,35 @@ void keep_runs(const SelectJob& job, int64_t run, int64_t begin, int64_t end, ui
   }
 }
 
-// The rows drawn of [begin, end), a part of a block that starts outside of any shadow; moves `shadow` on. With runs of rows,
+// Of a range of limits, those between which each row of a part of a block is drawn.
+struct Limits {
+  alignas(64) float enter[MAX_BLOCK_ROWS], leave[MAX_BLOCK_ROWS];
+
+  // Before the part at [begin, end) is walked: the shades that reach into it.
+  void start(Walk& walk, int64_t begin, int64_t end) {
+    const float innermost = walk.leave(begin);
+    for (int64_t row = begin; row < end; ++row) enter[row - begin] = 0, leave[row - begin] = LARGEST_SIZE;
+    if (innermost == LARGEST_SIZE) return;
+    for (int i = 0; i < walk.num_shades; ++i)
+      shade(begin, begin, walk.shades[i].end < end ? walk.shades[i].end : end, walk.shades[i].limit);
+  }
+
+  void shade(int64_t begin, int64_t first, int64_t last, float limit) {
+    for (int64_t row = first; row < last; ++row) leave[row - begin] = limit;
+  }
+};
+
+// The rows drawn of [begin, end), a part of a block that starts outside of any shadow; moves the walk on. With runs of rows,
 // `run` is the first that ends behind the block's first row.
 int select_rows(const SelectJob& job, int64_t block, const Placement& placement, int64_t begin, int64_t end, int64_t run,
-                int64_t& shadow, int32_t* out) {
+                Walk& walk, const CutRows& out) {
   const int count = int(end - begin);
   const uint8_t* size_class = job.index.size_classes + begin;
   alignas(64) uint8_t kept[MAX_BLOCK_ROWS + LANES];
   for (int i = 0; i < count; ++i) kept[i] = size_class[i] == LEAF_CLASS;
   for (int i = count; i < count + 8; ++i) kept[i] = 0;
+  Limits limits;
+  if (out.enters) limits.start(walk, begin, end);
 
   const int largest = largest_small_class(job.rule, job.all_small, placement.depth_max, placement.distance_max);
   if (largest >= 0) {
@@ -266,11 +183,18 @@ int select_rows(const SelectJob& job, int64_t block, const Placement& placement,
     for (int i = count; i < count + 8; ++i) maybe[i] = 0;
     int32_t inner[MAX_BLOCK_ROWS + LANES];
     const int size = compact(maybe, count, int32_t(begin), inner);
-    each_stop(job, inner, size, shadow, [&](int64_t row) {
-      kept[row - begin] = 1;
-      const int64_t last = shadow < end ? shadow : end;
-      for (int64_t r = row + 1; r < last; ++r) kept[r - begin] = 0;
-    });
+    const auto end_of = [&](int64_t row) { return job.subtree_end[row] < end ? job.subtree_end[row] : end; };
+    each_stop(
+        job, inner, size, walk,
+        [&](int64_t row) {
+          kept[row - begin] = 1;
+          for (int64_t r = row + 1; r < end_of(row); ++r) kept[r - begin] = 0;
+        },
+        [&](int64_t row, float limit) {
+          kept[row - begin] = 1;
+          limits.enter[row - begin] = limit;
+          limits.shade(begin, row + 1, end_of(row), limit);
+        });
   }
 
   if (job.runs) {
@@ -278,29 +202,36 @@ int select_rows(const SelectJob& job, int64_t block, const Placement& placement,
     if (run == job.num_runs || job.runs[2 * run] > begin || job.runs[2 * run + 1] < end) keep_runs(job, run, begin, end, kept);
   }
 
+  int size = 0;
   if (placement.inside) {
     if (job.view_test == FOOTPRINT && job.index.min_logits[block] < job.rule.logit_min) {
       const float* logits = job.logit_opacities + begin;
       for (int i = 0; i < count; ++i) kept[i] &= logits[i] >= job.rule.logit_min;
     }
-    return compact(kept, count, int32_t(begin), out);
+    size = compact(kept, count, int32_t(begin), out.rows);
+  } else {
+    Rows drawn;
+    drawn.size = compact(kept, count, int32_t(begin), drawn.row);
+    drawn.pad();
+    uint8_t visible[MAX_BLOCK_ROWS + LANES];
+    ask_visible(job, drawn, visible);
+    for (int i = 0; i < drawn.size; ++i) {
+      out.rows[size] = drawn.row[i];
+      size += visible[i];
+    }
   }
-  Rows drawn;
-  drawn.size = compact(kept, count, int32_t(begin), drawn.row);
-  drawn.pad();
-  uint8_t visible[MAX_BLOCK_ROWS + LANES];
-  ask_visible(job, drawn, visible);
-  int size = 0;
-  for (int i = 0; i < drawn.size; ++i) {
-    out[size] = drawn.row[i];
-    size += visible[i];
+  if (out.enters) {
+    for (int i = 0; i < size; ++i) {
+      out.enters[i] = limits.enter[out.rows[i] - begin];
+      out.leaves[i] = limits.leave[out.rows[i] - begin];
+    }
   }
   return size;
 }
 
 }  // namespace
 
-RunResult select_group(const SelectJob& job, int64_t group, int32_t* out) {
+RunResult select_group(const SelectJob& job, int64_t group, const CutRows& out) {
   RunResult result = {0, 0};
   const int64_t rows_per_block = job.index.rows_per_block;
   const int64_t first_row = group * BLOCKS_PER_GROUP * rows_per_block;
@@ -309,9 +240,16 @@ RunResult select_group(const SelectJob& job, int64_t group, int32_t* out) {
   if (job.runs && (run == job.num_runs || job.runs[2 * run] >= group_end)) return result;
   if (place(job, job.index.groups, group).outside) return result;
   const int64_t num_blocks = (job.num_rows + rows_per_block - 1) / rows_per_block;
-  int64_t block = group * BLOCKS_PER_GROUP;
-  const int64_t last = block + BLOCKS_PER_GROUP < num_blocks ? block + BLOCKS_PER_GROUP : num_blocks;
-  int64_t shadow = -1;  // not known
+  const int64_t first = group * BLOCKS_PER_GROUP;
+  const int64_t last = first + BLOCKS_PER_GROUP < num_blocks ? first + BLOCKS_PER_GROUP : num_blocks;
+  Walk walk;
+  // The next block of those that are looked at. Behind one that is not, the shadow is not known.
+  const auto behind = [&](int64_t next) {
+    const int64_t looked = (next + job.every - 1) / job.every * job.every;
+    if (looked != next) walk.shadow = -1;
+    return looked;
+  };
+  int64_t block = behind(first);
   while (block < last) {
     int64_t begin = block * rows_per_block;
     const int64_t end = begin + rows_per_block < job.num_rows ? begin + rows_per_block : job.num_rows;
@@ -319,25 +257,25 @@ RunResult select_group(const SelectJob& job, int64_t group, int32_t* out) {
       while (run < job.num_runs && job.runs[2 * run + 1] <= begin) ++run;
       if (run == job.num_runs) break;
       if (job.runs[2 * run] >= end) {
-        shadow = -1;
-        block = job.runs[2 * run] / rows_per_block;
+        walk.shadow = -1;
+        block = behind(job.runs[2 * run] / rows_per_block);
         continue;
       }
     }
     const Placement placement = place(job, job.index.blocks, block);
     if (placement.outside) {
-      shadow = -1;
-      ++block;
+      walk.shadow = -1;
+      block = behind(block + 1);
       continue;
     }
-    if (shadow < 0) shadow = shadow_before(job, block);
-    if (shadow > begin) begin = shadow < end ? shadow : end;
+    if (walk.shadow < 0) begin_walk(job, block, walk);
+    if (walk.shadow > begin) begin = walk.shadow < end ? walk.shadow : end;
     if (begin < end) {
-      result.num_selected += select_rows(job, block, placement, begin, end, run, shadow, out + result.num_selected);
+      result.num_selected += select_rows(job, block, placement, begin, end, run, walk, out.behind(result.num_selected));
       result.num_visited += end - begin;
     }
-    const int64_t next = shadow / rows_per_block;
-    block = next > block ? next : block + 1;
+    const int64_t next = walk.shadow / rows_per_block;
+    block = behind(next > block ? next : block + 1);
   }
   return result;
 }

@@ -38,9 +38,22 @@ struct SelectJob {
   // Runs of rows that may be drawn, begin and end, ascending; null: all rows.
   const int32_t* runs;
   int64_t num_runs;
+  // Of a range of limits, from this one to that of the rule; a single cut has no other. Of so many blocks one is looked at.
+  float fine_limit;
+  int64_t every;
   ViewPlanes planes;
   double reach[NUM_SIDES];
   double eye[3];
+};
+
+// Rows that are drawn, and of a range of limits from which one on and up to which: null for a single cut.
+struct CutRows {
+  int32_t* rows;
+  float *enters, *leaves;
+
+  CutRows behind(int64_t count) const {
+    return {rows + count, enters ? enters + count : nullptr, leaves ? leaves + count : nullptr};
+  }
 };
 
 struct RunResult {

@@ -1,5 +1,6 @@
 """Choose the visible cut by blocks: glue over select.cpp; kernels/reference/select.py is the definition."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -7,7 +8,8 @@ import numpy as np
 from splatree.errors import InputError
 from splatree.kernels.cpu import _core
 from splatree.kernels.cpu.frame.blocks import index_blocks
-from splatree.kernels.cpu.frame.question import PackedQuestion, PackedSides, pack_question, pack_sides
+from splatree.kernels.cpu.frame.question import PackedQuestion, PackedSides, limit_of, pack_question, pack_sides
+from splatree.scene.frame import CutRange
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.options import SelectOptions
 from splatree.scene.tree import BlockIndex, GaussianTree
@@ -21,6 +23,7 @@ __all__ = [
     "select",
     "select_by_ancestors",
     "select_packed",
+    "select_range",
     "small",
     "visible",
 ]
@@ -73,6 +76,28 @@ def select_packed(
     """As `select`, of what `pack` made."""
     rows, num_visited = _core.select_cut(gaussians, tree, blocks, packed.question, packed.sides, runs, threads)
     return rows, num_visited
+
+
+def select_range(
+    gaussians: Gaussians,
+    tree: GaussianTree,
+    blocks: BlockIndex | None,
+    view: View,
+    options: SelectOptions,
+    *,
+    coarsest: float,
+    every: int = 1,
+    runs: Int32[Array, "r 2"] | None = None,
+    threads: int = 0,
+) -> CutRange:
+    """The cuts of all τ_R from that of the options to ``coarsest``, px and finite; of ``every`` so many blocks of rows one is
+    looked at."""
+    blocks = blocks or index_blocks(gaussians, tree, threads=threads)
+    packed = pack(view, replace(options, pixel_error=coarsest))
+    finest = limit_of(options.pixel_error, options.resolved_profile)
+    return CutRange(
+        *_core.select_range(gaussians, tree, blocks, packed.question, packed.sides, runs, finest, every, threads)
+    )
 
 
 def ancestor_table(tree: GaussianTree) -> Int32[Array, "n l"]:

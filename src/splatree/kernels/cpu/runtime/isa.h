@@ -23,6 +23,7 @@ struct ProjectBackwardJob;
 struct LossJob;
 struct StepJob;
 struct SelectJob;
+struct CutRows;
 struct RunResult;
 struct BoxTree;
 struct LeafNeighbors;
@@ -56,7 +57,7 @@ struct SplatTables;
   kernel(void, photo_loss, (const LossJob& job))                                                               \
   kernel(void, step_rows, (const StepJob& job))                                                                \
   kernel(int32_t, largest_bits, (const float* values, int64_t num_values))                                     \
-  kernel(RunResult, select_group, (const SelectJob& job, int64_t group, int32_t* out))                         \
+  kernel(RunResult, select_group, (const SelectJob& job, int64_t group, const CutRows& out))                   \
   kernel(void, nearest_of_leaf, (const BoxTree& tree, int64_t leaf, LeafNeighbors& found))                     \
   kernel(PairCost, cheapest_pair, (const PairCandidates& pair))                                                \
   kernel(void, small_rows, (const SelectJob& job, const int32_t* rows, int64_t count, uint8_t* small))         \
