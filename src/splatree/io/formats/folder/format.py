@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from splatree.errors import FormatError, InputError
-from splatree.io.formats.folder.manifest import MANIFEST, Manifest, checked_path, is_manifest, read_manifest
+from splatree.io.formats.folder.manifest import MANIFEST, Manifest, checked_path, folder_of, is_manifest, read_manifest
 from splatree.io.formats.splatree import format as single
 from splatree.io.options import ReadOptions
 from splatree.kernels.cpu.frame.blocks import index_blocks
@@ -23,12 +23,13 @@ from splatree.shapes import Array, Int64
 
 
 def sniff(path: Path, head: bytes) -> bool:
-    """Whether the path is a folder with such a manifest."""
-    return path.is_dir() and is_manifest(path / MANIFEST)
+    """Whether the path is a folder with such a manifest, or the manifest; servers of https do not tell folders."""
+    return (not path.is_file() and is_manifest(path / MANIFEST)) or (path.name == MANIFEST and is_manifest(path))
 
 
 def files(path: Path) -> list[Path]:
     """The manifest and all files that it names."""
+    path = folder_of(path)
     manifest = read_manifest(path)
     index = () if manifest.index is None else (manifest.index,)
     return [path / MANIFEST, *(path / file.name for file in (*index, manifest.crown, *manifest.parts))]
@@ -41,6 +42,7 @@ def read(path: Path, options: ReadOptions) -> Scene:
         FormatError: a file is not the one that the manifest speaks of, or the files do not fit each other.
         InputError: there are 2³¹ rows or more.
     """
+    path = folder_of(path)
     manifest = read_manifest(path)
     if manifest.num_rows >= 2**31:
         raise InputError(f"{path}: found {manifest.num_rows} rows, wanted less than 2^31 in one scene in memory")
