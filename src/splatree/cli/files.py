@@ -11,6 +11,7 @@ from tyro.conf import Positional, arg
 from splatree.cli.console import UsageError
 from splatree.errors import InputError, OutputError
 from splatree.io.notes import notes_in, sentences_in
+from splatree.io.objects import located
 from splatree.io.options import ReadOptions, WriteOptions
 from splatree.io.reading import read
 from splatree.io.registry import FOLDER_FILE, format_to_write, formats
@@ -163,6 +164,7 @@ def _divided(named: Files, example: str) -> tuple[tuple[Path, ...], Path]:
             )
         *sources, output = inputs
         inputs = tuple(sources)
+    inputs, output = tuple(map(located, inputs)), located(output)
     if not inputs:
         raise UsageError(f"found no input, wanted at least one: in.ply {example}, or chunk_*/ -o {example}")
     return inputs, output

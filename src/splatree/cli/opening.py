@@ -6,6 +6,7 @@ from pathlib import Path
 
 from splatree.cli.console import UsageError
 from splatree.cli.files import Reading, read_scene
+from splatree.io.local import is_brought, place_of
 from splatree.io.registry import detect, stored_bytes
 from splatree.lod.baselines import Baseline
 from splatree.outofcore.options import free_bytes
@@ -28,7 +29,8 @@ def opened(
     Raises:
         UsageError: ``max_memory`` is given, and the paths cannot be read page by page, or all rows are needed.
     """
-    found = detect(paths[0]) if len(paths) == 1 else None
+    paths = [place_of(path) for path in paths]
+    found = detect(paths[0]) if len(paths) == 1 and not is_brought(paths[0]) else None
     name = None if found is None else found.name
     is_folder = name == "splatree-folder"
     if max_memory is not None and (whole or not (is_folder or name == "splatree")):

@@ -25,6 +25,7 @@ from splatree.io.joined import joined
 from splatree.io.joined_chunks import joined_chunks, opened_chunks
 from splatree.io.local import local_inputs
 from splatree.io.notes import notes_in, sentences_in
+from splatree.io.objects import located
 from splatree.io.options import ReadOptions, WriteOptions
 from splatree.io.reading import read_one
 from splatree.io.registry import detect, format_to_write
@@ -119,7 +120,7 @@ def convert(
         >>> st.convert("city.ply", "city.splat", force=True).num_written
         253
     """
-    options, target = options or ConvertOptions(), Path(output)
+    options, target = options or ConvertOptions(), located(output)
     paths = [inputs] if isinstance(inputs, str | os.PathLike) else list(inputs)
     with local_inputs([Path(p) for p in paths]) as local:
         found = find_inputs(local.paths, lambda p: detect(p) is not None)

@@ -175,8 +175,8 @@ def _iterations(folder: Path) -> dict[int, Path]:
 def _match(path: Path) -> list[Path]:
     """What a pattern that no shell has expanded stands for."""
     if any(c in str(path) for c in "*?["):
-        start = Path(path.anchor) if path.is_absolute() else Path()
-        found = sorted(start.glob(str(path.relative_to(start))), key=_natural)
+        start = next(folder for folder in path.parents if not any(c in str(folder) for c in "*?["))
+        found = sorted(start.glob(path.relative_to(start).as_posix()), key=_natural)
         if found:
             return found
         raise InputError(f"{path}: no file matches this pattern")

@@ -1,8 +1,9 @@
 """Inputs that are not files of their own: addresses, standard input, and compressed files of one scene.
 
-They are brought into a temporary folder under their own names, and that is read like any other file:
+Objects of stores, ``s3://…``, are read where they lie (`splatree.io.objects`), and so are folders that an address of https names.
+Other inputs are brought into a temporary folder under their own names, and that is read like any other file:
 
-- ``https://…`` and ``http://…``, by the standard library;
+- one file of ``https://…`` and ``http://…``, by the standard library, whether or not the server gives ranges;
 - ``-``, standard input, which has to be a .ply or an .spz;
 - ``a.ply.gz``, and a ``.zip`` that holds one scene file (a .sog is a ZIP of its own and stays as it is);
 - a ``.ssog`` or ``.zip`` that holds the folder of a streamed SOG.
@@ -25,10 +26,13 @@ from typing import BinaryIO
 from urllib.parse import unquote, urlsplit
 
 from splatree.errors import FormatError, InputError
+from splatree.io.formats.folder.manifest import MANIFEST, is_manifest
+from splatree.io.objects import ObjectPath, located
+from splatree.io.sources import TIMEOUT_S
 from splatree.io.untrusted import inner_path
 from splatree.progress import task
 
-__all__ = ["LocalInputs", "local_inputs"]
+__all__ = ["LocalInputs", "is_brought", "local_inputs", "place_of"]
 
 DOWNLOAD_MAX = 64 << 30
 """Bytes that are taken from a server at most: a billion Gaussians without harmonics."""
@@ -39,12 +43,11 @@ INFLATION_MAX = 100
 INFLATED_ALWAYS = 64 << 20
 """… unless it becomes no more than so many bytes."""
 
-TIMEOUT_S = 30.0
-"""A server that sends nothing for so long is given up."""
-
 _PIECE = 1 << 20
 _STREAM = "lod-meta.json"
 """Its presence says that a ZIP holds a streamed SOG."""
+_OF_FOLDERS = (_STREAM, "meta.json", MANIFEST)
+"""Names of files that stand for a folder of others."""
 _STANDARD_INPUT = "-"
 
 
@@ -73,7 +76,8 @@ def local_inputs(paths: Sequence[Path]) -> Iterator[LocalInputs]:
     folder: Path | None = None
     found, names = list[Path](), dict[str, str]()
     try:
-        for number, path in enumerate(paths):
+        for number, named in enumerate(paths):
+            path = place_of(named)
             bring = _how_to_bring(path)
             if bring is None:
                 found.append(path)
@@ -85,19 +89,36 @@ def local_inputs(paths: Sequence[Path]) -> Iterator[LocalInputs]:
             while (inflate := _how_to_inflate(local)) is not None:
                 local = inflate(place)
             found.append(local)
-            names[str(local)] = _address(path) or str(path)
+            names[str(local)] = str(path)
         yield LocalInputs(found, names)
     finally:
         if folder is not None:
             shutil.rmtree(folder, ignore_errors=True)
 
 
+def place_of(named: Path) -> Path:
+    """Where an input lies; of a folder of parts on a server, which tells no folders from files, the manifest."""
+    path = located(named)
+    return (
+        path / MANIFEST if _is_of_server(path) and path.suffix == ".splatree" and is_manifest(path / MANIFEST) else path
+    )
+
+
+def _is_of_server(path: Path) -> bool:
+    return isinstance(path, ObjectPath) and re.match("https?:", str(path)) is not None
+
+
+def is_brought(path: Path) -> bool:
+    """Whether an input has to be fetched or unpacked before anything is known of it."""
+    return _is_of_server(path) or path.suffix.lower() in (".gz", ".zip", ".ssog")
+
+
 def _how_to_bring(path: Path) -> Callable[[Path], Path] | None:
     """What brings an input into a folder; None if it is a file already."""
     if str(path) == _STANDARD_INPUT and not path.exists():
         return _from_standard_input
-    if address := _address(path):
-        return lambda folder: _download(address, folder)
+    if _is_of_server(path) and path.name not in _OF_FOLDERS:
+        return lambda folder: _download(str(path), folder)
     return _how_to_inflate(path)
 
 
@@ -107,17 +128,6 @@ def _how_to_inflate(path: Path) -> Callable[[Path], Path] | None:
         return lambda folder: _gunzip(path, folder)
     if suffix in (".zip", ".ssog") and path.is_file():
         return _unzip(path)
-    return None
-
-
-def _address(path: Path) -> str | None:
-    """The address that a path stands for; a path has lost one of its slashes."""
-    match = re.match(r"(https?):/+(.+)", str(path), re.IGNORECASE | re.DOTALL)
-    if match:
-        return f"{match[1].lower()}://{match[2]}"
-    if other := re.match(r"([a-z][a-z0-9+.-]{1,10}):/", str(path), re.IGNORECASE):
-        named = f"{other[1]}://{str(path)[len(other[0]) :].lstrip('/')}"
-        raise InputError(f"{named}: found an address of {other[1]}, wanted https or http, or a file")
     return None
 
 
@@ -168,7 +178,12 @@ def _gunzip(path: Path, folder: Path) -> Path:
     target = folder / path.name[: -len(".gz")]
     limit = max(INFLATED_ALWAYS, INFLATION_MAX * path.stat().st_size)
     try:
-        with gzip.open(path, "rb") as packed, target.open("wb") as file, task(f"unpack {path.name}", None) as advance:
+        with (
+            path.open("rb") as whole,
+            gzip.open(whole) as packed,
+            target.open("wb") as file,
+            task(f"unpack {path.name}", None) as advance,
+        ):
             _copy(packed, file, limit, str(path), advance)  # type: ignore[arg-type]  # a GzipFile reads like any file
     except (OSError, EOFError, zlib.error) as error:
         if isinstance(error, FormatError):
@@ -180,7 +195,7 @@ def _gunzip(path: Path, folder: Path) -> Path:
 def _unzip(path: Path) -> Callable[[Path], Path] | None:
     """What unpacks a ZIP with one file or a streamed SOG; None for a bundle that is a scene of its own, or a checkpoint."""
     try:
-        with zipfile.ZipFile(path) as bundle:
+        with path.open("rb") as file, zipfile.ZipFile(file) as bundle:
             entries = [e for e in bundle.infolist() if not e.is_dir() and not _is_litter(e.filename)]
     except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as error:
         raise FormatError(f"{path}: not a whole ZIP ({error}); fetch it again") from error
@@ -220,7 +235,8 @@ def _unzip_entry(path: Path, entry: zipfile.ZipInfo, target: Path, limit: int) -
     """Write one entry of a ZIP to a file; return its bytes."""
     try:
         with (
-            zipfile.ZipFile(path) as bundle,
+            path.open("rb") as whole,
+            zipfile.ZipFile(whole) as bundle,
             bundle.open(entry) as packed,
             target.open("wb") as file,
             task(f"unpack {path.name}", entry.file_size) as advance,

@@ -15,6 +15,7 @@ from splatree.errors import FormatError, InputError, SplatreeError
 from splatree.io.chunks import Chunks
 from splatree.io.foreign import not_content
 from splatree.io.holds import Holds
+from splatree.io.objects import located
 from splatree.io.options import ReadOptions, WriteOptions
 from splatree.scene.scene import Scene
 
@@ -295,6 +296,7 @@ def detect(path: Path) -> Format | None:
     Raises:
         InputError: it is there but may not be read.
     """
+    path = located(path)
     try:
         head = b""
         if path.is_file():
@@ -317,6 +319,7 @@ def detect(path: Path) -> Format | None:
 
 def stored_bytes(path: Path) -> int:
     """Bytes of the files that a path of a known format stands for: of a folder or its meta.json, all that it names."""
+    path = located(path)
     if not path.exists():  # it was fetched from elsewhere
         return 0
     return sum(file.stat().st_size for file in files_of(path))
@@ -324,5 +327,6 @@ def stored_bytes(path: Path) -> int:
 
 def files_of(path: Path) -> list[Path]:
     """The files that a path of a known format stands for."""
+    path = located(path)
     found = detect(path)
     return [path] if found is None or found.files is None else found.files(path)

@@ -1,5 +1,7 @@
 """Whole files or none: write beside the target, flush to the disk, rename.
 
+An object of a store is written as a file of this machine, and sent when it is whole.
+
 Without ``force`` the name is taken by a hard link, which fails if it is taken already: of several writers one wins. With it the
 new file keeps the mode of the old one. What killed writers left is removed by the next writer in the folder.
 """
@@ -8,13 +10,15 @@ import errno
 import os
 import re
 import stat
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import ModuleType
 
 from splatree.errors import OutputError, SplatreeError
-from splatree.progress import renamed
+from splatree.io.objects import ObjectPath, located
+from splatree.progress import renamed, task
 
 fcntl: ModuleType | None
 try:
@@ -41,6 +45,10 @@ def replacing(path: str | os.PathLike[str], *, force: bool = False) -> Iterator[
     target = check_target(path)
     if target.exists() and not force:
         raise OutputError(_exists(path))
+    if isinstance(target, ObjectPath):
+        with _sent_to(target) as local:
+            yield local
+        return
     remove_abandoned(target.parent)
     temporary: Path | None = None
     lock: int | None = None
@@ -79,6 +87,33 @@ def replacing(path: str | os.PathLike[str], *, force: bool = False) -> Iterator[
             temporary.unlink(missing_ok=True)
         if lock is not None:
             os.close(lock)
+
+
+@contextmanager
+def _sent_to(target: ObjectPath) -> Iterator[Path]:
+    """A file of this machine, which is put into a store when it is whole."""
+    with tempfile.TemporaryDirectory(prefix="splatree-") as folder:
+        local = Path(folder) / target.name
+        local.touch()
+        try:
+            yield local
+        except SplatreeError as error:
+            error.args = tuple(str(part).replace(str(local), str(target)) for part in error.args)
+            raise
+        except OSError as error:
+            raise OutputError(f"{target}: could not be written ({error.strerror or error})") from error
+        send(local, target)
+
+
+def send(local: Path, target: ObjectPath) -> None:
+    """Put a file into a store.
+
+    Raises:
+        OutputError: the store refuses.
+    """
+    with task(f"send {target.name}", float(local.stat().st_size)) as advance:
+        target.put(local)
+        advance(float(local.stat().st_size))
 
 
 def remove_abandoned(folder: Path) -> None:
@@ -160,10 +195,13 @@ def check_target(path: str | os.PathLike[str]) -> Path:
         OutputError: it is there and not a plain file, its folder is missing or may not be looked into, no file can have its name,
             links lead in a circle, or the working folder is gone.
     """
+    target = located(path)
+    if isinstance(target, ObjectPath) and str(target).startswith("http"):
+        raise OutputError(f"{target}: cannot be written, https is only read; name a file, or a store such as s3://")
     try:
-        target = Path(path).resolve()  # so that what a link points to is replaced
+        target = target.resolve()  # so that what a link points to is replaced
         is_other = target.exists() and not target.is_file()
-        has_folder = target.parent.is_dir()
+        has_folder = isinstance(target, ObjectPath) or target.parent.is_dir()
     except FileNotFoundError as error:
         raise OutputError(
             f"{path}: cannot be written, the working folder was deleted; change to another one"

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -18,8 +19,9 @@ from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.names import Mode
 from splatree.scene.scene import Scene, Source
+from splatree.shapes import Array
 
-__all__ = ["FileRows", "Fill", "columns_to_fill"]
+__all__ = ["FileRows", "Fill", "columns_to_fill", "records_of"]
 
 Fill = Callable[[int, Gaussians], None]
 """Decodes the rows from a number on into columns, as many as these hold."""
@@ -78,3 +80,10 @@ def columns_to_fill(num_rows: int, sh_degree: int) -> Gaussians:
     k = (sh_degree + 1) ** 2
     shapes = ((num_rows, 3), (num_rows, 4), (num_rows, 3), (num_rows,), (num_rows, k, 3))
     return Gaussians(*(np.empty(shape, np.float32) for shape in shapes))
+
+
+def records_of(file: BinaryIO, record: "np.dtype[Any]", count: int) -> Array:
+    """The next records of a file of this machine or of a store; fewer than ``count`` where it ends."""
+    records = np.empty(count, record)
+    num_bytes: int = file.readinto(records.view(np.uint8).data) if count else 0  # type: ignore[attr-defined]
+    return records[: num_bytes // records.itemsize]

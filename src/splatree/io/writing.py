@@ -11,6 +11,7 @@ from splatree.io.chunks import Chunks, chunks_of
 from splatree.io.cut import cut_at
 from splatree.io.formats.folder.whole import WholeTree
 from splatree.io.holds import losses, origin_lost
+from splatree.io.objects import ObjectPath, located
 from splatree.io.options import WriteOptions
 from splatree.io.registry import FOLDER_FILE, Format, format_to_write
 from splatree.io.replacing import replacing
@@ -48,7 +49,7 @@ def write(
         >>> st.write(scene, "copy.splatree", force=True)
         ()
     """
-    target, options = Path(path), options or WriteOptions()
+    target, options = located(path), options or WriteOptions()
     chosen = format_to_write(target)
     options.check_taken(chosen.options, f"{target} ({chosen.name})")
     num_merged, clusters = 0, scene.clusters
@@ -101,7 +102,7 @@ def write_chunks(
     cut_from: WholeTree | None = None,
 ) -> tuple[str, ...]:
     """As `write`, of Gaussians in chunks, in a format that is written so; they may be the leaves of a tree that is not kept."""
-    target, options = Path(path), options or WriteOptions()
+    target, options = located(path), options or WriteOptions()
     chosen = format_to_write(target)
     options.check_taken(chosen.options, f"{target} ({chosen.name})")
     lost: Iterable[str] = losses(
@@ -120,6 +121,10 @@ def _written(chosen: Format, chunks: Chunks, target: Path, force: bool, options:
     if chosen.write_chunks is None:
         raise InputError(f"{target}: format {chosen.name} is not written in chunks; wanted a whole scene")
     if target.name == FOLDER_FILE and chosen.write_folder is not None:
+        if isinstance(target, ObjectPath):
+            raise OutputError(
+                f"{target}: a folder of SOG is written on this machine only; wanted a .sog, which is one object"
+            )
         with _folder_of(target), replacing(target, force=force) as temporary:
             return chosen.write_folder(chunks, temporary, options)
     with replacing(target, force=force) as temporary:

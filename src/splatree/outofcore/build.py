@@ -14,6 +14,7 @@ from typing import Any
 
 from splatree.errors import InputError, OutputError
 from splatree.io.formats.folder.manifest import MANIFEST, Manifest, is_manifest, total_bytes
+from splatree.io.objects import ObjectPath, located
 from splatree.io.options import ReadOptions
 from splatree.lod.options import BuildOptions
 from splatree.outofcore.cut import Cut, cut_into_cells, opened_inputs
@@ -22,6 +23,7 @@ from splatree.outofcore.plan import Plan
 from splatree.outofcore.run import run_cells
 from splatree.outofcore.top import finish_scene
 from splatree.outofcore.work import Work
+from splatree.progress import task
 from splatree.scene.names import Mode
 from splatree.scene.scene import Source
 
@@ -113,8 +115,9 @@ def build_folder(
         )
     untried = options.only_method is None
     options = replace(options, method="radius")
-    target = _target(Path(output), force)
-    work = Work(target.with_name(target.name + ".work"))
+    path = located(output)
+    target = _target(path, force)
+    work = Work.beside(target)
     with (
         opened_inputs(inputs, reading, mode) as opened,
         cut_into_cells(work, opened, options, options, running, reading=reading, executor=executor) as cut,
@@ -122,7 +125,7 @@ def build_folder(
         manifest, report = _grown(work, cut, running)
         _take_place(work, target, force)
     return BuiltFolder(
-        path=Path(output),
+        path=path,
         num_gaussians=manifest.num_leaves,
         num_nodes=manifest.num_rows,
         num_parts=len(manifest.parts),
@@ -164,7 +167,7 @@ def _grown(work: Work, cut: Cut, running: FolderOptions) -> tuple[Manifest, dict
 def _target(output: Path, force: bool) -> Path:
     try:
         target = output.resolve()
-        if not target.parent.is_dir():
+        if not isinstance(target, ObjectPath) and not target.parent.is_dir():
             raise OutputError(f"{output}: cannot be written, there is no folder {target.parent}")
         if target.exists() and not force:
             raise OutputError(f"{output}: exists already; choose another name or replace it with force")
@@ -185,9 +188,25 @@ def _note_on_pixels(plan: Plan, options: BuildOptions) -> tuple[str, ...]:
 
 
 def _take_place(work: Work, target: Path, force: bool) -> None:
-    """Move the finished folder to its name, and remove the rest."""
+    """Move the finished folder to its name, or send its files there, and remove the rest."""
+    if isinstance(target, ObjectPath):
+        _send(work.scene, target)
+        shutil.rmtree(work.folder)
+        return
     old = work.folder / "old"
     if target.exists() and force:
         target.rename(old)
     work.scene.rename(target)  # from here on, another build begins anew
     shutil.rmtree(work.folder, ignore_errors=True)
+
+
+def _send(folder: Path, target: ObjectPath) -> None:
+    """Put the files of a folder into a store, the manifest last: until it is there, nothing is a scene."""
+    manifest = target / MANIFEST
+    manifest.unlink(missing_ok=True)  # of an older scene, whose parts are replaced now
+    files = sorted(path for path in folder.rglob("*") if path.is_file() and path != folder / MANIFEST)
+    with task(f"send {target.name}", float(sum(path.stat().st_size for path in files))) as advance:
+        for path in files:
+            (target / path.relative_to(folder).as_posix()).put(path)
+            advance(float(path.stat().st_size))
+    manifest.put(folder / MANIFEST)

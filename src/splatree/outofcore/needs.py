@@ -6,6 +6,7 @@ from pathlib import Path
 
 from splatree.io.inputs import find_inputs
 from splatree.io.joined_chunks import opened_chunks
+from splatree.io.local import is_brought
 from splatree.io.options import ReadOptions
 from splatree.io.registry import detect, stored_bytes
 from splatree.outofcore.options import PROCESS_BYTES, free_bytes
@@ -50,9 +51,7 @@ def needs_of(inputs: Sequence[Path], options: ReadOptions) -> Needs | None:
     Heads of files say how many Gaussians they hold, where they are read in chunks. What has to be fetched or unpacked first is
     not asked.
     """
-    if not all(
-        path.is_dir() or (path.is_file() and path.suffix.lower() not in (".gz", ".zip", ".ssog")) for path in inputs
-    ):
+    if any(is_brought(path) or not path.exists() for path in inputs):
         return None
     found = find_inputs(inputs, lambda path: detect(path) is not None)
     free = free_bytes()

@@ -18,8 +18,9 @@ import numpy as np
 
 from splatree.errors import FormatError, InputError
 from splatree.io.check import checked_rows
-from splatree.io.formats.folder.manifest import MANIFEST, Manifest, checked_path, is_manifest, read_manifest
+from splatree.io.formats.folder.manifest import MANIFEST, Manifest, checked_path, folder_of, is_manifest, read_manifest
 from splatree.io.formats.splatree.rows import StoredScene, open_scene
+from splatree.io.objects import located
 from splatree.lod.select import for_levels, notes_on, within_budget
 from splatree.outofcore.index import StoreIndex, index_of_file, index_of_folder
 from splatree.outofcore.index_file import read_index
@@ -323,7 +324,8 @@ def open_store(path: str | os.PathLike[str], *, max_memory: str | None = None) -
     """Open a scene on disk, to select and draw from it without reading all of it.
 
     Args:
-        path: a folder of parts, which `build_folder` made, or an exact ``.splatree``.
+        path: a folder of parts, which `build_folder` made, or an exact ``.splatree``; or the address of either, of which only
+            the ranges are fetched that are needed.
         max_memory: what the pages that are kept may take, such as 500M; None: half of the free memory.
 
     Returns:
@@ -338,16 +340,16 @@ def open_store(path: str | os.PathLike[str], *, max_memory: str | None = None) -
         >>> with st.open_store("city.splatree", max_memory="500M") as store:
         ...     image = st.render(store, camera).image
     """
-    path = Path(path)
+    path = folder_of(located(path))
     max_bytes = free_bytes() // 2 if max_memory is None else bytes_of(max_memory)
-    if not path.is_dir():
+    if not is_manifest(path / MANIFEST):
+        if path.is_dir():
+            raise InputError(
+                f"{path}: found a folder without such a {MANIFEST}, wanted one that splatree build --max-memory made"
+            )
         file = open_scene(path)
         with task(f"index {path.name}", float(len(file))) as advance:
             return Store([file], index_of_file(file, advance), max_bytes)
-    if not is_manifest(path / MANIFEST):
-        raise InputError(
-            f"{path}: found a folder without such a {MANIFEST}, wanted one that splatree build --max-memory made"
-        )
     manifest = read_manifest(path)
     crown, *parts = (open_scene(path / file.name) for file in (manifest.crown, *manifest.parts))
     _check_alike(crown, parts)

@@ -16,6 +16,7 @@ import numpy as np
 
 from splatree.errors import InputError, OutputError
 from splatree.io.formats.splatree.rows import open_scene
+from splatree.io.objects import located
 from splatree.io.options import ReadOptions, WriteOptions
 from splatree.io.registry import FOLDER_FILE, format_to_write
 from splatree.io.replacing import check_target
@@ -114,7 +115,7 @@ def thin_file(
         raise InputError(
             "method: found 'pairs' for thinning through files, wanted 'radius': pairs are chosen from the whole scene"
         )
-    target = Path(output)
+    target = located(output)
     chosen = format_to_write(target)
     if chosen.write_chunks is None:
         raise InputError(f"{target}: format {chosen.name} is not written in chunks, wanted one that is, such as .ply")
@@ -122,7 +123,7 @@ def thin_file(
     check_target(place)
     if target.exists() and not force:
         raise OutputError(f"{target}: exists already; choose another name or replace it with force")
-    work = Work(place.with_name(place.name + ".work").absolute())
+    work = Work.beside(place)
     with opened_inputs(inputs, reading, mode) as opened:
         options = replace(options, method="radius", merge=options.merge.resolved(opened.chunks.mode))
         decided = BuildOptions(

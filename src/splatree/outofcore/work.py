@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from splatree.errors import InputError
+from splatree.io.objects import ObjectPath
 from splatree.io.replacing import remove_abandoned, replacing
 from splatree.shapes import Array
 
@@ -35,6 +36,12 @@ class Work:
 
     folder: Path
     """The folder of the build."""
+
+    @staticmethod
+    def beside(target: Path) -> "Work":
+        """The folder beside a file or folder to be; of one in a store, in the working folder."""
+        name = target.name + ".work"
+        return Work((Path(name) if isinstance(target, ObjectPath) else target.with_name(name)).absolute())
 
     def begin(self) -> None:
         """Make the folders, and remove what killed processes left half-written, and the plan of a build that was done."""

@@ -27,7 +27,7 @@ from splatree.io.check import LOGIT_FROM_BYTE, refuse_unusable
 from splatree.io.chunks import ROWS_PER_CHUNK, Chunks
 from splatree.io.formats.ply.header import HEADER_MAX, Element, Text, parse_text
 from splatree.io.options import ReadOptions, WriteOptions
-from splatree.io.rows import FileRows, Fill
+from splatree.io.rows import FileRows, Fill, records_of
 from splatree.kernels.cpu.codec.packed import CHUNK, pack, unpack
 from splatree.maths.morton import morton_codes
 from splatree.progress import task
@@ -189,7 +189,7 @@ def _open(path: Path, options: ReadOptions) -> _Packed:
         bounds = np.zeros((elements["chunk"].count, len(_BOUNDS)), np.float32)
         bounds[:, 15:] = 1  # colours of older files lie within 0 to 1
         file.seek(starts["chunk"])
-        records = np.fromfile(file, types["chunk"], len(bounds))
+        records = records_of(file, types["chunk"], len(bounds))
         has_colors = _BOUNDS[12] in (types["chunk"].names or ())
         names = _BOUNDS if has_colors else _BOUNDS[:12]
         bounds[:, : len(names)] = _matrix(records, names, np.float32)

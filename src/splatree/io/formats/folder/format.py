@@ -8,7 +8,7 @@ copy, so that rows are in preorder. docs/reference/formats/folder.md.
 from dataclasses import replace
 from pathlib import Path
 
-from splatree.io.formats.folder.manifest import MANIFEST, is_manifest, read_manifest
+from splatree.io.formats.folder.manifest import MANIFEST, folder_of, is_manifest, read_manifest
 from splatree.io.formats.folder.whole import open_whole
 from splatree.io.options import ReadOptions
 from splatree.kernels.cpu.frame.blocks import index_blocks
@@ -16,12 +16,13 @@ from splatree.scene.scene import Scene
 
 
 def sniff(path: Path, head: bytes) -> bool:
-    """Whether the path is a folder with such a manifest."""
-    return path.is_dir() and is_manifest(path / MANIFEST)
+    """Whether the path is a folder with such a manifest, or the manifest; servers of https do not tell folders."""
+    return (not path.is_file() and is_manifest(path / MANIFEST)) or (path.name == MANIFEST and is_manifest(path))
 
 
 def files(path: Path) -> list[Path]:
     """The manifest and all files that it names."""
+    path = folder_of(path)
     manifest = read_manifest(path)
     index = () if manifest.index is None else (manifest.index,)
     return [path / MANIFEST, *(path / file.name for file in (*index, manifest.crown, *manifest.parts))]
@@ -34,5 +35,5 @@ def read(path: Path, options: ReadOptions) -> Scene:
         FormatError: a file is not the one that the manifest speaks of, or the files do not fit each other.
         InputError: there are 2³¹ rows or more.
     """
-    scene = open_whole(path).scene()
+    scene = open_whole(folder_of(path)).scene()
     return replace(scene, blocks=index_blocks(scene.gaussians, scene.tree))

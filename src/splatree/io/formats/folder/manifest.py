@@ -13,7 +13,16 @@ from pathlib import Path
 from splatree.errors import FormatError
 from splatree.io import untrusted
 
-__all__ = ["MANIFEST", "Manifest", "StoredFile", "digest_of", "read_manifest", "stored_file"]
+__all__ = [
+    "MANIFEST",
+    "Manifest",
+    "StoredFile",
+    "digest_of",
+    "folder_of",
+    "is_manifest",
+    "read_manifest",
+    "stored_file",
+]
 
 MANIFEST = "manifest.json"
 """Name of the manifest."""
@@ -65,6 +74,11 @@ def digest_of(path: Path) -> str:
 def stored_file(folder: Path, name: str) -> StoredFile:
     """What a manifest says of a file that was just written."""
     return StoredFile(name, (folder / name).stat().st_size, digest_of(folder / name))
+
+
+def folder_of(path: Path) -> Path:
+    """The folder, which its manifest may stand for."""
+    return path.parent if path.name == MANIFEST else path
 
 
 def is_manifest(path: Path) -> bool:

@@ -65,9 +65,9 @@ class WholeTree:
         is_leaf = ends == rows + 1
         for number, at, own in places.by_file():
             stored = self.files[number]
-            extents[at] = stored.file.rows("tree.extents")[own]
+            extents[at] = _taken(stored, "tree.extents", own)
             if number > 0:
-                own_ids = stored.file.rows("ids")[own] if stored.head.has_ids else own
+                own_ids = _taken(stored, "ids", own) if stored.head.has_ids else own
                 ids[at] = np.where(is_leaf[at], own_ids, ids[at])
         check_extents(extents, str(self.path), first_row=begin)
         gaussians = self._gaussians(places, begin)
@@ -98,7 +98,7 @@ class WholeTree:
         ends, depth = np.empty(len(places.own), np.int64), np.empty(len(places.own), np.int64)
         above = self.files[0].file.rows("tree.depth")
         for number, at, own in places.by_file():
-            stops, depth[at] = (self.files[number].file.rows(f"tree.{name}")[own] for name in ("subtree_end", "depth"))
+            stops, depth[at] = (_taken(self.files[number], f"tree.{name}", own) for name in ("subtree_end", "depth"))
             if number == 0:
                 ends[at] = self.first_row[stops]
             else:
@@ -112,7 +112,7 @@ class WholeTree:
         columns = _room(len(places.own), self.head.sh_degree)
         for number, at, own in places.by_file():
             for name, column in columns.items():
-                column[at] = self.files[number].file.rows(f"gaussians.{name}")[own]
+                column[at] = _taken(self.files[number], f"gaussians.{name}", own)
         return checked_rows(Gaussians(**columns), str(self.path), repair=False, first_row=first_row)[0]
 
     def runs(self, what: str) -> Iterator[SceneRows]:
@@ -178,6 +178,12 @@ class _Places:
         for number in np.unique(self.file):
             at = np.flatnonzero(self.file == number)
             yield int(number), at, self.own[at]
+
+
+def _taken(stored: StoredScene, name: str, rows: Array) -> Array:
+    """Rows of a column; no more of it is read than from the first to the last."""
+    first = int(rows.min())
+    return stored.file.rows(name, first, int(rows.max()) + 1)[rows - first]
 
 
 def _room(n: int, degree: int) -> dict[str, Array]:

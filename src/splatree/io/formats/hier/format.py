@@ -39,6 +39,7 @@ from splatree.io.check import refuse_unusable
 from splatree.io.levels import FileLevels, preorder_of_file, scene_with_levels
 from splatree.io.opacities import areas_of_clamped, logits_from_opacities, opacities_from_logits
 from splatree.io.options import ReadOptions, WriteOptions
+from splatree.io.rows import records_of
 from splatree.maths.forests import family_extremes, links_from_preorder, parents_by_level
 from splatree.maths.rotations import matrices_from_quats
 from splatree.progress import task
@@ -93,7 +94,7 @@ def read(path: Path, options: ReadOptions) -> Scene:
             )
         types = ("<f4", *4 * ("<f2",)) if is_half else 5 * ("<f4",)
         columns = [
-            np.fromfile(file, dtype, num_gaussians * width).reshape(num_gaussians, width)
+            records_of(file, np.dtype(dtype), num_gaussians * width).reshape(num_gaussians, width)
             for dtype, width in zip(types, _WIDTHS, strict=True)
         ]
         num_nodes = _read_count(path, file)
@@ -103,7 +104,7 @@ def read(path: Path, options: ReadOptions) -> Scene:
                 f"{path}: found {num_bytes} bytes, wanted {wanted} for {num_gaussians} Gaussians and {num_nodes} nodes; the file "
                 "is cut off or damaged"
             )
-        nodes = np.fromfile(file, _HALF_NODE if is_half else _NODE, num_nodes)  # the boxes are not asked for
+        nodes = records_of(file, _HALF_NODE if is_half else _NODE, num_nodes)  # the boxes are not asked for
         advance(num_bytes)
     gaussian_from_row, subtree_end, depth, num_left_out = _rows(nodes, num_gaussians, str(path))
     gaussians, num_opaque = _gaussians(columns, gaussian_from_row, is_half=is_half)

@@ -43,7 +43,7 @@ from splatree.io.formats.ksplat.layout import (
     rest_order,
 )
 from splatree.io.options import ReadOptions
-from splatree.io.rows import FileRows, Fill
+from splatree.io.rows import FileRows, Fill, records_of
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Scene
 from splatree.shapes import Array
@@ -173,11 +173,11 @@ class _Section:
         self._where, self._level, degree = where, found.level, int(section["degree"])
         self._record, self._rest_places = record_of(found.level, degree), 3 + rest_order(degree)
         file.seek(start)
-        lengths = np.fromfile(file, "<u4", int(section["partial_buckets"]))
+        lengths = records_of(file, np.dtype("<u4"), int(section["partial_buckets"]))
         bucket_bytes = int(section["bucket_bytes"]) * int(section["buckets"])
         self._start = start + lengths.nbytes + bucket_bytes
         if found.level > 0:
-            self._centres = np.fromfile(file, "<f4", bucket_bytes // 4).reshape(-1, 3)
+            self._centres = records_of(file, np.dtype("<f4"), bucket_bytes // 4).reshape(-1, 3)
             full = np.full(int(section["full_buckets"]), int(section["bucket_rows"]), np.int64)
             self._bucket_ends = np.cumsum(np.concatenate([full, lengths.astype(np.int64)]))
             ends = self._bucket_ends
@@ -191,7 +191,7 @@ class _Section:
     def fill(self, file: BinaryIO, first: int, out: Gaussians) -> None:
         """Decode the rows from ``first`` on."""
         file.seek(self._start + first * self._record.itemsize)
-        records = np.fromfile(file, self._record, len(out))
+        records = records_of(file, self._record, len(out))
         if len(records) < len(out):
             raise FormatError(f"{self._where}: cannot be read to its end; did the file change meanwhile?")
         if self._level > 0:

@@ -20,6 +20,7 @@ from splatree.io.formats.ply.filter3d import fuse_filter
 from splatree.io.formats.ply.header import HEADER_MAX, Header, parse_header
 from splatree.io.formats.ply.properties import DC, RGB, Fields, fields_of
 from splatree.io.formats.ply.skip import bytes_of
+from splatree.io.objects import ObjectPath
 from splatree.io.options import ReadOptions
 from splatree.kernels.cpu.codec.columns import deinterleave
 from splatree.scene.gaussians import Gaussians
@@ -74,7 +75,7 @@ class Vertices:
     def fill(self, file: BinaryIO, begin: int, columns: list[Array]) -> Magnitudes:
         """Read the rows from ``begin`` on into the columns; text must be read in order."""
         try:
-            if self.header.encoding == "binary_little_endian":
+            if self.header.encoding == "binary_little_endian" and not isinstance(self.path, ObjectPath):
                 start = self.start + begin * self.header.dtype.itemsize
                 largest = deinterleave(file, start, self.header.dtype, self.fields.columns, columns)
                 magnitudes = dict(zip(COLUMNS, largest, strict=False))
@@ -172,12 +173,27 @@ def _origin(file: BinaryIO, vertices: Vertices) -> Origin:
         records = _records_of_text(vertices.path, lines, header.dtype, 0)
     else:
         step = max(1, vertices.num_rows // _ROWS_OF_SAMPLE)
-        records = np.memmap(file, header.dtype, "r", vertices.start, (vertices.num_rows,))[::step]
+        records = _every(file, vertices, step)
     points, scales = (
         np.stack([records[name].astype(np.float64) for name in names], axis=1) if len(records) else np.zeros((0, 3))
         for names in (columns[0], columns[2])
     )
     return origin_of(points, scales.astype(np.float32))
+
+
+def _every(file: BinaryIO, vertices: Vertices, step: int) -> Array:
+    """Every ``step``-th record; of an object all are gone through, since each request takes as long as a few of them."""
+    dtype, n = vertices.header.dtype, vertices.num_rows
+    if not isinstance(vertices.path, ObjectPath):
+        return np.memmap(file, dtype, "r", vertices.start, (n,))[::step]
+    runs = range(0, n, _ROWS_OF_SAMPLE)
+    parts = [
+        _records(file, vertices.header, vertices.start + i * dtype.itemsize, min(_ROWS_OF_SAMPLE, n - i))[
+            -i % step :: step
+        ]
+        for i in runs
+    ]
+    return np.concatenate([np.empty(0, dtype), *parts])
 
 
 def _color_max(file: BinaryIO, vertices: Vertices) -> float:

@@ -62,7 +62,7 @@ def sniff(path: Path, head: bytes) -> bool:
         import zipfile
 
         try:
-            with zipfile.ZipFile(path) as bundle:
+            with path.open("rb") as file, zipfile.ZipFile(file) as bundle:
                 return "meta.json" in bundle.namelist()
         except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError):
             return path.suffix.lower() == ".sog"
@@ -110,7 +110,7 @@ def _open(path: Path, options: ReadOptions) -> FileRows:
         import zipfile
 
         try:
-            with zipfile.ZipFile(path) as bundle:
+            with path.open("rb") as file, zipfile.ZipFile(file) as bundle:
                 return _rows(path, str(path), lambda name: _zip_entry(path, bundle, name), options)
         except (zipfile.BadZipFile, EOFError, NotImplementedError, ValueError) as error:
             if isinstance(error, FormatError):

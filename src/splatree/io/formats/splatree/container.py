@@ -7,8 +7,10 @@ held against the size of the file before a column is looked at.
 import json
 import math
 import mmap
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +18,7 @@ import numpy as np
 
 from splatree.errors import FormatError
 from splatree.io import untrusted
+from splatree.io.objects import ObjectPath
 from splatree.shapes import Array
 
 __all__ = ["COMPACT_VERSION", "VERSION", "Column", "Container", "header_bytes", "open_container", "placed"]
@@ -80,8 +83,8 @@ class Container:
     """The strings of the header."""
     columns: Mapping[str, Column]
     """The columns by name."""
-    mapped: mmap.mmap
-    """The file, mapped read-only: a page is read when a value on it is."""
+    bytes: "Mapped | Ranged"
+    """The bytes of the file."""
 
     @property
     def is_compact(self) -> bool:
@@ -96,20 +99,62 @@ class Container:
         shape = (max(end - begin, 0), *column.shape[1:])
         if not math.prod(shape):
             return np.empty(shape, column.dtype)
-        rows: Array = np.ndarray(shape, column.dtype, self.mapped, column.start + begin * column.bytes_per_row)
+        rows = self.bytes.array(column.dtype, shape, column.start + begin * column.bytes_per_row)
         return rows if rows.flags.aligned else rows.copy()
+
+    def rows_of(self, names: Sequence[str], begin: int, end: int) -> list[Array]:
+        """Rows of several columns, which are asked for together."""
+        return self.bytes.together([partial(self.rows, name, begin, end) for name in names])
 
     def forget(self, name: str, begin: int, end: int) -> None:
         """Let the system take back the memory of rows of a column; they are read again when they are used again."""
         column = self.columns[name]
-        first = -(-(column.start + begin * column.bytes_per_row) // mmap.PAGESIZE) * mmap.PAGESIZE
-        last = (column.start + end * column.bytes_per_row) // mmap.PAGESIZE * mmap.PAGESIZE
+        self.bytes.forget(column.start + begin * column.bytes_per_row, column.start + end * column.bytes_per_row)
+
+
+@dataclass(frozen=True, eq=False)
+class Mapped:
+    """The bytes of a file of this machine, mapped read-only: a page is read when a value on it is."""
+
+    memory: mmap.mmap
+
+    def array(self, dtype: np.dtype[Any], shape: tuple[int, ...], start: int) -> Array:
+        """Values from byte ``start`` on, as a view."""
+        return np.ndarray(shape, dtype, self.memory, start)
+
+    def together(self, each: Sequence[Callable[[], Array]]) -> list[Array]:
+        """Several arrays: nothing is read yet."""
+        return [one() for one in each]
+
+    def forget(self, start: int, end: int) -> None:
+        """Let the system take back the memory of the bytes."""
+        first, last = -(-start // mmap.PAGESIZE) * mmap.PAGESIZE, end // mmap.PAGESIZE * mmap.PAGESIZE
         if last > first and hasattr(mmap, "MADV_DONTNEED"):  # Windows takes back what it needs
-            self.mapped.madvise(mmap.MADV_DONTNEED, first, last - first)
+            self.memory.madvise(mmap.MADV_DONTNEED, first, last - first)
+
+
+@dataclass(frozen=True, eq=False)
+class Ranged:
+    """The bytes of an object of a store, each range read when it is asked for."""
+
+    path: ObjectPath
+
+    def array(self, dtype: np.dtype[Any], shape: tuple[int, ...], start: int) -> Array:
+        """Values from byte ``start`` on, read now."""
+        num_bytes = math.prod(shape) * dtype.itemsize
+        return np.frombuffer(self.path.read_range(start, start + num_bytes), dtype).reshape(shape)
+
+    def together(self, each: Sequence[Callable[[], Array]]) -> list[Array]:
+        """Several arrays, by requests at the same time."""
+        with ThreadPoolExecutor(len(each)) as pool:
+            return [done.result() for done in [pool.submit(one) for one in each]]
+
+    def forget(self, start: int, end: int) -> None:
+        """Nothing is kept."""
 
 
 def open_container(path: Path) -> Container:
-    """Read and check the header of a file, and map the file.
+    """Read and check the header of a file, and map the file; of an object nothing else is read yet.
 
     Raises:
         FormatError: the file is cut off, damaged, or of another kind or version.
@@ -123,7 +168,10 @@ def open_container(path: Path) -> Container:
                 f"{where}: found a header of {header_size} bytes in a file of {num_bytes}; the file is cut off or no .splatree"
             )
         header = untrusted.as_object(untrusted.parse_json(file.read(header_size), where), where)
-        mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+        if isinstance(path, ObjectPath):
+            held: Mapped | Ranged = Ranged(path)
+        else:
+            held = Mapped(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
     values = untrusted.as_object(header.pop("__metadata__", None), f"{where}: __metadata__")
     version = values.get("version")
     if values.get("format") != "splatree" or version not in (str(VERSION), str(COMPACT_VERSION)):
@@ -139,7 +187,7 @@ def open_container(path: Path) -> Container:
             f"{where}: found {num_bytes - start} bytes behind the header, wanted {total} for its columns; the file is cut off "
             "or damaged"
         )
-    return Container(path, values, columns, mapped)
+    return Container(path, values, columns, held)
 
 
 def placed(shapes: Mapping[str, tuple[np.dtype[Any], tuple[int, ...]]]) -> dict[str, Column]:

@@ -6,7 +6,6 @@ file on the disk. So a program can go through a scene that is larger than memory
 
 import os
 from dataclasses import dataclass, fields, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from splatree.io.formats.splatree.fields import column_types, source_from, struc
 from splatree.io.formats.splatree.head import SceneHead
 from splatree.io.formats.splatree.older import record_of_provenance
 from splatree.io.levels import check_extents
+from splatree.io.objects import located
 from splatree.kernels.cpu.frame.blocks import index_blocks
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.levels import LevelRecord
@@ -124,14 +124,15 @@ class StoredScene:
                 f"{self.file.path}: found rows {begin} to {end}, wanted some of the {len(self)} rows there are"
             )
         where, file = str(self.file.path), self.file
-        columns = {f.name: file.rows(f"gaussians.{f.name}", begin, end) for f in fields(Gaussians)}
-        mapped = Gaussians(**columns)
+        wanted = [f"gaussians.{f.name}" for f in fields(Gaussians)]
+        wanted += [f"tree.{name}" for name in ("subtree_end", "depth", "extents")]
+        wanted += ["ids"] * self.head.has_ids + ["tree.curves"] * self.head.has_curves
+        columns = dict(zip(wanted, file.rows_of(wanted, begin, end), strict=True))
+        mapped = Gaussians(*(columns[f"gaussians.{f.name}"] for f in fields(Gaussians)))
         magnitudes = None if harmonics else magnitudes_of(mapped, sh=0.0)
         gaussians, _ = checked_rows(mapped, where, repair=False, magnitudes=magnitudes, first_row=begin)
-        tree = {name: file.rows(f"tree.{name}", begin, end) for name in ("subtree_end", "depth", "extents")}
-        ids = file.rows("ids", begin, end) if self.head.has_ids else None
-        curves = file.rows("tree.curves", begin, end) if self.head.has_curves else None
-        rows = SceneRows(begin, gaussians, tree["subtree_end"], tree["depth"], tree["extents"], ids, curves)
+        end_of, depth, extents = (columns[f"tree.{name}"] for name in ("subtree_end", "depth", "extents"))
+        rows = SceneRows(begin, gaussians, end_of, depth, extents, columns.get("ids"), columns.get("tree.curves"))
         check_extents(rows.extents, where, first_row=begin)
         wrong = (rows.subtree_end <= np.arange(begin, end)) | (rows.subtree_end > len(self))
         if wrong.any():
@@ -173,7 +174,7 @@ def open_scene(path: str | os.PathLike[str]) -> StoredScene:
         0
     """
     try:
-        file = open_container(Path(path))
+        file = open_container(located(path))
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
     if file.is_compact:

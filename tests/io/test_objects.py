@@ -1,0 +1,182 @@
+"""Scenes on object stores and servers: what is read and written there is what is read and written here."""
+
+import builtins
+from dataclasses import fields
+from pathlib import Path
+
+import fsspec
+import pytest
+
+import splatree as st
+from splatree.errors import FormatError, InputError, MissingExtraError, OutputError
+from splatree.io import objects, sources
+from splatree.io.objects import ObjectPath, located
+from splatree.scene.scene import Source
+
+from ..ranged_server import Cutting, served
+from ..scenes import random_gaussians
+
+SUFFIXES = (".ply", ".compressed.ply", ".spz", ".splat", ".sog", ".ksplat", ".glb", ".rad", ".splatree", ".hier")
+
+
+@pytest.fixture
+def bucket():
+    """The address of an empty folder of the store that fsspec keeps in memory."""
+    files = fsspec.filesystem("memory")
+    yield "memory://bucket"
+    files.store.clear()
+    files.pseudo_dirs[:] = [""]
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return st.build_lod(st.Scene.flat(random_gaussians(3000, degree=1)), st.BuildOptions(method="radius", follow=False))
+
+
+def check_are_equal(found, wanted):
+    for field in fields(st.Gaussians):
+        assert getattr(found.gaussians, field.name).tobytes() == getattr(wanted.gaussians, field.name).tobytes()
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_every_format_is_written_to_a_store_and_read_from_there(bucket, scene, tmp_path, monkeypatch, suffix):
+    monkeypatch.setattr(objects, "FIRST_BYTES", 1000)  # so that files are of many ranges
+    address, here = f"{bucket}/deep/scene{suffix}", tmp_path / f"scene{suffix}"
+    assert st.write(scene, address) == st.write(scene, here)
+    assert fsspec.filesystem("memory").cat_file(f"/bucket/deep/scene{suffix}") == here.read_bytes()
+    found = st.read(address)
+    check_are_equal(found, st.read(here))
+    assert found.source.paths == (address,)
+    done = st.convert(address, f"{bucket}/again.ply")
+    assert st.convert(here, tmp_path / "again.ply").num_written == done.num_written
+    assert fsspec.filesystem("memory").cat_file("/bucket/again.ply") == (tmp_path / "again.ply").read_bytes()
+
+
+def test_folders_and_patterns_of_a_store_are_read(bucket, scene, tmp_path):
+    for number in (2, 10):
+        st.write(scene, f"{bucket}/chunks/chunk_{number}.splat")
+        st.write(scene, tmp_path / f"chunk_{number}.splat")
+    for named in ("chunks", "chunks/*.splat"):
+        check_are_equal(st.read(f"{bucket}/{named}"), st.read(tmp_path))
+    with pytest.raises(InputError, match=r"memory://bucket/\*\.spz: no file matches this pattern"):
+        st.read(f"{bucket}/*.spz")
+    with pytest.raises(InputError, match=r"memory://bucket/gone.ply: not found; wanted a scene"):
+        st.read(f"{bucket}/gone.ply")
+
+
+def test_a_ply_of_doubles_has_the_origin_that_it_has_here(bucket, tmp_path):
+    far = st.Scene.flat(random_gaussians(500, degree=0), source=Source(origin=(4.5e5, 5.4e6, 100.0)))
+    st.write(far, tmp_path / "far.ply")
+    st.write(far, f"{bucket}/far.ply")
+    found, wanted = st.read(f"{bucket}/far.ply"), st.read(tmp_path / "far.ply")
+    check_are_equal(found, wanted)
+    assert found.source.origin == wanted.source.origin != (0, 0, 0)
+
+
+def test_an_object_is_replaced_only_if_that_is_asked(bucket, scene):
+    st.write(scene, f"{bucket}/a.spz")
+    with pytest.raises(OutputError, match=r"memory://bucket/a.spz: exists already"):
+        st.write(scene, f"{bucket}/a.spz")
+    st.write(scene, f"{bucket}/a.spz", force=True)
+
+
+def test_nothing_is_sent_of_a_file_that_could_not_be_written(bucket, scene):
+    with pytest.raises(InputError, match=r"^memory://bucket/a\.spz: found version 9"):
+        st.write(scene, f"{bucket}/a.spz", options=st.WriteOptions(format_version=9))
+    assert not located(f"{bucket}/a.spz").exists()
+
+
+def test_an_address_of_a_file_is_the_file(scene, tmp_path):
+    st.write(scene, tmp_path / "a b.ply")
+    assert located((tmp_path / "a b.ply").as_uri()) == tmp_path / "a b.ply"
+    check_are_equal(st.read((tmp_path / "a b.ply").as_uri()), st.read(tmp_path / "a b.ply"))
+
+
+def test_paths_of_addresses_are_joined_like_others():
+    path = located(Path("S3://bucket/city/a.ply"))  # a path loses a slash
+    assert isinstance(path, ObjectPath) and str(path) == "s3://bucket/city/a.ply"
+    assert (str(path.parent / "b.ply"), path.suffix) == ("s3://bucket/city/b.ply", ".ply")
+    assert path == located("s3://bucket/city/a.ply") != located("gs://bucket/city/a.ply")
+
+
+def test_what_a_store_lacks_is_said(bucket, scene, monkeypatch):
+    with pytest.raises(InputError, match=r"s3://b/a\.ply: found no package for s3:// .*install it: s3fs"):
+        st.read("s3://b/a.ply")
+    with pytest.raises(InputError, match=r"gopher://b/a\.ply: found an address of gopher, wanted https, file, or"):
+        st.read("gopher://b/a.ply")
+    with pytest.raises(OutputError, match=r"http://b/a\.ply: cannot be written, https is only read"):
+        st.write(scene, "http://b/a.ply")
+    with pytest.raises(OutputError, match="a folder of SOG is written on this machine only"):
+        st.write(scene, f"{bucket}/folder/meta.json")
+    imported = builtins.__import__
+
+    def without_fsspec(name, *rest):
+        if name == "fsspec":
+            raise ImportError(name)
+        return imported(name, *rest)
+
+    monkeypatch.setattr(builtins, "__import__", without_fsspec)
+    with pytest.raises(MissingExtraError, match=r"s3://b/a\.ply: reading and writing s3:// needs .*splatree\[cloud\]"):
+        st.read("s3://b/a.ply")
+
+
+@pytest.mark.parametrize("error", [PermissionError("Forbidden"), RuntimeError("no credentials")])
+def test_what_a_store_refuses_is_said_with_the_address(bucket, scene, monkeypatch, error):
+    def refuse(*_, **__):
+        raise error
+
+    st.write(scene, f"{bucket}/a.ply")
+    files = type(fsspec.filesystem("memory"))
+    monkeypatch.setattr(files, "cat_file", refuse)
+    with pytest.raises(InputError, match=rf"memory://bucket/a\.ply: cannot be read \({error}\)"):
+        st.read(f"{bucket}/a.ply")
+    monkeypatch.setattr(files, "put_file", refuse)
+    with pytest.raises(OutputError, match=rf"memory://bucket/b\.ply: could not be written \({error}\)"):
+        st.write(scene, f"{bucket}/b.ply")
+
+
+def test_an_object_that_shrinks_while_it_is_read_is_not_believed(bucket, scene, monkeypatch):
+    st.write(scene, f"{bucket}/a.ply")
+    read = sources._Fsspec.read
+    monkeypatch.setattr(sources._Fsspec, "read", lambda self, url, begin, end: read(self, url, begin, end)[:-1])
+    with pytest.raises(InputError, match=r"a\.ply: found [\d,]+ of [\d,]+ bytes from byte 0 on; the connection broke"):
+        st.read(f"{bucket}/a.ply")
+
+
+def test_folders_of_a_server_are_read_by_ranges(scene, tmp_path):
+    st.write(scene, tmp_path / "sog" / "meta.json")
+    with served(tmp_path) as (address, sent):
+        check_are_equal(st.read(f"{address}/sog/meta.json"), st.read(tmp_path / "sog"))
+        assert sent
+
+
+def test_servers_without_ranges_or_bytes_are_refused(scene, tmp_path):
+    from http.server import SimpleHTTPRequestHandler
+
+    class Whole(SimpleHTTPRequestHandler):
+        sent: list
+
+        def log_message(self, *_):
+            pass
+
+    path = tmp_path / "a.splatree"
+    st.write(scene, path)
+    (tmp_path / "empty.splatree").write_bytes(b"")
+    with served(tmp_path, Whole) as (address, _):
+        with pytest.raises(
+            InputError, match=r"a\.splatree: found a server that answers with the whole file \(status 200\)"
+        ):
+            st.open_store(f"{address}/a.splatree")
+        assert len(st.read(f"{address}/a.splatree")) == len(scene)  # one file is fetched
+    with (
+        served(tmp_path, Cutting) as (address, _),
+        pytest.raises(InputError, match=r"a\.splatree: found 65,535 of 65,536 bytes from byte 0 on"),
+    ):
+        st.open_store(f"{address}/a.splatree")
+    with served(tmp_path) as (address, _):
+        with pytest.raises(FormatError, match="found a header of 0 bytes in a file of 0"):
+            st.open_store(f"{address}/empty.splatree")
+        with pytest.raises(InputError, match=r"gone\.splatree: cannot be read \(No such object\)"):
+            st.open_store(f"{address}/gone.splatree")
+    with pytest.raises(InputError, match=r"a\.splatree.*: cannot be fetched \(.*refused"):
+        st.open_store(f"{address}/a.splatree")

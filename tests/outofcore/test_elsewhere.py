@@ -1,0 +1,92 @@
+"""Stores that lie elsewhere: built there, and drawn from there by the ranges that a view needs."""
+
+import fsspec
+import numpy as np
+import pytest
+
+import splatree as st
+from splatree.cli.main import main
+
+from ..ranged_server import served
+from .conftest import small_pages
+
+
+@pytest.fixture
+def bucket():
+    files = fsspec.filesystem("memory")
+    yield "memory://bucket"
+    files.store.clear()
+    files.pseudo_dirs[:] = [""]
+
+
+def cameras_of(scene):
+    centre = np.median(scene.gaussians.means, axis=0)
+    for distance, fov in ((1.0, 5.0), (8.0, 60.0)):
+        yield st.Camera.look_at(centre + [0, 0, -distance], centre, width=48, height=32, fov_y_deg=fov)
+
+
+def check_is_drawn_alike(store, scene):
+    for camera in cameras_of(scene):
+        found, wanted = st.render(store, camera), st.render(scene, camera)
+        assert found.image.tobytes() == wanted.image.tobytes()
+
+
+def test_a_store_of_a_server_is_drawn_from_its_ranges(folder, scene):
+    with served(folder.parent) as (address, sent):
+        for named in (folder.name, f"{folder.name}/manifest.json"):
+            with st.open_store(f"{address}/{named}") as store:
+                opened = sum(sent)
+                near = next(cameras_of(scene))
+                st.render(store, near)
+                few = len({store.index.table.begin[number] for number in store._pages})
+                assert sum(sent) - opened > 0 and few < len(store.index.table)
+                check_is_drawn_alike(store, scene)
+        assert (st.read(f"{address}/{folder.name}").ids == scene.ids).all()
+
+
+def test_a_single_file_of_a_server_is_drawn_from_its_ranges(scene, tmp_path):
+    st.write(scene, tmp_path / "one.splatree")
+    with small_pages(60), served(tmp_path) as (address, _), st.open_store(f"{address}/one.splatree") as store:
+        check_is_drawn_alike(store, scene)
+
+
+def test_a_scene_of_a_store_is_built_into_it(bucket, ply, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    fsspec.filesystem("memory").put_file(str(ply), "/bucket/in.ply")
+    running = st.FolderOptions(part_rows=200)
+    for force in (False, True):
+        built = st.build_folder(f"{bucket}/in.ply", f"{bucket}/city.splatree", running=running, force=force)
+    here = st.build_folder(ply, tmp_path / "city.splatree", running=running)
+    files = fsspec.filesystem("memory")
+    listed = sorted(path.relative_to(here.path).as_posix() for path in here.path.rglob("*") if path.is_file())
+    assert sorted(name.removeprefix("/bucket/city.splatree/") for name in files.find("/bucket/city.splatree")) == listed
+    assert str(built.path) == f"{bucket}/city.splatree" and not list(tmp_path.glob("*.work"))
+    found, wanted = st.read(f"{bucket}/city.splatree"), st.read(here.path)
+    assert found.gaussians.means.tobytes() == wanted.gaussians.means.tobytes()
+    with st.open_store(f"{bucket}/city.splatree") as store:
+        check_is_drawn_alike(store, wanted)
+    with pytest.raises(st.OutputError, match=r"memory://bucket/city\.splatree: exists already"):
+        st.build_folder(f"{bucket}/in.ply", f"{bucket}/city.splatree", running=running)
+
+
+def test_a_thinned_scene_is_sent(bucket, ply, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    st.thin_file(ply, f"{bucket}/thin.ply", st.ThinOptions(radius=0.1))
+    st.thin_file(ply, tmp_path / "thin.ply", st.ThinOptions(radius=0.1))
+    assert fsspec.filesystem("memory").cat_file("/bucket/thin.ply") == (tmp_path / "thin.ply").read_bytes()
+
+
+def test_verbs_take_addresses(bucket, ply, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    fsspec.filesystem("memory").put_file(str(ply), "/bucket/in.ply")
+    for line in (
+        f"convert {bucket}/in.ply {bucket}/out.spz",
+        f"build {bucket}/in.ply {bucket}/city.splatree --part-rows 300",
+        f"info {bucket}/city.splatree",
+        f"render {bucket}/city.splatree -o pictures --views 1 --width 32 --height 24",
+    ):
+        assert main(line.split()) == 0, capsys.readouterr().err
+    assert f"wrote {bucket}/city.splatree" in capsys.readouterr().out
+    assert list((tmp_path / "pictures").glob("*.png"))
+    assert main(["convert", f"{bucket}/in.ply", f"{bucket}/out.spz"]) != 0
+    assert f"{bucket}/out.spz: exists already" in capsys.readouterr().err
