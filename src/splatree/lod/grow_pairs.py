@@ -35,7 +35,7 @@ import math
 import numpy as np
 
 from splatree.constants import PIXEL_ERROR
-from splatree.kernels.cpu.build.thin import rows_by_group
+from splatree.kernels.cpu.build.thin import group, rows_by_group
 from splatree.lod.forest import Forest, NewLevel
 from splatree.lod.present import Present
 from splatree.lod.region import Box
@@ -143,19 +143,16 @@ def level_of(
     """The level that merged some of the roots, ``rows``, to what is present now; the others stay as they are."""
     n = len(forest.roots)
     start, by_group = rows_by_group(group_from_row, len(present))
-    firsts = np.sort(rows[by_group[start[:-1]]])
-    is_other, begins = np.ones(n, bool), np.zeros(n, bool)
-    is_other[rows] = False
-    begins[firsts] = True
-    number = (np.cumsum(begins | is_other) - 1).astype(np.int32)  # groups keep their order, others stand between them
-    group_from_root = number.copy()
-    group_from_root[rows] = number[firsts][group_from_row]
-    start, by_group = rows_by_group(group_from_root, int(number[-1]) + 1)
-    representatives = by_group[start[:-1]]
+    representatives = np.arange(n, dtype=np.int32)
+    representatives[rows] = rows[by_group[start[:-1]]][group_from_row]
+    groups = group(representatives)
+    takes_part = np.zeros(n, bool)
+    takes_part[rows] = True
+    takes_part = takes_part[groups.representatives]
 
     def with_present(before: Array, now: Array) -> Array:
-        column = before[representatives]
-        column[number[firsts]] = now
+        column = before[groups.representatives]
+        column[takes_part] = now
         return column
 
     assert forest.visibilities is not None
@@ -166,15 +163,15 @@ def level_of(
     grown = None
     if len(rows) < n:
         before = np.full(n, forest.num_sizes, np.int32) if forest.grown is None else forest.grown
-        grown = with_present(before, np.full(len(firsts), forest.num_sizes + 1, np.int32))
+        grown = with_present(before, np.full(len(present), forest.num_sizes + 1, np.int32))
     return NewLevel(
         size=size,
-        rows=by_group,
-        start=start[:-1],
-        representatives=representatives,
+        rows=groups.rows,
+        start=groups.start[:-1],
+        representatives=groups.representatives,
         merged=Gaussians(**columns),
         weights=with_present(forest.root_weights, present.weights),
         visibilities=with_present(forest.visibilities, present.visibilities),
-        extents=np.full(len(representatives), min(PIXEL_ERROR * size, FLOAT32_MAX), np.float32),
+        extents=np.full(len(groups), min(PIXEL_ERROR * size, FLOAT32_MAX), np.float32),
         grown=grown,
     )

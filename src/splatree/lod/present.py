@@ -105,7 +105,13 @@ class Present:
         if self.is_classic:
             allowed |= partners.sigmas <= SMALL * pixel_size
         rows = np.where(allowed, partners.rows, np.int32(-1))
-        return group(match_pairs(rows, partners.costs, int(ROUND_SHARE * len(self)) + 1, threads=threads))
+        stands = match_pairs(rows, partners.costs, int(ROUND_SHARE * len(self)) + 1, threads=threads)
+        found = np.flatnonzero(stands != np.arange(len(self)))
+        finders = stands[found]
+        first = np.minimum(found, finders).astype(np.int32)
+        stands[found] = stands[finders] = first  # so that groups stand in the order of their first rows
+        partners.opacities[first] = partners.opacities[finders]
+        return group(stands)
 
     def _merge(self, pairs: Groups, pixel_size: float, threads: int) -> None:
         opacities = None

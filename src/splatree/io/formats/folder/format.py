@@ -116,6 +116,9 @@ class _Rows:
             column[above_rows] = getattr(crown.gaussians, name)[above]
         end, depth = np.empty(n, np.int32), np.empty(n, np.int64)
         extents, ids = np.empty(n, np.float32), np.empty(n, np.uint32)
+        curves = None if crown.tree.curves is None else np.zeros((n, 4), np.float32)
+        if curves is not None:
+            curves[above_rows] = crown.tree.curves[above]
         end[above_rows] = first_row[crown.tree.subtree_end[above]]
         depth[above_rows], extents[above_rows] = crown.tree.depth[above], crown.tree.extents[above]
         num_roots = 0
@@ -132,10 +135,14 @@ class _Rows:
             end[rows] = part.tree.subtree_end + shifts
             depth[rows] = part.tree.depth + np.repeat(crown.tree.depth[copies].astype(np.int64), sizes)
             extents[rows] = part.tree.extents
+            if curves is not None and part.tree.curves is not None:
+                curves[rows] = part.tree.curves
             ids[rows] = np.arange(len(part)) if part.ids is None else part.ids
         if depth.max(initial=0) > 255:
             raise FormatError(f"{self.path}: found a node {depth.max()} levels below its root, wanted at most 255")
-        tree = GaussianTree(end, depth.astype(np.uint8), extents, record=crown.tree.record, roots=crown.tree.roots)
+        tree = GaussianTree(
+            end, depth.astype(np.uint8), extents, curves=curves, record=crown.tree.record, roots=crown.tree.roots
+        )
         first_id = int(ids[tree.is_leaf].max(initial=0)) + 1
         if first_id + n > 2**32:
             raise FormatError(

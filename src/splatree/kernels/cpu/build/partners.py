@@ -42,7 +42,7 @@ class Partners:
         """Room for the partners of ``n`` rows, all to be found."""
         costs, opacities, sigmas = (np.empty(n, np.float32) for _ in range(3))
         neighbors = np.full((n, NUM_NEIGHBORS), -1, np.int32)
-        return cls(neighbors, np.empty(n, np.int32), costs, opacities, sigmas, np.ones(n, np.uint8))
+        return cls(neighbors, np.full(n, -1, np.int32), costs, opacities, sigmas, np.ones(n, np.uint8))
 
     def search(self, means: Float32[Array, "n 3"], *, threads: int = 0) -> None:
         """Look for new candidates, in place, of the rows that have lost more than a quarter of them; those are stale, too."""

@@ -45,13 +45,19 @@ struct Source {
   float opacity;
 };
 
+void mean_in_cells(const VisibilityJob& job, int64_t row, float* mean) {
+  for (int a = 0; a < 3; ++a) {
+    const float cells = static_cast<float>((job.means[3 * row + a] - job.middle[a]) / job.cell);
+    mean[a] = std::min(std::max(cells, -FARTHEST), FARTHEST);
+  }
+}
+
 Source source_of(const VisibilityJob& job, int64_t row) {
   Source source;
+  mean_in_cells(job, row, source.mean);
   float variance[3];
   const float log_cell = static_cast<float>(std::log(job.cell));
   for (int a = 0; a < 3; ++a) {
-    const float cells = static_cast<float>((job.means[3 * row + a] - job.middle[a]) / job.cell);
-    source.mean[a] = std::min(std::max(cells, -FARTHEST), FARTHEST);
     variance[a] = std::exp(2 * std::min(std::max(job.log_scales[3 * row + a] - log_cell, SMALLEST), LARGEST));
   }
   covariance_from(job.quats + 4 * row, variance, source.covariance);
@@ -143,7 +149,11 @@ void measure_visibilities(const VisibilityJob& job) {
 
 void depths_along(const VisibilityJob& job, int64_t axis, float* depths) {
   parallel_ranges(job.n, 1 << 13, job.threads, [&](int64_t begin, int64_t end) {
-    for (int64_t i = begin; i < end; ++i) depths[i] = dot(source_of(job, i).mean, FRAMES[axis].w);
+    for (int64_t i = begin; i < end; ++i) {
+      float mean[3];
+      mean_in_cells(job, i, mean);
+      depths[i] = dot(mean, FRAMES[axis].w);
+    }
   });
 }
 
