@@ -358,7 +358,7 @@ def test_a_build_that_does_not_fit_goes_through_files_by_itself(splatree, small_
     code, words, _ = splatree("build", small_ply, tmp_path / "a.splatree")
     assert code == 0 and (tmp_path / "a.splatree").is_dir()
     assert "note: the build takes about 0.1 GB in memory, more than half of the 0.2 GB that are free: a folder" in words
-    for name, more, why in (("b.splatree", ("--method", "pairs"), "--method pairs"), ("b.rad", (), ".rad")):
+    for name, more, why in (("b.splatree", ("--compact",), "--compact"), ("b.rad", (), ".rad")):
         built = result_of(splatree("build", small_ply, tmp_path / name, *more, "--json"))
         assert (tmp_path / name).is_file()
         assert built["notes"][0].endswith(f"that are free, and it cannot go through files with {why}")
@@ -416,7 +416,6 @@ def test_build_through_files_refuses_what_needs_the_scene_in_memory(splatree, sm
     for words, wanted in (
         (("--clusters", "auto"), "need the scene in memory"),
         (("--flat", "--clusters", "auto"), "need the scene in memory"),
-        (("--method", "pairs"), "wanted --method radius"),
         (("--max-memory", "4 gallons"), "wanted a number of bytes such as 4G"),
     ):
         code, _, err = splatree("build", small_ply, target, "--workers", "2", *words)

@@ -12,17 +12,21 @@ from splatree import BuildOptions, Gaussians, InputError, MergeOptions, Scene, b
 from splatree.kernels.cpu.build.thin import group
 from splatree.kernels.reference import merge as reference_merge
 from splatree.kernels.reference import pairs as reference
-from splatree.lod.grow_pairs import (
+from splatree.lod.assemble import assemble
+from splatree.lod.forest import forest_of_leaves, forest_of_roots
+from splatree.lod.graft import graft
+from splatree.lod.grow import grow
+from splatree.lod.grow_pairs import JUDGED_POWER, grow_part_by_pairs, judged_at
+from splatree.lod.present import (
     CHANGE,
-    JUDGED_POWER,
     LARGE,
     LAST_SHARE,
     ROUND_SHARE,
     SATURATED,
     SMALL,
     Present,
-    judged_at,
 )
+from splatree.lod.region import EVERYWHERE
 from splatree.lod.resolve import JUDGED_SIZE, measure, resolve
 from splatree.maths.covariance import covariances_from_gaussians
 from splatree.simplify.merge import weights_of
@@ -222,6 +226,7 @@ def test_levels_are_those_of_the_definition(mode):
     slow = Slow(g, weights, mode, options)
     found = wanted = np.arange(50)
     for sizes in ((0.15, 0.3), (0.5, 0.4), (0.9, 0.5)):
+        present.search(0)
         found, wanted = present.merge_level(*sizes, 1, 0)[found], slow.merge_level(*sizes)[wanted]
         # Of two that are each other's cheapest, rounding says which one stands for both: groups may have other numbers.
         firsts = [np.array([np.flatnonzero(went == group)[0] for group in went]) for went in (found, wanted)]
@@ -252,3 +257,28 @@ def test_the_record_names_the_rules_that_follow_from_the_mode():
     assert records["classic"]["merge"]["opacity"] == "fitted"
     assert records["antialiased"]["merge"]["opacity"] == "optical"
     assert records["classic"]["visibility"]
+
+
+@given(st.integers(2, 300), st.integers(0, 1000), st.sampled_from(["classic", "antialiased"]), st.floats(-1, 1))
+def test_parts_that_wait_at_their_border_are_one_scene_with_nothing_lost(n, seed, mode, at):
+    scene = Scene.flat(surface(n, seed=seed), mode=mode)
+    options = replace(PAIRS, max_roots=1, follow=False)
+    resolved = resolve(options, measure(scene.gaussians, options, mode), mode)
+    parts = []
+    for box in EVERYWHERE.halved(0, at):
+        inputs = np.flatnonzero(box.holds(scene.gaussians.means))
+        flat = Scene.flat(scene.gaussians.take(inputs), mode=mode)
+        if not len(flat):
+            continue
+        forest = forest_of_leaves(flat, resolved, inputs=inputs, visibilities=np.ones(len(flat), np.float32))
+        forest = grow_part_by_pairs(forest, resolved, box, fewest=n // 16)
+        parts.append(assemble(forest, flat, resolved))
+    tree = graft(grow(forest_of_roots(parts, resolved), resolved), parts, resolved)
+    leaves = np.flatnonzero(tree.tree.is_leaf)
+    assert sorted(tree.ids[leaves]) == list(range(n))
+    assert (tree.tree.depth == 0).sum() == 1
+    parents = parents_of(tree)
+    inner = ~tree.tree.is_leaf
+    assert (np.bincount(parents[parents >= 0], minlength=len(tree))[inner] >= 2).all()
+    below = inner & (parents >= 0)  # who waited was merged at the size that it waited at
+    assert (tree.tree.extents[parents[below]] > tree.tree.extents[below]).all()

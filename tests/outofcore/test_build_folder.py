@@ -112,7 +112,7 @@ def test_an_interrupted_build_goes_on_where_it_stopped(tmp_path, ply, monkeypatc
     assert [path.name for path in tmp_path.iterdir()] == ["out.splatree"]
 
 
-def _build_and_die(ply, output, pieces):
+def _build_and_die(ply, output, pieces, options=None):
     """In a process of its own: a build that is killed while it works."""
     left, do_piece = [pieces], run.do_piece
 
@@ -126,7 +126,7 @@ def _build_and_die(ply, output, pieces):
             os.kill(os.getpid(), signal.SIGKILL)
 
     run.do_piece = dying
-    st.build_folder(ply, output, running=SMALL)
+    st.build_folder(ply, output, options, SMALL)
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGKILL")
@@ -221,8 +221,6 @@ def test_outputs_are_replaced_only_with_force(tmp_path, ply):
 
 
 def test_what_cannot_be_built_is_refused_before_any_work(tmp_path, ply):
-    with pytest.raises(st.InputError, match="found 'pairs', or options of pairs, for a build"):
-        st.build_folder(ply, tmp_path / "a.splatree", st.BuildOptions(method="pairs"))
     tree = tmp_path / "tree.splatree"
     st.write(st.build_lod(st.read(ply)), tree)
     with pytest.raises(st.InputError, match="not read in chunks"):
@@ -239,7 +237,7 @@ def test_a_cell_that_cannot_be_cut_and_does_not_fit_is_named(tmp_path, monkeypat
     st.write(st.Scene.flat(hard_scene(900, "one place", 1)), tmp_path / "in.ply")
     built = st.build_folder(tmp_path / "in.ply", tmp_path / "out.splatree", running=SMALL)  # it fits: one cell
     check_is_tree_of(built.path, tmp_path / "in.ply")
-    monkeypatch.setattr("splatree.outofcore.cut.cell_bytes", lambda rows, k: rows * 10**9)
+    monkeypatch.setattr("splatree.outofcore.cut.cell_bytes", lambda rows, k, *, by_pairs: rows * 10**9)
     with pytest.raises(st.InputError, match="cell 0: found 900 Gaussians so close together that they cannot be cut"):
         st.build_folder(tmp_path / "in.ply", tmp_path / "more.splatree", running=SMALL)
 

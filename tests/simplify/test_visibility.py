@@ -33,7 +33,7 @@ def balls(means: list[list[float]], log_scale: float = 0.0) -> Gaussians:
 def test_visibilities_are_those_of_the_reference(n, reach, cell, isa):
     g = opaque(n, seed=n)
     middle = np.array([0.1, -0.2, 0.3])
-    found = visibility.measure_visibilities(g, middle, cell=cell, reach=reach, width=64)
+    found = visibility.measure_visibilities(g, visibility.Sight(middle, cell, reach, 64))
     expected = reference.measure_visibilities(g, middle, cell=cell, reach=reach, width=64)
     # Float32 lengths of up to 64 cells, good to 1e-5 of a cell; a cell that lies on the edge of a splat within that weighs e^-2
     # of up to a few hundred.

@@ -56,8 +56,9 @@ STEPS = {"radii": "radius", "pixel_sizes": "pixel"}
 class Command:
     """Build levels of detail, clusters or both, and write one file: in.ply out.splatree, or chunk_*/ -o city.splatree.
 
-    A scene larger than memory is built through files: --max-memory 4G writes a folder of parts, with the same tree. A build that
-    would take more than half of the free memory does so by itself, and says so.
+    A scene larger than memory is built through files: --max-memory 4G writes a folder of parts. Its levels by a radius are those
+    of a build in memory; those by pairs are chosen cell by cell. A build that would take more than half of the free memory does
+    so by itself, and says so.
     """
 
     files: Annotated[Files, arg(name="", help="")]
@@ -166,8 +167,6 @@ def run(command: Command) -> Built | BuiltFolder:
     short: tuple[str, ...] = ()
     if (needs := needs_of(inputs, read_options(command.files.reading))) is not None and needs.are_large:
         needing = [*_in_memory(command), *([output.suffix] if output.suffix != ".splatree" else [])]
-        if command.options.only_method == "pairs":
-            needing.append("--method pairs")
         if not needing:
             built = run_through_files(command.files, command.options, command.running, command.mode)
             return replace(built, notes=(f"{needs}: a folder was built, through files", *built.notes))

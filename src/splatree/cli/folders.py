@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from splatree.cli.console import UsageError, counted, size
+from splatree.cli.console import counted, size
 from splatree.cli.files import Files, inputs_and_folder, read_options, told
 from splatree.lod.options import BuildOptions
 from splatree.outofcore.build import BuiltFolder, build_folder
@@ -33,11 +33,6 @@ class Memory:
 
 def run_through_files(files: Files, options: BuildOptions, running: FolderOptions, mode: Mode | None) -> BuiltFolder:
     """Build the levels of the inputs through files."""
-    if options.only_method == "pairs":
-        raise UsageError(
-            "found --method pairs, or options of pairs, with --max-memory, --workers, --scheduler or the size of parts; wanted "
-            "--method radius: pairs are chosen from the whole scene in memory"
-        )
     inputs, output = inputs_and_folder(files)
     return build_folder(
         inputs,

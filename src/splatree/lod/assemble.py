@@ -134,6 +134,7 @@ def roots_of(forest: Forest, order: Order, resolved: ResolvedBuild) -> Roots:
         inputs=forest.base.inputs[forest.chains],
         num_sizes=forest.num_sizes,
         log_unit=resolved.log_unit,
+        grown=forest.grown,
     )
 
 

@@ -70,6 +70,8 @@ class Forest:
     """Weights of the roots."""
     visibilities: Float32[Array, "r"] | None
     """How much of each root is seen; None: the rule does not ask."""
+    grown: Int32[Array, "r"] | None = None
+    """How many sizes each root has gone through; None: all that the forest has."""
 
     def __len__(self) -> int:
         """Nodes of all levels."""
@@ -84,7 +86,7 @@ class Forest:
         sizes = np.diff(level.start, append=len(level.rows))
         is_family = sizes > 1
         if not is_family.any():
-            return self.skipped()
+            return dataclasses.replace(self.skipped(), grown=level.grown)
         first, num_families = len(self), int(is_family.sum())
         children = self.roots[level.rows[np.repeat(is_family, sizes)]]
         start = np.cumsum(sizes[is_family]) - sizes[is_family]
@@ -104,6 +106,7 @@ class Forest:
             present=level.merged,
             root_weights=level.weights,
             visibilities=level.visibilities,
+            grown=level.grown,
         )
 
 
@@ -127,6 +130,8 @@ class NewLevel:
     """How much of each group is seen; None: the rule does not ask."""
     extents: Float32[Array, "g"] | None = None
     """Extent of each group if it becomes a node, world units; None: that of a ball that holds what is below."""
+    grown: Int32[Array, "g"] | None = None
+    """How many sizes each group has gone through; None: all."""
 
 
 def forest_of_leaves(
@@ -178,7 +183,8 @@ def forest_of_roots(parts: Sequence[Scene], resolved: ResolvedBuild) -> Forest:
     if not parts:
         raise InputError("parts: found none, wanted at least one")
     states = [_state_of(part, number, resolved) for number, part in enumerate(parts)]
-    if len({state.num_sizes for state in states}) > 1:
+    waits = any(state.grown is not None for state in states)
+    if not waits and len({state.num_sizes for state in states}) > 1:
         found = sorted({state.num_sizes for state in states})
         raise InputError(f"parts: found parts grown to {found} sizes of levels, wanted all grown to the same")
     codes = np.concatenate([state.codes for state in states])
@@ -192,10 +198,25 @@ def forest_of_roots(parts: Sequence[Scene], resolved: ResolvedBuild) -> Forest:
     base = Base(order, codes[order], inputs[order], ordered("reaches"))
     visibilities = ordered("visibilities") if resolved.method == "pairs" else None
     columns = Gaussians.concatenate(roots).take(order)
-    return _planted(base, columns, ordered("weights"), visibilities, states[0].num_sizes)
+    num_sizes, grown = states[0].num_sizes, None
+    if waits:
+        grown = np.concatenate([_grown(state) for state in states])[order]
+        num_sizes = int(grown.min())
+    return _planted(base, columns, ordered("weights"), visibilities, num_sizes, grown)
 
 
-def _planted(base: Base, columns: Gaussians, weights: Array, visibilities: Array | None, num_sizes: int) -> Forest:
+def _grown(state: Roots) -> Array:
+    return np.full(len(state), state.num_sizes, np.int32) if state.grown is None else state.grown
+
+
+def _planted(
+    base: Base,
+    columns: Gaussians,
+    weights: Array,
+    visibilities: Array | None,
+    num_sizes: int,
+    grown: Array | None = None,
+) -> Forest:
     nodes = np.arange(len(columns), dtype=np.int32)
     return Forest(
         base=base,
@@ -210,6 +231,7 @@ def _planted(base: Base, columns: Gaussians, weights: Array, visibilities: Array
         present=columns,
         root_weights=weights,
         visibilities=visibilities,
+        grown=grown,
     )
 
 

@@ -34,45 +34,23 @@ import math
 
 import numpy as np
 
-from splatree.constants import DILATION_PX2, PIXEL_ERROR
-from splatree.kernels.cpu.build import merge as merge_kernel
-from splatree.kernels.cpu.build.pairs import match_pairs
-from splatree.kernels.cpu.build.partners import Partners
+from splatree.constants import PIXEL_ERROR
 from splatree.kernels.cpu.build.thin import group, rows_by_group
 from splatree.lod.forest import Forest, NewLevel
+from splatree.lod.present import Present
+from splatree.lod.region import Box
 from splatree.lod.resolve import ResolvedBuild
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
-from splatree.scene.names import Mode
-from splatree.scene.thinning import Groups, MergeOptions
-from splatree.shapes import Array
-from splatree.simplify.pairs import means_of_pairs
+from splatree.shapes import Array, Int32, Int64
 
-__all__ = ["Present", "grow_by_pairs"]
-
-CHANGE = 0.1
-"""ε: squared change of the picture that one merge may make, s², summed over colours and coverage and three views."""
+__all__ = ["grow_by_pairs", "grow_part_by_pairs", "judged_at"]
 
 JUDGED_POWER = 0.25
 """`classic`: the pixel of a level grows with this power of its size. At 1 tight budgets lose 1 to 2 dB (a city)."""
 
-SMALL = 0.68
-"""`classic`: a merged Gaussian of at most this standard deviation, in pixels p, is merged whatever the change."""
-
-LARGE = 16.0
-"""A merged Gaussian of a larger standard deviation waits for a larger level, in units of s or p, whichever is wider."""
-
-SATURATED = 0.98
-"""A fitted opacity from here on says that more is shown than one Gaussian can; the merge's own rule follows."""
-
 FLOAT32_MAX = float(np.finfo(np.float32).max)
 """The largest extent that a tree holds."""
-
-ROUND_SHARE = 0.25
-"""Pairs that a round merges at most, as a share of the Gaussians: those cheapest to merge twice get their turn."""
-
-LAST_SHARE = 0.01
-"""A round that merges a smaller share is a level's last."""
 
 
 def grow_by_pairs(
@@ -80,36 +58,70 @@ def grow_by_pairs(
 ) -> Forest:
     """The forest with the levels of further pixel sizes, each merged as far as a view of that size does not show it.
 
+    A root that has gone through more sizes than others waits until they have caught up.
+
     Args:
         forest: what has grown so far.
         resolved: what was decided for the whole scene.
         num_levels: sizes to go through; None: until at most ``max_roots`` nodes are left, or sizes end.
         threads: threads to use; 0: all.
     """
-    present = Present.of(forest, resolved)
+    present = Present.of(forest, resolved, np.empty(0, np.int64))
     fewest = resolved.max_roots if num_levels is None else 1
-    with task("build levels", float(len(present))) as advance:
-        for size in resolved.sizes_from(forest.num_sizes, num_levels):
-            num_before = len(present)
+    with task("build levels", float(len(forest.roots))) as advance:
+        for number, size in enumerate(resolved.sizes_from(forest.num_sizes, num_levels), forest.num_sizes):
+            num_before = len(forest.roots)
             if num_before <= fewest and num_levels is None:
                 break
             if num_before <= fewest:
                 forest = forest.skipped()
                 continue
-            group_from_row = present.merge_level(size, judged_at(size, resolved), fewest, threads)
-            start, rows = rows_by_group(group_from_row, len(present))
-            level = NewLevel(
-                size=size,
-                rows=rows,
-                start=start[:-1],
-                representatives=rows[start[:-1]],
-                merged=present.gaussians,
-                weights=present.weights,
-                visibilities=present.visibilities,
-                extents=np.full(len(present), min(PIXEL_ERROR * size, FLOAT32_MAX), np.float32),
-            )
-            forest = forest.with_level(level)
-            advance(float(num_before - len(present)))
+            rows = rows_at(forest, number)
+            if len(rows) != len(present):
+                present = Present.of(forest, resolved, rows)
+            present.search(threads)
+            most = max(1, fewest - (num_before - len(rows)))
+            group_from_row = present.merge_level(size, judged_at(size, resolved), most, threads)
+            forest = forest.with_level(level_of(forest, rows, present, group_from_row, size))
+            advance(float(num_before - len(forest.roots)))
+    return forest
+
+
+def grow_part_by_pairs(
+    forest: Forest,
+    resolved: ResolvedBuild,
+    box: Box,
+    *,
+    num_levels: int | None = None,
+    fewest: int = 1,
+    threads: int = 0,
+) -> Forest:
+    """The forest with levels of what a part can merge without a look beyond its border.
+
+    A root whose candidates are farther than a side of the box may have nearer ones beyond it. It goes through no further size:
+    growth above all parts takes it on from there, beside those across the border that waited for it.
+
+    Args:
+        forest: all Gaussians of the scene in the box.
+        resolved: what was decided for the whole scene.
+        box: the box of the part.
+        num_levels: sizes to go through; None: until few enough roots are left that do not wait, or sizes end.
+        fewest: so few.
+        threads: threads to use; 0: all.
+    """
+    present, rows = Present.of(forest, resolved, rows_at(forest, 0)), rows_at(forest, 0)
+    with task("build levels", float(len(rows))) as advance:
+        for number, size in enumerate(resolved.sizes_from(0, num_levels)):
+            if len(rows) <= fewest:
+                break
+            present.search(threads)
+            waits = present.looks_out_of(box)
+            present, rows = present.of_rows(~waits), rows[~waits]
+            num_before = len(forest.roots)
+            group_from_row = present.merge_level(size, judged_at(size, resolved), 1, threads)
+            forest = forest.with_level(level_of(forest, rows, present, group_from_row, size))
+            rows = rows_at(forest, number + 1)
+            advance(float(num_before - len(forest.roots)))
     return forest
 
 
@@ -118,68 +130,48 @@ def judged_at(size: float, resolved: ResolvedBuild) -> float:
     return resolved.judged_size * math.pow(size / resolved.judged_size, JUDGED_POWER)
 
 
-class Present:
-    """The Gaussians that are left of a scene, and each one's cheapest partner."""
+def rows_at(forest: Forest, num_sizes: int) -> Int64[Array, "_"]:
+    """The roots that have gone through so many sizes, by their place among the roots."""
+    if forest.grown is None:
+        return np.arange(len(forest.roots) if num_sizes == forest.num_sizes else 0)
+    return np.flatnonzero(forest.grown == num_sizes)
 
-    def __init__(
-        self, gaussians: Gaussians, weights: Array, visibilities: Array, mode: Mode, merge: MergeOptions
-    ) -> None:
-        """``merge`` resolved."""
-        self.gaussians, self.weights, self.visibilities = gaussians, weights, visibilities
-        self.is_classic = mode == "classic"
-        self.dilation_px2, self.merge = merge.dilation or 0.0, dataclasses.replace(merge, dilation=0.0)
-        self.partners = Partners.unknown(len(gaussians))
 
-    @staticmethod
-    def of(forest: Forest, resolved: ResolvedBuild) -> "Present":
-        """The roots of a forest."""
-        assert forest.visibilities is not None
-        return Present(forest.present, forest.root_weights, forest.visibilities, resolved.mode, resolved.merge)
+def level_of(
+    forest: Forest, rows: Int64[Array, "p"], present: Present, group_from_row: Int32[Array, "p"], size: float
+) -> NewLevel:
+    """The level that merged some of the roots, ``rows``, to what is present now; the others stay as they are."""
+    n = len(forest.roots)
+    start, by_group = rows_by_group(group_from_row, len(present))
+    representatives = np.arange(n, dtype=np.int32)
+    representatives[rows] = rows[by_group[start[:-1]]][group_from_row]
+    groups = group(representatives)
+    takes_part = np.zeros(n, bool)
+    takes_part[rows] = True
+    takes_part = takes_part[groups.representatives]
 
-    def __len__(self) -> int:
-        return len(self.gaussians)
+    def with_present(before: Array, now: Array) -> Array:
+        column = before[groups.representatives]
+        column[takes_part] = now
+        return column
 
-    def merge_level(self, size: float, pixel_size: float, max_roots: int, threads: int) -> Array:
-        """Merge what changes less than a level of that size allows, seen by pixels of that width; returns where each row went."""
-        if self.is_classic:
-            self.partners.is_stale[:] = 1  # costs are those of dilated Gaussians
-        group_from_row = np.arange(len(self), dtype=np.int32)
-        search = True
-        while len(self) > max_roots:
-            pairs = self._match(size, pixel_size, search, threads)
-            num_merged = len(self) - len(pairs)
-            if num_merged:
-                self._merge(pairs, pixel_size, threads)
-                group_from_row = pairs.group_from_row[group_from_row]
-            if num_merged < LAST_SHARE * len(self):
-                break
-            search = False
-        return group_from_row
-
-    def _match(self, size: float, pixel_size: float, search: bool, threads: int) -> Groups:
-        dilation = DILATION_PX2 * pixel_size**2 if self.is_classic else 0.0
-        partners = self.partners
-        partners.find(
-            self.gaussians, self.weights, self.visibilities, dilation=dilation, search=search, threads=threads
-        )
-        width = np.float64(size)  # its square may be beyond float32
-        allowed = (partners.costs <= CHANGE * width**2) & (partners.sigmas <= LARGE * max(size, pixel_size))
-        if self.is_classic:
-            allowed |= partners.sigmas <= SMALL * pixel_size
-        rows = np.where(allowed, partners.rows, np.int32(-1))
-        return group(match_pairs(rows, partners.costs, int(ROUND_SHARE * len(self)) + 1, threads=threads))
-
-    def _merge(self, pairs: Groups, pixel_size: float, threads: int) -> None:
-        opacities = None
-        if self.merge.opacity == "fitted":
-            fitted = self.partners.opacities[pairs.representatives]
-            opacities = np.where(fitted < SATURATED, fitted, np.float32(0))
-        self.gaussians = merge_kernel.merge(
-            *(self.gaussians, pairs, self.weights, self.merge),
-            added=self.dilation_px2 * pixel_size**2,
-            opacities=opacities,
-            threads=threads,
-        )
-        self.visibilities = means_of_pairs(self.visibilities, pairs, self.weights)
-        self.weights = np.add.reduceat(self.weights[pairs.rows], pairs.start[:-1])
-        self.partners = self.partners.carried(pairs, self.gaussians.means, threads=threads)
+    assert forest.visibilities is not None
+    columns = {
+        f.name: with_present(getattr(forest.present, f.name), getattr(present.gaussians, f.name))
+        for f in dataclasses.fields(Gaussians)
+    }
+    grown = None
+    if len(rows) < n:
+        before = np.full(n, forest.num_sizes, np.int32) if forest.grown is None else forest.grown
+        grown = with_present(before, np.full(len(present), forest.num_sizes + 1, np.int32))
+    return NewLevel(
+        size=size,
+        rows=groups.rows,
+        start=groups.start[:-1],
+        representatives=groups.representatives,
+        merged=Gaussians(**columns),
+        weights=with_present(forest.root_weights, present.weights),
+        visibilities=with_present(forest.visibilities, present.visibilities),
+        extents=np.full(len(groups), min(PIXEL_ERROR * size, FLOAT32_MAX), np.float32),
+        grown=grown,
+    )

@@ -37,6 +37,14 @@ class Box:
             squares += outside * outside
         return np.sqrt(squares)
 
+    def depths(self, points: Array) -> Float64[Array, "n"]:
+        """Distance of each point (n 3) inside to the nearest side; infinity where there is none."""
+        depths = np.full(len(points), np.inf)
+        for axis, (low, high) in enumerate(zip(self.low, self.high, strict=True)):
+            coordinates = points[:, axis].astype(np.float64)
+            np.minimum(depths, np.minimum(coordinates - low, high - coordinates), out=depths)
+        return depths
+
     def gaps(self, low: Array, high: Array) -> Float64[Array, "b"]:
         """Distance of the box to each of other boxes with the given corners (b 3)."""
         outside = np.maximum(np.maximum(np.asarray(self.low) - high, low - np.asarray(self.high)), 0)

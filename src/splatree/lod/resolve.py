@@ -26,7 +26,7 @@ from splatree.simplify.merge import largest_log_weight
 from splatree.simplify.thin import auto_radius
 from splatree.simplify.visibility import pixel_size_of
 
-__all__ = ["Measures", "ResolvedBuild", "measure", "merge_rules", "resolve"]
+__all__ = ["Measures", "ResolvedBuild", "first_pixel", "measure", "merge_rules", "resolve"]
 
 FITTED_WIDENING = 0.34
 """`pairs`: what saturated nodes are widened by, where one thinning takes 0.3: far views of a city gain 0.2 dB."""
@@ -145,8 +145,7 @@ def measure(leaves: Gaussians, options: BuildOptions, mode: Mode, *, threads: in
         0.1
     """
     if options.named_method == "pairs":
-        smallest = float(np.finfo(np.float32).tiny)
-        first_size = options.pixel_size or max(pixel_size_of(leaves) / (2 * JUDGED_SIZE), smallest)
+        first_size = options.pixel_size or first_pixel(pixel_size_of(leaves))
     else:
         first_size = auto_radius(leaves, threads=threads) if isinstance(options.radius, str) else float(options.radius)
     weight = merge_rules(options, mode).weight or "opacity"
@@ -191,6 +190,11 @@ def resolve(options: BuildOptions, measures: Measures, mode: Mode) -> ResolvedBu
         log_unit=measures.largest_log_weight,
         frame=measures.frame,
     )
+
+
+def first_pixel(median_size: float) -> float:
+    """`pairs`: width of a pixel for which the first level is made, from the size of the median Gaussian; world units."""
+    return max(median_size / (2 * JUDGED_SIZE), float(np.finfo(np.float32).tiny))
 
 
 def merge_rules(options: BuildOptions, mode: Mode) -> MergeOptions:

@@ -16,11 +16,13 @@ from splatree.errors import InputError, OutputError
 from splatree.io.formats.folder.manifest import MANIFEST, Manifest, is_manifest, total_bytes
 from splatree.io.objects import ObjectPath, located
 from splatree.io.options import ReadOptions
+from splatree.kernels.cpu.build.visibility import NUM_AXES
 from splatree.lod.options import BuildOptions
 from splatree.outofcore.cut import Cut, cut_into_cells, opened_inputs
-from splatree.outofcore.options import MOST_LEVELS, FolderOptions, top_bytes
+from splatree.outofcore.options import MOST_LEVELS, PART_LEVELS, FolderOptions, Room, top_bytes
 from splatree.outofcore.plan import Plan
-from splatree.outofcore.run import run_cells
+from splatree.outofcore.run import run_cells, run_pieces
+from splatree.outofcore.sight import check_planes, write_seen
 from splatree.outofcore.top import finish_scene
 from splatree.outofcore.work import Work
 from splatree.progress import task
@@ -108,13 +110,8 @@ def build_folder(
         True
     """
     options, running, reading = options or BuildOptions(), running or FolderOptions(), reading or ReadOptions()
-    if options.only_method == "pairs":
-        raise InputError(
-            "method: found 'pairs', or options of pairs, for a build through files, wanted 'radius': pairs are chosen from the "
-            "whole scene"
-        )
     untried = options.only_method is None
-    options = replace(options, method="radius")
+    options = replace(options, method=options.only_method or "radius")
     path = located(output)
     target = _target(path, force)
     work = Work.beside(target)
@@ -142,8 +139,15 @@ def build_folder(
 
 
 def _grown(work: Work, cut: Cut, running: FolderOptions) -> tuple[Manifest, dict[str, Any]]:
+    plan = cut.plan
+    results = (_by_pairs if plan.resolved.method == "pairs" else _by_radius)(work, cut, running)
+    return finish_scene(work, plan, results, Source(metadata=plan.metadata, origin=plan.origin))
+
+
+def _by_radius(work: Work, cut: Cut, running: FolderOptions) -> list[dict[str, Any]]:
+    """Grow the cells to so many levels that what is left fits in memory."""
     plan, room = cut.plan, cut.room
-    num_levels = running.part_levels
+    num_levels = running.part_levels or PART_LEVELS
     while True:
         results = run_cells(work, plan, "grow", cut.workers, argument=num_levels)
         left = [sum(counts) for counts in zip(*(result["counts"] for result in results), strict=True)]
@@ -152,16 +156,32 @@ def _grown(work: Work, cut: Cut, running: FolderOptions) -> tuple[Manifest, dict
         if ended:
             num_levels = ended[0]
         elif top_bytes(left[-1], (plan.sh_degree + 1) ** 2) <= room.max_bytes:
-            break
+            return results
         elif num_levels < MOST_LEVELS:  # fewer nodes are left after one level more
             num_levels += 1
         else:
-            raise InputError(
-                f"build: found {left[-1]} nodes that are left after {num_levels} levels, which do not fit in "
-                f"{room.max_bytes // 10**6} MB at once; raise --max-memory"
-            )
-    source = Source(metadata=plan.metadata, origin=plan.origin)
-    return finish_scene(work, plan, results, source)
+            raise _too_many(left[-1], room)
+
+
+def _by_pairs(work: Work, cut: Cut, running: FolderOptions) -> list[dict[str, Any]]:
+    """Measure what is seen, and grow the cells: to the same levels whatever the memory, for the tree depends on them."""
+    plan, room = cut.plan, cut.room
+    if plan.sight is not None:
+        check_planes(plan, room)
+        run_pieces(work, plan, "sight", cut.workers, [float(plan.num_rows)] * NUM_AXES)
+        write_seen(work, plan)
+    results = run_cells(work, plan, "grow-pairs", cut.workers, argument=running.part_levels or 0)
+    num_left = sum(result["roots"] for result in results)
+    if top_bytes(num_left, (plan.sh_degree + 1) ** 2) > room.max_bytes:
+        raise _too_many(num_left, room)
+    return results
+
+
+def _too_many(num_left: int, room: Room) -> InputError:
+    return InputError(
+        f"build: found {num_left} nodes that are left when all cells have grown, which do not fit in "
+        f"{room.max_bytes // 10**6} MB at once; raise --max-memory"
+    )
 
 
 def _target(output: Path, force: bool) -> Path:

@@ -67,7 +67,8 @@ class Cut:
     def notes(self, running: FolderOptions) -> tuple[str, ...]:
         """What the user should know, a sentence each."""
         kept = notes_in(self.plan.metadata, self.plan.origin)
-        if running.part_rows is not None or self.plan.part_rows == PART_ROWS:
+        by_pairs = self.plan.resolved.method == "pairs"
+        if running.part_rows is not None or self.plan.part_rows == PART_ROWS or by_pairs:
             return kept
         return (
             *kept,
@@ -130,7 +131,7 @@ def cut_into_cells(
     request = request_of([_identity(path) for path in opened.found], asked, running, reading, chunks.mode)
     with errors_of_writing(work):
         work.begin()
-        with _runners(work, running, executor, chunks.sh_degree) as (workers, room):
+        with _runners(work, running, options, executor, chunks.sh_degree) as (workers, room):
             plan = _plan_to_go_on_with(work, request, room)
             if plan is None:
                 _clear(work)
@@ -143,16 +144,17 @@ def cut_into_cells(
 
 @contextmanager
 def _runners(
-    work: Work, running: FolderOptions, executor: Executor | None, sh_degree: int
+    work: Work, running: FolderOptions, options: BuildOptions, executor: Executor | None, sh_degree: int
 ) -> Iterator[tuple[Workers, Room]]:
     """Who grows the cells, and how much memory there is for each."""
-    num_coefficients = (sh_degree + 1) ** 2
+    num_coefficients, by_pairs = (sh_degree + 1) ** 2, options.named_method == "pairs"
     if running.scheduler is None:
-        room = Room.of(running, num_coefficients)
+        room = Room.of(running, num_coefficients, by_pairs=by_pairs)
         yield Workers(room.workers, executor), room
         return
     with cluster_at(running.scheduler, work) as cluster:
-        yield Workers(1, cluster.executor, cluster.died), Room.of(running, num_coefficients, cluster.thread_bytes)
+        room = Room.of(running, num_coefficients, cluster.thread_bytes, by_pairs=by_pairs)
+        yield Workers(1, cluster.executor, cluster.died), room
 
 
 def _plan_to_go_on_with(work: Work, request: dict[str, Any], room: Room) -> Plan | None:
@@ -170,7 +172,8 @@ def _check_room(work: Work, plan: Plan, room: Room) -> None:
     """Refuse a cell that is too large for the memory and cannot be cut."""
     sizes = cell_sizes(work, plan)
     largest = int(sizes.argmax())
-    needed = cell_bytes(int(sizes[largest]), (plan.sh_degree + 1) ** 2)
+    by_pairs = plan.resolved.method == "pairs"
+    needed = cell_bytes(int(sizes[largest]), (plan.sh_degree + 1) ** 2, by_pairs=by_pairs)
     if sizes[largest] > 2 * plan.part_rows and needed > room.piece_bytes:
         raise InputError(
             f"cell {largest}: found {sizes[largest]} Gaussians so close together that they cannot be cut, for which about "

@@ -1,7 +1,7 @@
 """What a program computes of fixed numbers.
 
 Parts of one scene fit together only if all of them decide alike to the last bit. exp and log may differ in it between
-processors and libraries. So each process computes the same small build, and takes part only if its bits are those of the plan.
+processors and libraries. So each process computes the same small builds, and takes part only if its bits are those of the plan.
 """
 
 import hashlib
@@ -21,7 +21,7 @@ NUM_ROWS = 300
 
 @cache
 def fingerprint() -> str:
-    """A digest of the tree of fixed Gaussians, made of whole numbers alone so that their bits are the same everywhere."""
+    """A digest of both kinds of trees of fixed Gaussians, made of whole numbers alone so that their bits are the same everywhere."""
     numbers = (np.arange(14 * NUM_ROWS, dtype=np.int64) * 7919 % 10007).reshape(NUM_ROWS, 14).astype(np.float32)
     numbers /= np.float32(8192)
     gaussians = Gaussians(
@@ -31,8 +31,9 @@ def fingerprint() -> str:
         np.ascontiguousarray(numbers[:, 10]) * 4 - np.float32(2),
         np.ascontiguousarray(numbers[:, 11:14]).reshape(NUM_ROWS, 1, 3),
     )
-    tree = build_levels(leaves_of(Scene.flat(gaussians)), BuildOptions(radius=0.05), threads=1)
     digest = hashlib.blake2b(digest_size=8)
-    for column in (*vars(tree.gaussians).values(), tree.tree.extents, tree.tree.subtree_end):
-        digest.update(np.ascontiguousarray(column).data)
+    for options in (BuildOptions(radius=0.05), BuildOptions("pairs", pixel_size=0.01)):
+        tree = build_levels(leaves_of(Scene.flat(gaussians)), options, threads=1)
+        for column in (*vars(tree.gaussians).values(), tree.tree.extents, tree.tree.subtree_end):
+            digest.update(np.ascontiguousarray(column).data)
     return digest.hexdigest()

@@ -13,7 +13,7 @@ from splatree.outofcore.work import Work, read_array
 from splatree.scene.gaussians import Gaussians
 from splatree.shapes import Array, Int32, Int64
 
-__all__ = ["Loaded", "load", "num_within", "reaches", "with_harmonics"]
+__all__ = ["Loaded", "load", "load_alone", "num_within", "reaches", "with_harmonics"]
 
 FIRST_REACH = 7.0
 """How far around a cell is loaded at first, in sums of the radii of its levels: of 112 cells of a city none needed more."""
@@ -78,6 +78,15 @@ def load(work: Work, plan: Plan, number: int, reach: float) -> Loaded:
         return Loaded(Gaussians.empty(), nothing, nothing.astype(np.int32), nothing)
     gaussians = Gaussians.concatenate([part[0] for part in parts])
     return Loaded(gaussians, *(np.concatenate([part[i] for part in parts]) for i in (1, 2, 3)))
+
+
+def load_alone(work: Work, number: int) -> Loaded:
+    """The rows of one cell."""
+    stored = open_scene(work.cell(number))
+    rows = stored.rows(0, len(stored))
+    assert rows.ids is not None
+    places = np.arange(len(stored), dtype=np.int64)
+    return Loaded(rows.gaussians, rows.ids.astype(np.int64), np.full(len(stored), number, np.int32), places)
 
 
 def with_harmonics(work: Work, plan: Plan, loaded: Loaded, rows: Array) -> Gaussians:

@@ -35,13 +35,22 @@ MOST_LEVELS = 16
 PART_ROWS = 1_000_000
 """Rows of a cell where memory allows: larger cells load less around them, smaller ones are done sooner."""
 
+PART_LEVELS = 3
+"""Levels by a radius that cells grow at first."""
+
+PAIR_CELL_ROWS = 1 << 18
+"""Rows of a cell where levels are made by pairs, whatever the memory: the tree depends on the cells."""
+
+PAIR_ROW_BYTES = 550
+"""What growing a cell by pairs takes for each of its rows without harmonics: benchmarks/scale.py."""
+
 FEWEST_ROWS = 1_000
 """The smallest cell: below it, what is loaded around a cell is most of it."""
 
 
 @dataclass(frozen=True)
 class FolderOptions:
-    """How a build through files is run. None of it changes the tree.
+    """How a build through files is run. None of it changes levels by a radius; the size of parts changes levels by pairs.
 
     Example:
         >>> running = st.FolderOptions(max_memory="1G", part_rows=100)
@@ -58,9 +67,11 @@ class FolderOptions:
     """Grow cells on the workers of a Dask cluster, which see the same files: the address of its scheduler, such as
     tcp://10.0.0.5:8786; None: on this machine."""
     part_rows: int | None = None
-    """Rows of a cell; None: a million, or as many as memory allows. The files depend on it, the tree does not."""
-    part_levels: int = 3
-    """Levels that cells grow, one more where what is left does not fit in memory; those above are grown in one piece."""
+    """Rows of a cell; None: a million, or as many as memory allows. The files depend on it, the tree does not. For levels by
+    pairs, which depend on the cells: 262,144."""
+    part_levels: int | None = None
+    """Levels that cells grow; those above are grown in one piece. None: for levels by a radius 3, or more where what is left does
+    not fit in memory; for levels by pairs until a sixteenth of a cell is left."""
 
     def __post_init__(self) -> None:
         if self.workers < 1:
@@ -72,7 +83,7 @@ class FolderOptions:
             )
         if self.part_rows is not None and self.part_rows < 1:
             raise InputError(f"part_rows: found {self.part_rows}, wanted at least 1")
-        if not 1 <= self.part_levels <= MOST_LEVELS:
+        if self.part_levels is not None and not 1 <= self.part_levels <= MOST_LEVELS:
             raise InputError(f"part_levels: found {self.part_levels}, wanted 1 to {MOST_LEVELS}")
         if self.max_memory is not None and bytes_of(self.max_memory) < SMALLEST_MEMORY:
             raise InputError(f"max_memory: found {self.max_memory}, wanted at least {SMALLEST_MEMORY // 10**6}M")
@@ -92,12 +103,15 @@ class Room:
     """What one cell may take, here or on a worker of a cluster."""
 
     @staticmethod
-    def of(options: FolderOptions, num_coefficients: int, thread_bytes: float = math.inf) -> "Room":
+    def of(
+        options: FolderOptions, num_coefficients: int, thread_bytes: float = math.inf, *, by_pairs: bool = False
+    ) -> "Room":
         """Cells of a million rows, or as many as fit, and as many at the same time as fit then.
 
         Args:
             options: what the user allows.
             num_coefficients: of the harmonics.
+            by_pairs: levels are made by pairs, which depend on the cells: these do not follow the memory.
             thread_bytes: what workers elsewhere have for a cell.
 
         Raises:
@@ -111,18 +125,31 @@ class Room:
                 f"{SMALLEST_MEMORY // 10**6} MB; start it with fewer threads or more memory"
             )
         piece_bytes = min(max_bytes, thread_bytes)
+        if by_pairs:
+            rows = options.part_rows or PAIR_CELL_ROWS
+            cell = cell_bytes(rows, num_coefficients, by_pairs=True)
+            if cell > piece_bytes:
+                raise InputError(
+                    f"max_memory: found {piece_bytes / 1e6:.0f} MB for a cell of {rows} Gaussians, wanted at least "
+                    f"{cell // 10**6} MB to choose pairs in it; raise --max-memory, or lower --part-rows: levels by pairs depend "
+                    "on it"
+                )
+            return Room(max_bytes, rows, _beside(options, max_bytes, cell), piece_bytes)
         rows = options.part_rows or PART_ROWS
         while options.part_rows is None and rows > FEWEST_ROWS and cell_bytes(rows, num_coefficients) > piece_bytes:
             rows //= 2
-        # Beside processes of its own, this one only waits.
-        num_beside = (max_bytes - PROCESS_BYTES) // cell_bytes(rows, num_coefficients)
-        workers = max(1, min(options.workers, num_beside))
-        return Room(max_bytes, rows, workers, piece_bytes)
+        return Room(max_bytes, rows, _beside(options, max_bytes, cell_bytes(rows, num_coefficients)), piece_bytes)
 
 
-def cell_bytes(num_rows: int, num_coefficients: int) -> int:
+def _beside(options: FolderOptions, max_bytes: int, cell: int) -> int:
+    """How many processes can work at the same time beside this one, which then only waits."""
+    return max(1, min(options.workers, (max_bytes - PROCESS_BYTES) // cell))
+
+
+def cell_bytes(num_rows: int, num_coefficients: int, *, by_pairs: bool = False) -> int:
     """Memory of a process that grows a cell."""
-    return PROCESS_BYTES + num_rows * (ROW_BYTES + HARMONIC_BYTES * (num_coefficients - 1))
+    row_bytes = PAIR_ROW_BYTES if by_pairs else ROW_BYTES
+    return PROCESS_BYTES + num_rows * (row_bytes + HARMONIC_BYTES * (num_coefficients - 1))
 
 
 def top_bytes(num_roots: int, num_coefficients: int) -> int:

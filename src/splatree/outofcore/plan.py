@@ -16,9 +16,10 @@ from splatree.errors import InputError
 from splatree.io.chunks import Chunks
 from splatree.io.options import ReadOptions
 from splatree.kernels.cpu.build.thin import nearest_distances
+from splatree.kernels.cpu.build.visibility import Sight
 from splatree.lod.cells import Cells, halve
 from splatree.lod.options import BuildOptions
-from splatree.lod.resolve import Measures, ResolvedBuild, merge_rules, resolve
+from splatree.lod.resolve import Measures, ResolvedBuild, first_pixel, merge_rules, resolve
 from splatree.maths.morton import morton_frame
 from splatree.outofcore.fingerprint import fingerprint
 from splatree.outofcore.options import FolderOptions, Room
@@ -30,6 +31,7 @@ from splatree.scene.thinning import ThinOptions
 from splatree.shapes import Array
 from splatree.simplify.merge import check_finite, largest_log_weight
 from splatree.simplify.thin import query_rows, radius_of_spacing
+from splatree.simplify.visibility import NUM_SAMPLES, SIZE_SAMPLES, median_size, sample_of, sight_of
 
 __all__ = ["Plan", "make_plan", "read_plan"]
 
@@ -70,6 +72,10 @@ class Plan:
     """Rows of a cell."""
     widest: float
     """The longest side of the box around all means, world units."""
+    sight: Sight | None
+    """Levels by pairs: the lengths by which the scene is looked at; None: nothing hides anything."""
+    follows: bool
+    """Whether merged Gaussians follow the pixel that they are drawn at."""
 
     @property
     def num_slices(self) -> int:
@@ -78,8 +84,11 @@ class Plan:
 
     def to_json(self) -> str:
         """The plan as a JSON object."""
-        kept = {name: value for name, value in vars(self).items() if name not in ("resolved", "cells")}
-        return json.dumps({**kept, "resolved": self.resolved.to_json(), "cells": self.cells.halvings})
+        kept = {name: value for name, value in vars(self).items() if name not in ("resolved", "cells", "sight")}
+        sight = self.sight and {**vars(self.sight), "middle": self.sight.middle.tolist()}
+        return json.dumps(
+            {**kept, "resolved": self.resolved.to_json(), "cells": self.cells.halvings, "sight": sight}
+        )
 
     @staticmethod
     def from_json(text: str) -> "Plan":
@@ -87,6 +96,8 @@ class Plan:
         fields = json.loads(text)
         fields["resolved"] = ResolvedBuild.from_json(fields["resolved"])
         fields["cells"] = Cells.of_halvings(fields["cells"])
+        if (sight := fields["sight"]) is not None:
+            fields["sight"] = Sight(**{**sight, "middle": np.array(sight["middle"])})
         x, y, z = fields["origin"]
         return Plan(**{**fields, "origin": (x, y, z)})
 
@@ -117,6 +128,7 @@ def make_plan(
     means_path = work.folder / "means.bin"
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     largest_log_scale = largest_weight = -np.inf
+    sizes, num_read, stride = [], 0, n // SIZE_SAMPLES + 1  # of the rows that `sample_of` takes
     weight = merge_rules(options, chunks.mode).weight or "opacity"
     with means_path.open("wb") as file, task("read means", float(n)) as advance:
         for chunk in chunks:
@@ -126,10 +138,16 @@ def make_plan(
                 low, high = np.minimum(low, chunk.means.min(axis=0)), np.maximum(high, chunk.means.max(axis=0))
                 largest_log_scale = max(largest_log_scale, float(chunk.log_scales.max()))
                 largest_weight = max(largest_weight, largest_log_weight(chunk, weight))
+                sizes.append(chunk.log_scales[-num_read % stride :: stride].copy())
+                num_read += len(chunk)
             advance(float(len(chunk)))
     means = np.memmap(means_path, np.float32, "r", shape=(n, 3))
+    size = median_size(np.concatenate(sizes))
+    by_pairs = options.named_method == "pairs"
     measures = Measures(
-        first_size=_first_size(means, options, float(np.max(high - low)), threads),
+        first_size=options.pixel_size or first_pixel(size)
+        if by_pairs
+        else _first_radius(means, options, float(np.max(high - low)), threads),
         low=(float(low[0]), float(low[1]), float(low[2])),
         high=(float(high[0]), float(high[1]), float(high[2])),
         largest_log_scale=largest_log_scale,
@@ -137,6 +155,8 @@ def make_plan(
         frame=morton_frame(means),
     )
     sample = np.array(means[:: n // SAMPLE_ROWS + 1])
+    sees = by_pairs and options.visibility
+    sight = sight_of(sample_of(means, NUM_SAMPLES), n, size) if sees else None
     cells = halve(sample, room.part_rows * len(sample) / n)
     del means, sample
     means_path.unlink()
@@ -156,12 +176,14 @@ def make_plan(
         slice_rows=max(1000, min(room.part_rows, room.max_bytes // 8 // row_bytes)),
         part_rows=room.part_rows,
         widest=float(np.max(high - low)),
+        sight=sight,
+        follows=by_pairs and options.follow and chunks.mode == "classic",
     )
     write_text(work.plan, plan.to_json())
     return plan
 
 
-def _first_size(means: Array, options: BuildOptions, widest: float, threads: int) -> float:
+def _first_radius(means: Array, options: BuildOptions, widest: float, threads: int) -> float:
     """The radius of the first level: `auto_radius` of rows that are not all in memory."""
     if not isinstance(options.radius, str):
         return float(options.radius)

@@ -4,7 +4,7 @@ Any executor of `concurrent.futures` will do, on this machine or on others that 
 files, returns nothing and may be done twice. Its mark says that it is done, so a piece with a mark is not run again.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -16,14 +16,15 @@ from typing import Any
 
 from splatree.errors import InputError
 from splatree.outofcore.fingerprint import fingerprint
-from splatree.outofcore.grow import grow_cell
+from splatree.outofcore.grow import grow_cell, grow_cell_by_pairs
 from splatree.outofcore.plan import Plan, read_plan
 from splatree.outofcore.shuffle import cell_sizes, make_cell
+from splatree.outofcore.sight import look_along
 from splatree.outofcore.thin_cell import count_cell, thin_cell
 from splatree.outofcore.work import Work
 from splatree.progress import task
 
-__all__ = ["Workers", "run_cells"]
+__all__ = ["Workers", "run_cells", "run_pieces"]
 
 TRIES = 2
 """How often processes may die before the build gives up."""
@@ -41,7 +42,9 @@ class _Kind:
 
 KINDS = {
     "cell": _Kind("put cells in order", make_cell),
+    "sight": _Kind("measure what is seen", look_along),
     "grow": _Kind("grow cells", grow_cell),
+    "grow-pairs": _Kind("grow cells", grow_cell_by_pairs),
     "count": _Kind("count what a radius leaves", count_cell),
     "thin": _Kind("thin cells", thin_cell),
 }
@@ -76,26 +79,33 @@ class Workers:
 
 
 def run_cells(work: Work, plan: Plan, kind: str, workers: Workers, *, argument: float = 0) -> list[dict[str, Any]]:
-    """Do one kind of piece for all cells that have no mark for it.
+    """Do one kind of piece for all cells that have no mark for it: `run_pieces` with the rows of each cell."""
+    return run_pieces(work, plan, kind, workers, [float(size) for size in cell_sizes(work, plan)], argument=argument)
+
+
+def run_pieces(
+    work: Work, plan: Plan, kind: str, workers: Workers, sizes: Sequence[float], *, argument: float = 0
+) -> list[dict[str, Any]]:
+    """Do the pieces of one kind that have no mark.
 
     Args:
         work: where the pieces are.
         plan: what was decided for the whole scene.
         kind: a name in `KINDS`.
         workers: who does them.
+        sizes: rows that each piece goes through.
         argument: what the kind of piece needs to know besides.
 
     Returns:
-        What came of each cell, in their order.
+        What came of each piece, in their order.
 
     Raises:
-        InputError: processes died again and again, or a piece is said to be done and its mark is not there; the cells are named.
+        InputError: processes died again and again, or a piece is said to be done and its mark is not there; they are named.
     """
-    cells = range(len(plan.cells))
-    names = [_name(kind, number, argument) for number in cells]
-    jobs = [(str(work.folder), plan.run, kind, number, argument, workers.threads) for number in cells]
-    missing = [number for number in cells if work.result(names[number], plan.run) is None]
-    sizes = [float(size) for size in cell_sizes(work, plan)]
+    pieces = range(len(sizes))
+    names = [_name(kind, number, argument) for number in pieces]
+    jobs = [(str(work.folder), plan.run, kind, number, argument, workers.threads) for number in pieces]
+    missing = [number for number in pieces if work.result(names[number], plan.run) is None]
     total = sum(sizes)
     with task(KINDS[kind].says, total, done=total - sum(sizes[number] for number in missing)) as advance:
 
@@ -112,7 +122,7 @@ def run_cells(work: Work, plan: Plan, kind: str, workers: Workers, *, argument: 
                 f"cells {missing[:8]}: found that the processes which worked on them died {TRIES} times, perhaps for lack of "
                 "memory; run the build again with a smaller --part-rows or fewer --workers, it goes on where it stopped"
             )
-    results = {number: work.result(name, plan.run) for number, name in zip(cells, names, strict=True)}
+    results = {number: work.result(name, plan.run) for number, name in zip(pieces, names, strict=True)}
     if lost := [number for number, result in results.items() if result is None]:
         raise InputError(
             f"cells {lost[:8]}: found no mark in {work.folder} of what workers say they did, wanted a folder that is the same "

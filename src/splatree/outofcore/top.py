@@ -1,8 +1,10 @@
 """The last pass: the levels above all parts, in memory, and the manifest."""
 
 import json
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +25,8 @@ from splatree.outofcore.pages import table_of
 from splatree.outofcore.plan import Plan
 from splatree.outofcore.work import Work, write_text
 from splatree.progress import task
-from splatree.scene.scene import Source
+from splatree.scene.gaussians import Gaussians
+from splatree.scene.scene import Scene, Source
 
 __all__ = ["finish_scene"]
 
@@ -73,9 +76,13 @@ def finish_scene(
     deepest = max(result["depth"] for result in results if result["file"] is not None)
     if crown.tree.num_levels + deepest > 256:
         raise InputError("build: found a node more than 255 levels below its root; raise growth")
-    sizes, counts = _levels(plan, results, top)
-    source = with_report(source, plan.resolved, sizes, {"nodes": counts})
+    by_pairs = plan.resolved.method == "pairs"
+    sizes, counts = (_levels_by_pairs if by_pairs else _levels)(plan, results, top)
+    report_of_cells = {"cells": len(plan.cells)} if by_pairs and len(plan.cells) > 1 else {}
+    source = with_report(source, plan.resolved, sizes, {"nodes": counts} | report_of_cells)
     num_copies = len(top.base.order)
+    if plan.follows:
+        crown = _with_drawn(crown, [read(work.drawn(i)) for i, result in enumerate(results) if result["file"] is not None])
     write(replace(crown, source=source), work.scene / CROWN, force=True)
     write_index(_index(work, files), work.scene / INDEX)
     manifest = Manifest(
@@ -91,6 +98,20 @@ def finish_scene(
     write_text(work.scene / MANIFEST, manifest.to_json())
     report: dict[str, Any] = json.loads(source.metadata["levels"])
     return manifest, report
+
+
+def _with_drawn(crown: Scene, roots: Sequence[Scene]) -> Scene:
+    """The crown with copies of the roots of parts as they are drawn, and its own nodes as they are stored."""
+    assert crown.ids is not None
+    copies = np.flatnonzero(crown.tree.is_leaf)
+    drawn = Gaussians.concatenate([part.gaussians for part in roots]).take(crown.ids[copies])
+    columns = {f.name: getattr(crown.gaussians, f.name).copy() for f in fields(Gaussians)}
+    for name, column in columns.items():
+        column[copies] = getattr(drawn, name)
+    curves = np.zeros((len(crown), 4), np.float32)
+    curves[copies] = np.concatenate([part.tree.curves for part in roots])[crown.ids[copies]]
+    tree = replace(crown.tree, curves=curves)
+    return replace(crown, gaussians=Gaussians(**columns), tree=tree, blocks=None)
 
 
 def _index(work: Work, files: Sequence[StoredFile]) -> StoreIndex:
@@ -110,3 +131,13 @@ def _levels(plan: Plan, results: Sequence[dict[str, Any]], top: Forest) -> tuple
     sizes = list(plan.resolved.sizes_from(0, len(left) - 1))
     merged = [i for i in range(len(sizes)) if left[i + 1] < left[i]]
     return [sizes[i] for i in merged] + list(top.sizes), [left[0], *(left[i + 1] for i in merged), *top.counts[1:]]
+
+
+def _levels_by_pairs(plan: Plan, results: Sequence[dict[str, Any]], top: Forest) -> tuple[list[float], list[int]]:
+    """The same for cells that have gone through different sizes, and for what waited at their borders."""
+    merged = Counter[float]()
+    for result in results:
+        merged.update(dict(result.get("merged", ())))
+    merged.update({size: before - left for size, (before, left) in zip(top.sizes, pairwise(top.counts), strict=True)})
+    sizes = sorted(merged)
+    return sizes, [plan.num_rows, *(plan.num_rows - np.cumsum([merged[size] for size in sizes])).tolist()]

@@ -4,7 +4,9 @@
       plan.json                     what was decided for the whole scene
       slices/00000.splatree         rows of the input, by cell
       cells/00000.splatree .npy     one cell along the curve: degree 0, and the harmonics above
-      roots/00000.splatree          the roots of one part
+      sight/0.npy                   what is seen of each row of the input along one axis
+      sight/seen.npy                what others leave to be seen of each row
+      roots/00000.splatree          the roots of one part; .drawn.splatree: as they are drawn
       thinned/00000.splatree .npy   what thinning leaves of one cell, and its rows of the input
       done/…json                    a mark for each piece of work that is done, with what came of it
       scene/                        the folder to be: parts, crown, manifest
@@ -27,7 +29,7 @@ from splatree.shapes import Array
 
 __all__ = ["Work"]
 
-FOLDERS = ("slices", "cells", "roots", "thinned", "done", "scene/parts")
+FOLDERS = ("slices", "cells", "sight", "roots", "thinned", "done", "scene/parts")
 
 
 @dataclass(frozen=True)
@@ -82,9 +84,22 @@ class Work:
         """Boxes of runs of rows of a cell."""
         return self.folder / "cells" / f"{number:05}.bounds.npy"
 
+    def sight(self, axis: int) -> Path:
+        """What is seen of each row of the input along an axis."""
+        return self.folder / "sight" / f"{axis}.npy"
+
+    @property
+    def seen(self) -> Path:
+        """What others leave to be seen of each row of the input."""
+        return self.folder / "sight" / "seen.npy"
+
     def roots(self, number: int) -> Path:
         """The roots of a part."""
         return self.folder / "roots" / f"{number:05}.splatree"
+
+    def drawn(self, number: int) -> Path:
+        """The roots of a part as they are drawn, where they follow the pixel."""
+        return self.folder / "roots" / f"{number:05}.drawn.splatree"
 
     def thinned(self, number: int) -> Path:
         """What thinning leaves of a cell."""

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from splatree.errors import ShapeError
-from splatree.shapes import Array, Float32, Float64, Int64, UInt64, check_fields
+from splatree.shapes import Array, Float32, Float64, Int32, Int64, UInt64, check_fields
 
 __all__ = ["Roots"]
 
@@ -28,6 +28,8 @@ class Roots:
     """Row of that leaf in the input of the whole build: ranks equal codes."""
     num_sizes: int = 0
     """How many of the sizes of levels growth has gone through."""
+    grown: Int32[Array, "r"] | None = None
+    """How many of them each root has gone through: fewer where it waits for what is beyond the border of its part; None: all."""
     log_unit: float = 0.0
     """Logarithm of the weight that counts 1."""
 

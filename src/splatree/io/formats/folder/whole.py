@@ -62,16 +62,19 @@ class WholeTree:
         places = self._placed(rows)
         ends, depth = self._shape(places)
         extents, ids = np.empty(len(rows), np.float32), rows + self.first_id
+        curves = np.zeros((len(rows), 4), np.float32) if self.head.has_curves else None
         is_leaf = ends == rows + 1
         for number, at, own in places.by_file():
             stored = self.files[number]
             extents[at] = _taken(stored, "tree.extents", own)
+            if curves is not None:
+                curves[at] = _taken(stored, "tree.curves", own)
             if number > 0:
                 own_ids = _taken(stored, "ids", own) if stored.head.has_ids else own
                 ids[at] = np.where(is_leaf[at], own_ids, ids[at])
         check_extents(extents, str(self.path), first_row=begin)
         gaussians = self._gaussians(places, begin)
-        return SceneRows(begin, gaussians, ends, depth, extents, ids.astype(np.uint32))
+        return SceneRows(begin, gaussians, ends, depth, extents, ids.astype(np.uint32), curves)
 
     def shape(self, begin: int, end: int) -> tuple[Int32[Array, "n"], UInt8[Array, "n"]]:
         """Where the subtrees of rows end, and their depths; nothing else of them is read.
@@ -152,14 +155,17 @@ class WholeTree:
         columns = _room(n, self.head.sh_degree)
         ends, depth, extents = np.empty(n, np.int32), np.empty(n, np.uint8), np.empty(n, np.float32)
         ids = np.empty(n, np.uint32)
+        curves = np.zeros((n, 4), np.float32) if self.head.has_curves else None
         for run in self.runs(f"read {self.path.name}"):
             at = slice(run.begin, run.begin + len(run))
             for name, column in columns.items():
                 column[at] = getattr(run.gaussians, name)
             assert run.ids is not None
             ends[at], depth[at], extents[at], ids[at] = run.subtree_end, run.depth, run.extents, run.ids
+            if curves is not None:
+                curves[at] = run.curves
         head = self.head
-        tree = GaussianTree(ends, depth, extents, record=head.record, roots=head.roots)
+        tree = GaussianTree(ends, depth, extents, curves=curves, record=head.record, roots=head.roots)
         scene = Scene(Gaussians(**columns), tree, ids, mode=head.mode, threshold=head.threshold)
         return replace(scene, tile_rule=head.tile_rule, source=head.source)
 
@@ -250,9 +256,8 @@ def _fitted(path: Path, manifest: Manifest, crown: StoredScene, parts: list[Stor
             )
         own = copies[num_roots : num_roots + len(roots)]
         num_roots += len(roots)
-        if part.head.sh_degree != crown.head.sh_degree or not np.array_equal(
-            part.file.rows("gaussians.means")[roots], means[own]
-        ):
+        is_alike = (part.head.sh_degree, part.head.has_curves) == (crown.head.sh_degree, crown.head.has_curves)
+        if not is_alike or not np.array_equal(part.file.rows("gaussians.means")[roots], means[own]):
             raise FormatError(
                 f"{path / file.name}: found roots that are not those of the crown; the file is of another build"
             )
@@ -269,5 +274,5 @@ def _fitted(path: Path, manifest: Manifest, crown: StoredScene, parts: list[Stor
         )
     if largest_id + 1 + n > 2**32:
         raise FormatError(f"{path}: found identities of leaves up to {largest_id}, which leave no room for nodes")
-    head = replace(crown.head, num_rows=n, has_ids=True, has_curves=False)
+    head = replace(crown.head, num_rows=n, has_ids=True)
     return WholeTree(path, head, num_leaves, (crown, *parts), first_row, file_of, row_of, largest_id + 1)

@@ -54,6 +54,20 @@ GaussianColumns columns_of(nb::handle gaussians) {
 
 int64_t num_coefficients(nb::handle gaussians) { return int64_t(nb::cast<In<float>>(gaussians.attr("sh")).shape(1)); }
 
+// The structs are those of Python: Gaussians, Sight.
+VisibilityJob visibility_job(nb::handle gaussians, nb::handle sight, int threads) {
+  const GaussianColumns in = columns_of(gaussians);
+  VisibilityJob job{};
+  job.n = int64_t(nb::len(gaussians));
+  job.means = in.means, job.quats = in.quats, job.log_scales = in.log_scales, job.logit_opacities = in.logit_opacities;
+  job.middle = nb::cast<In<double>>(sight.attr("middle")).data();
+  job.cell = nb::cast<double>(sight.attr("cell"));
+  job.reach = nb::cast<double>(sight.attr("reach"));
+  job.width = nb::cast<int64_t>(sight.attr("width"));
+  job.threads = threads;
+  return job;
+}
+
 // The structs are those of Python: Gaussians, Groups, MergeOptions (resolved), and the Gaussians to fill.
 void merge_groups(nb::handle gaussians, nb::handle groups, In<float> weights, nb::handle options, double added,
                   std::optional<In<float>> opacities, nb::handle out, int threads) {
@@ -136,20 +150,26 @@ void bind_thin(nb::module_& m) {
     nb::gil_scoped_release release;
     best_partners(job);
   });
-  m.def("measure_visibilities", [](nb::handle gaussians, In<double> middle, double cell, double reach, int64_t width,
-                                   Out<float> visibilities, int threads) {
-    const GaussianColumns in = columns_of(gaussians);
-    VisibilityJob job{};
-    job.n = int64_t(nb::len(gaussians));
-    job.means = in.means, job.quats = in.quats, job.log_scales = in.log_scales, job.logit_opacities = in.logit_opacities;
-    job.middle = middle.data();
-    job.cell = cell;
-    job.reach = reach;
-    job.width = width;
+  m.def("measure_visibilities", [](nb::handle gaussians, nb::handle sight, Out<float> visibilities, int threads) {
+    VisibilityJob job = visibility_job(gaussians, sight, threads);
     job.visibilities = visibilities.data();
-    job.threads = threads;
     nb::gil_scoped_release release;
     measure_visibilities(job);
+  });
+  m.def("depths_along", [](nb::handle gaussians, nb::handle sight, int64_t axis, Out<float> depths, int threads) {
+    const VisibilityJob job = visibility_job(gaussians, sight, threads);
+    nb::gil_scoped_release release;
+    depths_along(job, axis, depths.data());
+  });
+  m.def("steps_of_depths", [](In<float> depths, float nearest, float farthest, Out<uint32_t> steps) {
+    nb::gil_scoped_release release;
+    steps_of_depths(static_cast<int64_t>(depths.shape(0)), depths.data(), nearest, farthest, steps.data());
+  });
+  m.def("look_on", [](nb::handle gaussians, nb::handle sight, int64_t axis, bool backwards, Out<float> passing, Out<float> depths,
+                      Out<float> sums, int threads) {
+    const VisibilityJob job = visibility_job(gaussians, sight, threads);
+    nb::gil_scoped_release release;
+    look_on(job, {axis, backwards, passing.data(), depths.data(), sums.data()});
   });
   m.def("match_pairs",
         [](In<int32_t> partner_from_row, In<float> costs, int64_t max_pairs, Out<int32_t> representative_from_row, int threads) {

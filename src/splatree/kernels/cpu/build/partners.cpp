@@ -108,10 +108,10 @@ struct Candidates {
 
 }  // namespace
 
-void find_neighbors(const PairJob& job, const PartnerColumns& columns) {
-  if (job.n < 2) return;
-  const BoxTree tree(job.n, job.means, job.threads);
-  parallel_ranges(tree.num_leaves, 256, job.threads, [&](int64_t first, int64_t last) {
+void find_neighbors(int64_t n, const float* means, const PartnerColumns& columns, int threads) {
+  if (n < 2) return;
+  const BoxTree tree(n, means, threads);
+  parallel_ranges(tree.num_leaves, 256, threads, [&](int64_t first, int64_t last) {
     for (int64_t leaf = first; leaf < last; ++leaf) {
       const int64_t begin = first_of(tree, leaf), end = first_of(tree, leaf + 1);
       LeafNeighbors found;

@@ -16,7 +16,7 @@ struct PartnerColumns {
 };
 
 // Looks for the nearest rows of all that have lost more than a quarter of their candidates; those are stale, too.
-void find_neighbors(const PairJob& job, const PartnerColumns& columns);
+void find_neighbors(int64_t n, const float* means, const PartnerColumns& columns, int threads);
 
 // Finds the partners of all rows that are stale. The outputs of the job are not used.
 void find_partners(const PairJob& job, const PartnerColumns& columns);

@@ -30,6 +30,7 @@ constexpr Frame FRAMES[] = {
     {{R2, R2, 0}, {R6, -R6, 2 * R6}, {R3, -R3, -R3}},
 };
 constexpr int64_t NUM_AXES = sizeof FRAMES / sizeof FRAMES[0];
+static_assert(NUM_AXES == SIGHT_AXES);
 
 constexpr float FILTER = 0.3f;                     // variance that a cell adds, cells²
 constexpr float FARTHEST = 1e6f;                   // cells: what is farther out is put there
@@ -44,13 +45,19 @@ struct Source {
   float opacity;
 };
 
+void mean_in_cells(const VisibilityJob& job, int64_t row, float* mean) {
+  for (int a = 0; a < 3; ++a) {
+    const float cells = static_cast<float>((job.means[3 * row + a] - job.middle[a]) / job.cell);
+    mean[a] = std::min(std::max(cells, -FARTHEST), FARTHEST);
+  }
+}
+
 Source source_of(const VisibilityJob& job, int64_t row) {
   Source source;
+  mean_in_cells(job, row, source.mean);
   float variance[3];
   const float log_cell = static_cast<float>(std::log(job.cell));
   for (int a = 0; a < 3; ++a) {
-    const float cells = static_cast<float>((job.means[3 * row + a] - job.middle[a]) / job.cell);
-    source.mean[a] = std::min(std::max(cells, -FARTHEST), FARTHEST);
     variance[a] = std::exp(2 * std::min(std::max(job.log_scales[3 * row + a] - log_cell, SMALLEST), LARGEST));
   }
   covariance_from(job.quats + 4 * row, variance, source.covariance);
@@ -82,6 +89,13 @@ Sighted project(const Source& source, const Frame& frame, int64_t width) {
   return s;
 }
 
+// Of the whole scene, in a unit of depth: how many steps it is.
+float steps_in_depth(float nearest, float farthest) {
+  return farthest > nearest ? (DEPTH_STEPS - 1) / (farthest - nearest) : 0;
+}
+
+uint32_t step_of(float depth, float nearest, float steps) { return static_cast<uint32_t>((depth - nearest) * steps); }
+
 // Rows by rising depth along w.
 Scratch<KeyRow> order_of(const Source* sources, int64_t n, const float* w) {
   float nearest = HUGE_VALF, farthest = -HUGE_VALF;
@@ -89,10 +103,10 @@ Scratch<KeyRow> order_of(const Source* sources, int64_t n, const float* w) {
     const float depth = dot(sources[i].mean, w);
     nearest = std::min(nearest, depth), farthest = std::max(farthest, depth);
   }
-  const float steps = farthest > nearest ? (DEPTH_STEPS - 1) / (farthest - nearest) : 0;
+  const float steps = steps_in_depth(nearest, farthest);
   Scratch<KeyRow> order = allocate<KeyRow>(n);
   for (int64_t i = 0; i < n; ++i)
-    order[i] = {static_cast<uint64_t>((dot(sources[i].mean, w) - nearest) * steps), static_cast<uint32_t>(i)};
+    order[i] = {step_of(dot(sources[i].mean, w), nearest, steps), static_cast<uint32_t>(i)};
   radix_sort(order, n, 1);
   return order;
 }
@@ -131,6 +145,34 @@ void measure_visibilities(const VisibilityJob& job) {
       job.visibilities[i] = std::sqrt(sum / (2 * NUM_AXES));
     }
   });
+}
+
+void depths_along(const VisibilityJob& job, int64_t axis, float* depths) {
+  parallel_ranges(job.n, 1 << 13, job.threads, [&](int64_t begin, int64_t end) {
+    for (int64_t i = begin; i < end; ++i) {
+      float mean[3];
+      mean_in_cells(job, i, mean);
+      depths[i] = dot(mean, FRAMES[axis].w);
+    }
+  });
+}
+
+void steps_of_depths(int64_t n, const float* depths, float nearest, float farthest, uint32_t* steps) {
+  const float in_depth = steps_in_depth(nearest, farthest);
+  for (int64_t i = 0; i < n; ++i) steps[i] = step_of(depths[i], nearest, in_depth);
+}
+
+void look_on(const VisibilityJob& job, const LookJob& look) {
+  const Scratch<Sighted> splats = allocate<Sighted>(job.n);
+  parallel_ranges(job.n, 1 << 13, job.threads, [&](int64_t begin, int64_t end) {
+    for (int64_t i = begin; i < end; ++i) {
+      splats[i] = project(source_of(job, i), FRAMES[look.axis], job.width);
+      splats[i].sum = look.sums[i];
+    }
+  });
+  const float inverse_reach = static_cast<float>(job.cell / job.reach);
+  kernels().see_through({splats.get(), job.n, look.backwards, job.width, look.passing, look.depths, inverse_reach});
+  for (int64_t i = 0; i < job.n; ++i) look.sums[i] = splats[i].sum;
 }
 
 }  // namespace splatree

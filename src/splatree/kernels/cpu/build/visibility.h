@@ -5,6 +5,8 @@
 
 namespace splatree {
 
+constexpr int SIGHT_AXES = 4;
+
 struct VisibilityJob {
   int64_t n;
   const float *means, *quats, *log_scales, *logit_opacities;
@@ -17,6 +19,23 @@ struct VisibilityJob {
 };
 
 void measure_visibilities(const VisibilityJob& job);
+
+// The steps of `measure_visibilities` for scenes that pass by in pieces.
+
+// Depth along an axis, cells.
+void depths_along(const VisibilityJob& job, int64_t axis, float* depths);
+
+// The step of depth that each falls into, of the steps from the nearest to the farthest of the whole scene.
+void steps_of_depths(int64_t n, const float* depths, float nearest, float farthest, uint32_t* steps);
+
+// Looks along an axis at rows that follow, by their depth, those that left the plane as it is; adds the square of what is seen of
+// each to its sum.
+struct LookJob {
+  int64_t axis;
+  bool backwards;  // the rows still stand by rising depth
+  float *passing, *depths, *sums;
+};
+void look_on(const VisibilityJob& job, const LookJob& look);
 
 constexpr int SIGHT_LANES = 8;
 constexpr int SIGHT_CELLS = 32;                              // along u and v, that a splat is looked at in at most

@@ -1,0 +1,129 @@
+"""The Gaussians that are left while levels grow by pairs, and the rounds that merge them (lod/grow_pairs.py has the rules)."""
+
+import dataclasses
+from copy import copy
+
+import numpy as np
+
+from splatree.constants import DILATION_PX2
+from splatree.kernels.cpu.build import merge as merge_kernel
+from splatree.kernels.cpu.build.pairs import match_pairs
+from splatree.kernels.cpu.build.partners import Partners
+from splatree.kernels.cpu.build.thin import group
+from splatree.lod.forest import Forest
+from splatree.lod.region import EVERYWHERE, Box
+from splatree.lod.resolve import ResolvedBuild
+from splatree.scene.gaussians import Gaussians
+from splatree.scene.names import Mode
+from splatree.scene.thinning import Groups, MergeOptions
+from splatree.shapes import Array, Bool, Int64
+from splatree.simplify.pairs import means_of_pairs
+
+__all__ = ["Present"]
+
+CHANGE = 0.1
+"""ε: squared change of the picture that one merge may make, s², summed over colours and coverage and three views."""
+
+SMALL = 0.68
+"""`classic`: a merged Gaussian of at most this standard deviation, in pixels p, is merged whatever the change."""
+
+LARGE = 16.0
+"""A merged Gaussian of a larger standard deviation waits for a larger level, in units of s or p, whichever is wider."""
+
+SATURATED = 0.98
+"""A fitted opacity from here on says that more is shown than one Gaussian can; the merge's own rule follows."""
+
+ROUND_SHARE = 0.25
+"""Pairs that a round merges at most, as a share of the Gaussians: those cheapest to merge twice get their turn."""
+
+LAST_SHARE = 0.01
+"""A round that merges a smaller share is a level's last."""
+
+
+class Present:
+    """The Gaussians that are left of a scene, and each one's cheapest partner."""
+
+    def __init__(
+        self, gaussians: Gaussians, weights: Array, visibilities: Array, mode: Mode, merge: MergeOptions
+    ) -> None:
+        """``merge`` resolved."""
+        self.gaussians, self.weights, self.visibilities = gaussians, weights, visibilities
+        self.is_classic = mode == "classic"
+        self.dilation_px2, self.merge = merge.dilation or 0.0, dataclasses.replace(merge, dilation=0.0)
+        self.partners = Partners.unknown(len(gaussians))
+
+    @staticmethod
+    def of(forest: Forest, resolved: ResolvedBuild, rows: Int64[Array, "p"]) -> "Present":
+        """Some roots of a forest, by their place among them, ascending."""
+        assert forest.visibilities is not None
+        columns = forest.present.take(rows), forest.root_weights[rows], forest.visibilities[rows]
+        return Present(*columns, resolved.mode, resolved.merge)
+
+    def of_rows(self, is_kept: Bool[Array, "n"]) -> "Present":
+        """Some of them, with what is known of their partners."""
+        if is_kept.all():
+            return self
+        kept = copy(self)
+        kept.gaussians = self.gaussians.take(is_kept)
+        kept.weights, kept.visibilities = self.weights[is_kept], self.visibilities[is_kept]
+        kept.partners = self.partners.of_rows(is_kept)
+        return kept
+
+    def search(self, threads: int) -> None:
+        """Look for new candidates of those that have lost more than a quarter of them: once a level."""
+        self.partners.search(self.gaussians.means, threads=threads)
+
+    def looks_out_of(self, box: Box) -> Bool[Array, "n"]:
+        """Which of them have a candidate that is as far as a side of the box: what lies beyond may be nearer."""
+        means = self.gaussians.means
+        return np.asarray((self.partners.reaches(means) >= box.depths(means)) & (box != EVERYWHERE))
+
+    def __len__(self) -> int:
+        return len(self.gaussians)
+
+    def merge_level(self, size: float, pixel_size: float, max_roots: int, threads: int) -> Array:
+        """Merge what changes less than a level of that size allows, seen by pixels of that width; returns where each row went."""
+        if self.is_classic:
+            self.partners.is_stale[:] = 1  # costs are those of dilated Gaussians
+        group_from_row = np.arange(len(self), dtype=np.int32)
+        while len(self) > max_roots:
+            pairs = self._match(size, pixel_size, threads)
+            num_merged = len(self) - len(pairs)
+            if num_merged:
+                self._merge(pairs, pixel_size, threads)
+                group_from_row = pairs.group_from_row[group_from_row]
+            if num_merged < LAST_SHARE * len(self):
+                break
+        return group_from_row
+
+    def _match(self, size: float, pixel_size: float, threads: int) -> Groups:
+        dilation = DILATION_PX2 * pixel_size**2 if self.is_classic else 0.0
+        partners = self.partners
+        partners.find(self.gaussians, self.weights, self.visibilities, dilation=dilation, threads=threads)
+        width = np.float64(size)  # its square may be beyond float32
+        allowed = (partners.costs <= CHANGE * width**2) & (partners.sigmas <= LARGE * max(size, pixel_size))
+        if self.is_classic:
+            allowed |= partners.sigmas <= SMALL * pixel_size
+        rows = np.where(allowed, partners.rows, np.int32(-1))
+        stands = match_pairs(rows, partners.costs, int(ROUND_SHARE * len(self)) + 1, threads=threads)
+        found = np.flatnonzero(stands != np.arange(len(self)))
+        finders = stands[found]
+        first = np.minimum(found, finders).astype(np.int32)
+        stands[found] = stands[finders] = first  # so that groups stand in the order of their first rows
+        partners.opacities[first] = partners.opacities[finders]
+        return group(stands)
+
+    def _merge(self, pairs: Groups, pixel_size: float, threads: int) -> None:
+        opacities = None
+        if self.merge.opacity == "fitted":
+            fitted = self.partners.opacities[pairs.representatives]
+            opacities = np.where(fitted < SATURATED, fitted, np.float32(0))
+        self.gaussians = merge_kernel.merge(
+            *(self.gaussians, pairs, self.weights, self.merge),
+            added=self.dilation_px2 * pixel_size**2,
+            opacities=opacities,
+            threads=threads,
+        )
+        self.visibilities = means_of_pairs(self.visibilities, pairs, self.weights)
+        self.weights = np.add.reduceat(self.weights[pairs.rows], pairs.start[:-1])
+        self.partners = self.partners.carried(pairs, self.gaussians.means, threads=threads)

@@ -1,0 +1,143 @@
+"""Levels by pairs through files: the same tree for any memory and any workers, and that of memory where there is one cell."""
+
+import json
+import multiprocessing
+import os
+import signal
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as hs
+
+import splatree as st
+from splatree.outofcore import build, sight
+from splatree.outofcore.options import PAIR_CELL_ROWS, Room, cell_bytes
+from splatree.simplify.visibility import visibilities_in
+
+from ..laws.hard_scenes import hard_scenes
+from .test_build_folder import SMALL, _build_and_die, check_is_tree_of, files_in
+
+PAIRS = st.BuildOptions("pairs", follow=False)
+FOLLOWING = st.BuildOptions("pairs")
+MODES = hs.sampled_from(["classic", "antialiased"])
+
+
+@settings(max_examples=12, deadline=None)
+@given(hard_scenes(most=200, degree=1), hs.sampled_from([1, 64]), MODES, hs.booleans())
+def test_one_cell_has_the_tree_of_a_build_in_memory(tmp_path_factory, gaussians, max_roots, mode, visibility):
+    path = tmp_path_factory.mktemp("scene") / "in.ply"
+    st.write(st.Scene.flat(gaussians, mode=mode), path)
+    options = replace(PAIRS, max_roots=max_roots, visibility=visibility)
+    built = st.build_folder(path, path.with_name("out.splatree"), options, mode=mode)
+    check_is_tree_of(built.path, path, options, mode)
+    assert "cells" not in built.rules
+
+
+@settings(max_examples=12, deadline=None)
+@given(hard_scenes(most=300, degree=1), hs.sampled_from([16, 60]), MODES, hs.sampled_from([None, 1, 4]))
+def test_cells_make_one_sound_tree_whose_files_do_not_depend_on_who_makes_them(
+    tmp_path_factory, gaussians, part_rows, mode, part_levels
+):
+    path = tmp_path_factory.mktemp("scene") / "in.ply"
+    st.write(st.Scene.flat(gaussians, mode=mode), path)
+    options = replace(FOLLOWING, max_roots=1)
+    running = st.FolderOptions(part_rows=part_rows, part_levels=part_levels)
+    built = st.build_folder(path, path.with_name("out.splatree"), options, running, mode=mode)
+    with ThreadPoolExecutor(3) as executor:
+        st.build_folder(path, path.with_name("b.splatree"), options, running, mode=mode, executor=executor)
+    assert files_in(built.path) == files_in(path.with_name("b.splatree"))
+    tree = st.read(built.path)
+    leaves = tree.tree.is_leaf
+    rows = np.argsort(tree.ids[leaves])
+    for name, column in vars(gaussians).items():
+        assert getattr(tree.gaussians, name)[leaves][rows].tobytes() == column.tobytes(), name
+    sizes, nodes = built.rules["pixel_sizes"], built.rules["nodes"]
+    inner, of_size = tree.tree.extents[~leaves], np.float32(3) * np.array(sizes, np.float32)
+    assert set(inner) <= set(of_size.tolist())
+    assert nodes[0] == len(gaussians) and nodes[-1] == (tree.tree.depth == 0).sum()
+    assert sum(inner > 0) == len(tree) - len(gaussians) and all(a > b for a, b in zip(nodes, nodes[1:], strict=False))
+
+
+@pytest.mark.parametrize("part_rows", [None, 100])
+@pytest.mark.parametrize("mode", ["classic", "antialiased"])
+def test_what_is_seen_is_what_is_seen_in_memory_bit_for_bit(tmp_path, ply, monkeypatch, part_rows, mode):
+    found = []
+
+    def keeping(work, plan):
+        sight.write_seen(work, plan)
+        found.append(np.load(work.seen))
+
+    monkeypatch.setattr(build, "write_seen", keeping)
+    running = st.FolderOptions(part_rows=part_rows)
+    st.build_folder(ply, tmp_path / "out.splatree", PAIRS, running, mode=mode)
+    np.testing.assert_array_equal(found[0], visibilities_in(mode, st.read(ply).gaussians))
+
+
+def test_nodes_of_parts_follow_the_pixel_and_those_above_are_drawn_as_stored(tmp_path, ply):
+    built = st.build_folder(ply, tmp_path / "out.splatree", FOLLOWING, SMALL)
+    assert any("drawn as stored" in note for note in built.notes)
+    tree, crown = st.read(built.path), st.read(built.path / "crown.splatree")
+    follows = tree.tree.curves[:, 3] > 0
+    assert not follows[tree.tree.is_leaf].any()
+    assert not crown.tree.curves[~crown.tree.is_leaf].any()
+    num_above = int((~crown.tree.is_leaf).sum())
+    assert follows.sum() == (~tree.tree.is_leaf).sum() - num_above > num_above
+    one = st.build_folder(ply, tmp_path / "one.splatree", replace(FOLLOWING, max_roots=8))
+    wanted = st.build_lod(st.read(ply), replace(FOLLOWING, max_roots=8))
+    np.testing.assert_array_equal(st.read(one.path).tree.curves, wanted.tree.curves)
+    np.testing.assert_array_equal(st.read(one.path).gaussians.means, wanted.gaussians.means)
+
+
+def test_pictures_from_disk_are_those_of_the_whole_tree(tmp_path, ply):
+    built = st.build_folder(ply, tmp_path / "out.splatree", FOLLOWING, SMALL)
+    tree = st.read(built.path)
+    views = st.orbit(tree, st.PathOptions(views=2, width=64, height=48))
+    with st.open_store(built.path) as store, st.open_session(store) as session:
+        for view, pixel_error in product(views, (1.0, 8.0)):
+            select = st.SelectOptions(pixel_error=pixel_error)
+            found, wanted = session.draw(view, select=select), st.render(tree, view, select=select)
+            assert found.image.tobytes() == wanted.image.tobytes()
+
+
+def test_the_record_names_the_cells(tmp_path, ply):
+    built = st.build_folder(ply, tmp_path / "out.splatree", PAIRS, SMALL)
+    found = st.read(built.path)
+    assert json.loads(found.source.metadata["levels"]) == built.rules
+    assert built.rules["rule"] == found.tree.record.rule == "pairs"
+    assert built.rules["cells"] == built.num_parts > 1
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGKILL")
+@pytest.mark.parametrize("pieces", [6, 10])
+def test_a_killed_build_by_pairs_goes_on(tmp_path, ply, pieces):
+    context = multiprocessing.get_context("fork")
+    process = context.Process(target=_build_and_die, args=(ply, tmp_path / "out.splatree", pieces, FOLLOWING))
+    process.start()
+    process.join()
+    assert process.exitcode == -signal.SIGKILL
+    st.build_folder(ply, tmp_path / "out.splatree", FOLLOWING, SMALL)
+    st.build_folder(ply, tmp_path / "whole.splatree", FOLLOWING, SMALL)
+    assert files_in(tmp_path / "out.splatree") == files_in(tmp_path / "whole.splatree")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["out.splatree", "whole.splatree"]
+
+
+def test_cells_do_not_follow_the_memory():
+    for memory in ("500M", "4G"):
+        room = Room.of(st.FolderOptions(max_memory=memory, workers=8), 1, by_pairs=True)
+        assert room.part_rows == PAIR_CELL_ROWS
+        assert room.workers * cell_bytes(room.part_rows, 1, by_pairs=True) <= room.max_bytes
+    with pytest.raises(st.InputError, match="found 250 MB for a cell of 262144 Gaussians, wanted at least"):
+        Room.of(st.FolderOptions(max_memory="250M"), 16, by_pairs=True)
+
+
+def test_what_does_not_fit_is_refused(tmp_path, ply, monkeypatch):
+    monkeypatch.setattr(build, "top_bytes", lambda roots, k: 10**18)
+    with pytest.raises(st.InputError, match="left when all cells have grown, which do not fit"):
+        st.build_folder(ply, tmp_path / "out.splatree", PAIRS, SMALL)
+    monkeypatch.setattr(sight, "plane_bytes", lambda plane: 10**18)
+    with pytest.raises(st.InputError, match="leave it out with --no-visibility"):
+        st.build_folder(ply, tmp_path / "other.splatree", PAIRS, SMALL)
