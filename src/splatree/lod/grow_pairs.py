@@ -53,7 +53,7 @@ __all__ = ["Present", "grow_by_pairs"]
 CHANGE = 0.1
 """ε: squared change of the picture that one merge may make, s², summed over colours and coverage and three views."""
 
-JUDGED_POWER = 0.25
+JUDGED_POWER = 0.125
 """`classic`: the pixel of a level grows with this power of its size. At 1 tight budgets lose 1 to 2 dB (a city)."""
 
 SMALL = 0.68
@@ -115,7 +115,7 @@ def grow_by_pairs(
 
 def judged_at(size: float, resolved: ResolvedBuild) -> float:
     """Width of the pixel at which a level of that size is judged, world units; it counts in mode `classic` alone."""
-    return resolved.judged_size * math.pow(size / resolved.judged_size, JUDGED_POWER)
+    return resolved.judged_size * math.pow(max(1.0, size / resolved.judged_size), JUDGED_POWER)
 
 
 class Present:

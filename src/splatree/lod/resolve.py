@@ -31,9 +31,15 @@ __all__ = ["Measures", "ResolvedBuild", "measure", "merge_rules", "resolve"]
 FITTED_WIDENING = 0.34
 """`pairs`: what saturated nodes are widened by, where one thinning takes 0.3: far views of a city gain 0.2 dB."""
 
-JUDGED_SIZE = 6.0
-"""`pairs`: p_0 in sizes of the first level. The levels finer than p_0 find what may be merged for nothing: at generous
-budgets small objects gain 2 to 9 dB."""
+FIRST_SIZE = 1 / 12
+"""`pairs`: s_0 in sizes of the median Gaussian."""
+
+JUDGED_SIZE = 4.0
+"""`pairs`: p_0 in sizes of the first level, a third of the median Gaussian. The levels finer than p_0 find what may be merged for
+nothing: at generous budgets small objects gain 2 to 9 dB."""
+
+STORED_SIZE = 6.0
+"""`pairs`: the finest pixel that nodes are stored for, in p_0: two median Gaussians. Far views draw nodes of fine levels there."""
 
 WIDEST_PIXEL = 16.0
 """`pairs` ends with pixels so many times as wide as the scene: no change of the picture can be as large as one of them."""
@@ -94,6 +100,11 @@ class ResolvedBuild:
         """`pairs`: the size of levels that are judged at a pixel of this size, world units (lod/grow_pairs.py)."""
         return JUDGED_SIZE * self.first_size
 
+    @property
+    def stored_size(self) -> float:
+        """`pairs`: finer levels are stored as a pixel of this size shows them, world units (lod/follow.py)."""
+        return STORED_SIZE * self.judged_size
+
     def sizes(self) -> Iterator[float]:
         """The size of each level, from the finest on."""
         if self.method == "pairs":
@@ -146,7 +157,7 @@ def measure(leaves: Gaussians, options: BuildOptions, mode: Mode, *, threads: in
     """
     if options.named_method == "pairs":
         smallest = float(np.finfo(np.float32).tiny)
-        first_size = options.pixel_size or max(pixel_size_of(leaves) / (2 * JUDGED_SIZE), smallest)
+        first_size = options.pixel_size or max(FIRST_SIZE * pixel_size_of(leaves), smallest)
     else:
         first_size = auto_radius(leaves, threads=threads) if isinstance(options.radius, str) else float(options.radius)
     weight = merge_rules(options, mode).weight or "opacity"

@@ -7,6 +7,7 @@ import numpy as np
 
 from splatree.constants import CENTRE_PAD, DILATION_PX2, EIGENVALUE_FLOOR_PX4, SIGMAS
 from splatree.kernels.cpu.frame.view import PackedView, pack_view
+from splatree.scene.names import EXTENT_PROFILES
 from splatree.scene.options import SelectOptions
 from splatree.scene.view import View
 from splatree.shapes import Array, Float64
@@ -46,7 +47,9 @@ class PackedRule(NamedTuple):
     pad_y: float
     """The same along y."""
     sphere: bool
-    """Whether a node's size is that of its sphere."""
+    """Whether a node's size is its extent."""
+    ball: float
+    """Share of its extent by which a node is nearer than its mean."""
 
 
 def _pack_rule(view: View, options: SelectOptions) -> PackedRule:
@@ -60,7 +63,8 @@ def _pack_rule(view: View, options: SelectOptions) -> PackedRule:
     logit_min = np.log(threshold / (1 - threshold)) - 1e-3
     pads = CENTRE_PAD * camera.width / 2, CENTRE_PAD * camera.height / 2
     sizes = limit, *added, floor, options.pixel_error, max(focal), min(focal), _reach_of_opaque(threshold)
-    return PackedRule(*sizes, logit_min, *pads, options.resolved_profile == "sphere")
+    profile = options.resolved_profile
+    return PackedRule(*sizes, logit_min, *pads, profile in EXTENT_PROFILES, float(profile == "sphere"))
 
 
 def _reach_of_opaque(threshold: float) -> float:

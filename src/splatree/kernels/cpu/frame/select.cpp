@@ -49,7 +49,7 @@ void answer_small(const SelectJob& job, const int32_t* rows, Planes& p) {
     gather<1>(job.extents, rows, &p.extent);
 #pragma omp simd
     for (int l = 0; l < LANES; ++l)
-      p.answer[l] = is_small_ball(job.rule, point_of(job.view, p.mean[0][l], p.mean[1][l], p.mean[2][l]), p.extent[l]);
+      p.answer[l] = is_small_extent(job.rule, point_of(job.view, p.mean[0][l], p.mean[1][l], p.mean[2][l]), p.extent[l]);
     return;
   }
   gather<3>(job.log_scales, rows, p.log_scale);
