@@ -81,8 +81,8 @@ def assemble(
     if seen is not None and n > num_leaves:
         seen_from_row = np.ones(n, np.float32)
         seen_from_row[row[:num_leaves]] = seen
-        kept_extent = PIXEL_ERROR * resolved.judged_size if resolved.method == "pairs" else 0.0
-        gaussians, tree = with_curves(gaussians, tree, seen_from_row, kept_extent=kept_extent, threads=threads)
+        pixels = (resolved.judged_size, resolved.stored_size) if resolved.method == "pairs" else (0.0, 0.0)
+        gaussians, tree = with_curves(gaussians, tree, seen_from_row, pixels=pixels, threads=threads)
     source = with_report(scene.source, resolved, list(forest.sizes), {"nodes": list(forest.counts)})
     return with_tree(scene, gaussians, tree, ids, source, threads=threads)
 
@@ -112,7 +112,7 @@ def record_of(forest: Forest, resolved: ResolvedBuild) -> LevelRecord:
     by_pairs = resolved.method == "pairs"
     return LevelRecord(
         rule="pairs" if by_pairs else "radius-thinning",
-        profile="sphere" if by_pairs else "exact",
+        profile="pixel" if by_pairs else "exact",
         mode=resolved.mode,
         steps=forest.sizes,
         growth=resolved.growth,

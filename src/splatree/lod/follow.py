@@ -33,6 +33,7 @@ from splatree.constants import DILATION_PX2, PIXEL_ERROR, SIGMAS
 from splatree.kernels.cpu.build.curves import fit_curves
 from splatree.maths.forests import subtree_radii
 from splatree.scene.gaussians import Gaussians
+from splatree.scene.names import EXTENT_PROFILES
 from splatree.scene.tree import GaussianTree
 from splatree.shapes import Array, Float32
 
@@ -44,7 +45,7 @@ def with_curves(
     tree: GaussianTree,
     seen: Float32[Array, "n"],
     *,
-    kept_extent: float = 0.0,
+    pixels: tuple[float, float] = (0.0, 0.0),
     threads: int = 0,
 ) -> tuple[Gaussians, GaussianTree]:
     """The rows of a scene of mode `classic`, with inner nodes that follow the pixel they are drawn at.
@@ -63,10 +64,15 @@ def with_curves(
         The sums are exact moments of mixtures; the closed form of M was found by measurement (docs/explanation/build.md).
     """
     record, extents = tree.record, tree.extents
-    if record is not None and record.profile == "sphere":  # the pixel of its level is a share of a node's extent
+    if record is not None and record.profile in EXTENT_PROFILES:  # the pixel of its level is a share of a node's extent
         share = DILATION_PX2 / PIXEL_ERROR**2
+        judged, stored = pixels
         followed, curves = fit_curves(
-            gaussians, tree.subtree_end, seen, share, extents, kept_extent=kept_extent, threads=threads
+            *(gaussians, tree.subtree_end, seen, share, extents),
+            kept_extent=PIXEL_ERROR * judged * (1 + 1e-6),
+            kept_dilation=DILATION_PX2 * judged**2,
+            least_dilation=DILATION_PX2 * stored**2,
+            threads=threads,
         )
         return followed, dataclasses.replace(tree, curves=curves)
     # Levels by a radius: the pixel where a node's 3σ are the pixel error, τ_R.

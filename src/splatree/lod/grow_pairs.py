@@ -46,7 +46,7 @@ from splatree.shapes import Array, Int32, Int64
 
 __all__ = ["grow_by_pairs", "grow_part_by_pairs", "judged_at"]
 
-JUDGED_POWER = 0.25
+JUDGED_POWER = 0.125
 """`classic`: the pixel of a level grows with this power of its size. At 1 tight budgets lose 1 to 2 dB (a city)."""
 
 FLOAT32_MAX = float(np.finfo(np.float32).max)
@@ -127,7 +127,7 @@ def grow_part_by_pairs(
 
 def judged_at(size: float, resolved: ResolvedBuild) -> float:
     """Width of the pixel at which a level of that size is judged, world units; it counts in mode `classic` alone."""
-    return resolved.judged_size * math.pow(size / resolved.judged_size, JUDGED_POWER)
+    return resolved.judged_size * math.pow(max(1.0, size / resolved.judged_size), JUDGED_POWER)
 
 
 def rows_at(forest: Forest, num_sizes: int) -> Int64[Array, "_"]:

@@ -31,9 +31,15 @@ __all__ = ["Measures", "ResolvedBuild", "first_pixel", "measure", "merge_rules",
 FITTED_WIDENING = 0.34
 """`pairs`: what saturated nodes are widened by, where one thinning takes 0.3: far views of a city gain 0.2 dB."""
 
-JUDGED_SIZE = 6.0
-"""`pairs`: p_0 in sizes of the first level. The levels finer than p_0 find what may be merged for nothing: at generous
-budgets small objects gain 2 to 9 dB."""
+FIRST_SIZE = 1 / 12
+"""`pairs`: s_0 in sizes of the median Gaussian."""
+
+JUDGED_SIZE = 4.0
+"""`pairs`: p_0 in sizes of the first level, a third of the median Gaussian. The levels finer than p_0 find what may be merged for
+nothing: at generous budgets small objects gain 2 to 9 dB."""
+
+STORED_SIZE = 6.0
+"""`pairs`: the finest pixel that nodes are stored for, in p_0: two median Gaussians. Far views draw nodes of fine levels there."""
 
 WIDEST_PIXEL = 16.0
 """`pairs` ends with pixels so many times as wide as the scene: no change of the picture can be as large as one of them."""
@@ -93,6 +99,11 @@ class ResolvedBuild:
     def judged_size(self) -> float:
         """`pairs`: the size of levels that are judged at a pixel of this size, world units (lod/grow_pairs.py)."""
         return JUDGED_SIZE * self.first_size
+
+    @property
+    def stored_size(self) -> float:
+        """`pairs`: finer levels are stored as a pixel of this size shows them, world units (lod/follow.py)."""
+        return STORED_SIZE * self.judged_size
 
     def sizes(self) -> Iterator[float]:
         """The size of each level, from the finest on."""
@@ -194,7 +205,7 @@ def resolve(options: BuildOptions, measures: Measures, mode: Mode) -> ResolvedBu
 
 def first_pixel(median_size: float) -> float:
     """`pairs`: width of a pixel for which the first level is made, from the size of the median Gaussian; world units."""
-    return max(median_size / (2 * JUDGED_SIZE), float(np.finfo(np.float32).tiny))
+    return max(FIRST_SIZE * median_size, float(np.finfo(np.float32).tiny))
 
 
 def merge_rules(options: BuildOptions, mode: Mode) -> MergeOptions:

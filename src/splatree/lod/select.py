@@ -30,7 +30,7 @@ from splatree.lod.sketch import Sketcher
 from splatree.scene.cameras import Camera
 from splatree.scene.clusters import Culling
 from splatree.scene.frame import CutRange, Selection
-from splatree.scene.names import Profile
+from splatree.scene.names import EXTENT_PROFILES, Profile
 from splatree.scene.options import Cull, SelectOptions
 from splatree.scene.scene import Scene
 from splatree.scene.tree import GaussianTree
@@ -214,7 +214,7 @@ def notes_on(scene: Scene, options: SelectOptions, pixel_error: float, view: Vie
             f"pixel_error {pixel_error:g} px is below {smallest:.3g} px, the smallest radius that profile {profile!r} gives: "
             f"all leaves are drawn",
         )
-    if profile != "sphere" and pixel_error > 0 and record is not None and record.rule == "linked":
+    if profile not in EXTENT_PROFILES and pixel_error > 0 and record is not None and record.rule == "linked":
         notes += ("the levels of this scene are linked, not merged: profile 'sphere' changes them region by region",)
     return notes
 
@@ -253,7 +253,7 @@ def cull_scene(scene: Scene, view: View, options: SelectOptions | None = None, *
 
 def smallest_radius(profile: Profile, dilation_px2: float = DILATION_PX2) -> float:
     """The radius, px, that a profile gives to a point: with a τ_R below it, levels of detail are off."""
-    if profile == "sphere":
+    if profile in EXTENT_PROFILES:
         return 0.0
     floor = 0.0 if profile == "exact" else EIGENVALUE_FLOOR_PX4
     dilation = DILATION_PX2 if profile == "ref" else dilation_px2

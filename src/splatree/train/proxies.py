@@ -26,6 +26,7 @@ from splatree.constants import ALPHA_MAX
 from splatree.scene.frame import Splats
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.gradients import GaussianGradients, Moments
+from splatree.scene.names import EXTENT_PROFILES
 from splatree.scene.scene import Scene
 from splatree.scene.view import View
 from splatree.shapes import Array, Bool, Float32, Int32
@@ -62,7 +63,7 @@ class Proxies:
         self.rows = np.flatnonzero(~tree.is_leaf).astype(np.int32)
         self._node = np.full(len(scene), -1, np.int32)
         self._node[self.rows] = np.arange(len(self.rows))
-        self._learns_shape = tree.record is not None and tree.record.profile == "sphere"
+        self._learns_shape = tree.record is not None and tree.record.profile in EXTENT_PROFILES
         curves = np.zeros((len(scene), 4), np.float32) if tree.curves is None else tree.curves
         self._curves = curves[self.rows] if scene.mode == "classic" else np.zeros((len(self.rows), 4), np.float32)
         self._has_curve = self._curves[:, 2] > 0

@@ -24,7 +24,7 @@ SPLATREE_FN bool load_small(const FrameJob* job, long long row) {
   const FrameNumbers& n = job->numbers;
   if (n.all_small) return true;
   const Point point = load_point(job, row);
-  if (n.rule.sphere) return size_of_ball(n.rule, point, job->extents[row]) <= n.rule.limit;
+  if (n.rule.sphere) return size_of_extent(n.rule, point, job->extents[row]) <= n.rule.limit;
   return size_of(n.view, n.rule, point, load_factor(job, point, row)) <= n.rule.limit;
 }
 

@@ -20,8 +20,9 @@ Radius, with Σ' the covariance of the splat on the image (`project`), h the dil
     ref     A = max(Σ'00, 0.3), C likewise:       λ as 3dgs                             (code of FilterGS)
     sphere  R = f e / (|v − eye| − e), e = tree.extents: the same for all view directions; never smaller than a child's
             if the balls of extents are nested
+    pixel   R = f e / |v − eye|: τ_R = 3 px where a pixel is e / 3 wide
 
-Where the view depth is not beyond the near plane, R = ∞ (refine); `sphere` has no such region but the ball itself.
+Where the view depth is not beyond the near plane, R = ∞ (refine); `sphere` has no such region but the ball itself, `pixel` none.
 m² − det = ((A − C) / 2)² + B² is a sum of squares, so det ≤ 0 (for which FilterGS's code has R = 0) cannot arise.
 """
 
@@ -35,7 +36,7 @@ from splatree.maths.slopes import held_slopes
 from splatree.scene.cameras import Camera
 from splatree.scene.frame import CutRange
 from splatree.scene.gaussians import Gaussians
-from splatree.scene.names import Profile
+from splatree.scene.names import EXTENT_PROFILES, Profile
 from splatree.scene.options import SelectOptions, ViewTest
 from splatree.scene.tree import BlockIndex, GaussianTree
 from splatree.scene.view import View
@@ -118,7 +119,7 @@ def select_range(
     profile = options.resolved_profile
     sizes = radii(gaussians, tree.extents, view.camera, profile, view.dilation_px2)
     finest, largest = options.pixel_error, coarsest
-    if profile != "sphere":
+    if profile not in EXTENT_PROFILES:
         sizes, finest, largest = (sizes / SIGMAS) ** 2, (finest / SIGMAS) ** 2, (largest / SIGMAS) ** 2
     leave = np.full(len(tree), np.inf)
     for row in np.flatnonzero(~tree.is_leaf):
@@ -203,9 +204,9 @@ def radii(
     gaussians: Gaussians, extents: Array, camera: Camera, profile: Profile, dilation_px2: float
 ) -> Float64[Array, "n"]:
     """R of each row, px; ``extents`` is that of the tree."""
-    if profile == "sphere":
+    if profile in EXTENT_PROFILES:
         extents = extents.astype(np.float64)
-        distances = np.linalg.norm(gaussians.means - camera.position, axis=1) - extents
+        distances = np.linalg.norm(gaussians.means - camera.position, axis=1) - (profile == "sphere") * extents
         outside = distances > 0
         focal = max(camera.K[0, 0], camera.K[1, 1])
         return np.asarray(np.where(outside, focal * extents / np.where(outside, distances, 1.0), np.inf))

@@ -11,7 +11,8 @@ struct SelectRule {
   float floor;                // under the root of the eigenvalue, px⁴
   float pixel_error;          // τ_R, px
   float focal_max, focal_min;
-  int sphere;              // whether the radius is that of the ball
+  int sphere;              // whether the radius is that of the extent
+  float ball;              // the share of its extent by which a node is nearer than its mean: 1 for balls, 0 for pixels
   float k_max, logit_min;  // footprint: reach of an opaque splat, σ; smallest logit opacity that can be seen
   float pad_x, pad_y;      // centre: how far out of the image it may be, px
 };
@@ -57,9 +58,9 @@ SPLATREE_FN float size_of(const View& view, const SelectRule& rule, const Point&
   return (p.z > view.near) & (eigenvalue < LARGEST_SIZE) ? eigenvalue : LARGEST_SIZE;
 }
 
-// The same where the size is that of the ball: its radius on the image, px.
-SPLATREE_FN float size_of_ball(const SelectRule& rule, const Point& p, float extent) {
-  const float distance = __builtin_sqrtf(p.dx * p.dx + p.dy * p.dy + p.dz * p.dz) - extent;
+// The same where the size is that of the extent: its radius on the image, px.
+SPLATREE_FN float size_of_extent(const SelectRule& rule, const Point& p, float extent) {
+  const float distance = __builtin_sqrtf(p.dx * p.dx + p.dy * p.dy + p.dz * p.dz) - rule.ball * extent;
   const float radius = rule.focal_max * extent / distance;
   return (distance > 0) & (radius < LARGEST_SIZE) ? radius : LARGEST_SIZE;
 }
@@ -109,7 +110,7 @@ SPLATREE_FN int is_visible(const View& view, const Point& p, const Factor& m, fl
 }
 
 // The largest size class that a small inner row of a run can have, -1 if none can be small: R >= 3 σ_mid f / z, and so is
-// that of the ball with the distance in place of z. Depth and distance are the largest of the run.
+// that of the extent with the distance in place of z. Depth and distance are the largest of the run.
 SPLATREE_FN int largest_small_class(const SelectRule& rule, bool all_small, double depth_max, double distance_max) {
   if (all_small) return LEAF_CLASS - 1;
   double scale;

@@ -17,6 +17,7 @@ from splatree.kernels.cpu.build.merge import merge
 from splatree.kernels.cpu.codec.paging import page_order
 from splatree.maths.forests import links_from_preorder
 from splatree.scene.gaussians import Gaussians
+from splatree.scene.names import EXTENT_PROFILES
 from splatree.scene.scene import Scene
 from splatree.scene.thinning import Groups, MergeOptions
 from splatree.shapes import Array, Float32, Int32, UInt16, UInt32, check_fields
@@ -103,7 +104,7 @@ def nodes_of(scene: Scene, path: Path) -> Nodes:
     first_child = np.where(num_children > 0, number[rows + 1], 0).astype(
         np.uint32
     )  # it is the next row of the preorder
-    has_extents = tree.record is not None and tree.record.profile == "sphere"
+    has_extents = tree.record is not None and tree.record.profile in EXTENT_PROFILES
     extents = tree.extents[rows] if has_extents else None
     if above:
         if extents is not None:

@@ -38,6 +38,7 @@ from splatree.kernels.cpu import _core
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.levels import UNKNOWN_LEVELS
+from splatree.scene.names import EXTENT_PROFILES
 from splatree.scene.scene import Scene
 from splatree.shapes import Array
 
@@ -160,7 +161,7 @@ def _tree(file: RadFile) -> tuple[Array, Array, Array]:
 
 def _extents(file: RadFile, row_from_node: Array) -> Array | None:
     """Extents of the inner rows, 0 for leaves; None if they are balls around what is below."""
-    if file.record is None or file.record.profile != "sphere":
+    if file.record is None or file.record.profile not in EXTENT_PROFILES:
         return None
     extents = np.zeros(file.count, np.float32)
     for chunk in file.chunks:

@@ -41,6 +41,7 @@ from splatree.io.formats.splatree.packing import WIDTHS, inflated, pack, unpack
 from splatree.io.options import WriteOptions
 from splatree.maths.forests import ends_from_depth, subtree_radii
 from splatree.scene.gaussians import Gaussians
+from splatree.scene.names import EXTENT_PROFILES
 from splatree.scene.scene import Scene
 from splatree.scene.thinning import Weight
 from splatree.scene.tree import GaussianTree
@@ -109,7 +110,7 @@ def _tables_of(scene: Scene, leaves: Gaussians, weight: Weight) -> dict[str, Arr
     curves = None if tree.curves is None else tree.curves[~is_leaf]
     by_leaves = suggested(tree.subtree_end, tree.depth, leaves, weight)
     tables = inner_to_codes(inner_of(scene.gaussians.take(~is_leaf), curves), by_leaves)
-    if tree.record is None or tree.record.profile == "sphere":
+    if tree.record is None or tree.record.profile in EXTENT_PROFILES:
         rounded = {name: np.rint(table) for name, table in tables.items()}
         inner = gaussians_of(inner_from_codes(rounded, by_leaves, STEPS))
         balls = [

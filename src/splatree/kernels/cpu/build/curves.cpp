@@ -114,47 +114,46 @@ class Fitter {
   }
 
   void write(int64_t row) const {
-    if (job_.extents && job_.extents[row] <= job_.kept_extent)
-      keep(row);
-    else
-      become_moments(row);
-  }
-
-  // The node as it is, with the mass of its leaves at any h in proportion to that at h_l.
-  void keep(int64_t row) const {
-    const double h = level_of(row, 0);
     double variance[3];
-    for (int a = 0; a < 3; ++a)
-      variance[a] = std::exp(2 * std::min<double>(job_.log_scales[3 * row + a], constants::MERGED_LOG_SCALE_MAX));
-    const double alpha = std::min(1 / (1 + std::exp(-static_cast<double>(job_.logit_opacities[row]))), constants::ALPHA_MAX);
-    write_curve(row, alpha * area(variance, h) / shown(row, h), alpha, h);
-  }
-
-  void become_moments(int64_t row) const {
-    const Moments& m = moments(row);
-    const double* c = m.covariance;
-    double matrix[3][3] = {{c[0], c[1], c[2]}, {c[1], c[3], c[4]}, {c[2], c[4], c[5]}}, variance[3], rotation[9];
-    eigen_symmetric(matrix, variance, rotation);
-    for (double& v : variance) v = std::max(v, LEAST_VARIANCE);
+    const double scale = job_.extents && job_.extents[row] <= job_.kept_extent ? keep(row, variance) : become_moments(row, variance);
     const double h = level_of(row, variance[0]);
-    const double mass = shown(row, h) / area(variance, h);  // G(h_l) = √(ρ ρ_v)
+    const double mass = scale * shown(row, h) / area(variance, h);  // G(h_l)
     const double wide = std::pow(std::max(mass / constants::ALPHA_MAX, 1.0), WIDENING);
     const double opacity = std::min(std::max(mass, LEAST_OPACITY), constants::ALPHA_MAX);
-
     for (int a = 0; a < 3; ++a) {
-      job_.means[3 * row + a] = static_cast<float>(m.mean[a]);
       const double log_scale = 0.5 * std::log(wide * variance[a] + (wide - 1) * h);
       job_.log_scales[3 * row + a] = static_cast<float>(std::min(log_scale, constants::MERGED_LOG_SCALE_MAX));
     }
-    quat_from_rotation(rotation, job_.quats + 4 * row);
     job_.logit_opacities[row] = static_cast<float>(std::log(opacity) - std::log1p(-opacity));
-    write_curve(row, 1, mass, h);
+    write_curve(row, scale, mass, h);
+  }
+
+  // The variances of the node as it is; returns the factor that makes the mass of its leaves what it shows itself.
+  double keep(int64_t row, double* variance) const {
+    for (int a = 0; a < 3; ++a)
+      variance[a] = std::max(std::exp(2 * std::min<double>(job_.log_scales[3 * row + a], constants::MERGED_LOG_SCALE_MAX)), LEAST_VARIANCE);
+    const double alpha = std::min(1 / (1 + std::exp(-static_cast<double>(job_.logit_opacities[row]))), constants::ALPHA_MAX);
+    return alpha * area(variance, job_.kept_dilation) / shown(row, job_.kept_dilation);
+  }
+
+  // The variances of the moments of the leaves; writes their mean and axes.
+  double become_moments(int64_t row, double* variance) const {
+    const Moments& m = moments(row);
+    const double* c = m.covariance;
+    double matrix[3][3] = {{c[0], c[1], c[2]}, {c[1], c[3], c[4]}, {c[2], c[4], c[5]}}, rotation[9];
+    eigen_symmetric(matrix, variance, rotation);
+    for (int a = 0; a < 3; ++a) {
+      variance[a] = std::max(variance[a], LEAST_VARIANCE);
+      job_.means[3 * row + a] = static_cast<float>(m.mean[a]);
+    }
+    quat_from_rotation(rotation, job_.quats + 4 * row);
+    return 1;
   }
 
   // h_l, from the extent or the variance along the longest axis
   double level_of(int64_t row, double variance) const {
     const double size2 = job_.extents ? static_cast<double>(job_.extents[row]) * job_.extents[row] : variance;
-    return std::max(job_.dilation_share * size2, 1e-30);
+    return std::max({job_.dilation_share * size2, job_.least_dilation, 1e-30});
   }
 
   // √(Σ α 3 A(h) Σ α v 3 A(h))

@@ -40,7 +40,7 @@ void measure(const SelectJob& job, const int32_t* rows, Planes& p) {
     gather<1>(job.extents, rows, &p.extent);
 #pragma omp simd
     for (int l = 0; l < LANES; ++l)
-      p.size[l] = size_of_ball(job.rule, point_of(job.view, p.mean[0][l], p.mean[1][l], p.mean[2][l]), p.extent[l]);
+      p.size[l] = size_of_extent(job.rule, point_of(job.view, p.mean[0][l], p.mean[1][l], p.mean[2][l]), p.extent[l]);
     return;
   }
   gather<3>(job.log_scales, rows, p.log_scale);

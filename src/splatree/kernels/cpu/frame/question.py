@@ -7,7 +7,7 @@ import numpy as np
 
 from splatree.constants import CENTRE_PAD, DILATION_PX2, EIGENVALUE_FLOOR_PX4, SIGMAS
 from splatree.kernels.cpu.frame.view import PackedView, pack_view
-from splatree.scene.names import Profile
+from splatree.scene.names import EXTENT_PROFILES, Profile
 from splatree.scene.options import SelectOptions
 from splatree.scene.view import View
 from splatree.shapes import Array, Float64
@@ -47,7 +47,9 @@ class PackedRule(NamedTuple):
     pad_y: float
     """The same along y."""
     sphere: bool
-    """Whether a node's size is that of its sphere."""
+    """Whether a node's size is its extent."""
+    ball: float
+    """Share of its extent by which a node is nearer than its mean."""
 
 
 def _pack_rule(view: View, options: SelectOptions) -> PackedRule:
@@ -61,17 +63,18 @@ def _pack_rule(view: View, options: SelectOptions) -> PackedRule:
     logit_min = np.log(threshold / (1 - threshold)) - 1e-3
     pads = CENTRE_PAD * camera.width / 2, CENTRE_PAD * camera.height / 2
     sizes = limit, *added, floor, options.pixel_error, max(focal), min(focal), _reach_of_opaque(threshold)
-    return PackedRule(*sizes, logit_min, *pads, options.resolved_profile == "sphere")
+    profile = options.resolved_profile
+    return PackedRule(*sizes, logit_min, *pads, profile in EXTENT_PROFILES, float(profile == "sphere"))
 
 
 def limit_of(pixel_error: float, profile: Profile) -> float:
-    """What the kernels compare sizes with: (τ_R / 3)², px²; τ_R, px, where the size is that of the sphere."""
-    return float(pixel_error if profile == "sphere" else (pixel_error / SIGMAS) ** 2)
+    """What the kernels compare sizes with: (τ_R / 3)², px²; τ_R, px, where the size is that of the extent."""
+    return float(pixel_error if profile in EXTENT_PROFILES else (pixel_error / SIGMAS) ** 2)
 
 
 def pixel_error_of(limit: float, profile: Profile) -> float:
     """The τ_R, px, of a float32 that sizes are compared with: its limit is this float32 again."""
-    return limit if profile == "sphere" else SIGMAS * math.sqrt(limit)
+    return limit if profile in EXTENT_PROFILES else SIGMAS * math.sqrt(limit)
 
 
 def _reach_of_opaque(threshold: float) -> float:

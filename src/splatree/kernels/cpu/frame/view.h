@@ -59,6 +59,7 @@ inline SelectRule rule_of(nb::handle packed) {
   rule.logit_min = number_of(packed, "logit_min");
   rule.pad_x = number_of(packed, "pad_x"), rule.pad_y = number_of(packed, "pad_y");
   rule.sphere = nb::cast<bool>(packed.attr("sphere"));
+  rule.ball = number_of(packed, "ball");
   return rule;
 }
 
