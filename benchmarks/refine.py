@@ -8,6 +8,7 @@ are selected anew after refinement; the change of their number is printed. Secon
 
 import argparse
 import json
+import operator
 from pathlib import Path
 
 import numpy as np
@@ -70,19 +71,23 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=1.0)
     parser.add_argument("--methods", nargs="+", default=["pairs", "radius"])
     options = parser.parse_args()
-    scenes, results = options.scenes or [scene for scene in SCENES if scene.exists()], RESULTS / "refine.json"
-    chosen = {(path.name, method) for path in scenes for method in options.methods}
-    kept = json.loads(results.read_text())["rows"] if results.exists() else []
-    rows = [row for row in kept if (row["scene"], row["levels"]) not in chosen]
-    for path in scenes:
+    for path in options.scenes or [scene for scene in SCENES if scene.exists()]:
         for method in options.methods:
-            rows += refined(path, method, options.minutes)
-            print(table(rows[-4:]), flush=True)
+            found = refined(path, method, options.minutes)
+            print(table(found), flush=True)
+            keep(found, options.minutes)
+
+
+def keep(found: list[dict[str, object]], minutes: float) -> None:
+    """Keep the rows of a scene and a method beside those of the others."""
+    path, key = RESULTS / "refine.json", operator.itemgetter("scene", "levels")
+    kept = json.loads(path.read_text())["rows"] if path.exists() else []
+    rows = [row for row in kept if key(row) != key(found[0])] + found
     save(
         "refine",
-        rows,
-        about=f"PSNR of cuts against all leaves before and after {options.minutes:g} minutes of refinement, six views "
-        "that it does not see, at equal nodes drawn. Rates were chosen on 5_1 alone.",
+        sorted(rows, key=key),
+        about=f"PSNR of cuts against all leaves before and after {minutes:g} minutes of refinement, six views that it does not "
+        "see, at equal nodes drawn. Rates were chosen on 5_1 alone.",
     )
 
 
