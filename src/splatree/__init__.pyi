@@ -50,8 +50,8 @@ from splatree.outofcore.build import build_folder as build_folder
 from splatree.outofcore.check import Checked as Checked
 from splatree.outofcore.check import check as check
 from splatree.outofcore.options import FolderOptions as FolderOptions
+from splatree.outofcore.opened import open_store as open_store
 from splatree.outofcore.store import Store as Store
-from splatree.outofcore.store import open_store as open_store
 from splatree.outofcore.thin import ThinnedFile as ThinnedFile
 from splatree.outofcore.thin import thin_file as thin_file
 from splatree.render.batch import render_batch as render_batch

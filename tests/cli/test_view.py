@@ -47,6 +47,22 @@ def test_ctrl_c_while_the_browser_opens_is_the_usual_end_too(splatree, small_tre
     assert "nodes at http://127.0.0.1" in out
 
 
+def test_folders_of_parts_are_shown_without_reading_all_of_them(splatree, small_ply, tmp_path, monkeypatch):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    folder = tmp_path / "parts.splatree"
+    assert splatree("build", small_ply, folder, "--part-rows", "100", "-q")[0] == 0
+    monkeypatch.setattr("webbrowser.open", interrupt)
+    monkeypatch.setattr("splatree.cli.opening.read_scene", None)  # nothing is read as a whole
+    for words in ((), ("--max-memory", "1M"), ("--beside", folder)):
+        code, out, err = splatree("view", folder, "--budget", "5000", *words)
+        assert code == 0, err
+        assert "nodes at http://127.0.0.1" in out
+    code, _, err = splatree("view", folder, "--quality", "40", "--max-memory", "1M")
+    assert code == 2 and "max_memory: found --quality, which needs all rows in memory" in err
+
+
 def test_photos_want_their_cameras(splatree, small_ply, tmp_path):
     code, _, err = splatree("view", small_ply, "--photos", tmp_path)
     assert code == 2

@@ -9,8 +9,9 @@ from splatree.cli.files import Reading, read_scene
 from splatree.io.local import is_brought, place_of
 from splatree.io.registry import detect, stored_bytes
 from splatree.lod.baselines import Baseline
+from splatree.outofcore.opened import open_store
 from splatree.outofcore.options import free_bytes
-from splatree.outofcore.store import Store, open_store
+from splatree.outofcore.store import Store
 from splatree.render.timing import peak_bytes
 from splatree.scene.options import SelectOptions
 from splatree.scene.scene import Scene

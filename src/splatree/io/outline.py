@@ -68,7 +68,8 @@ class Outline:
     @property
     def nbytes(self) -> int:
         """Memory of all columns of the scene, harmonics included, bytes."""
-        return self.num_nodes * (11 * 4 + 12 * self.sample.gaussians.sh.shape[1])
+        k: int = self.sample.gaussians.sh.shape[1]
+        return self.num_nodes * (11 * 4 + 12 * k)
 
 
 def outline_of(scene: Scene) -> Outline:
@@ -139,18 +140,19 @@ def _of_folder(path: Path) -> Outline:
             *(tree.take(rows[i : i + FOLDER_RUN]).with_sh_degree(0) for i in range(0, len(rows), FOLDER_RUN)),
         ]
     )
-    scene, sample = (Scene.flat(g, mode=head.mode, source=source) for g in (plain, tree.take(few)))
-    drawn = {"threshold": head.threshold, "tile_rule": head.tile_rule}
-    scene = replace(scene, tree=replace(scene.tree, record=head.record), **drawn)
-    nodes = tuple(int(n) for n in np.trim_zeros(per_depth, "b"))
-    return Outline(
-        scene, replace(sample, **drawn), True, nodes, tree.num_leaves, _box_of(map(_leaf_means, tree.files[1:]))
+    scene, sample = (
+        replace(Scene.flat(g, mode=head.mode, source=source), threshold=head.threshold, tile_rule=head.tile_rule)
+        for g in (plain, tree.take(few))
     )
+    scene = replace(scene, tree=replace(scene.tree, record=head.record))
+    nodes = tuple(int(n) for n in np.trim_zeros(per_depth, "b"))
+    return Outline(scene, sample, True, nodes, tree.num_leaves, _box_of(map(_leaf_means, tree.files[1:])))
 
 
 def _leaf_means(part: StoredScene) -> Array:
     is_leaf = part.file.rows("tree.subtree_end") == np.arange(1, len(part) + 1)
-    return part.file.rows("gaussians.means")[is_leaf]
+    means: Array = part.file.rows("gaussians.means")[is_leaf]
+    return means
 
 
 def _in_chunks(paths: Sequence[Path], options: ReadOptions) -> Outline | None:

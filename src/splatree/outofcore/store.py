@@ -1,35 +1,29 @@
 """A store: a scene on disk, of which only the pages are read that a view asks for.
 
-`open_store` opens a folder of parts or one ``.splatree``. Pages are mapped, checked and indexed as they come, and kept until
-there are too many; those that were used longest ago go first. Which pages a view asks for is decided in outofcore/paging.py.
+`open_store` (outofcore/opened.py) opens a folder of parts or one ``.splatree``. Pages are mapped, checked and indexed as they
+come, and kept until there are too many; those that were used longest ago go first. Which pages a view asks for is decided in
+outofcore/paging.py.
 """
 
-import os
 import threading
 from collections import OrderedDict
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import fields, replace
 from functools import partial
-from pathlib import Path
 from types import TracebackType
 
 import numpy as np
 
-from splatree.errors import FormatError, InputError
+from splatree.errors import InputError
 from splatree.io.check import checked_rows
-from splatree.io.formats.folder.manifest import MANIFEST, Manifest, checked_path, folder_of, is_manifest, read_manifest
-from splatree.io.formats.splatree.rows import StoredScene, open_scene
-from splatree.io.objects import located
+from splatree.io.formats.splatree.rows import StoredScene
 from splatree.lod.select import for_levels, notes_on, within_budget
-from splatree.outofcore.index import StoreIndex, index_of_file, index_of_folder
-from splatree.outofcore.index_file import read_index
+from splatree.outofcore.index import StoreIndex
 from splatree.outofcore.locate import crown_rows, located
-from splatree.outofcore.options import bytes_of, free_bytes
 from splatree.outofcore.page import Page, load_page
-from splatree.outofcore.pages import row_bytes_of, table_of
+from splatree.outofcore.pages import row_bytes_of
 from splatree.outofcore.paging import Cut, cut_at
-from splatree.progress import task
 from splatree.scene.cameras import Camera
 from splatree.scene.frame import Selection
 from splatree.scene.gaussians import Gaussians
@@ -39,7 +33,7 @@ from splatree.scene.tree import GaussianTree
 from splatree.scene.view import View, view_of
 from splatree.shapes import Array, Int32, UInt8, UInt32
 
-__all__ = ["Store", "open_store"]
+__all__ = ["Store"]
 
 INDEX_BYTES = 30
 """What a page takes for each of its rows beside the mapped columns: the index of its blocks, its tree."""
@@ -318,71 +312,6 @@ class Store:
             number, page = self._pages.popitem(last=False)
             self._bytes -= self._bytes_of(page)
             self._files[self.index.file_of(number)].forget(page.begin, page.begin + len(page))
-
-
-def open_store(path: str | os.PathLike[str], *, max_memory: str | None = None) -> Store:
-    """Open a scene on disk, to select and draw from it without reading all of it.
-
-    Args:
-        path: a folder of parts, which `build_folder` made, or an exact ``.splatree``; or the address of either, of which only
-            the ranges are fetched that are needed.
-        max_memory: what the pages that are kept may take, such as 500M; None: half of the free memory.
-
-    Returns:
-        The store; use it in a ``with`` statement, or call `Store.close`.
-
-    Raises:
-        FormatError: a file does not hold what it promises.
-        InputError: it cannot be read page by page.
-
-    Example:
-        >>> import splatree as st
-        >>> with st.open_store("city.splatree", max_memory="500M") as store:
-        ...     image = st.render(store, camera).image
-    """
-    path = folder_of(located(path))
-    max_bytes = free_bytes() // 2 if max_memory is None else bytes_of(max_memory)
-    if not is_manifest(path / MANIFEST):
-        if path.is_dir():
-            raise InputError(
-                f"{path}: found a folder without such a {MANIFEST}, wanted one that splatree build --max-memory made"
-            )
-        file = open_scene(path)
-        with task(f"index {path.name}", float(len(file))) as advance:
-            return Store([file], index_of_file(file, advance), max_bytes)
-    manifest = read_manifest(path)
-    crown, *parts = (open_scene(path / file.name) for file in (manifest.crown, *manifest.parts))
-    _check_alike(crown, parts)
-    index = _index(path, manifest, crown, parts)
-    if (index.num_rows, index.num_leaves) != (manifest.num_rows, manifest.num_leaves):
-        raise FormatError(
-            f"{path}: found {index.num_rows} rows and {index.num_leaves} leaves in the files, wanted {manifest.num_rows} and "
-            f"{manifest.num_leaves} as the manifest says"
-        )
-    return Store([crown, *parts], index, max_bytes)
-
-
-def _index(path: Path, manifest: Manifest, crown: StoredScene, parts: list[StoredScene]) -> StoreIndex:
-    """The index that was written with the folder; made anew where there is none."""
-    if manifest.index is not None:
-        return read_index(checked_path(path, manifest.index), [crown, *parts])
-    with task(f"index {path.name}", float(manifest.num_rows)) as advance:
-        return index_of_folder(crown, table_of(crown), [table_of(part, advance=advance) for part in parts], path)
-
-
-def _check_alike(crown: StoredScene, parts: list[StoredScene]) -> None:
-    wanted = _form_of(crown)
-    for part in parts:
-        if _form_of(part) != wanted:
-            raise FormatError(
-                f"{part.file.path}: found degree, mode and columns {_form_of(part)}, wanted {wanted} as in "
-                f"{crown.file.path.name}; the file is of another build"
-            )
-
-
-def _form_of(stored: StoredScene) -> tuple[int, str, bool, bool]:
-    head = stored.head
-    return head.sh_degree, head.mode, head.has_ids, head.has_curves
 
 
 def _check_options(options: SelectOptions) -> None:
