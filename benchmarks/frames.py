@@ -66,8 +66,8 @@ def main() -> None:
             "frames",
             rows,
             about=f"Processor milliseconds of a frame, medians of {arguments.repeat}: a city of {city.tree.num_leaves:,} leaves, "
-            "a robot of 500,000 and a biker of 150,000. `select` to `alone` are of one thread; `next` is the frame after it in one session, "
-            "`moving` the same while the camera moves",
+            "a robot of 500,000 and a biker of 150,000. `select` to `alone` are of one thread; `next` is the frame after it in "
+            "one session, `moving` the same while the camera moves",
         )
     print(table(rows))
 

@@ -1,11 +1,11 @@
-"""The GPU back end on the machine at hand: parity first, then selections, frames by stage, gsplat, memory. One command.
+"""The GPU back end on the machine at hand: parity first, then selections, frames by stage, other renderers, memory. One command.
 
     scripts/build && python benchmarks/gpu.py            # at most 8 minutes; writes benchmarks/results/gpu.json
 
 The machine needs an NVIDIA GPU with its driver, Python with NumPy and Pillow, NVRTC (torch brings it, or nvidia-cuda-nvrtc), and
 to build the core a C++ compiler, cmake, ninja and nanobind; pytest and hypothesis for the parity tests. No network: `scripts/gpu`
-gathers wheels where there is one, and installs, builds and measures where there is none. With torch and gsplat importable,
-gsplat draws the same Gaussians by its classic and its fastest path (gsplat_paths.py); else its rows say why it is absent.
+gathers wheels where there is one, and installs, builds and measures where there is none. With torch, and gsplat or
+gaussian-splatting, these draw the same Gaussians too (gpu_peers.py); else rows say why they are absent.
 
 - parity: the device's tests of this repository, on this GPU; nothing is measured if one fails.
 - selection: t_f of ours, of FilterGS's scheme (all nodes, a table of ancestors) and of the traversal level by level, same
@@ -14,6 +14,8 @@ gsplat draws the same Gaussians by its classic and its fastest path (gsplat_path
 - frames: the bundled piece of a real city and a synthetic tree, at 1080p and 4K: stages one by one, and replayed frames.
 - train: a step of training on the city's leaves, stage by stage with its copies, beside the processor's on all its threads.
 - kmeans: a step on points of such a tree, beside the processor's.
+
+Each part has a share of the eight minutes (`SECONDS`). A part that has used it begins nothing more, and a row says so.
 
 ``--dry FOLDER`` runs all of it on tiny sizes on the emulator of the tests, which is compiled into the folder, and keeps
 nothing: its times say nothing and are not printed.
@@ -32,7 +34,7 @@ from typing import Any
 import numpy as np
 
 import splatree as st
-from gsplat_paths import gsplat_rows
+from gpu_peers import peer_rows
 from harness import ROOT, save, table
 from splatree.kernels.cpu.build.kmeans import assign
 from splatree.kernels.cuda.baselines import Baselines
@@ -52,6 +54,10 @@ DEMO = ROOT / "src" / "splatree" / "data" / "semarang_5_9.sog"
 FAN_OUT = 4
 BYTES_OF_BLOCK, BYTES_OF_ROW, BYTES_OF_DRAWN = 40, 1, 28
 """What a selection has to read at least: bounds of a block, the class of a row visited; centre, scales, opacity of one drawn."""
+
+
+SECONDS = {"parity": 150, "selection": 100, "frame": 130, "train": 30, "kmeans": 50}
+"""What each part may take before it begins nothing more: 460 s in all; what is begun is ended."""
 
 
 @dataclass(frozen=True)
@@ -98,17 +104,28 @@ def main() -> None:
     device, plan = (emulator(dry), DRY) if dry else (open_device(0), Plan())
     if not dry:
         check_parity()
-    rows = [
-        *selection_rows(device, plan),
-        *frame_rows(device, plan),
-        train_row(device, leaves_of(plan), plan.photo, plan.repeat),
-        *kmeans_rows(device, plan),
-    ]
+    parts = {
+        "selection": selection_rows(device, plan),
+        "frame": frame_rows(device, plan),
+        "train": (train_row(device, leaves_of(plan), plan.photo, plan.repeat) for _ in range(1)),
+        "kmeans": kmeans_rows(device, plan),
+    }
+    rows = [row for part, found in parts.items() for row in in_time(part, found, None if dry else SECONDS[part])]
     if dry:
         print(f"dry run: {len(rows)} rows, {len({row['what'] for row in rows})} kinds")
         return
     print(table(rows))
     save("gpu", rows, about=f"The GPU back end on {describe(device)}; milliseconds on the device, medians.")
+
+
+def in_time(part: str, rows: Iterator[dict[str, Any]], seconds: float | None) -> Iterator[dict[str, Any]]:
+    """The rows of a part until its time is used, and then one that says so; None: all rows."""
+    start = time.monotonic()
+    for row in rows:
+        yield row
+        if seconds is not None and time.monotonic() - start > seconds:
+            yield {"what": part, "absent": f"what would have followed: the {seconds:g} s of this part were used"}
+            return
 
 
 def emulator(folder: Path) -> Device:
@@ -150,7 +167,11 @@ def check_parity() -> None:
         *files,
         "tests/render/test_device.py",
     ]
-    if subprocess.run(words, cwd=ROOT, check=False).returncode:
+    try:
+        found = subprocess.run(words, cwd=ROOT, check=False, timeout=SECONDS["parity"])
+    except subprocess.TimeoutExpired:
+        sys.exit(f"gpu: the device's tests were not done after {SECONDS['parity']} s; nothing was measured")
+    if found.returncode:
         sys.exit("gpu: the device's picture is not the processor's; nothing was measured")
 
 
@@ -226,7 +247,7 @@ def frame_rows(device: Device, plan: Plan) -> Iterator[dict[str, Any]]:
         rows = {name: frame_row(device, plan, name, *case) for name, case in cases.items()}
         yield from rows.values()
         ours_ms = {name: rows[f"city, {name}"]["frame ms"] for name in ("leaves", "levels")}
-        yield from gsplat_rows(real, orbit, ours_ms, repeat=plan.repeat, frames=plan.frames)
+        yield from peer_rows(real, orbit, ours_ms, repeat=plan.repeat, frames=plan.frames)
 
 
 def frame_row(

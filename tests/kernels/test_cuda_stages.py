@@ -1,6 +1,7 @@
 """Each stage of the device against the same references, scenes and bands as the stage of the processor."""
 
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ from .test_bin import pairs_of, splats_of
 from .test_blend import BACKGROUND, EVERYTHING, assert_outputs_are_those_of_the_reference, same_bits
 from .test_project import MODES, all_rows, aspect, assert_at_a_step, seen
 
-KERNELS: tuple[Blend, ...] = ("blend_16", "blend_8")
+KERNELS: tuple[Blend, ...] = get_args(Blend)
 
 
 @pytest.fixture(params=SCENES)
@@ -243,7 +244,7 @@ def test_outputs_beside_the_picture_are_those_of_the_processor(
     assert (alone.median_depth, alone.contributions) == (None, None)
 
 
-def test_both_blend_kernels_draw_the_same_bits_in_any_order(emulator: Device) -> None:
+def test_all_blend_kernels_draw_the_same_bits_in_any_order(emulator: Device) -> None:
     scene, seen_by = st.Scene.flat(gaussians(300, 1, degree=3)), camera()
     splats = splats_of(scene, seen_by)
     bins = cpu.bin.bin(splats, seen(seen_by))

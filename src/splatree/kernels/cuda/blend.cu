@@ -1,12 +1,13 @@
 // Blending of the tiles' lists front to back; kernels/reference/blend.py is the definition.
 //
-// Both kernels draw the same picture, a thread a pixel; which is faster depends on the device (kernels/cuda/renderer.py
-// measures):
+// All three kernels draw the same picture, a thread a pixel; which is faster depends on the device and the view
+// (kernels/cuda/renderer.py measures):
 //
-// blend_16   256 threads a tile of 16 × 16 px. A warp has 8 × 4 px.
-// blend_8    64 threads a quarter of a tile, 8 × 8 px: more, smaller thread blocks that end sooner; a splat of the list that
-// misses the
-//            quarter is left out while it is loaded.
+// blend_16    256 threads a tile of 16 × 16 px. A warp has 8 × 4 px.
+// blend_8     64 threads a quarter of a tile, 8 × 8 px: more, smaller thread blocks that end sooner; a splat of the list that
+//             misses the quarter is left out while it is loaded.
+// blend_8x4   a warp an eighth of a tile: nobody waits for another warp, and a long list is split over most multiprocessors, but
+//             is read eight times. Splitting it by its splats instead would change the order in which light is multiplied.
 //
 // Each is there once more for splats that are tapered off, and blend_16 for what is wanted beside the picture: pixels_16 for
 // outputs of pixels, pairs_16 for the sums of what each pair contributes, both_16 for both.
@@ -62,10 +63,10 @@ SPLATREE_FN float draw(Pixel& pixel, Kept& kept, int entry, float log2_alpha, fl
   return weight;
 }
 
-// SIDE px a thread block and side, which is the tile's or half of it.
-template <int SIDE, class Ends, class Keeps>
+// WIDTH × HEIGHT px a thread block: a tile or an equal part of it.
+template <int WIDTH, int HEIGHT, class Ends, class Keeps>
 SPLATREE_FN void blend(const FrameJob* job, int from_b) {
-  constexpr int THREADS = SIDE * SIDE, PARTS = int(TILE_PX) / SIDE;
+  constexpr int THREADS = WIDTH * HEIGHT, ACROSS = int(TILE_PX) / WIDTH, PARTS = ACROSS * (int(TILE_PX) / HEIGHT);
   constexpr bool TAPER = Ends::TAPERS, CONTRIBUTIONS = Keeps::OF_PAIRS;
   static_assert(PARTS == 1 || !(Keeps::OF_PIXELS || Keeps::OF_PAIRS),
                 "entries are known where no splat is left out while it is loaded");
@@ -78,11 +79,11 @@ SPLATREE_FN void blend(const FrameJob* job, int from_b) {
 
   const FrameNumbers& n = job->numbers;
   const Global<const unsigned> pairs = from_b ? job->values_b : job->values_a;
-  const int tile = blockIdx.x / (PARTS * PARTS), part = blockIdx.x % (PARTS * PARTS);
-  const float part_x = TILE_PX * (tile % n.num_tiles_x) + SIDE * (part % PARTS);
-  const float part_y = TILE_PX * (tile / n.num_tiles_x) + SIDE * (part / PARTS);
-  const float warp_x = part_x + WARP_WIDTH * (warp_of() % (SIDE / WARP_WIDTH));
-  const float warp_y = part_y + WARP_HEIGHT * (warp_of() / (SIDE / WARP_WIDTH));
+  const int tile = blockIdx.x / PARTS, part = blockIdx.x % PARTS;
+  const float part_x = TILE_PX * (tile % n.num_tiles_x) + WIDTH * (part % ACROSS);
+  const float part_y = TILE_PX * (tile / n.num_tiles_x) + HEIGHT * (part / ACROSS);
+  const float warp_x = part_x + WARP_WIDTH * (warp_of() % (WIDTH / WARP_WIDTH));
+  const float warp_y = part_y + WARP_HEIGHT * (warp_of() / (WIDTH / WARP_WIDTH));
   const int x = int(warp_x) + lane_of() % WARP_WIDTH, y = int(warp_y) + lane_of() / WARP_WIDTH;
   const bool in_image = x < n.width && y < n.height;
   const float threshold = n.log2_pixel_threshold;
@@ -103,9 +104,9 @@ SPLATREE_FN void blend(const FrameJob* job, int from_b) {
       const long long splat = pairs[at + threadIdx.x];
       brush = load_brush(job, splat);
       if (TAPER) floor = job->floors[splat], ends = log2_of(floor);
-      const float half = 0.5f * (SIDE - 1);
       if (PARTS > 1)
-        taken = may_touch(brush.geometry, brush.appearance, part_x + 0.5f * SIDE, part_y + 0.5f * SIDE, half, half, ends);
+        taken = may_touch(brush.geometry, brush.appearance, part_x + 0.5f * WIDTH, part_y + 0.5f * HEIGHT, 0.5f * (WIDTH - 1),
+                          0.5f * (HEIGHT - 1), ends);
     }
     const unsigned lanes = __ballot_sync(ALL_LANES, taken);
     if (lane_of() == 0) num_loaded[warp_of()] = __popc(lanes);
@@ -190,13 +191,15 @@ SPLATREE_FN void blend(const FrameJob* job, int from_b) {
 
 using namespace splatree;
 
-SPLATREE_KERNEL(256, 1) blend_16(const FrameJob* job, int from_b) { blend<16, Hard, PictureAlone>(job, from_b); }
-SPLATREE_KERNEL(64, 1) blend_8(const FrameJob* job, int from_b) { blend<8, Hard, PictureAlone>(job, from_b); }
-SPLATREE_KERNEL(256, 1) taper_16(const FrameJob* job, int from_b) { blend<16, Taper, PictureAlone>(job, from_b); }
-SPLATREE_KERNEL(64, 1) taper_8(const FrameJob* job, int from_b) { blend<8, Taper, PictureAlone>(job, from_b); }
-SPLATREE_KERNEL(256, 1) pixels_16(const FrameJob* job, int from_b) { blend<16, Hard, AndPixels>(job, from_b); }
-SPLATREE_KERNEL(256, 1) pixels_taper_16(const FrameJob* job, int from_b) { blend<16, Taper, AndPixels>(job, from_b); }
-SPLATREE_KERNEL(256, 1) pairs_16(const FrameJob* job, int from_b) { blend<16, Hard, AndPairs>(job, from_b); }
-SPLATREE_KERNEL(256, 1) pairs_taper_16(const FrameJob* job, int from_b) { blend<16, Taper, AndPairs>(job, from_b); }
-SPLATREE_KERNEL(256, 1) both_16(const FrameJob* job, int from_b) { blend<16, Hard, AndBoth>(job, from_b); }
-SPLATREE_KERNEL(256, 1) both_taper_16(const FrameJob* job, int from_b) { blend<16, Taper, AndBoth>(job, from_b); }
+SPLATREE_KERNEL(256, 1) blend_16(const FrameJob* job, int from_b) { blend<16, 16, Hard, PictureAlone>(job, from_b); }
+SPLATREE_KERNEL(64, 1) blend_8(const FrameJob* job, int from_b) { blend<8, 8, Hard, PictureAlone>(job, from_b); }
+SPLATREE_KERNEL(32, 1) blend_8x4(const FrameJob* job, int from_b) { blend<8, 4, Hard, PictureAlone>(job, from_b); }
+SPLATREE_KERNEL(256, 1) taper_16(const FrameJob* job, int from_b) { blend<16, 16, Taper, PictureAlone>(job, from_b); }
+SPLATREE_KERNEL(64, 1) taper_8(const FrameJob* job, int from_b) { blend<8, 8, Taper, PictureAlone>(job, from_b); }
+SPLATREE_KERNEL(32, 1) taper_8x4(const FrameJob* job, int from_b) { blend<8, 4, Taper, PictureAlone>(job, from_b); }
+SPLATREE_KERNEL(256, 1) pixels_16(const FrameJob* job, int from_b) { blend<16, 16, Hard, AndPixels>(job, from_b); }
+SPLATREE_KERNEL(256, 1) pixels_taper_16(const FrameJob* job, int from_b) { blend<16, 16, Taper, AndPixels>(job, from_b); }
+SPLATREE_KERNEL(256, 1) pairs_16(const FrameJob* job, int from_b) { blend<16, 16, Hard, AndPairs>(job, from_b); }
+SPLATREE_KERNEL(256, 1) pairs_taper_16(const FrameJob* job, int from_b) { blend<16, 16, Taper, AndPairs>(job, from_b); }
+SPLATREE_KERNEL(256, 1) both_16(const FrameJob* job, int from_b) { blend<16, 16, Hard, AndBoth>(job, from_b); }
+SPLATREE_KERNEL(256, 1) both_taper_16(const FrameJob* job, int from_b) { blend<16, 16, Taper, AndBoth>(job, from_b); }

@@ -78,7 +78,6 @@ struct FrameJob {
   Global<unsigned short> tile_keys_b;
   Global<unsigned> values_a;  // max(v, m)
   Global<unsigned> values_b;
-  Global<unsigned> digits;      // 256 a tile of the sort
   Global<unsigned> tile_start;  // t + 1
   Global<float> contributions;  // m
   // Picture.
@@ -90,7 +89,9 @@ struct FrameJob {
   Global<unsigned long long> tile_work;  // t 3: consumed, evaluated, blended
   // Cleared before each frame.
   Global<unsigned long long> counters;  // NUM_COUNTERS
-  Global<unsigned> tickets;             // one a scan of the frame
+  Global<unsigned> tickets;             // one a scan of the frame, one a pass of a sort
+  Global<unsigned> histograms;          // 256 a pass of a sort
+  Global<unsigned long long> sweeps;    // 256 a pass and tile of a sort
   Global<unsigned long long> chains;    // chain_stride a scan of the frame
   // Backward: derivatives by the picture, sums, derivatives by the rows of the splats.
   Global<const float> by_image;      // h w 3

@@ -2,9 +2,11 @@
 // for the tiles of the pairs.
 //
 // order_splats                splats in the order of their rows, with their depths as keys
-// count_digits                256 threads a tile of 4096 keys: how many there are of each digit
-// scan_digits                 where each tile's keys of each digit go: digit by digit, and tile by tile in a digit
-// move_digits                 256 threads a tile: the keys go there; equal digits keep their order, by the ranks below
+// count_digits                256 threads a tile of 4096 keys: how many there are of each digit, for all passes at once
+// move_digits                 256 threads a tile, a pass: the keys go to their places. Equal digits keep their order, by the
+// ranks
+//                             below; where a tile's keys of a digit begin is found while others are at work, by looking back at
+//                             what the tiles before have published of that digit (Adinets and Merrill 2022, one sweep)
 // count_digits_16, move_digits_16   the same for keys of 16 bits: tiles of a picture that has no more than 65,536
 // keep_order                  a thread a splat: the order, kept before pairs are sorted; equal depths by id
 //
@@ -15,17 +17,20 @@
 namespace splatree {
 namespace {
 
-constexpr int THREADS = 256, ITEMS = 16, SORT_TILE = THREADS * ITEMS, DIGITS = 256;
+constexpr int THREADS = 256, ITEMS = 16, SORT_TILE = THREADS * ITEMS, DIGITS = 256, DIGIT_BITS = 8, MAX_PASSES = 4;
 
-// A pass of a sort; packed by kernels/cuda/plan.py.
+// A sort, or a pass of it; packed by kernels/cuda/plan.py.
 struct Pass {
-  int shift;    // of the digit
-  int scan;     // number of the scan in the frame
-  bool pairs;   // whether pairs are sorted, else splats
-  bool from_b;  // which side the keys are on
+  int shift;       // of the digit
+  bool pairs;      // whether pairs are sorted, else splats
+  bool from_b;     // which side the keys are on
+  int num_passes;  // of the sort
 };
 
-SPLATREE_FN Pass pass_of(int packed) { return {packed & 31, packed >> 7 & 63, (packed >> 5 & 1) != 0, (packed >> 6 & 1) != 0}; }
+SPLATREE_FN Pass pass_of(int packed) { return {packed & 31, (packed >> 5 & 1) != 0, (packed >> 6 & 1) != 0, packed >> 7}; }
+
+// The number of a pass among those of both sorts.
+SPLATREE_FN int number_of(const Pass& pass) { return (pass.pairs ? MAX_PASSES : 0) + pass.shift / DIGIT_BITS; }
 
 SPLATREE_FN long long count_of(const FrameJob* job, const Pass& pass) {
   return pass.pairs ? held(job->counters[NUM_PAIRS], job->pair_capacity) : held(job->counters[NUM_SELECTED], job->row_capacity);
@@ -50,37 +55,71 @@ struct Part {
   int left;  // places from there to the last key
 };
 
-SPLATREE_FN Part part_of_lane(long long count) {
-  const long long begin = (long long)blockIdx.x * SORT_TILE + warp_of() * (WARP * ITEMS) + lane_of();
+SPLATREE_FN Part part_of_lane(long long count, long long tile) {
+  const long long begin = tile * SORT_TILE + warp_of() * (WARP * ITEMS) + lane_of();
   return {begin, count - begin < SORT_TILE ? int(count - begin) : SORT_TILE};
 }
 
 template <class Key>
-SPLATREE_FN void count_digits(const FrameJob* job, const Pass& pass, const Sides<Key>& keys) {
-  SPLATREE_SHARED(unsigned, counts, DIGITS);
-  const long long count = count_of(job, pass), num_tiles = tiles_of(count);
-  if (blockIdx.x >= num_tiles) return;
-  counts[threadIdx.x] = 0;
+SPLATREE_FN void count_digits(const FrameJob* job, const Pass& sort, Global<Key> keys) {
+  SPLATREE_SHARED(unsigned, counts, MAX_PASSES* DIGITS);
+  const long long count = count_of(job, sort);
+  if (blockIdx.x >= tiles_of(count)) return;
+  for (int pass = 0; pass < sort.num_passes; ++pass) counts[pass * DIGITS + threadIdx.x] = 0;
   __syncthreads();
-  const Part part = part_of_lane(count);
-  for (int i = 0; i < ITEMS; ++i)
-    if (i * WARP < part.left) atomicAdd(&counts[keys.from[part.begin + i * WARP] >> pass.shift & (DIGITS - 1)], 1u);
+  const Part part = part_of_lane(count, blockIdx.x);
+  for (int i = 0; i < ITEMS; ++i) {
+    if (i * WARP >= part.left) break;
+    const unsigned key = keys[part.begin + i * WARP];
+    for (int pass = 0; pass < sort.num_passes; ++pass)
+      atomicAdd(&counts[pass * DIGITS + (key >> DIGIT_BITS * pass & (DIGITS - 1))], 1u);
+  }
   __syncthreads();
-  job->digits[threadIdx.x * num_tiles + blockIdx.x] = counts[threadIdx.x];
+  for (int pass = 0; pass < sort.num_passes; ++pass) {
+    const unsigned own = counts[pass * DIGITS + threadIdx.x];
+    if (own) atomicAdd(&job->histograms[(number_of(sort) + pass) * DIGITS + threadIdx.x], own);
+  }
+}
+
+// The place of the first key of a tile whose digit is the number of the thread; the tile has `own` of them.
+SPLATREE_FN unsigned place_of_digit(const FrameJob* job, const Pass& pass, long long tile, unsigned own) {
+  SPLATREE_SHARED(unsigned, of_warps, THREADS / WARP);
+  const long long of_splats = tiles_of(job->row_capacity), of_sort = pass.pairs ? tiles_of(job->pair_capacity) : of_splats;
+  const long long first = (pass.pairs ? MAX_PASSES * of_splats : 0) + pass.shift / DIGIT_BITS * of_sort;
+  const long long words = first * DIGITS + threadIdx.x;  // of this digit; those of the tiles are DIGITS apart
+  publish(&job->sweeps[words + tile * DIGITS], (tile ? OWN_SUM : WHOLE_SUM) | own);
+
+  // Keys of smaller digits, anywhere.
+  unsigned of_warp;
+  unsigned place = sum_before(job->histograms[number_of(pass) * DIGITS + threadIdx.x], of_warp);
+  if (lane_of() == 0) of_warps[warp_of()] = of_warp;
+  __syncthreads();
+  for (int warp = 0; warp < warp_of(); ++warp) place += of_warps[warp];
+
+  // Keys of this digit in the tiles before, from the nearest back to the first that knows all before it.
+  unsigned long long earlier = 0;
+  for (long long nearest = tile - 1; __any_sync(ALL_LANES, nearest >= 0);) {
+    const unsigned long long word = nearest >= 0 ? read_published(&job->sweeps[words + nearest * DIGITS]) : 0;
+    if (word < OWN_SUM) continue;
+    earlier += word & SUM_MASK;
+    nearest = word >= WHOLE_SUM ? -1 : nearest - 1;
+  }
+  if (tile) publish(&job->sweeps[words + tile * DIGITS], WHOLE_SUM | (earlier + own));
+  return place + (unsigned)earlier;
 }
 
 template <class Key>
 SPLATREE_FN void move_digits(const FrameJob* job, const Pass& pass, const Sides<Key>& keys) {
   SPLATREE_SHARED(unsigned, places, THREADS / WARP * DIGITS);  // of each warp and digit
-  const long long count = count_of(job, pass), num_tiles = tiles_of(count);
-  if (blockIdx.x >= num_tiles) return;
+  const long long count = count_of(job, pass), tile = take_chunk(job, NUM_SCANS + number_of(pass));
+  if (tile >= tiles_of(count)) return;
   const Sides<unsigned> values = sides_of(pass, job->values_a, job->values_b);
   const int own = warp_of() * DIGITS;
   for (int digit = lane_of(); digit < DIGITS; digit += WARP) places[own + digit] = 0;
   __syncwarp();
 
   // The rank of each key among those of its digit in the warp's part.
-  const Part part = part_of_lane(count);
+  const Part part = part_of_lane(count, tile);
   unsigned short rank[ITEMS];
 #pragma unroll
   for (int i = 0; i < ITEMS; ++i) {
@@ -97,7 +136,9 @@ SPLATREE_FN void move_digits(const FrameJob* job, const Pass& pass, const Sides<
   __syncthreads();
 
   // Counts of the warps become places: thread d takes the digit d.
-  unsigned next = job->digits[threadIdx.x * num_tiles + blockIdx.x];
+  unsigned of_tile = 0;
+  for (int warp = 0; warp < THREADS / WARP; ++warp) of_tile += places[warp * DIGITS + threadIdx.x];
+  unsigned next = place_of_digit(job, pass, tile, of_tile);
   for (int warp = 0; warp < THREADS / WARP; ++warp) {
     const unsigned of_warp = places[warp * DIGITS + threadIdx.x];
     places[warp * DIGITS + threadIdx.x] = next;
@@ -127,22 +168,9 @@ SPLATREE_KERNEL(256, 1) order_splats(const FrameJob* job) {
   job->values_a[i] = (unsigned)i;
 }
 
-SPLATREE_KERNEL(256, 1) count_digits(const FrameJob* job, int packed) {
-  const Pass pass = pass_of(packed);
-  count_digits(job, pass, sides_of(pass, job->keys_a, job->keys_b));
-}
+SPLATREE_KERNEL(256, 1) count_digits(const FrameJob* job, int packed) { count_digits(job, pass_of(packed), job->keys_a); }
 
-SPLATREE_KERNEL(256, 1) count_digits_16(const FrameJob* job, int packed) {
-  const Pass pass = pass_of(packed);
-  count_digits(job, pass, sides_of(pass, job->tile_keys_a, job->tile_keys_b));
-}
-
-SPLATREE_KERNEL(256, 4) scan_digits(const FrameJob* job, int packed) {
-  const Pass pass = pass_of(packed);
-  scan(
-      job, pass.scan, DIGITS * tiles_of(count_of(job, pass)), -1, [&](long long i) { return job->digits[i]; },
-      [&](long long i, unsigned first) { job->digits[i] = first; });
-}
+SPLATREE_KERNEL(256, 1) count_digits_16(const FrameJob* job, int packed) { count_digits(job, pass_of(packed), job->tile_keys_a); }
 
 SPLATREE_KERNEL(256, 4) move_digits(const FrameJob* job, int packed) {
   const Pass pass = pass_of(packed);

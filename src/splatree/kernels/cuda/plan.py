@@ -11,10 +11,10 @@ from splatree.scene.view import Wanted
 
 __all__ = [
     *("SCAN_CHUNK", "SORT_TILE", "Blend", "Launch", "Sizes"),
-    *("bin_pairs", "blend", "blend_backward", "order", "project", "project_backward", "select"),
+    *("bin_pairs", "blend", "blend_backward", "order", "project", "project_backward", "select", "splat_bits"),
 ]
 
-Blend = Literal["blend_16", "blend_8"]
+Blend = Literal["blend_16", "blend_8", "blend_8x4"]
 """The kernels that blend (blend.cu)."""
 
 SORT_TILE = SCAN_CHUNK = 4096
@@ -27,10 +27,11 @@ DIGITS, DIGIT_BITS, DEPTH_BITS = 256, 8, 32
 SPLATS_SUMMED = 16
 """Splats of a thread block of `sum_splats` (blend_backward.cu)."""
 MAX_PASSES = 4
-FIRST_SPLAT_SCAN, PAIR_SCAN = 1, 1 + MAX_PASSES
-FIRST_PAIR_SCAN = PAIR_SCAN + 1
-NUM_SCANS = FIRST_PAIR_SCAN + MAX_PASSES
+"""Most passes of a sort."""
+PAIR_SCAN, NUM_SCANS = 1, 2
 """Places of a frame's scans: that of the selection is 0."""
+NUM_PASSES = 2 * MAX_PASSES
+"""Of the sort of the splats and of that of the pairs."""
 
 
 class Launch(NamedTuple):
@@ -71,8 +72,17 @@ class Sizes:
     @property
     def chain_stride(self) -> int:
         """Chunks of the longest scan."""
-        longest = max(self.num_blocks, DIGITS * _over(self.rows, SORT_TILE), DIGITS * _over(self.pairs, SORT_TILE))
-        return max(_over(longest, SCAN_CHUNK), _over(self.rows, SCAN_THREADS))
+        return max(_over(self.num_blocks, SCAN_CHUNK), _over(self.rows, SCAN_THREADS))
+
+    @property
+    def num_swept(self) -> int:
+        """Words by which the tiles of the sorts of a frame look back."""
+        return self.num_swept_by(_tile_bits(self))
+
+    def num_swept_by(self, pair_bits: int) -> int:
+        """The same if pairs are sorted by so many bits."""
+        of_pairs = _over(pair_bits, DIGIT_BITS) * _over(self.pairs, SORT_TILE)
+        return DIGITS * (MAX_PASSES * _over(self.rows, SORT_TILE) + of_pairs)
 
 
 def select(sizes: Sizes) -> list[Launch]:
@@ -97,7 +107,7 @@ def order(sizes: Sizes) -> list[Launch]:
     assert not _side_after(DEPTH_BITS), "keep_order reads side a"
     return [
         Launch("order_splats", threads),
-        *_passes(sizes.rows, DEPTH_BITS, FIRST_SPLAT_SCAN, pairs=False),
+        *_sort(sizes.rows, DEPTH_BITS, pairs=False),
         Launch("keep_order", threads, int(sizes.has_ids)),
     ]
 
@@ -107,14 +117,14 @@ def bin_pairs(sizes: Sizes) -> list[Launch]:
     short = sizes.has_short_keys
     return [
         Launch("list_pairs", _over(sizes.rows, SCAN_THREADS), sizes.tapers | short << 1 | PAIR_SCAN << 2),
-        *_passes(sizes.pairs, _tile_bits(sizes), FIRST_PAIR_SCAN, pairs=True, short=short),
+        *_sort(sizes.pairs, _tile_bits(sizes), pairs=True, short=short),
         Launch("start_tiles", _over(sizes.num_tiles + 1, 256), pair_side(sizes) | short << 1),
     ]
 
 
 def blend(sizes: Sizes, kernel: Blend, wanted: Wanted = NOTHING) -> list[Launch]:
     """The picture; with what else is wanted by kernels of a thread block a tile."""
-    blocks_per_tile = {"blend_16": 1, "blend_8": 4}[kernel]
+    blocks_per_tile = {"blend_16": 1, "blend_8": 4, "blend_8x4": 8}[kernel]
     name = kernel.replace("blend", "taper") if sizes.tapers else kernel
     if wanted != NOTHING:
         kept = "pixels" if not wanted.contributions else "both" if wanted.of_pixels else "pairs"
@@ -124,11 +134,11 @@ def blend(sizes: Sizes, kernel: Blend, wanted: Wanted = NOTHING) -> list[Launch]
 
 def blend_backward(sizes: Sizes) -> list[Launch]:
     """The sums of each splat over its pixels; pairs are then sorted by splat, so their lists are gone."""
-    side, bits = pair_side(sizes), max(sizes.rows - 1, 0).bit_length()
+    side, bits = pair_side(sizes), splat_bits(sizes)
     return [
         Launch("blend_backward", sizes.num_tiles, side),
         Launch("key_by_splat", _over(sizes.pairs, 256), side),
-        *_passes(sizes.pairs, bits, FIRST_PAIR_SCAN, pairs=True),
+        *_sort(sizes.pairs, bits, pairs=True),
         Launch("sum_splats", _over(sizes.rows, SPLATS_SUMMED), _side_after(bits)),
     ]
 
@@ -143,25 +153,23 @@ def pair_side(sizes: Sizes) -> int:
     return _side_after(_tile_bits(sizes))
 
 
+def splat_bits(sizes: Sizes) -> int:
+    """Bits of the number of a splat."""
+    return max(sizes.rows - 1, 0).bit_length()
+
+
 def _tile_bits(sizes: Sizes) -> int:
     return (sizes.num_tiles - 1).bit_length()
 
 
-def _passes(capacity: int, num_bits: int, first_scan: int, *, pairs: bool, short: bool = False) -> list[Launch]:
+def _sort(capacity: int, num_bits: int, *, pairs: bool, short: bool = False) -> list[Launch]:
     """A sort by the lowest bits of the keys, which begins on side a."""
-    tiles, bits = _over(capacity, SORT_TILE), "_16" if short else ""
-    launches = []
-    for i in range(_over(num_bits, DIGIT_BITS)):
-        side = i % 2
-        # A launch has one number beside the job, and these kernels need four. The number is packed here and unpacked by `pass_of`
-        # in order.cu, because a frame's launches are recorded once and replayed, so the job cannot change between them.
-        packed = DIGIT_BITS * i | pairs << 5 | side << 6 | (first_scan + i) << 7
-        launches += [
-            Launch(f"count_digits{bits}", tiles, packed),
-            Launch("scan_digits", _over(DIGITS * tiles, SCAN_CHUNK), packed),
-            Launch(f"move_digits{bits}", tiles, packed),
-        ]
-    return launches
+    tiles, num_passes, bits = _over(capacity, SORT_TILE), _over(num_bits, DIGIT_BITS), "_16" if short else ""
+    # A launch has one number beside the job, and these kernels need more. The number is packed here and unpacked by `pass_of` in
+    # order.cu, because a frame's launches are recorded once and replayed, so the job cannot change between them.
+    common = pairs << 5 | num_passes << 7
+    passes = [Launch(f"move_digits{bits}", tiles, DIGIT_BITS * i | i % 2 << 6 | common) for i in range(num_passes)]
+    return [Launch(f"count_digits{bits}", tiles, common), *passes] if passes else []
 
 
 def _side_after(num_bits: int) -> int:

@@ -7,7 +7,7 @@ graph, later ones replay it.
 Arrays have fixed sizes. If a view selects more rows or makes more pairs than they hold, the counters say how many: then
 `Pending.finish` makes room and draws the view again. A picture that lacks something is never handed out.
 
-Of the two blend kernels the one is taken that is faster on this device at this size, measured once on the first view.
+Of the blend kernels the one is taken that is faster on this device at this size, measured once on the first view.
 """
 
 import time
@@ -16,6 +16,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from types import MappingProxyType
+from typing import get_args
 
 import numpy as np
 
@@ -288,18 +289,19 @@ class Renderer:
         self._graphs[key] = None  # next time; all kernels are loaded now
 
     def _choose_blend(self, sizes: Sizes) -> Blend:
-        """The faster kernel, after the picture was drawn with it."""
+        """The fastest kernel, after the picture was drawn with it."""
         self._work.clear()
         stages = _stages(sizes, "blend_16")
-        blends = stages.pop("blend")
+        del stages["blend"]
         self._work.run([launch for stage in stages.values() for launch in stage])
         if self._named_blend:
             self._work.run(plan.blend(sizes, self._named_blend))
             return self._named_blend
-        self._work.run(blends)  # the first run of a kernel loads it
-        self._work.run(plan.blend(sizes, "blend_8"))
+        kernels: tuple[Blend, ...] = get_args(Blend)
+        for kernel in kernels:
+            self._work.run(plan.blend(sizes, kernel))  # the first run of a kernel loads it
         times: dict[Blend, float] = {}
-        for kernel in ("blend_16", "blend_8"):
+        for kernel in kernels:
             before, after = self.device.event(), self.device.event()
             self._work.arrays["tile_work"].clear()
             before.record()

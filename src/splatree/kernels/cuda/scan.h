@@ -10,6 +10,7 @@ namespace splatree {
 namespace {
 
 constexpr int SCAN_THREADS = 256, SCAN_ITEMS = 16, SCAN_CHUNK = SCAN_THREADS * SCAN_ITEMS;
+constexpr int NUM_SCANS = 2;  // of a frame: rows of the selection, pairs (kernels/cuda/plan.py)
 
 // Words of a chain: what is known of a chunk, in the upper two bits, and a sum.
 constexpr unsigned long long OWN_SUM = 1ull << 62, WHOLE_SUM = 2ull << 62, SUM_MASK = OWN_SUM - 1;

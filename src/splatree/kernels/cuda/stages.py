@@ -151,6 +151,7 @@ class Stages:
                 work.fill(name, values.reshape(-1, 1))
         for name in ("keys_a", "keys_b"):  # pairs are sorted by splat
             work.ensure(name, pairs)
+        work.ensure("sweeps", _sizes(work).num_swept_by(plan.splat_bits(_sizes(work)))).clear()
         work.ensure("pair_sums", NUM_SUMS * pairs)
         work.ensure("splat_sums", NUM_SUMS * len(splats))
         self._write(work, view)

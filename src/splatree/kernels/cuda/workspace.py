@@ -12,7 +12,7 @@ import numpy as np
 from splatree.errors import DeviceError
 from splatree.kernels.cuda.driver import Device, DeviceArray, Event, PinnedArray
 from splatree.kernels.cuda.job import COUNTERS, array_dtypes, pack_job
-from splatree.kernels.cuda.plan import DIGITS, NUM_SCANS, SORT_TILE, Launch, Sizes
+from splatree.kernels.cuda.plan import DIGITS, NUM_PASSES, NUM_SCANS, SORT_TILE, Launch, Sizes
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.tree import BlockIndex, GaussianTree
 from splatree.shapes import Array, Float32, UInt32
@@ -111,12 +111,13 @@ class Workspace:
             **dict.fromkeys(("values_a", "values_b"), both),
             **dict.fromkeys(("keys_a", "keys_b"), sizes.rows if sizes.has_short_keys else both),
             **dict.fromkeys(("tile_keys_a", "tile_keys_b"), sizes.pairs if sizes.has_short_keys else 0),
-            "digits": DIGITS * -(-both // SORT_TILE),
             "floors": sizes.rows if sizes.tapers else 0,
             "tile_start": sizes.num_tiles + 1,
             "tile_work": 3 * sizes.num_tiles,
             "counters": len(COUNTERS) + 2,
-            "tickets": NUM_SCANS,
+            "tickets": NUM_SCANS + NUM_PASSES,
+            "histograms": DIGITS * NUM_PASSES,
+            "sweeps": sizes.num_swept,
             "chains": NUM_SCANS * sizes.chain_stride,
         }
         for name, length in lengths.items():
@@ -165,7 +166,7 @@ class Workspace:
         return self._staged[-1]
 
     def clear(self) -> None:
-        """Set counters and chains to zero, as each frame begins."""
+        """Set counters and what thread blocks wait for to zero, as each frame begins."""
         for name in CLEARED:
             self.arrays[name].clear()
 
@@ -187,4 +188,4 @@ class Workspace:
         self.arrays["counters"].fill(values)
 
 
-CLEARED = ("counters", "tickets", "chains", "tile_work")
+CLEARED = ("counters", "tickets", "chains", "histograms", "sweeps", "tile_work")
