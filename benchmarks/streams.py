@@ -7,7 +7,7 @@ as PlayCanvas reads them (`splatree.stream.readers.playcanvas`), drawn by the li
 all Gaussians: PSNR, dB, with MB of whole files. The exact cut is that of the tree for as many nodes as our stream draws.
 
 What Spark draws of a `.rad` is compared likewise, with the nodes as the tree stores them and as `stream` writes them. The last
-table counts the chunks of 65,536 nodes that Spark loads, in our order and in breadth-first order.
+table counts the chunks of 65,536 nodes that Spark loads, of what `stream` writes and of the tree in two orders.
 """
 
 import argparse
@@ -16,6 +16,7 @@ import shlex
 import subprocess
 import tempfile
 import time
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -78,8 +79,26 @@ def seen(stream: SogStream, camera: splatree.Camera, budget: int, truth: np.ndar
 
 
 def spark_chunks(name: str, tree: splatree.Scene) -> list[dict[str, Any]]:
-    """Chunks of a .rad that a view needs, in our order and breadth-first."""
-    tree = as_written(tree, splatree.StreamOptions())
+    """Chunks of a .rad that a view needs: of the nodes that `stream` writes, and of those that the tree stores."""
+    drawn = as_written(tree, splatree.StreamOptions())
+    stored = replace(tree, tree=replace(tree.tree, curves=None), clusters=None, blocks=None)
+    orders = {"ours": (drawn, nodes_of(drawn, Path("a.rad")))}
+    orders["as stored"] = (stored, nodes_of(stored, Path("a.rad")))
+    orders["as stored, breadth-first"] = (stored, breadth_first(stored))
+    rows = []
+    for view, camera in views_of(tree):
+        for budget in (100_000, 300_000, 1_000_000):
+            if budget < tree.tree.num_leaves:
+                row: dict[str, Any] = {"scene": name, "view": view, "budget": budget}
+                for what, (scene, nodes) in orders.items():
+                    loaded = chunks_loaded(nodes, select_spark(scene, camera, budget))
+                    row |= {what: len(loaded), f"{what}, of": -(-len(nodes) // 65536)}
+                rows.append(row)
+    return rows
+
+
+def breadth_first(tree: splatree.Scene) -> Nodes:
+    """The nodes of a tree in breadth-first order."""
     nodes = nodes_of(tree, Path("a.rad"))
     links = links_from_preorder(tree.tree.depth)
     above = len(nodes.joined_root)
@@ -87,16 +106,7 @@ def spark_chunks(name: str, tree: splatree.Scene) -> list[dict[str, Any]]:
     counts, num_roots = links.num_children, int((tree.tree.depth == 0).sum())
     if above:
         counts, first = np.append(np.int32(num_roots), counts), np.append(np.uint32(1), first)
-    breadth_first = Nodes(links.row_from_node, counts, first, nodes.joined_root, None)
-    rows = []
-    for view, camera in views_of(tree):
-        for budget in (100_000, 300_000, 1_000_000):
-            if budget < tree.tree.num_leaves:
-                chosen = select_spark(tree, camera, budget)
-                ours, theirs = (len(chunks_loaded(n, chosen)) for n in (nodes, breadth_first))
-                row = {"scene": name, "view": view, "budget": budget, "of": -(-len(nodes) // 65536)}
-                rows.append(row | {"our chunks": ours, "breadth-first": theirs})
-    return rows
+    return Nodes(links.row_from_node, counts, first, nodes.joined_root, None)
 
 
 def spark_quality(name: str, tree: splatree.Scene) -> list[dict[str, Any]]:
@@ -156,7 +166,8 @@ def main() -> None:
     print(table(quality))
     chunks = spark_chunks(arguments.chunk, tree)
     if arguments.city:
-        chunks += spark_chunks("city", splatree.build_lod(splatree.read(sorted(CITY.glob("5_*")))))
+        city = splatree.edit(splatree.read(sorted(CITY.glob("5_*"))), splatree.EditOptions(sh_degree=0))
+        chunks += spark_chunks("city", splatree.build_lod(city, splatree.BuildOptions(method="pairs")))
     print(table(chunks))
     about = (
         f"One chunk of the city ({len(scene):,} Gaussians, degree 0): PSNR of what PlayCanvas draws of a streamed SOG within a "
@@ -169,7 +180,8 @@ def main() -> None:
     about = "PSNR of what Spark draws of a .rad within a budget, with nodes as the tree stores them and as `stream` writes them."
     save("streams_spark", quality, about=about)
     about = (
-        "Chunks of 65,536 nodes of a .rad that Spark loads within a budget, in our order of nodes and breadth-first."
+        "Chunks of 65,536 nodes of a .rad that Spark loads within a budget: of what `stream` writes, and of the nodes that the "
+        "tree stores in the same order and breadth-first."
     )
     save("streams_rad", chunks, about=about)
 

@@ -82,7 +82,7 @@ def test_another_scene_in_the_folder_is_whole_until_it_is_replaced(tmp_path, mon
     with pytest.raises(splatree.OutputError, match="exists already"):
         splatree.write(other, target)
     monkeypatch.setattr(
-        "splatree.io.formats.sog.writer.json.dumps", lambda meta: 1 / 0
+        "splatree.io.formats.sog.writer.json.dumps", lambda meta, **_: 1 / 0
     )  # fails when all pictures are written
     with pytest.raises(ZeroDivisionError):
         splatree.write(other, target, force=True)

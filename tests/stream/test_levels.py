@@ -9,7 +9,7 @@ from hypothesis import strategies as some
 
 from splatree import InputError
 from splatree.lod.select import count_nested, count_uncovered
-from splatree.stream.chunks import chunks_of_tree
+from splatree.stream.chunks import chunks_of_tree, leaves_of_chunk
 from splatree.stream.levels import intervals_of, levels_of_tree
 
 from .conftest import forest
@@ -79,6 +79,16 @@ def test_levels_shrink_by_the_ratio_to_a_sixty_fourth(city_tree):
     np.testing.assert_allclose(counts, counts[0] / 2.0 ** np.arange(7), rtol=0.01)
     counts = [len(level) for level in levels_of_tree(city_tree.tree, chunks, ratio=4, num_levels=3)]
     np.testing.assert_allclose(counts, counts[0] / 4.0 ** np.arange(3), rtol=0.01)
+
+
+@pytest.mark.parametrize(("num_leaves", "wanted"), [(100, 2048), (524_320, 4096), (4_250_000, 16_384)])
+def test_a_small_scene_has_small_chunks(num_leaves, wanted):
+    assert leaves_of_chunk(num_leaves) == wanted
+
+
+def test_chunks_suit_the_scene_where_nothing_is_asked_for(city_tree):
+    chunks = chunks_of_tree(city_tree)
+    assert 0.75 <= len(chunks) / (city_tree.tree.num_leaves / 2048) <= 2
 
 
 def test_a_far_outlier_gets_a_chunk_of_its_own():

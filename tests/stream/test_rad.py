@@ -23,7 +23,7 @@ def scene(monkeypatch):
     monkeypatch.setattr(writer, "_CHUNK_ROWS", 256)
     order = paging.page_order
     monkeypatch.setattr(nodes, "page_order", lambda *a: order(*a, page_rows=256))
-    return forest(900, seed=2, sh_degree=1)
+    return forest(1200, seed=2, sh_degree=1)
 
 
 def test_chunks_of_their_own_hold_what_one_file_holds(scene, tmp_path):

@@ -8,6 +8,10 @@ at every e.
 The spine above the chunks is in no level. So the nodes of one chunk never stand for leaves of another: whatever level a viewer
 takes for each chunk, every leaf is drawn once, by itself or by one node above it.
 
+A tree by pairs has few different extents, each twice the one before, and so few cuts. They could be divided further, by the
+smaller nodes of one extent first; near views then lose up to 0.8 dB, because readers' bands of distance triple
+(docs/how-to/publish-a-stream.md). So the ladder takes the cuts that the tree has.
+
 Cost: a pass over the tree and two sorts, about a second for 7 M nodes.
 """
 

@@ -5,7 +5,6 @@ from dataclasses import dataclass, fields
 from typing import Literal
 
 from splatree.errors import InputError
-from splatree.stream.chunks import CHUNK_LEAVES
 
 __all__ = ["StreamFormat", "StreamOptions"]
 
@@ -28,10 +27,11 @@ class StreamOptions:
     """For `sog`: nodes of a level for each node of the next coarser one."""
     levels: int | None = None
     """For `sog`: number of levels; None: as many as it takes until a level has 1/64 of the Gaussians."""
-    chunk_leaves: int = CHUNK_LEAVES
-    """For `sog`: Gaussians of a chunk, for which a viewer chooses one level."""
-    unit_rows: int = 65_536
-    """For `sog`: Gaussians of a file of the two finest levels; files of coarser levels have twice as many."""
+    chunk_leaves: int | None = None
+    """For `sog`: Gaussians of a chunk, for which a viewer chooses one level. None: 16,384, and in scenes of less than two
+    million so many that there are about 128 chunks, at least 2,048."""
+    unit_rows: int | None = None
+    """For `sog`: Gaussians of a file of the two finest levels; files of coarser levels have twice as many. None: four chunks."""
     node_px: float | None = None
     """For `sog` and `rad`: extent, px, at which merged nodes are expected to be drawn in a cut of half as many nodes as leaves;
     in smaller cuts they are √2 larger for each halving of the nodes. A viewer with a budget draws nodes larger than they are
@@ -55,7 +55,7 @@ class StreamOptions:
     """Remove the harmonics above this degree; None: keep all."""
 
     def __post_init__(self) -> None:
-        for name, least in (("unit_rows", 1), ("node_px", 0), ("tile_nodes", 1)):
+        for name, least in (("chunk_leaves", 1), ("unit_rows", 1), ("node_px", 0), ("tile_nodes", 1)):
             value = getattr(self, name)
             if value is not None and not least <= value < math.inf:
                 raise InputError(f"{name}: found {value}, wanted at least {least}")

@@ -12,6 +12,7 @@ from splatree.io.replacing import replacing
 from splatree.io.writing import write
 from splatree.kernels.reference.paging import PAGE_ROWS
 from splatree.scene.scene import Scene
+from splatree.stream.families import without_equals
 from splatree.stream.nodes import gaussians_of_tree
 from splatree.stream.options import StreamOptions
 from splatree.stream.result import LevelWritten, Streamed
@@ -23,10 +24,11 @@ _NODE_PX = 4.0
 
 
 def as_written(scene: Scene, options: StreamOptions) -> Scene:
-    """The scene with its nodes as Spark draws them within a budget."""
+    """The scene with its nodes as Spark draws them within a budget, without those that it hardly ever draws."""
     node_px = _NODE_PX if options.node_px is None else options.node_px
     tree = replace(scene.tree, curves=None)
-    return replace(scene, gaussians=gaussians_of_tree(scene, node_px), tree=tree, clusters=None, blocks=None)
+    drawn = replace(scene, gaussians=gaussians_of_tree(scene, node_px), tree=tree, clusters=None, blocks=None)
+    return without_equals(drawn)
 
 
 def write_rad(scene: Scene, output: Path, options: StreamOptions, *, force: bool = False) -> Streamed:
@@ -39,10 +41,11 @@ def write_rad(scene: Scene, output: Path, options: StreamOptions, *, force: bool
     if output.suffix != ".rad":
         raise InputError(f"{output}: found the name of a stream for Spark, wanted one that ends in .rad")
     names = []
+    scene = as_written(scene, options)
     if options.chunked:
-        names = _write_chunked(as_written(scene, options), output, force=force)
+        names = _write_chunked(scene, output, force=force)
     else:
-        write(as_written(scene, options), output, force=force)
+        write(scene, output, force=force)
     num_bytes = sum(path.stat().st_size for path in (output, *(output.parent / name for name in names)))
     everything = LevelWritten(0, len(scene), 0.0, max(1, len(names)), num_bytes)
     num_chunks = -(-open_rad(output).count // PAGE_ROWS)

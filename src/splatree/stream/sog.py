@@ -8,7 +8,7 @@ not shown. Layout: docs/reference/formats/streamed_sog.md.
 import json
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,7 @@ from splatree.scene.names import Mode
 from splatree.scene.scene import Scene
 from splatree.shapes import Array
 from splatree.stream.boxes import box_around, outward
-from splatree.stream.chunks import TreeChunks, chunks_of_tree
+from splatree.stream.chunks import TreeChunks, chunks_of_tree, leaves_of_chunk
 from splatree.stream.errors import errors_of_levels
 from splatree.stream.levels import Level, levels_of_tree
 from splatree.stream.nodes import gaussians_of_level
@@ -35,6 +35,9 @@ from splatree.stream.result import LevelWritten, Streamed
 from splatree.stream.workers import in_order
 
 __all__ = ["write_sog"]
+
+_CHUNKS_PER_UNIT = 4
+"""Chunks of the finest level in a unit: larger ones load a quarter more bytes that are not shown."""
 
 _FINEST = 2
 """Levels whose units have ``unit_rows`` rows; those of coarser levels, which are loaded from afar, have twice as many."""
@@ -72,9 +75,11 @@ def write_sog(scene: Scene, output: Path, options: StreamOptions, *, force: bool
         InputError: the options cannot be met.
         OutputError: the folder holds something else, or the disk fails.
     """
-    chunks = chunks_of_tree(scene, options.chunk_leaves)
+    chunk_leaves = options.chunk_leaves or leaves_of_chunk(scene.tree.num_leaves)
+    options = replace(options, chunk_leaves=chunk_leaves)
+    chunks = chunks_of_tree(scene, chunk_leaves)
     levels = levels_of_tree(scene.tree, chunks, ratio=options.ratio, num_levels=options.levels)
-    units = list(_units(levels, options.unit_rows))
+    units = list(_units(levels, options.unit_rows or _CHUNKS_PER_UNIT * chunk_leaves))
     folder = Folder(output, MANIFEST, force=force)
     boxes = np.empty((len(chunks), 2, 3))
     boxes[:, 0], boxes[:, 1] = np.inf, -np.inf
@@ -120,7 +125,7 @@ def _write_unit(
     was_there = folder.has(name)
     if not was_there:
         pictures, meta = sog.encode(_in_chunks(g, scene.mode), settings, order="kept")
-        folder.write_part(name, {**pictures, "meta.json": json.dumps(meta).encode()})
+        folder.write_part(name, {**pictures, "meta.json": sog.as_json(meta)})
     starts = offsets[:-1] - offsets[0]
     return _Written(name, was_there, box_around(g, starts, sigmas=1.0))
 

@@ -57,7 +57,7 @@ def write_chunks(chunks: Chunks, path: Path, options: WriteOptions) -> tuple[str
 
     pictures, meta = encode(chunks, options)
     with zipfile.ZipFile(path, "w", zipfile.ZIP_STORED) as bundle:
-        for name, data in {"meta.json": json.dumps(meta).encode(), **pictures}.items():
+        for name, data in {"meta.json": as_json(meta), **pictures}.items():
             bundle.writestr(zipfile.ZipInfo(name), data)  # with a fixed date: equal scenes give equal files
     return ()
 
@@ -81,7 +81,7 @@ def write_folder(chunks: Chunks, path: Path, options: WriteOptions) -> tuple[str
         for target, data in targets.items():
             with replacing(target, force=True) as temporary:
                 temporary.write_bytes(data)
-        path.write_text(json.dumps(meta), "utf-8")
+        path.write_bytes(as_json(meta))
     except BaseException:  # a full disk, an interruption: no meta.json will name these
         for target in new:
             target.unlink(missing_ok=True)
@@ -240,8 +240,14 @@ def _iterations(options: WriteOptions) -> int:
     return options.iterations
 
 
+def as_json(meta: dict[str, Any]) -> bytes:
+    """The contents of meta.json, without spaces: each unit of a stream has one."""
+    return json.dumps(meta, separators=(",", ":")).encode()
+
+
 def _listed(codebook: Codebook) -> list[float]:
-    return [float(v) for v in codebook.values]
+    """The values with as few digits as tell them apart in float32."""
+    return [float(str(v)) for v in codebook.values]
 
 
 def _centroids(codes: Array) -> Array:

@@ -1,0 +1,40 @@
+"""Families of a tree as Spark opens them, without the nodes that it hardly ever draws.
+
+Spark opens the node that looks largest, again and again. A node of about the size of its parent is opened right after it, and was
+drawn in between by chance only. Where such a node is left out, its children belong to its parent. Levels by pairs have many: a
+quarter of all inner nodes are at least 0.8 times as large as the least node above them. Without them a file has a tenth fewer
+nodes, and near views need a tenth fewer chunks; at equal budgets pictures lose 0.02 to 0.15 dB (benchmarks/streams.py).
+
+Sizes are compared with the least above, since Spark reaches a node only when all above it look large enough.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from splatree.maths.forests import parents_by_level
+from splatree.scene.scene import Scene
+from splatree.scene.tree import GaussianTree
+
+__all__ = ["without_equals"]
+
+_EQUAL = 0.8
+"""Size of a node, for the least above it, from which it is left out."""
+
+
+def without_equals(scene: Scene) -> Scene:
+    """The scene without inner nodes about as large as one above them; leaves and roots stay, and so does the order of rows."""
+    tree = scene.tree
+    least = scene.gaussians.log_scales.max(axis=1)
+    stays = tree.is_leaf | (tree.depth == 0)
+    depth = tree.depth.copy()  # among the rows that stay
+    for rows, parents in parents_by_level(tree.depth):
+        stays[rows] |= least[rows] < least[parents] + np.float32(np.log(_EQUAL))
+        least[rows] = np.where(stays[rows], np.minimum(least[rows], least[parents]), least[parents])
+        depth[rows] = depth[parents] + stays[rows]
+    before = np.concatenate([[0], np.cumsum(stays)]).astype(np.int32)
+    kept = GaussianTree(
+        before[tree.subtree_end[stays]], depth[stays], tree.extents[stays], record=tree.record, roots=tree.roots
+    )
+    ids = None if scene.ids is None else scene.ids[stays]
+    return replace(scene, gaussians=scene.gaussians.take(stays), tree=kept, ids=ids, blocks=None, clusters=None)
