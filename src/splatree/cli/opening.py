@@ -45,7 +45,7 @@ def opened(
 
 def needs_all_rows(select: SelectOptions) -> bool:
     """Whether a selection cannot be made page by page."""
-    return select.rule != "cut" or select.cull not in (None, "none") or select.quality is not None
+    return select.rule != "cut" or select.cull not in (None, "none")
 
 
 def sample_of(scene: Scene | Store) -> Scene:

@@ -12,13 +12,10 @@ import numpy as np
 
 from splatree.errors import InputError
 from splatree.kernels.devices import DeviceName
-from splatree.lod.quality import curve_of
-from splatree.lod.select import Selector, select
 from splatree.progress import task
 from splatree.render.build import build_lod
 from splatree.render.framing.frame import Framing, frame_scene
 from splatree.render.framing.trial import FOCUS_RADII
-from splatree.render.quality import with_quality
 from splatree.render.session import Session, open_session
 from splatree.scene.cameras import Camera
 from splatree.scene.frame import RenderResult, Selection
@@ -62,7 +59,7 @@ class Exhibit:
 
     def cut(self, camera: Camera, options: SelectOptions, last: float | None) -> Selection:
         """The rows of a view; the search of a budget begins at ``last``."""
-        return self.session.select(camera, select=self._selector(options, last))
+        return self.session.select(camera, select=options, last=last)
 
     def draw(
         self,
@@ -78,31 +75,18 @@ class Exhibit:
         Of a ``box`` "2 3" only what has its centre inside is drawn, world units; the search of a budget begins at ``last``, px.
         """
         found: list[Selection] = []
-        choose = self._selector(options, last)
+        drawn = RenderOptions(background=background)
 
         def within(view: View, *, threads: int = 0) -> Selection:
-            chosen = choose(view, threads=threads)
+            chosen = self.session.select(camera, options=drawn, select=options, last=last)
             if box is not None:
                 means = self.scene.gaussians.means[chosen.rows]
                 chosen = replace(chosen, rows=chosen.rows[((means >= box[0]) & (means <= box[1])).all(axis=1)])
             found.append(chosen)
             return chosen
 
-        result = self.session.draw(camera, options=RenderOptions(background=background), select=within)
+        result = self.session.draw(camera, options=drawn, select=within)
         return result, found[-1]
-
-    def _selector(self, options: SelectOptions, last: float | None) -> Selector:
-        """A selection that begins at the τ_R of the view before."""
-
-        def choose(view: View, *, threads: int = 0) -> Selection:
-            # Footprints are ellipses; of squares the projection drops what is not seen.
-            seen = replace(options, view_test="none") if view.is_square else options
-            sketcher = None if seen.quality is None else self.session.sketcher
-            return select(
-                *(self.scene, view, seen), last=last, sketcher=sketcher, stages=self.session.stages, threads=threads
-            )
-
-        return choose
 
     @property
     def facts(self) -> dict[str, Any]:
@@ -125,7 +109,6 @@ class Exhibit:
             "eye": (framing.eye - framing.centre).tolist(),
             "target": (framing.target - framing.centre).tolist(),
             "aspect": self._aspect(),
-            "measured": self.scene.tree.record is not None and self.scene.tree.record.quality is not None,
             "clusters": 0 if self.scene.clusters is None else len(self.scene.clusters),
         }
 
@@ -150,7 +133,6 @@ def exhibit(
     framing: Framing | None = None,
     up: Sequence[float] | None = None,
     device: DeviceName = "cpu",
-    measured: bool = False,
 ) -> Exhibit:
     """Make a scene ready to be shown: with levels and a block index, and a first view.
 
@@ -160,17 +142,13 @@ def exhibit(
         framing: how to look at it first; None: decided by the scene.
         up: direction that is up, for a framing that is decided here; None: guessed.
         device: where views are selected and pictures drawn.
-        measured: whether the quality of its levels must be known: it is measured if they are built here.
 
     Raises:
-        InputError: the scene is empty, or has levels whose quality was not measured and must be known.
+        InputError: the scene is empty.
     """
     if len(scene) == 0:
         raise InputError(f"{name}: found no Gaussians, wanted at least one to show")
     shown = with_levels(scene)
-    if measured:
-        shown = with_quality(shown) if shown is not scene else shown
-        curve_of(shown)
     session = open_session(shown, device=device)
     if framing is None:
         with task(f"frame {name}"):
