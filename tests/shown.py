@@ -20,7 +20,7 @@ def shown_files(tmp_path_factory):
     scene = st.Scene.flat(scene.gaussians.take(np.arange(0, len(scene), 1000)))
     for name in ("city.ply", "scene.ply", "in.ply", "big.ply", "city.sog", "scene.sog"):
         st.write(scene, folder / name)
-    tree = st.with_quality(st.build_clusters(st.build_lod(scene), 9))
+    tree = st.build_clusters(st.build_lod(scene), 9)
     for name in ("city.splatree", "scene.splatree"):
         st.write(tree, folder / name)
     for name, rows in (("chunk_0", np.arange(150)), ("chunk_1", np.arange(150, len(scene)))):

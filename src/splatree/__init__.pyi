@@ -57,10 +57,10 @@ from splatree.outofcore.thin import thin_file as thin_file
 from splatree.render.batch import render_batch as render_batch
 from splatree.render.batch import trace_batch as trace_batch
 from splatree.render.build import build_lod as build_lod
-from splatree.render.calibrate import CalibrateOptions as CalibrateOptions
-from splatree.render.calibrate import Calibration as Calibration
 from splatree.render.calibrate import calibrate as calibrate
-from splatree.render.calibrate import calibrated as calibrated
+from splatree.render.calibration import CalibrateOptions as CalibrateOptions
+from splatree.render.calibration import Calibration as Calibration
+from splatree.render.calibration import calibrated as calibrated
 from splatree.render.compare import ComparedView as ComparedView
 from splatree.render.compare import Difference as Difference
 from splatree.render.compare import compare as compare
@@ -92,7 +92,6 @@ from splatree.render.pipeline import trace as trace
 from splatree.render.popping import Pop as Pop
 from splatree.render.popping import dolly as dolly
 from splatree.render.popping import measure_pops as measure_pops
-from splatree.render.quality import with_quality as with_quality
 from splatree.render.session import Session as Session
 from splatree.render.session import open_session as open_session
 from splatree.render.tensors import TensorScene as TensorScene
@@ -112,7 +111,6 @@ from splatree.scene.gaussians import Gaussians as Gaussians
 from splatree.scene.levels import LevelRecord as LevelRecord
 from splatree.scene.options import RenderOptions as RenderOptions
 from splatree.scene.options import SelectOptions as SelectOptions
-from splatree.scene.quality import QualityCurve as QualityCurve
 from splatree.scene.scene import Scene as Scene
 from splatree.scene.thinning import Groups as Groups
 from splatree.scene.thinning import MergeOptions as MergeOptions

@@ -14,7 +14,6 @@ from splatree.io.cameras.files import read_cameras
 from splatree.kernels.cpu.codec.nodes import pack_nodes
 from splatree.render.pipeline import render
 from splatree.scene.options import RenderOptions, SelectOptions
-from splatree.scene.quality import QualityCurve
 from splatree.scene.thinning import ThinOptions
 from splatree.simplify.thin import thin
 from splatree.view.follow import followed
@@ -105,14 +104,8 @@ def test_the_first_view_shows_the_scene_whole_in_a_narrow_window(browser, viewer
         np.testing.assert_allclose(page.evaluate("splatree.camera.pose()"), asked["c2w"], atol=1e-6)
 
 
-def test_a_quality_is_asked_for_where_the_levels_were_measured(browser, viewer, city_tree):
-    page = opened(browser, viewer, "&renderer=webgl&exact=0")
-    assert page.evaluate("splatree.page.detail.hidden")
-    page.close()
-    record = city_tree.tree.record
-    curve = QualityCurve(15.0, -4.0, 0.0, 2.0, 0.0, -1.0, error_db=0.5, num_pictures=30)
-    measured = replace(city_tree, tree=replace(city_tree.tree, record=replace(record, quality=curve)))
-    with Viewer(measured, ViewOptions(budget=200_000, quality=34)) as made:
+def test_a_quality_is_asked_for(browser, city_tree):
+    with Viewer(city_tree, ViewOptions(budget=200_000, quality=34)) as made:
         page = opened(browser, made, "&renderer=webgl&exact=0")
         assert not page.evaluate("splatree.page.db.hidden")
         assert page.evaluate("splatree.page.tau.hidden")

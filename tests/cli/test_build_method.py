@@ -30,7 +30,7 @@ def built(city: Path, folder: Path, capsys, *words: str) -> dict:
 
 def test_the_default_says_which_method_and_both_figures(city, tmp_path, capsys):
     output = tmp_path / "out.splatree"
-    assert main(["build", str(city), str(output), "--no-measure-quality"]) == 0
+    assert main(["build", str(city), str(output)]) == 0
     trial = st.read(output).tree.record.trial
     assert f"levels by pairs: {trial.in_words()}" in capsys.readouterr().out
 
@@ -39,9 +39,8 @@ def test_fast_makes_levels_by_a_radius_and_measures_nothing(city, tmp_path, caps
     result = built(city, tmp_path, capsys, "--fast")
     assert result["rules"]["rule"] == "radius-thinning"
     assert result["trial"] is None
-    assert result["quality"] is None
     record = st.read(tmp_path / "out.splatree").tree.record
-    assert record.trial is None and record.quality is None
+    assert record.trial is None
 
 
 @pytest.mark.parametrize("words", [["--method", "pairs"], ["--flat", "--clusters", "auto"], ["--levels", "file"]])
@@ -50,7 +49,7 @@ def test_fast_is_refused_beside_what_contradicts_it(city, tmp_path, capsys, word
     assert "found --fast with" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("words", [["--fast"], ["--method", "radius", "--no-measure-quality"]])
+@pytest.mark.parametrize("words", [["--fast"], ["--method", "radius"]])
 @pytest.mark.parametrize(("pairs_db", "warns"), [(32.0, True), (22.0, False)])
 def test_levels_by_a_radius_that_are_far_worse_are_not_written_without_a_word(
     city, tmp_path, capsys, monkeypatch, words, pairs_db, warns

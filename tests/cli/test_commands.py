@@ -15,7 +15,7 @@ from splatree.io.images import read_image, write_image
 from splatree.io.options import WriteOptions
 from splatree.io.reading import read
 from splatree.io.writing import write
-from splatree.render.calibrate import METADATA_KEY
+from splatree.render.calibration import METADATA_KEY
 from splatree.render.paths import PathOptions, flyout
 from splatree.render.pipeline import render
 from splatree.scene.cameras import Camera

@@ -47,7 +47,6 @@ def test_build_refines_at_once(splatree, small_ply, tmp_path):
         "pairs",
         "--refine",
         "0.02",
-        "--no-measure-quality",
     )
     code, out, err = splatree(*words)
     assert code == 0, err

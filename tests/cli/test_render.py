@@ -174,25 +174,14 @@ def test_views_of_a_moving_camera_are_nearly_the_exact_ones(draw, splatree, smal
     assert code == 2 and "moving: found beside --depth or --counters" in err
 
 
-def test_a_quality_chooses_the_cut(splatree, small_ply, small_tree, tmp_path):
-    """Levels that `build` has measured can be asked for it; levels that nobody measured refuse it with advice."""
-    tree = tmp_path / "known.splatree"
-    code, words, err = splatree("build", small_ply, tree)
-    assert (code, err) == (0, "")
-    assert "quality: PSNRs of cuts against all leaves are known within" in words
+def test_a_quality_chooses_the_cut(splatree, small_tree, tmp_path):
+    tree = small_tree
     counts = []
     for quality in ("28", "40"):
         code, out, err = splatree("render", tree, "-o", tmp_path / f"{quality}.png", "--quality", quality, "--json")
         assert (code, err) == (0, "")
         counts.append(json.loads(out)["views"][0]["selected"])
     assert counts[0] <= counts[1]
-    plain = tmp_path / "plain.splatree"
-    code, words, _ = splatree("build", small_ply, plain, "--no-measure-quality")
-    assert code == 0
-    assert "quality:" not in words
-    code, _, err = splatree("render", plain, "-o", tmp_path / "no.png", "--quality", "40")
-    assert code == 1
-    assert "build them with splatree build" in err
     code, _, err = splatree("eval", tree, "--quality", "40", "--method", "flod")
     assert code == 2
     assert "--quality and --method" in err

@@ -1,127 +1,155 @@
-"""Cuts that are chosen by the quality that is asked for (lod/quality.py, scene/quality.py)."""
+"""Cuts that are chosen by the quality that is asked for (lod/quality.py)."""
 
 import json
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import splatree as st
-from splatree.edit.edit import edit
-from splatree.edit.options import EditOptions
 from splatree.errors import InputError
-from splatree.lod.quality import COARSEST_PX, PRECISION_DB, curve_of, pixel_error_for
+from splatree.lod.quality import COARSEST_PX, FINEST_PX, WHOLE_BELOW, Gauge, pixel_error_for, sample_of
 from splatree.lod.select import smallest_radius
-from splatree.lod.sketch import Sketcher
+from splatree.scene.view import View
 
 from ..scenes import surface
 
-CURVE = st.QualityCurve(25.0, -4.0, -1.0, 2.0, 0.2, -0.8, error_db=0.5, num_pictures=30)
 POINT_PX = smallest_radius("exact")
 CAMERA = st.Camera.look_at([0, 0, -6], [0, 0, 0], width=240, height=160)
 
 
-def known(method: str = "radius", curve: st.QualityCurve | None = CURVE) -> st.Scene:
-    scene = st.build_lod(st.Scene.flat(surface(600)), st.BuildOptions(method=method, max_roots=4))  # type: ignore[arg-type]
-    return replace(scene, tree=replace(scene.tree, record=replace(scene.tree.record, quality=curve)))
+def levels(method: str = "radius", num: int = 600) -> st.Scene:
+    return st.build_lod(st.Scene.flat(surface(num)), st.BuildOptions(method=method, max_roots=4))  # type: ignore[arg-type]
 
 
-def size_of(pixel_error: float, method: str = "radius") -> float:
-    """Size of the largest merged nodes before the dilation; extents know of none."""
-    return math.sqrt(pixel_error**2 - (POINT_PX**2 if method == "radius" else 0))
-
-
-def test_the_curve_is_its_formula():
-    assert CURVE.psnr(math.e, merged=0.1, varied=1) == pytest.approx(25 - 4 - 2)
-    assert CURVE.psnr(1, merged=1, varied=0.01) == pytest.approx(25 + 16 + math.log(2))
-    assert CURVE.psnr(3, merged=0, varied=0) == math.inf
-    assert CURVE.psnr(0, merged=1, varied=1) == math.inf
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"by_merged": 0.9},
-        {"by_varied": 0.1},
-        {"by_pixel_error": 1.0},
-        {"by_fine": 0.1},
-        {"fine_px": 0.0},
-        {"offset": math.nan},
-        {"error_db": -1.0},
-    ],
-)
-def test_a_curve_that_rises_or_is_no_number_is_refused(change):
-    with pytest.raises(InputError, match="QualityCurve"):
-        replace(CURVE, **change)
+def shown(scene: st.Scene, pixel_error: float):
+    return np.clip(st.render(scene, CAMERA, select=st.SelectOptions(pixel_error=pixel_error)).image, 0, 1)
 
 
 @pytest.mark.parametrize("method", ["radius", "pairs"])
-def test_the_cut_is_predicted_to_have_the_quality_and_a_coarser_one_is_not(method):
-    scene = known(method)
-    sketcher = Sketcher.of(scene)
+def test_the_cut_has_the_quality_that_was_asked_for(method):
+    """The picture is small, so the search sees all of it; where PSNR falls unevenly, it ends a few tenths of a dB off."""
+    scene = levels(method, 4000)
+    leaves = shown(scene, 0.0)
     counts = []
     for quality in (28, 32, 36, 40):
         chosen = st.select(scene, CAMERA, st.SelectOptions(quality=quality))
-
-        def psnr_at(pixel_error):
-            rows = st.select(scene, CAMERA, st.SelectOptions(pixel_error=pixel_error)).rows
-            return CURVE.psnr(pixel_error, **vars(sketcher.draw(rows, CAMERA)))
-
-        assert psnr_at(chosen.pixel_error) >= quality
-        if size_of(chosen.pixel_error, method) < 0.99 * COARSEST_PX:
-            assert psnr_at(1.2 * chosen.pixel_error) < quality
+        assert st.psnr(shown(scene, chosen.pixel_error), leaves) == pytest.approx(quality, abs=1)
         counts.append(len(chosen))
     assert counts == sorted(counts)
     assert counts[0] < counts[-1]
 
 
-def test_a_quality_that_no_cut_has_draws_all_leaves():
-    scene = known("pairs", st.QualityCurve(20.0, 0.0, 0.0, 2.0, 0.0, 0.0, error_db=0.5, num_pictures=30))
-    chosen = st.select(scene, CAMERA, st.SelectOptions(quality=30))
-    assert scene.tree.is_leaf[chosen.rows].all()
+def falling(size_px: float) -> float:
+    """A PSNR that falls by 3 dB from one size to the next that is tried, and faster above 8 px."""
+    return 40 - 6 / math.log(2) * math.log(size_px / 4) - 4 * max(0.0, math.log(size_px / 8))
 
 
-def test_the_search_from_a_view_nearby_is_as_good_and_shorter():
-    """Cuts of nodes whose quality falls evenly: what a search from 4 px finds in several cuts, the next one keeps in one."""
-    scene = known()
-    sketcher = Sketcher.of(scene)
+def size_of(pixel_error: float) -> float:
+    return math.sqrt(pixel_error**2 - POINT_PX**2)
+
+
+@pytest.mark.parametrize("last", [None, 0.01, 3.0, 9.0, 1e9, math.inf])
+@pytest.mark.parametrize("quality", [25, 30, 38.7, 44, 52])
+def test_the_search_finds_the_size_from_anywhere(quality, last):
+    found = pixel_error_for(lambda tau: falling(size_of(tau)), quality, point_px=POINT_PX, last=last)
+    assert falling(size_of(found)) == pytest.approx(quality, abs=0.2)
+
+
+def test_the_search_from_a_view_nearby_is_shorter():
     tried = []
 
-    def rows_at(pixel_error):
-        tried.append(pixel_error)
-        chosen = st.select(scene, CAMERA, st.SelectOptions(pixel_error=pixel_error))
-        return chosen.rows, chosen.num_visited
+    def psnr_at(tau):
+        tried.append(tau)
+        return falling(size_of(tau))
 
-    alone = pixel_error_for(rows_at, sketcher, CAMERA, 36, point_px=POINT_PX)
+    alone = pixel_error_for(psnr_at, 45, point_px=POINT_PX)
     num_alone = len(tried)
     assert num_alone > 1
-    assert pixel_error_for(rows_at, sketcher, CAMERA, 36, point_px=POINT_PX, last=alone) == pytest.approx(alone)
+    assert pixel_error_for(psnr_at, 45, point_px=POINT_PX, last=1.02 * alone) == pytest.approx(alone, rel=0.02)
     assert len(tried) == num_alone + 1
-    for last in (0.01, 3.0, 1e9, math.inf):
-        found = pixel_error_for(rows_at, sketcher, CAMERA, 36, point_px=POINT_PX, last=last)
-        spare = CURVE.psnr(found, **vars(sketcher.draw(rows_at(found)[0], CAMERA))) - 36
-        coarser = 1.1 * found  # beyond what the search tells apart
-        lack = CURVE.psnr(coarser, **vars(sketcher.draw(rows_at(coarser)[0], CAMERA))) - 36
-        assert spare >= 0
-        assert spare < PRECISION_DB or lack < 0
+
+
+@pytest.mark.parametrize(("psnr", "found"), [(20.0, 0.0), (100.0, math.hypot(COARSEST_PX, POINT_PX))])
+def test_where_no_cut_is_as_bad_or_as_good_the_ends_are_taken(psnr, found):
+    assert pixel_error_for(lambda tau: psnr, 30, point_px=POINT_PX) == pytest.approx(found)
+
+
+def test_a_picture_that_gets_worse_at_once_is_searched_until_the_step_is_found():
+    """One node makes all the difference at 3 px: the search ends below it, and does not go on for ever."""
+    found = pixel_error_for(lambda tau: 100.0 if size_of(tau) < 3 else 20.0, 40, point_px=POINT_PX)
+    assert 2.8 < size_of(found) < 3.2
+
+
+def test_what_was_measured_of_a_view_is_not_measured_again():
+    drawn = []
+    scene = levels()
+    with st.open_session(scene) as session:
+
+        def draw(view, select):
+            drawn.append(select.pixel_error)
+            return session.draw(view.camera, select=select).image
+
+        gauge, view = Gauge(draw), View(CAMERA)
+        wanted = st.SelectOptions(quality=36, profile="exact")
+        first = gauge.settled(wanted, view, point_px=POINT_PX)
+        num_first = len(drawn)
+        assert drawn[0] == 0 and num_first == len(set(drawn))
+        assert gauge.settled(wanted, View(CAMERA), point_px=POINT_PX) == first
+        assert len(drawn) == num_first
+        gauge.settled(wanted, View(CAMERA.scaled(0.5)), point_px=POINT_PX)
+        assert drawn[num_first] == 0
+
+
+def test_the_sample_is_rows_of_tiles_of_the_picture():
+    """Strips show what the picture shows there, but for splats that reach into them from far outside: these are projected as
+    at the border (FRUSTUM_CLAMP)."""
+    scene = levels(num=4000)
+    large = CAMERA.scaled(4)
+    strips = sample_of(View(large))
+    assert -(-large.height // 16) >= WHOLE_BELOW
+    assert len(strips) == 8
+    picture = st.render(scene, large).image
+    for strip in strips:
+        top = round(large.K[1, 2] - strip.camera.K[1, 2])
+        assert top % 16 == 0
+        part = st.render(scene, strip.camera).image
+        assert st.psnr(part, picture[top : top + 16]) > 45
+    assert sample_of(View(CAMERA))[0].camera is CAMERA
+
+
+def test_a_session_and_select_choose_the_same_cut():
+    scene = levels("pairs")
+    options = st.SelectOptions(quality=34)
+    chosen = st.select(scene, CAMERA, options)
+    with st.open_session(scene, select=options) as session:
+        np.testing.assert_array_equal(session.select(CAMERA).rows, chosen.rows)
+        image = st.render(scene, CAMERA, select=st.SelectOptions(pixel_error=chosen.pixel_error)).image
+        np.testing.assert_array_equal(session.draw(CAMERA).image, image)
+
+
+def test_a_session_forgets_what_it_measured_of_other_columns():
+    scene = levels()
+    with st.open_session(scene, select=st.SelectOptions(quality=34)) as session:
+        before = session.select(CAMERA).pixel_error
+        flat = np.zeros_like(scene.gaussians.sh)
+        session.update({"sh": flat})
+        assert session.select(CAMERA).pixel_error > before  # of one colour, nodes may be larger
 
 
 def test_a_budget_goes_before_a_quality():
-    scene = known()
+    scene = levels()
     free = st.select(scene, CAMERA, st.SelectOptions(quality=40))
     assert len(free) > 60
     bound = st.select(scene, CAMERA, st.SelectOptions(quality=40, budget=60))
     assert len(bound) <= 60
-    with st.open_session(scene, select=st.SelectOptions(quality=40)) as session:
-        np.testing.assert_array_equal(
-            session.draw(CAMERA).image, st.render(scene, CAMERA, select=lambda *_, **__: free).image
-        )
 
 
-def test_levels_of_unknown_quality_are_refused_with_advice():
-    with pytest.raises(InputError, match=r"levels whose quality was not measured.*splatree build"):
-        st.select(known(curve=None), CAMERA, st.SelectOptions(quality=40))
+def test_a_scene_without_levels_is_drawn_whole():
+    flat = st.Scene.flat(surface(600))
+    assert len(st.select(flat, CAMERA, st.SelectOptions(quality=40))) == len(
+        st.select(flat, CAMERA, st.SelectOptions(pixel_error=0))
+    )
 
 
 @pytest.mark.parametrize(
@@ -137,34 +165,8 @@ def test_options_that_contradict_each_other_are_refused(options, found):
         st.SelectOptions(**options)
 
 
-def test_the_curve_goes_through_files_edits_and_joins(tmp_path):
-    scene = known()
-    st.write(scene, tmp_path / "a.splatree")
-    assert curve_of(st.read(tmp_path / "a.splatree")) == CURVE
-    large = edit(scene, EditOptions(scale=8.0))
-    assert curve_of(large) == CURVE  # all of it is measured in pixels and shares
-    st.write(known(curve=None), tmp_path / "b.splatree")
-    both = st.read([tmp_path / "a.splatree", tmp_path / "b.splatree"])
-    assert both.tree.record.quality is None  # of one part nothing is known
-
-
-def test_records_without_a_curve_are_read_and_strange_ones_refused():
-    record = known().tree.record
+def test_records_of_older_files_with_a_curve_are_read():
+    record = levels().tree.record
     fields = json.loads(record.to_json())
-    assert st.LevelRecord.from_json(json.dumps(fields)) == record
-    del fields["quality"]
-    assert st.LevelRecord.from_json(json.dumps(fields)).quality is None
-    older = {
-        "offset": 30.0,
-        "by_pixel_error": -4.0,
-        "by_merged": -1.0,
-        "by_covered": -0.8,
-        "error_db": 1,
-        "num_pictures": 9,
-    }
-    assert (
-        st.LevelRecord.from_json(json.dumps({**fields, "quality": older})).quality is None
-    )  # numbers of another meaning
-    for strange in ({"offset": 1.0}, "high", {**vars(CURVE), "offset": "40"}):
-        with pytest.raises(InputError, match=r"QualityCurve|level record"):
-            st.LevelRecord.from_json(json.dumps({**fields, "quality": strange}))
+    assert st.LevelRecord.from_json(json.dumps({**fields, "quality": {"offset": 30.0}})) == record
+    assert FINEST_PX < COARSEST_PX

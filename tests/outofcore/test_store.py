@@ -156,6 +156,15 @@ def test_sessions_batches_and_scores_take_stores(folder, scene):
                 session.update({})
 
 
+def test_a_quality_is_measured_from_the_pages(scene, folder):
+    wanted = st.SelectOptions(quality=33)
+    with st.open_store(folder) as store, st.open_session(store) as session:
+        for camera in CAMERAS[:2]:
+            expected = st.select(scene, camera, wanted)
+            assert 0 < len(expected) < len(st.select(scene, camera, st.SelectOptions(pixel_error=0)))
+            assert session.select(camera, select=wanted).pixel_error == expected.pixel_error
+
+
 def test_what_needs_all_rows_is_refused(folder):
     with st.open_store(folder) as store:
         with pytest.raises(st.InputError, match="found 'release' for a store"):

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import splatree as st
-from splatree.render.calibrate import THRESHOLD_MAX
 from splatree.render.contribution import tile_contributions
+from splatree.render.studio import THRESHOLD_MAX
 
 from .test_pipeline import cloud
 
@@ -72,6 +72,7 @@ def test_worst_keeps_the_budget_in_each_view() -> None:
         assert np.isclose(found.worst_loss_db, max(each.values()))
         assert np.isclose(found.loss_db, larger_half(list(each.values()), [depth_of(view) for view in views]))
     assert worst.worst_loss_db <= 0.1 < mean.worst_loss_db
+    assert worst.exceeded == 1 / 6  # of six views alike, each is as likely the worst
     assert max(losses(1.03 * worst.threshold).values()) > 0.1  # found to 2 %
     assert worst.tile_rule == "balanced"
     assert worst.threshold < mean.threshold

@@ -143,14 +143,6 @@ def test_a_calibrated_threshold_and_clusters_are_dropped_and_said(tree):
     assert len(found.notes) == 2 and "calibrate" in found.notes[1]
 
 
-def test_a_quality_that_was_measured_is_measured_anew():
-    tree = st.build_lod(st.Scene.flat(surface(4000, degree=1)), st.BuildOptions("pairs"))
-    views = made_views(tree, FEW.made_views, FEW.seed)
-    known = st.with_quality(tree, views)
-    found = st.refine(known, FEW, cameras=views).scene.tree.record
-    assert found.quality is not None and found.quality != known.tree.record.quality
-
-
 def test_the_teacher_large_is_the_average_of_a_larger_picture(tree):
     view = made_views(tree, 1, seed=1)[0]
     everything = st.SelectOptions(pixel_error=0)

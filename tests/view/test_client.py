@@ -4,7 +4,6 @@ import json
 import struct
 import threading
 import time
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,7 +15,6 @@ from splatree.render.moving import guarded_by
 from splatree.render.pipeline import render
 from splatree.scene.cameras import Camera
 from splatree.scene.options import SelectOptions
-from splatree.scene.quality import QualityCurve
 from splatree.scene.scene import Scene
 from splatree.view import client as module
 from splatree.view.client import Client
@@ -111,16 +109,11 @@ def test_a_cut_without_a_limit_is_that_of_select(page):
 
 
 def test_a_cut_of_a_quality_is_that_of_select():
-    curve = QualityCurve(15.0, -4.0, 0.0, 2.0, 0.0, -1.0, error_db=0.5, num_pictures=30)
-    tree = scene().tree
-    measured = replace(scene(), tree=replace(tree, record=replace(tree.record, quality=curve)))
-    page = FakePage(exhibit(measured, framing=on_show().framing))
-    assert page.wait_for("scene")[0]["measured"]
+    page = FakePage()
     camera = page.exhibit.framing.camera(160, 90)
     page.ask(camera, db=38, budget=50_000)
     header, _ = page.wait_for("cut", 1)
-    wanted = SelectOptions(budget=50_000, quality=38)
-    expected = select(page.exhibit.scene, camera, wanted, last=module.FIRST_TAU_PX)
+    expected = select(page.exhibit.scene, camera, SelectOptions(budget=50_000, quality=38))
     assert 0.25 < expected.pixel_error < 32
     assert header["tau"] == expected.pixel_error
     np.testing.assert_array_equal(page.client._slots.rows, expected.rows)
@@ -128,15 +121,6 @@ def test_a_cut_of_a_quality_is_that_of_select():
     picture, _ = page.wait_for("frame", 2)
     assert picture["rows"] > 0
     page.close()
-
-
-def test_levels_that_were_not_measured_cannot_be_asked_for_a_quality(page):
-    assert not page.wait_for("scene")[0]["measured"]
-    page.ask(db=38)
-    header, _ = page.wait_for("error", 1)
-    assert "levels whose quality was not measured" in header["text"]
-    with pytest.raises(InputError, match="levels whose quality was not measured"):
-        exhibit(scene(), framing=on_show().framing, measured=True)
 
 
 def test_a_first_cut_comes_in_steps(monkeypatch):

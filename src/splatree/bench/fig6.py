@@ -18,7 +18,7 @@ from splatree.bench.shrinking import ABOUT_LOSS, EXACT, THREE_SIGMA, Way, calibr
 from splatree.bench.subject import Subject, SubjectOptions, subject_of
 from splatree.errors import InputError
 from splatree.progress import track
-from splatree.render.calibrate import Policy
+from splatree.render.calibration import Policy
 from splatree.render.contribution import ContributionHistogram, contribution_histogram
 from splatree.render.timing import check_frames
 from splatree.scene.options import RenderOptions, SelectOptions

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 
 from splatree.bench.subject import Subject
 from splatree.constants import ALPHA_THRESHOLD
-from splatree.render.calibrate import CalibrateOptions, Policy, calibrate
+from splatree.render.calibrate import calibrate
+from splatree.render.calibration import CalibrateOptions, Policy
 from splatree.scene.options import RenderOptions, SelectOptions
 
 __all__ = ["ABOUT_LOSS", "BALANCED", "EXACT", "SQUARE", "THREE_SIGMA", "Way", "calibrated_options", "ways"]

@@ -17,7 +17,6 @@ from splatree.cli.files import Files, inputs_and_output, lost_and_noted, read_op
 from splatree.cli.folders import in_words as folder_in_words
 from splatree.cli.folders import run_through_files
 from splatree.clusters.build import ClusterOptions, build_clusters
-from splatree.errors import InputError
 from splatree.io.estimate import estimated_compact_bytes
 from splatree.io.options import WriteOptions
 from splatree.io.photos import PhotosUsed
@@ -31,12 +30,11 @@ from splatree.outofcore.build import BuiltFolder
 from splatree.outofcore.needs import needs_of
 from splatree.outofcore.options import FolderOptions
 from splatree.render.build import build_lod
-from splatree.render.calibrate import CalibrateOptions, Calibration, calibrate, calibrated
+from splatree.render.calibrate import calibrate
+from splatree.render.calibration import CalibrateOptions, Calibration, calibrated
 from splatree.render.compare_page import Comparison
-from splatree.render.quality import with_quality
 from splatree.render.trial import FEWEST, try_methods
 from splatree.scene.names import Mode
-from splatree.scene.quality import QualityCurve
 from splatree.scene.scene import Scene
 from splatree.scene.trial import MethodTrial
 from splatree.train.refine import refine
@@ -67,8 +65,7 @@ class Command:
     mode: Mode | None = None
     """How the scene was trained and will be drawn; merged nodes depend on it. None: as the file says, else `classic`."""
     fast: bool = False
-    """Levels by a radius, and no measurements: neither which method suits the scene, nor how good cuts of its levels look, nor
-    what is hidden."""
+    """Levels by a radius, and no measurements: neither which method suits the scene, nor what is hidden."""
     compact: bool = False
     """Write a compact .splatree: values are rounded, and it is hardly larger than a .sog of the scene."""
     clusters: int | Literal["auto"] | None = None
@@ -77,9 +74,6 @@ class Command:
     """Make no levels: only clusters, of the Gaussians as they are; a scene that has levels keeps them."""
     refine: float | None = None
     """Let the merged nodes learn from pictures of the leaves for so many minutes of processor time, as `splatree refine` does."""
-    measure_quality: bool = True
-    """Measure how good cuts of the levels look, so that `--quality 40` can be asked for: pictures of nine made views, 2 to 5 CPU
-    seconds."""
     options: Annotated[BuildOptions, arg(name="", help="")] = BuildOptions()
     running: Annotated[FolderOptions, arg(name="", help="")] = FolderOptions()
     clustering: Annotated[ClusterOptions, arg(name="", help="")] = ClusterOptions()
@@ -121,8 +115,6 @@ class Built:
     """How many values or rows each rule of repair touched."""
     lost: tuple[str, ...]
     """What the file does not hold, a sentence each."""
-    quality: QualityCurve | None = None
-    """How good cuts of the levels look; None: it was not measured."""
     trial: MethodTrial | None = None
     """How both methods of building did on a sample; None: the method was named, or the scene is too small to tell."""
     calibration: Calibration | None = None
@@ -188,7 +180,6 @@ def run(command: Command) -> Built | BuiltFolder:
         views = views.relative_to(scene)
         calibration = calibrate(scene, views.cameras, command.calibration, photos=views.photos)
         scene = calibrated(scene, calibration, held_out=views.rule)
-    scene, unknown = _measured(scene) if command.measure_quality and not command.fast else (scene, ())
     lost, notes = lost_and_noted(scene, write(scene, output, force=command.files.force, options=writing))
     report = report_levels(scene)
     num_bytes, input_bytes = stored_bytes(output), sum(stored_bytes(Path(path)) for path in scene.source.paths)
@@ -207,11 +198,10 @@ def run(command: Command) -> Built | BuiltFolder:
         growth=_growth(scene, output, num_bytes, input_bytes),
         repairs=repairs_of(scene),
         lost=lost,
-        quality=None if scene.tree.record is None else scene.tree.record.quality,
         trial=None if scene.tree.record is None else scene.tree.record.trial,
         calibration=calibration,
         photographs=None if views is None else views.used,
-        notes=(*short, *notes, *warned, *learned, *unknown, *(() if views is None else views.notes)),
+        notes=(*short, *notes, *warned, *learned, *(() if views is None else views.notes)),
         comparison=read_back(  # whose leaves are the input, bit for bit
             output, scene, command.reporting, made_from=", ".join(map(str, inputs)), force=command.files.force
         ),
@@ -275,17 +265,6 @@ def _checked(scene: Scene, options: BuildOptions) -> tuple[str, ...]:
     return (f"levels by a radius show this scene badly: {trial.in_words()}; wanted --method pairs, or no --method",)
 
 
-def _measured(scene: Scene) -> tuple[Scene, tuple[str, ...]]:
-    """The scene with the quality of its levels, or why that could not be measured."""
-    record = scene.tree.record
-    if record is None or scene.tree.num_levels < 2 or record.quality is not None:
-        return scene, ()
-    try:
-        return with_quality(scene), ()
-    except InputError as error:
-        return scene, (f"--quality will not be known: {error}",)
-
-
 def _linked(command: Command, inputs: Sequence[Path]) -> Scene:
     if len(inputs) != 1:
         raise UsageError(f"--levels file: found {len(inputs)} inputs, wanted one, a folder with lod-meta.json")
@@ -319,22 +298,11 @@ def show(built: Built | BuiltFolder) -> str:
     views = views_in_words(built.photographs, built.notes)
     compared = [] if built.comparison is None else comparison_in_words(built.comparison)
     tried = [] if built.trial is None else [f"levels by {_chosen(built)}: {built.trial.in_words()}"]
-    measured = [] if built.quality is None else [_quality_in_words(built.quality)]
-    return "\n".join(
-        [wrote, *growth, *tried, *measured, *views, *calibration, *told(built.repairs, built.lost), *compared]
-    )
+    return "\n".join([wrote, *growth, *tried, *views, *calibration, *told(built.repairs, built.lost), *compared])
 
 
 def _chosen(built: Built) -> str:
     return "pairs" if built.rules is not None and built.rules["rule"] == "pairs" else "a radius"
-
-
-def _quality_in_words(curve: QualityCurve) -> str:
-    """How well the quality of a cut is known."""
-    return (
-        f"quality: PSNRs of cuts against all leaves are known within {curve.error_db:.1f} dB (of {curve.num_pictures} pictures); "
-        f"--quality 40 draws the coarsest cut of 40 dB"
-    )
 
 
 def _levels_in_words(rules: dict[str, Any] | None) -> str:

@@ -14,7 +14,8 @@ from splatree.io.cameras.files import read_cameras
 from splatree.io.cameras.split import split_views
 from splatree.io.photos import Photos, PhotosUsed, photographed
 from splatree.io.writing import write
-from splatree.render.calibrate import CalibrateOptions, Calibration, calibrate, calibrated
+from splatree.render.calibrate import calibrate
+from splatree.render.calibration import CalibrateOptions, Calibration, calibrated
 from splatree.render.overlap import overlap_hint
 from splatree.render.paths import PathOptions, flyout, orbit
 from splatree.scene.cameras import Camera, Cameras
@@ -173,8 +174,9 @@ def in_words(c: Calibration) -> str:
     truth = (
         "the photographs" if c.photographs else f"a truth that lossless pictures are {c.options.scene_psnr:g} dB from"
     )
+    others = f"1 in {len(c.views) + 1} other views like these loses more"
+    worst = f"{c.worst_loss_db:.3f} dB in the worst view ({c.worst_view}; {others}), " if c.worst_view else ""
     return (
-        f"τ = {c.threshold:.5f} ({c.tile_rule}, {c.pixels}) by {c.policy}: {c.loss_db:.3f} dB lost against {truth}, "
-        f"{f'{c.worst_loss_db:.3f} dB in the worst view ({c.worst_view}), ' if c.worst_view else ''}"
+        f"τ = {c.threshold:.5f} ({c.tile_rule}, {c.pixels}) by {c.policy}: {c.loss_db:.3f} dB lost against {truth}, {worst}"
         f"{c.num_pairs / max(1, c.num_pairs_lossless):.3f} × the pairs of lossless"
     )

@@ -22,7 +22,7 @@ from splatree.lod.baselines import Baseline, BaselineName, BaselineOptions, base
 from splatree.lod.blocks import with_blocks
 from splatree.metrics.lpips import Lpips, Net
 from splatree.outofcore.store import Store
-from splatree.render.calibrate import METADATA_KEY
+from splatree.render.calibration import METADATA_KEY
 from splatree.render.compare import comparison_views
 from splatree.render.compare_page import Comparison
 from splatree.render.evaluate import Evaluation, evaluate

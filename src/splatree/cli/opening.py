@@ -64,7 +64,6 @@ def needs_all_rows(select: SelectOptions) -> list[str]:
     needed = {
         "rule": select.rule != "cut",
         "cull": select.cull not in (None, "none"),
-        "quality": select.quality is not None,
     }
     return [name for name, is_needed in needed.items() if is_needed]
 

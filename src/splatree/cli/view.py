@@ -3,7 +3,7 @@
 import contextlib
 import sys
 import webbrowser
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -69,17 +69,11 @@ def run(command: Command) -> Viewed:
         photos = Photos(command.photos, list(cameras))
     with ExitStack() as stack:
         scene, beside = (
-            None if paths is None else stack.enter_context(_opened(command, paths))
+            None if paths is None else stack.enter_context(opened(paths, command.reading, command.max_memory))
             for paths in (command.paths, None if command.beside is None else (command.beside,))
         )
         assert scene is not None
         return _shown(command, scene, beside, cameras, photos)
-
-
-def _opened(command: Command, paths: tuple[Path, ...]) -> AbstractContextManager[Scene | Store]:
-    """A scene, or a store where it is not read as a whole."""
-    whole = {"quality": command.options.quality is not None}
-    return opened(paths, command.reading, command.max_memory, whole=[name for name, needed in whole.items() if needed])
 
 
 def _shown(

@@ -6,7 +6,7 @@ run in NumPy over all rows: they are there to be compared with.
 
 Rows of clusters that culling leaves out are not drawn; with the rule `exact` they could not be seen anyway.
 
-A budget is met by raising τ_R (lod/budget.py). A quality chooses τ_R by what the levels are known to show (lod/quality.py).
+A budget is met by raising τ_R (lod/budget.py). A quality chooses τ_R by what cuts of the view look like (lod/quality.py).
 """
 
 from collections.abc import Callable, Sized
@@ -21,12 +21,12 @@ from splatree.constants import DILATION_PX2, EIGENVALUE_FLOOR_PX4, SIGMAS
 from splatree.errors import InputError
 from splatree.kernels.contract import FrameStages
 from splatree.kernels.cpu.frame import select as cpu
+from splatree.kernels.cpu.frame import stages as cpu_stages
 from splatree.kernels.cpu.frame.blocks import index_blocks
 from splatree.kernels.reference import select as reference
 from splatree.lod.budget import fill_budget, meet_budget, meet_budget_from
-from splatree.lod.quality import curve_of, pixel_error_for
+from splatree.lod.quality import Gauge
 from splatree.lod.serial import select_serial
-from splatree.lod.sketch import Sketcher
 from splatree.scene.cameras import Camera
 from splatree.scene.clusters import Culling
 from splatree.scene.frame import CutRange, Selection
@@ -70,7 +70,6 @@ def select(
     *,
     culling: Culling | None = None,
     last: float | None = None,
-    sketcher: Sketcher | None = None,
     stages: FrameStages | None = None,
     threads: int = 0,
 ) -> Selection:
@@ -84,7 +83,6 @@ def select(
         culling: what `cull_scene` found for the same view and options; None: it is found here.
         last: τ_R, px, of the view before, for the budget or the quality of a camera that moves: the search begins there, and for
             a budget is content with 90 % of it (lod/budget.py). None: a view alone.
-        sketcher: draws the sketches that a quality is predicted from; None: it is made here, by a pass over the scene.
         stages: the back end that selects by the rule `cut`; None: the CPU.
         threads: threads to use; 0: all. The result is the same for any number.
 
@@ -92,8 +90,7 @@ def select(
         The selected rows, ascending, with the τ_R that chose them.
 
     Raises:
-        InputError: more roots are in view than the budget allows, a quality is asked of levels that have no curve of it, or a
-            rule of culling was named for a scene without clusters.
+        InputError: more roots are in view than the budget allows, or a rule of culling was named for a scene without clusters.
 
     Source:
         FilterGS (Wang 2026), §3.2, for the cut without a traversal; docs/explanation/select.md.
@@ -106,6 +103,8 @@ def select(
     if isinstance(view, Camera):
         view = view_of(scene, view)
     options = for_levels(options or SelectOptions(), scene)
+    if options.quality is not None:
+        options = _measured(scene, view, options, last, threads=threads)
     if culling is None:
         culling = cull_scene(scene, view, options, threads=threads)
     runs = None if culling is None or culling.kept.all() else culling.runs
@@ -119,27 +118,23 @@ def select(
         choose = select_serial
 
     def rows_at(pixel_error: float) -> tuple[Array, int]:
-        at = replace(options, pixel_error=pixel_error, quality=None)
+        at = replace(options, pixel_error=pixel_error)
         rows, visited = choose(scene.gaussians, scene.tree, blocks, view, at, runs=runs, threads=threads)
         if at.max_radius is not None:
             largest = replace(at, pixel_error=at.max_radius)
             rows = rows[cpu.small(scene.gaussians, scene.tree, rows, view, largest, threads=threads)]
         return rows, visited
 
-    finest = options.pixel_error
-    if options.quality is not None:
-        curve_of(scene)  # refuses before anything is drawn
-        point_px = smallest_radius(options.resolved_profile, view.dilation_px2)
-        sketcher = sketcher or Sketcher.of(scene)
-        finest = pixel_error_for(rows_at, sketcher, view.camera, options.quality, point_px=point_px, last=last)
     find_range = getattr(cpu if stages is None else stages, "select_range", None)
     if options.budget is None or last is not None or find_range is None or options.rule != "cut":
-        rows, visited, pixel_error = within_budget(rows_at, view, options, finest, last=last)
+        rows, visited, pixel_error = within_budget(rows_at, view, options, options.pixel_error, last=last)
     else:
         find = partial(find_range, scene.gaussians, scene.tree, blocks, view, runs=runs, threads=threads)
         every = 1 if blocks is None or len(blocks.min_logits) < FEW_BLOCKS else SAMPLED
         range_at = partial(_range_at, find, scene, view, options, threads)
-        rows, visited, pixel_error = fill_budget(range_at, rows_at, options, finest, view.camera, every=every)
+        rows, visited, pixel_error = fill_budget(
+            range_at, rows_at, options, options.pixel_error, view.camera, every=every
+        )
     notes = notes_on(scene, options, pixel_error, view)
     return Selection(rows, options.rule, options.resolved_profile, pixel_error, visited, notes)
 
@@ -155,12 +150,24 @@ def _range_at(
     every: int = 1,
 ) -> CutRange:
     """The cuts from one τ_R to another, px, of nodes that are not too large to be drawn."""
-    found = find(replace(options, pixel_error=finest, quality=None), coarsest=coarsest, every=every)
+    found = find(replace(options, pixel_error=finest), coarsest=coarsest, every=every)
     if options.max_radius is None:
         return found
     largest = replace(options, pixel_error=options.max_radius)
     is_left = cpu.small(scene.gaussians, scene.tree, found.rows, view, largest, threads=threads)
     return CutRange(found.rows[is_left], found.enters[is_left], found.leaves[is_left], found.num_visited)
+
+
+def _measured(scene: Scene, view: View, options: SelectOptions, last: float | None, *, threads: int) -> SelectOptions:
+    """The options with the τ_R that has their quality: pictures are drawn on the processor."""
+
+    def draw(part: View, by_size: SelectOptions) -> Array:
+        rows = select(scene, part, by_size, threads=threads).rows
+        splats = cpu_stages.project(scene.gaussians, scene.ids, rows, part, curves=scene.tree.curves, threads=threads)
+        return cpu_stages.blend(splats, cpu_stages.bin(splats, part, threads=threads), part, threads=threads).image
+
+    point_px = smallest_radius(options.resolved_profile, view.dilation_px2)
+    return Gauge(draw).settled(options, view, point_px=point_px, last=last)
 
 
 Rows = TypeVar("Rows", bound=Sized)

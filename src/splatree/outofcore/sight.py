@@ -92,7 +92,10 @@ def _write_slabs(work: Work, plan: Plan, axis: int, folder: Path, threads: int) 
     nearest, farthest = np.inf, -np.inf
     for cell, _ in _cells(work, plan):
         depths = depths_along(cell, plan.sight, axis, threads=threads)
-        nearest, farthest = min(nearest, float(depths.min(initial=np.inf))), max(farthest, float(depths.max(initial=-np.inf)))
+        nearest, farthest = (
+            min(nearest, float(depths.min(initial=np.inf))),
+            max(farthest, float(depths.max(initial=-np.inf))),
+        )
     counts = np.zeros(NUM_BINS, np.int64)
     for cell, _ in _cells(work, plan):
         depths = depths_along(cell, plan.sight, axis, threads=threads)
@@ -136,7 +139,10 @@ def write_seen(work: Work, plan: Plan) -> None:
     along = [read_array(work.sight(axis)) for axis in range(NUM_AXES)]
     sample = visibilities_from(np.stack([sample_of(sums, SIZE_SAMPLES) for sums in along]))
     full = full_sight(sample)
-    with task("put together what is seen", float(plan.num_rows)) as advance, replacing(work.seen, force=True) as temporary:
+    with (
+        task("put together what is seen", float(plan.num_rows)) as advance,
+        replacing(work.seen, force=True) as temporary,
+    ):
         seen = np.lib.format.open_memmap(temporary, "w+", np.float32, (plan.num_rows,))
         for begin in range(0, plan.num_rows, BATCH_ROWS):
             batch = visibilities_from(np.stack([sums[begin : begin + BATCH_ROWS] for sums in along]))

@@ -325,6 +325,6 @@ def _check_options(options: SelectOptions) -> None:
         )
     if options.quality is not None:
         raise InputError(
-            f"quality: found {options.quality:g} dB for a store, wanted a pixel error or a budget; a quality is predicted from "
-            "all leaves: read the scene"
+            f"quality: found {options.quality:g} dB for a store, wanted a pixel error or a budget; a quality is measured by "
+            "drawing: ask a session of the store, as open_session makes it"
         )

@@ -82,7 +82,9 @@ def finish_scene(
     source = with_report(source, plan.resolved, sizes, {"nodes": counts} | report_of_cells)
     num_copies = len(top.base.order)
     if plan.follows:
-        crown = _with_drawn(crown, [read(work.drawn(i)) for i, result in enumerate(results) if result["file"] is not None])
+        crown = _with_drawn(
+            crown, [read(work.drawn(i)) for i, result in enumerate(results) if result["file"] is not None]
+        )
     write(replace(crown, source=source), work.scene / CROWN, force=True)
     write_index(_index(work, files), work.scene / INDEX)
     manifest = Manifest(

@@ -15,10 +15,9 @@ from splatree.kernels.contract import FrameStages, HeldScene
 from splatree.kernels.devices import DeviceName, feature_of, stages_of
 from splatree.kernels.reference.select import in_runs
 from splatree.lod.blocks import with_blocks
-from splatree.lod.quality import curve_of
-from splatree.lod.select import Selector, cull_rule, cull_scene, for_levels, notes_on
+from splatree.lod.quality import Gauge
+from splatree.lod.select import Selector, cull_rule, cull_scene, for_levels, notes_on, smallest_radius
 from splatree.lod.select import select as select_rows
-from splatree.lod.sketch import Sketcher
 from splatree.render.stages import Clock, draw_rows, frame_of, result_of
 from splatree.render.updates import updated_scene
 from splatree.scene.clusters import Culling
@@ -44,24 +43,12 @@ class Engine:
         self.reusing: FrameStages = self.stages if reusing is None else reusing()
         self.held: HeldScene | None = None
         self.threads = threads
-        self._sketcher: Sketcher | None = None
+        self._gauge = Gauge(lambda part, by_size: self.draw(part, by_size).image)
         hold = feature_of(device, "hold")
         if hold is not None:
             parts = (self.scene.gaussians, self.scene.ids, self.scene.tree, self.scene.blocks)
             self.held = cast(HeldScene, hold(*parts, columns))
             self.stages = cast(FrameStages, _HeldStages(self.held, self.stages))
-
-    @property
-    def sketcher(self) -> Sketcher:
-        """What the quality of cuts is predicted from: made when it is first asked for.
-
-        Raises:
-            InputError: the levels have no curve of their quality.
-        """
-        if self._sketcher is None:
-            curve_of(self.scene)
-            self._sketcher = Sketcher.of(self.scene)
-        return self._sketcher
 
     def settled(self, select: SelectOptions | Selector, view: View) -> SelectOptions | Selector:
         """The options of the selection with what follows from the scene and from how the view is drawn."""
@@ -126,7 +113,8 @@ class Engine:
     def choose(
         self, view: View, select: SelectOptions | Selector, clock: Clock, *, last: float | None = None
     ) -> tuple[Culling | None, Selection]:
-        """The rows to draw, and the clusters that were left out before; the search of a budget begins at ``last``, px."""
+        """The rows to draw, and the clusters that were left out before; the search of a budget or of a quality begins at
+        ``last``, px."""
         if not isinstance(select, SelectOptions):
             with clock.timed("select"):
                 return None, select(view, threads=self.threads)
@@ -134,17 +122,19 @@ class Engine:
             with clock.timed("select"):
                 rows = np.arange(len(self.scene), dtype=np.int32)
                 return None, Selection(rows, select.rule, select.resolved_profile, select.pixel_error, len(rows))
+        if select.quality is not None:
+            with clock.timed("measure"):
+                point_px = smallest_radius(select.resolved_profile, view.dilation_px2)
+                select = self._gauge.settled(select, view, point_px=point_px, last=last)
         culling = None
         if cull_rule(self.scene, select) != "none":
             with clock.timed("cull"):
                 culling = cull_scene(self.scene, view, select, threads=self.threads)
-        sketcher = None if select.quality is None else self.sketcher
         with clock.timed("select"):
             selection = select_rows(
                 *(self.scene, view, select),
                 culling=culling,
                 last=last,
-                sketcher=sketcher,
                 stages=self.stages,
                 threads=self.threads,
             )
@@ -153,7 +143,7 @@ class Engine:
     def update(self, columns: Gaussians | Mapping[str, Array], *, keep_index: bool) -> None:
         """Replace columns of the Gaussians, here and on the device (render/updates.py)."""
         self.scene, names = updated_scene(self.scene, columns, keep_index=keep_index, threads=self.threads)
-        self._sketcher = None
+        self._gauge = Gauge(lambda part, by_size: self.draw(part, by_size).image)
         if self.held is not None:
             self.held.update(self.scene.gaussians, self.scene.blocks, names)
 

@@ -216,7 +216,7 @@ class Motion:
             area = (guarded.camera.width * guarded.camera.height) / (view.camera.width * view.camera.height)
             wanted = replace(select, budget=max(1, round(select.budget * self._scale * area)))
         _, chosen = engine.choose(guarded, engine.settled(wanted, guarded), clock, last=self._last)
-        distance = _near_distance(engine.scene, chosen.rows, view.camera.position)
+        distance = near_distance(engine.scene, chosen.rows, view.camera.position)
         self._cut = _Cut(engine.scene, (select, view), guarded, distance, chosen)
         self._columns, self._num_drawn, self._last = None, 0, chosen.pixel_error
         return self._cut
@@ -309,7 +309,7 @@ def _columns_of(engine: Engine, cut: _Cut) -> _Columns:
     )
 
 
-def _near_distance(scene: Scene, rows: Array, eye: Array) -> float:
+def near_distance(scene: Scene, rows: Array, eye: Array) -> float:
     """The distance from the eye that all but a few of the rows exceed."""
     if len(rows) == 0:
         return np.inf

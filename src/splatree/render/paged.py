@@ -12,8 +12,8 @@ from splatree.errors import InputError
 from splatree.kernels.contract import HeldScene
 from splatree.kernels.cpu.frame.project import gathered
 from splatree.kernels.devices import DeviceName, stages_of
-from splatree.lod.select import Selector
-from splatree.lod.sketch import Sketcher
+from splatree.lod.quality import Gauge
+from splatree.lod.select import Selector, smallest_radius
 from splatree.outofcore.paging import Cut
 from splatree.outofcore.store import Store
 from splatree.render.engine import settled
@@ -38,15 +38,7 @@ class PagedEngine:
         self.store, self.scene = store, store.scene
         self.stages = stages_of(device)
         self._threads = threads
-
-    @property
-    def sketcher(self) -> Sketcher:
-        """Refused: a quality is predicted from all leaves.
-
-        Raises:
-            InputError: always.
-        """
-        raise InputError("quality: found a store, wanted a scene in memory; read it")
+        self._gauge = Gauge(self._drawn_part)
 
     def settled(self, select: SelectOptions | Selector, view: View) -> SelectOptions | Selector:
         """The options of the selection with what follows from the store and from how the view is drawn."""
@@ -77,10 +69,12 @@ class PagedEngine:
             picture = self.stages.blend(splats, bins, view, threads=self._threads)
         return frame_of(view, None, selection, (splats, bins, picture), clock)
 
-    def choose(self, view: View, select: SelectOptions | Selector, clock: Clock) -> tuple[Culling | None, Selection]:
-        """The rows to draw."""
+    def choose(
+        self, view: View, select: SelectOptions | Selector, clock: Clock, *, last: float | None = None
+    ) -> tuple[Culling | None, Selection]:
+        """The rows to draw; the search of a budget or of a quality begins at ``last``, px."""
         with clock.timed("select"):
-            return None, self._cut(view, select)[0]
+            return None, self._cut(view, select, last=last)[0]
 
     def update(self, columns: Gaussians | Mapping[str, Array], *, keep_index: bool) -> None:
         """Refused: a store is read-only.
@@ -90,11 +84,20 @@ class PagedEngine:
         """
         raise InputError("update: found a store, wanted a scene in memory; read it")
 
-    def _cut(self, view: View, select: SelectOptions | Selector) -> tuple[Selection, Cut]:
+    def _cut(self, view: View, select: SelectOptions | Selector, *, last: float | None = None) -> tuple[Selection, Cut]:
         if not isinstance(select, SelectOptions):
             selection = select(view, threads=self._threads)
             return selection, self.store.located(selection.rows)
-        return self.store.cut(view, select, look_ahead=True, threads=self._threads)
+        if select.quality is not None:
+            point_px = smallest_radius(select.resolved_profile, view.dilation_px2)
+            select = self._gauge.settled(select, view, point_px=point_px, last=last)
+        return self.store.cut(view, select, last=last, look_ahead=True, threads=self._threads)
+
+    def _drawn_part(self, view: View, select: SelectOptions) -> Array:
+        """The picture of a part of a view."""
+        splats = self._splats(self.store.cut(view, select, threads=self._threads)[1], view)
+        bins = self.stages.bin(splats, view, threads=self._threads)
+        return self.stages.blend(splats, bins, view, threads=self._threads).image
 
     def _splats(self, cut: Cut, view: View) -> Splats:
         ids = np.empty(len(cut), np.uint32)

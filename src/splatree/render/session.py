@@ -25,7 +25,6 @@ from splatree.errors import InputError
 from splatree.kernels.contract import FrameStages
 from splatree.kernels.devices import DeviceName
 from splatree.lod.select import Selector
-from splatree.lod.sketch import Sketcher
 from splatree.outofcore.store import Store
 from splatree.render.engine import Engine
 from splatree.render.lens import pinhole_of, through_lens
@@ -137,16 +136,6 @@ class Session:
         """The stages of the back end, for programs that run some of them alone (kernels/contract.py)."""
         return self._engine.stages
 
-    @property
-    def sketcher(self) -> Sketcher:
-        """What the quality of cuts is predicted from, made when it is first asked for (lod/sketch.py).
-
-        Raises:
-            InputError: the levels have no curve of their quality.
-        """
-        with self._turns.working():
-            return self._engine.sketcher
-
     def view(self, camera: Camera, options: RenderOptions | None = None, wanted: Wanted = NOTHING) -> View:
         """The view that a camera is drawn as; of a camera with a lens, that of the pinhole that stands for it."""
         return view_of(self._engine.scene, pinhole_of(camera), options or self._options, wanted)
@@ -240,8 +229,16 @@ class Session:
         *,
         options: RenderOptions | None = None,
         select: SelectOptions | Selector | None = None,
+        last: float | None = None,
     ) -> Selection:
         """The rows that `draw` would draw.
+
+        Args:
+            camera: the view.
+            options: how it is drawn, instead of the options of the session.
+            select: which nodes are drawn, instead of the session's choice.
+            last: τ_R, px, of a view nearby, at which the search of a budget or of a quality begins, and which makes it less
+                exact; None: the search of `draw`.
 
         Raises:
             InputError: the session is closed, or a budget of nodes cannot be met.
@@ -250,7 +247,7 @@ class Session:
             >>> num_nodes = len(session.select(camera))
         """
         with self._turns.working():
-            return self._engine.choose(*self._settled(camera, options, select), Clock())[1]
+            return self._engine.choose(*self._settled(camera, options, select), Clock(), last=last)[1]
 
     def draw_on_device(
         self,

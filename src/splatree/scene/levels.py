@@ -16,7 +16,6 @@ from typing import Any, Literal
 from splatree.errors import InputError
 from splatree.scene.literals import check_literals
 from splatree.scene.names import Mode, Profile
-from splatree.scene.quality import QualityCurve
 from splatree.scene.thinning import Importance, MergeOptions
 from splatree.scene.trial import MethodTrial
 
@@ -55,8 +54,6 @@ class LevelRecord:
     """`radius-thinning`: the distance in linear RGB that counts as much as the radius in space; None: colour did not count."""
     visibility: bool | None = None
     """`pairs`: whether hidden Gaussians counted less."""
-    quality: QualityCurve | None = None
-    """How good cuts of the levels look; None: it was not measured."""
     trial: MethodTrial | None = None
     """How both methods did on a sample of the scene; None: the method was named, and none was tried."""
 
@@ -108,9 +105,7 @@ def record_from_fields(fields: Any) -> LevelRecord:
     try:
         if fields.get("merge") is not None:
             fields["merge"] = MergeOptions(**fields["merge"])
-        if fields.get("quality") is not None:
-            is_older = isinstance(fields["quality"], dict) and "by_covered" in fields["quality"]  # of other numbers
-            fields["quality"] = None if is_older else QualityCurve(**fields["quality"])
+        fields.pop("quality", None)  # of older files, which kept a prediction of what is measured now
         if fields.get("trial") is not None:
             fields["trial"] = MethodTrial(**fields["trial"])
         fields["steps"] = tuple(float(step) for step in fields.get("steps", ()))

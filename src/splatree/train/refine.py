@@ -29,7 +29,6 @@ from splatree.kernels.devices import DeviceName, training_stages_of
 from splatree.lod.blocks import with_blocks
 from splatree.lod.select import select
 from splatree.progress import task
-from splatree.render.quality import with_quality
 from splatree.scene.cameras import Camera
 from splatree.scene.frame import Picture, Splats, TileBins
 from splatree.scene.gradients import PictureGradients, SplatGradients
@@ -114,8 +113,7 @@ def refine(
         threads: threads to use; 0: all.
 
     Returns:
-        The scene, and what was gained. Clusters and a calibrated τ are dropped, since they belong to the nodes as they were. A
-        quality that was measured is measured anew.
+        The scene, and what was gained. Clusters and a calibrated τ are dropped, since they belong to the nodes as they were.
 
     Raises:
         InputError: the scene has no levels, there are fewer than two cameras, or one has a lens.
@@ -166,9 +164,6 @@ def refine(
     else:
         metadata = {**whole.source.metadata, "refined": _record(options, iterations, float(np.mean(after - before)))}
         whole = replace(whole, source=replace(whole.source, metadata=metadata))
-        if given.tree.record is not None and given.tree.record.quality is not None:
-            whole, more = _measured(whole, cameras, threads)
-            notes = (*notes, *more)
     spent = time.process_time() - began
     return Refined(whole, iterations, before, after, differs, len(school.proxies.rows), spent, notes)
 
@@ -191,19 +186,8 @@ def _bare(scene: Scene) -> tuple[Scene, tuple[str, ...]]:
     if metadata.pop(CALIBRATION, None) is not None:
         notes.append("the τ of the scene was chosen for the nodes as they were: choose it again with calibrate")
         threshold, rule = ALPHA_THRESHOLD, None
-    source, tree = replace(scene.source, metadata=metadata), scene.tree
-    if tree.record is not None:
-        tree = replace(tree, record=replace(tree.record, quality=None))
-    bare = replace(scene, tree=tree, clusters=None, threshold=threshold, tile_rule=rule, source=source)
-    return bare, tuple(notes)
-
-
-def _measured(scene: Scene, cameras: Sequence[Camera] | None, threads: int) -> tuple[Scene, tuple[str, ...]]:
-    """The scene with the quality of its levels measured anew, or why it could not be."""
-    try:
-        return with_quality(scene, cameras, threads=threads), ()
-    except InputError as error:
-        return scene, (f"--quality is no longer known: {error}",)
+    source = replace(scene.source, metadata=metadata)
+    return replace(scene, clusters=None, threshold=threshold, tile_rule=rule, source=source), tuple(notes)
 
 
 def _num_different(a: Scene, b: Scene) -> int:

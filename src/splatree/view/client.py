@@ -15,6 +15,7 @@ import numpy as np
 
 from splatree.errors import InputError, SplatreeError
 from splatree.render.moving import Motion, guarded_by
+from splatree.render.quality import Carried
 from splatree.scene.cameras import Camera
 from splatree.scene.frame import Selection
 from splatree.scene.options import RenderOptions
@@ -63,6 +64,7 @@ class Client:
         self._last = FIRST_TAU_PX  # τ_R of the last cut
         self._last_of_frames = FIRST_TAU_PX
         self._motion: Motion | None = None
+        self._quality = Carried(exhibit.session)
         self._rung = 0
         self.camera: Camera | None = None
         """The newest view of the page."""
@@ -131,7 +133,7 @@ class Client:
     def _begin(self, exhibit: Exhibit) -> None:
         if exhibit is not self._exhibit:  # another scene in the place of one that was shown: no steps, no flicker
             self._rung = len(LADDER)
-        self._exhibit, self._motion = exhibit, None
+        self._exhibit, self._motion, self._quality = exhibit, None, Carried(exhibit.session)
         self._slots = Slots(exhibit.shown, exhibit.centre, self._capacity)
         self._send(pack_message({"kind": "scene", "capacity": self._capacity, **exhibit.facts}))
 
@@ -154,7 +156,8 @@ class Client:
         camera, eye = guarded_by(request.camera, request.guard), request.camera.position
         start = time.process_time()
         try:
-            chosen = self._exhibit.cut(camera, replace(request.select, budget=budget), self._last)
+            select = self._quality.settled(request.camera, request.select)
+            chosen = self._exhibit.cut(camera, replace(select, budget=budget), self._last)
         except InputError:
             if not is_step:
                 raise

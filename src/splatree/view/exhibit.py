@@ -12,14 +12,11 @@ import numpy as np
 
 from splatree.errors import InputError
 from splatree.kernels.devices import DeviceName
-from splatree.lod.quality import curve_of
-from splatree.lod.select import Selector
 from splatree.outofcore.store import Store
 from splatree.progress import task
 from splatree.render.build import build_lod
 from splatree.render.framing.frame import Framing, frame_scene
 from splatree.render.framing.trial import FOCUS_RADII
-from splatree.render.quality import with_quality
 from splatree.render.session import Session, open_session
 from splatree.scene.cameras import Camera
 from splatree.scene.frame import RenderResult, Selection
@@ -66,7 +63,7 @@ class Exhibit:
 
     def cut(self, camera: Camera, options: SelectOptions, last: float | None) -> Selection:
         """The rows of a view; the search of a budget begins at ``last``."""
-        return self.session.select(camera, select=self._selector(options, last))
+        return self.session.select(camera, select=options, last=last)
 
     def draw(
         self,
@@ -82,28 +79,18 @@ class Exhibit:
         Of a ``box`` "2 3" only what has its centre inside is drawn, world units; the search of a budget begins at ``last``, px.
         """
         found: list[Selection] = []
-        choose = self._selector(options, last)
+        drawn = RenderOptions(background=background)
 
         def within(view: View, *, threads: int = 0) -> Selection:
-            chosen = choose(view, threads=threads)
+            chosen = self.session.select(camera, options=drawn, select=options, last=last)
             if box is not None:
                 means = self.shown.means(chosen.rows)
                 chosen = replace(chosen, rows=chosen.rows[((means >= box[0]) & (means <= box[1])).all(axis=1)])
             found.append(chosen)
             return chosen
 
-        result = self.session.draw(camera, options=RenderOptions(background=background), select=within)
+        result = self.session.draw(camera, options=drawn, select=within)
         return result, found[-1]
-
-    def _selector(self, options: SelectOptions, last: float | None) -> Selector:
-        """A selection that begins at the τ_R of the view before."""
-
-        def choose(view: View, *, threads: int = 0) -> Selection:
-            # Footprints are ellipses; of squares the projection drops what is not seen.
-            seen = replace(options, view_test="none") if view.is_square else options
-            return self.shown.select(self.session, view, seen, last, threads)
-
-        return choose
 
     @property
     def facts(self) -> dict[str, Any]:
@@ -126,7 +113,6 @@ class Exhibit:
             "eye": (framing.eye - framing.centre).tolist(),
             "target": (framing.target - framing.centre).tolist(),
             "aspect": self._aspect(),
-            "measured": self.shown.is_measured,
             "clusters": 0 if scene.clusters is None else len(scene.clusters),
         }
 
@@ -152,7 +138,6 @@ def exhibit(
     framing: Framing | None = None,
     up: Sequence[float] | None = None,
     device: DeviceName = "cpu",
-    measured: bool = False,
 ) -> Exhibit:
     """Make a scene ready to be shown: with levels and a block index, and a first view.
 
@@ -162,27 +147,14 @@ def exhibit(
         framing: how to look at it first; None: decided by the scene.
         up: direction that is up, for a framing that is decided here; None: guessed.
         device: where views are selected and pictures drawn.
-        measured: whether the quality of its levels must be known: it is measured if they are built here.
 
     Raises:
-        InputError: the scene is empty, or has levels whose quality was not measured and must be known, or is a store whose
-            quality must be known.
+        InputError: the scene is empty.
     """
     if len(scene) == 0:
         raise InputError(f"{name}: found no Gaussians, wanted at least one to show")
-    if isinstance(scene, Store):
-        if measured:
-            raise InputError(
-                f"{name}: found a store and a wanted quality, which is predicted from all leaves: read the scene"
-            )
-        session, shown = open_session(scene, device=device), shown_of(scene)
-    else:
-        made = with_levels(scene)
-        if measured:
-            made = with_quality(made) if made is not scene else made
-            curve_of(made)
-        session = open_session(made, device=device)
-        shown = shown_of(session.scene)
+    session = open_session(scene if isinstance(scene, Store) else with_levels(scene), device=device)
+    shown = shown_of(scene if isinstance(scene, Store) else session.scene)
     if framing is None:
         with task(f"frame {name}"):
             framing = frame_scene(shown.sample, up=up)

@@ -13,7 +13,7 @@ CAPACITY = 1 << 21
 """Nodes that a page holds at most: 64 MiB of graphics memory at 32 bytes a node."""
 
 LEAST_QUALITY_DB, MOST_QUALITY_DB = 20, 60
-"""Qualities that a page may ask for: levels are measured between 28 and 48 dB."""
+"""Qualities that a page may ask for: worse is of no use, better is not seen."""
 
 
 @dataclass(frozen=True)
@@ -34,9 +34,8 @@ class ViewOptions:
     pixel_error: float = PIXEL_ERROR
     """τ_R, px: a node stands for its subtree if its radius on the screen is at most this; a slider of the page changes it."""
     quality: float | None = None
-    """PSNR against all leaves that each view shall have, dB, in place of a pixel error; a slider of the page changes it. Needs
-    levels whose quality `build` has measured; those that are built here are measured, too. The budget goes before it. None:
-    by pixel_error."""
+    """PSNR against all leaves that each view shall have, dB, in place of a pixel error; a slider of the page changes it. It is
+    measured where the camera has moved by a tenth of the distance. The budget goes before it. None: by pixel_error."""
     device: DeviceName = "cpu"
     """Where the nodes are chosen and exact pictures drawn: `cuda` is an NVIDIA GPU."""
     up: tuple[float, float, float] | None = None

@@ -11,15 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from splatree.errors import InputError
-from splatree.lod.select import select
 from splatree.outofcore.store import Store
-from splatree.render.session import Session
-from splatree.scene.frame import Selection
 from splatree.scene.gaussians import Gaussians
-from splatree.scene.options import SelectOptions
 from splatree.scene.scene import Scene
 from splatree.scene.tree import GaussianTree
-from splatree.scene.view import View
 from splatree.shapes import Array, Float32, Float64, Int32, UInt8
 from splatree.view.boxes import BoxKind, boxes_of
 
@@ -53,8 +48,6 @@ class Shown(ABC):
     """Largest depth + 1."""
     sample: Scene
     """What says where the scene lies: the scene, or some of its leaves."""
-    is_measured = False
-    """Whether the quality of its cuts is known."""
     follows: bool
     """Whether merged nodes follow the pixel that they are drawn at."""
 
@@ -65,12 +58,6 @@ class Shown(ABC):
     @abstractmethod
     def depths(self, rows: Int32[Array, "v"]) -> UInt8[Array, "v"]:
         """Their depth in the tree."""
-
-    @abstractmethod
-    def select(
-        self, session: Session, view: View, options: SelectOptions, last: float | None, threads: int
-    ) -> Selection:
-        """The rows of a view; the search of a budget begins at ``last``, px."""
 
     @abstractmethod
     def boxes(self, kind: BoxKind, rows: Int32[Array, "v"], most: int) -> Float64[Array, "b 2 3"]:
@@ -91,7 +78,6 @@ class InMemory(Shown):
         self.scene = self.sample = scene
         self.num_nodes, self.num_leaves, self.num_levels = len(scene), scene.tree.num_leaves, scene.tree.num_levels
         self.follows = scene.tree.curves is not None
-        self.is_measured = scene.tree.record is not None and scene.tree.record.quality is not None
 
     def parts(self, rows: Int32[Array, "v"]) -> Iterator[Part]:
         """One part."""
@@ -100,13 +86,6 @@ class InMemory(Shown):
     def depths(self, rows: Int32[Array, "v"]) -> UInt8[Array, "v"]:
         """Their depth in the tree."""
         return self.scene.tree.depth[rows]
-
-    def select(
-        self, session: Session, view: View, options: SelectOptions, last: float | None, threads: int
-    ) -> Selection:
-        """The rows of a view."""
-        sketcher = None if options.quality is None else session.sketcher
-        return select(self.scene, view, options, last=last, sketcher=sketcher, stages=session.stages, threads=threads)
 
     def boxes(self, kind: BoxKind, rows: Int32[Array, "v"], most: int) -> Float64[Array, "b 2 3"]:
         """Boxes that hold the rows."""
@@ -133,12 +112,6 @@ class OnDisk(Shown):
     def depths(self, rows: Int32[Array, "v"]) -> UInt8[Array, "v"]:
         """Their depth in the tree."""
         return self.store.depths(self.store.located(rows))
-
-    def select(
-        self, session: Session, view: View, options: SelectOptions, last: float | None, threads: int
-    ) -> Selection:
-        """The rows of a view; pages of the next view of a camera that moves on are loaded beside."""
-        return self.store.cut(view, options, last=last, look_ahead=True, threads=threads)[0]
 
     def boxes(self, kind: BoxKind, rows: Int32[Array, "v"], most: int) -> Float64[Array, "b 2 3"]:
         """Boxes of the pages, in place of blocks; a store has no others."""

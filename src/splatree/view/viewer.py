@@ -6,7 +6,6 @@ import threading
 import webbrowser
 from collections.abc import Mapping
 from types import TracebackType
-from typing import Any
 
 from splatree.errors import InputError
 from splatree.outofcore.store import Store
@@ -48,7 +47,7 @@ def view(
         The viewer; as the last value of a notebook's cell it shows the scene there.
 
     Raises:
-        InputError: the scene is empty, or a quality is asked of levels that were not measured.
+        InputError: the scene is empty.
         OutputError: the port cannot be listened on.
 
     Example:
@@ -89,10 +88,10 @@ class Viewer:
         photos: Mapping[str, Array] | None = None,
     ) -> None:
         self.options = options or ViewOptions()
-        shown: dict[str, Any] = {"device": self.options.device, "measured": self.options.quality is not None}
-        exhibits = [exhibit(scene, names[0], up=self.options.up, **shown)]
+        device = self.options.device
+        exhibits = [exhibit(scene, names[0], up=self.options.up, device=device)]
         if beside is not None:
-            exhibits.append(exhibit(beside, names[1], framing=exhibits[0].framing, **shown))
+            exhibits.append(exhibit(beside, names[1], framing=exhibits[0].framing, device=device))
         self._first = exhibits[0].framing.camera()
         self._token = None if self.options.is_local else secrets.token_urlsafe(16)
         self._server = Server(exhibits, self.options, self._token, cameras, photos)
@@ -132,16 +131,14 @@ class Viewer:
         """Show another scene in the place of the first one, or of the one beside it; pages keep their cameras.
 
         Raises:
-            InputError: the scene is empty, there is none beside the first, or a quality is asked of levels that were not
-                measured.
+            InputError: the scene is empty, or there is none beside the first.
         """
         which = int(beside)
         shown = self._server.exhibits
         if which >= len(shown):
             raise InputError("set_scene: found no scene beside the first; name one when the viewer is made")
         old = shown[which]
-        measured = self.options.quality is not None
-        new = exhibit(scene, old.name, framing=old.framing, device=self.options.device, measured=measured)
+        new = exhibit(scene, old.name, framing=old.framing, device=self.options.device)
         self._server.show(which, new)
 
     def wait(self) -> None:

@@ -137,7 +137,7 @@ class App {
       near: layer.facts.near,
       budget: Math.min(this.state.budget, layer.facts.capacity),
       tau: this.state.tau,
-      db: layer.facts.measured ? this.state.db : null,
+      db: layer.facts.levels > 1 ? this.state.db : null,
       guard: GUARD,
     };
   }

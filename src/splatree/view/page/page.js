@@ -75,7 +75,7 @@ export class Page {
     };
     this.budget = slider('Nodes', { low: 20_000, high: 2_000_000, value: state.budget, show: count, hint: 'Most nodes that are drawn' }, set('budget'));
     this.tau = slider('τ', { low: 0.5, high: 200, value: Math.max(0.5, state.tau), show: (v) => `${v} px`, hint: 'A node that looks at most this large stands for all below it' }, set('tau'));
-    this.db = slider('Quality', { low: 25, high: 50, value: state.db ?? 40, show: (v) => `${v} dB`, hint: 'How near the cut shall be to all leaves: PSNR, predicted by what was measured at build time' }, set('db'));
+    this.db = slider('Quality', { low: 25, high: 50, value: state.db ?? 40, show: (v) => `${v} dB`, hint: 'How near the cut shall be to all leaves: PSNR, measured where the camera has moved' }, set('db'));
     this.by = choice('Detail by', [['tau', 'τ', 'By the size of a node on the screen'], ['db', 'Quality', 'By the PSNR against all leaves']], state.db ? 'db' : 'tau', (kind) => this.setDetail(kind));
     this.detail = named('Detail by', this.by);
     this.layers = choice('Show', [['color', 'Colour'], ['levels', 'Levels', 'Depth in the tree: violet is coarse, yellow is fine'], ['cut', 'Cut', 'Green: leaves. Orange: merged nodes'], ['depth', 'Depth'], ['alpha', 'Alpha']].filter(([key]) => this.app.painter || !['levels', 'cut'].includes(key)), 'color', set('layer'));
@@ -129,7 +129,7 @@ export class Page {
     this.views.sceneCame();
   }
 
-  /** Cuts follow τ or a quality; a quality where the levels were measured. */
+  /** Cuts follow τ or a quality; a quality where there are levels. */
   setDetail(kind) {
     this.app.state.db = kind === 'db' ? (this.app.state.db ?? 40) : null;
     this.db.setValue(this.app.state.db ?? 40);
@@ -138,9 +138,9 @@ export class Page {
   }
 
   showDetail() {
-    const isKnown = Boolean(this.app.facts?.measured), isByQuality = isKnown && Boolean(this.app.state.db);
+    const hasLevels = this.app.facts?.levels > 1, isByQuality = hasLevels && Boolean(this.app.state.db);
     this.by.pick(isByQuality ? 'db' : 'tau', true);
-    this.detail.hidden = !isKnown;
+    this.detail.hidden = !hasLevels;
     this.tau.hidden = isByQuality;
     this.db.hidden = !isByQuality;
   }
