@@ -189,7 +189,8 @@ class _Places:
 def _taken(stored: StoredScene, name: str, rows: Array) -> Array:
     """Rows of a column; no more of it is read than from the first to the last."""
     first = int(rows.min())
-    return stored.file.rows(name, first, int(rows.max()) + 1)[rows - first]
+    column = stored.file.rows(name, first, int(rows.max()) + 1)
+    return np.asarray(column[rows - first])
 
 
 def _room(n: int, degree: int) -> dict[str, Array]:
