@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import splatree as st
+from splatree.constants import NEAR
 
 from .conftest import listen_to_interruptions
 from .test_commands import result_of
@@ -21,13 +22,17 @@ QUICK = ("--iterations", "6", "--max-gaussians", "300")
 @pytest.fixture
 def data(small_scene, tmp_path):
     """Ten photographs of a piece of a city, and their cameras."""
-    cameras = st.flyout(small_scene, st.PathOptions(views=10, width=64, height=48))
-    folder = tmp_path / "photographs"
+    return photographed(small_scene, tmp_path / "photographs")
+
+
+def photographed(scene, folder):
+    """Photographs of a scene, with cameras that say nothing of the nearest depth."""
     folder.mkdir()
+    cameras = st.flyout(scene, st.PathOptions(views=10, width=64, height=48))
     named = [replace(camera, name=f"{camera.name}.png") for camera in cameras]
-    st.write_cameras(st.Cameras(tuple(named)), folder / "cameras.json")
+    st.write_cameras([replace(camera, near=NEAR) for camera in named], folder / "cameras.json")
     for camera in named:
-        st.write_image(st.render(small_scene, camera).image, folder / camera.name)
+        st.write_image(st.render(scene, camera).image, folder / camera.name)
     return folder
 
 
@@ -45,6 +50,19 @@ def test_photographs_become_a_scene_that_is_read_drawn_and_judged(splatree, data
         "exposure.json",
         "log.json",
     ]
+
+
+def test_a_scene_smaller_than_the_usual_nearest_depth_is_judged_as_it_was_trained(splatree, small_scene, tmp_path):
+    data = photographed(st.edit(small_scene, st.EditOptions(scale=1e-4)), tmp_path / "photographs")
+    output = tmp_path / "scene.splatree"
+    found = result_of(splatree("train", data, "-o", output, *QUICK, "--json"))
+    score = found["history"][-1]["score"]["psnr"]
+    judged = result_of(splatree("eval", output, "--data", data, "--frames", "0", "--pixel-error", "0", "--json"))
+    assert judged["mean"]["psnr_vs_photo"] == pytest.approx(score, abs=0.01)
+    black = [
+        st.psnr(np.zeros((48, 64, 3), np.float32), st.read_image(path)) for path in sorted(data.glob("*.png"))[::8]
+    ]
+    assert abs(score - np.mean(black)) > 0.1  # or it would say nothing
 
 
 @pytest.mark.parametrize("levels", ["radius", "pairs"])
