@@ -57,7 +57,7 @@ class Info:
     num_nodes: int
     """All rows, merged nodes included."""
     num_sampled: int
-    """Gaussians that everything beside counts, levels and sizes is taken of: all, or of a folder of parts a million at most."""
+    """Gaussians that everything beside counts, levels and sizes is taken of: all, or of a folder of parts 250,000 at most."""
     levels: int
     """Largest depth + 1."""
     nodes_per_depth: tuple[int, ...]
