@@ -98,7 +98,15 @@ def write_chunks(
     target, options = located(path), options or WriteOptions()
     chosen = format_to_write(target)
     options.check_taken(chosen.options, f"{target} ({chosen.name})")
-    lost: Iterable[str] = losses(chosen.holds, chosen.name, sh_degree=chunks.sh_degree, mode=chunks.mode)
+    lost: Iterable[str] = losses(
+        chosen.holds,
+        chosen.name,
+        sh_degree=chunks.sh_degree,
+        mode=chunks.mode,
+        threshold=chunks.threshold,
+        num_merged=chunks.num_merged,
+        num_clusters=chunks.num_clusters,
+    )
     lost = (*lost, *origin_lost(chosen.holds, chosen.name, chunks.origin))
     return (*lost, *_written(chosen, chunks, target, force, options))
 

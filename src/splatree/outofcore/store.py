@@ -20,11 +20,11 @@ from splatree.errors import FormatError, InputError
 from splatree.io.check import checked_rows
 from splatree.io.formats.folder.manifest import MANIFEST, Manifest, checked_path, folder_of, is_manifest, read_manifest
 from splatree.io.formats.splatree.rows import StoredScene, open_scene
+from splatree.io.memory import bytes_of, free_bytes
 from splatree.io.objects import located
 from splatree.lod.select import for_levels, notes_on, within_budget
 from splatree.outofcore.index import StoreIndex, index_of_file, index_of_folder
 from splatree.outofcore.index_file import read_index
-from splatree.outofcore.options import bytes_of, free_bytes
 from splatree.outofcore.page import Page, load_page
 from splatree.outofcore.pages import row_bytes_of, table_of
 from splatree.outofcore.paging import Cut, cut_at

@@ -5,14 +5,17 @@ small tree whose leaves are copies of the roots of the parts. In the whole tree,
 copy, so that rows are in preorder. Parts are mapped, checked and copied, each to its place. docs/reference/formats/folder.md.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
 
 from splatree.errors import FormatError, InputError
+from splatree.io.chunks import Chunks
 from splatree.io.formats.folder.manifest import MANIFEST, Manifest, checked_path, folder_of, is_manifest, read_manifest
 from splatree.io.formats.splatree import format as single
+from splatree.io.formats.splatree.rows import open_scene
 from splatree.io.options import ReadOptions
 from splatree.kernels.cpu.frame.blocks import index_blocks
 from splatree.progress import task
@@ -57,6 +60,60 @@ def read(path: Path, options: ReadOptions) -> Scene:
         return rows.whole()
 
 
+def read_leaves(path: Path, options: ReadOptions) -> Chunks | None:
+    """The leaves in chunks, as they lie in the whole tree; None where values may be repaired, which trees do not bear.
+
+    Memory is a chunk, and 20 bytes for each root of a part.
+    """
+    if options.repair:
+        return None
+    path = folder_of(path)
+    manifest = read_manifest(path)
+    crown = single.read(checked_path(path, manifest.crown), options)
+    copies = _copies(crown, path / manifest.crown.name)
+    parts, roots = [], []
+    for file in manifest.parts:
+        parts.append(open_scene(checked_path(path, file)))
+        depth = parts[-1].file.rows("tree.depth")
+        roots.append(np.flatnonzero(depth == 0))
+    num_roots = np.array([len(own) for own in roots])
+    if num_roots.sum() != len(copies):
+        raise FormatError(f"{path}: found {num_roots.sum()} roots in the parts, wanted the {len(copies)} of the crown")
+    part, begin = np.repeat(np.arange(len(parts)), num_roots), np.concatenate([np.zeros(0, np.int64), *roots])
+    end = np.concatenate(
+        [np.zeros(0, np.int64), *(np.append(r[1:], len(p)) for r, p in zip(roots, parts, strict=True))]
+    )
+    in_order = np.argsort(copies, kind="stable")  # of the rows of the crown
+    part, begin, end = part[in_order], begin[in_order], end[in_order]
+    is_first = np.ones(len(part), bool)
+    is_first[1:] = (part[1:] != part[:-1]) | (begin[1:] != end[:-1])
+    first = np.flatnonzero(is_first)
+    last = np.append(first[1:], len(part)) - 1
+    runs = [(int(part[i]), int(begin[i]), int(end[j])) for i, j in zip(first[: len(part)], last, strict=False)]
+
+    def make() -> Iterator[Gaussians]:
+        for number, start, stop in runs:
+            yield from single.leaves_of(parts[number], start, stop)
+
+    return Chunks(
+        *(manifest.num_leaves, crown.gaussians.sh_degree, crown.mode, make, crown.source.metadata),
+        origin=crown.source.origin,
+        threshold=crown.threshold,
+        num_merged=manifest.num_rows - manifest.num_leaves,
+    )
+
+
+def _copies(crown: Scene, where: Path) -> Int64[Array, "r"]:
+    """Row in the crown of the copy of each root, numbered part by part."""
+    if crown.ids is None:
+        raise FormatError(f"{where}: found no ids, wanted the numbers of the roots of all parts")
+    leaves = np.flatnonzero(crown.tree.is_leaf)
+    copies = leaves[np.argsort(crown.ids[leaves], kind="stable")]
+    if not np.array_equal(crown.ids[copies], np.arange(len(copies))):
+        raise FormatError(f"{where}: found ids of leaves that are not 0 to {len(copies) - 1}")
+    return copies
+
+
 @dataclass(eq=False)
 class _Rows:
     """The rows of the whole tree as they are filled in."""
@@ -75,15 +132,7 @@ class _Rows:
 
     @staticmethod
     def under(crown: Scene, manifest: Manifest, path: Path) -> "_Rows":
-        is_leaf = crown.tree.is_leaf
-        leaves = np.flatnonzero(is_leaf)
-        if crown.ids is None:
-            raise FormatError(
-                f"{path / manifest.crown.name}: found no ids, wanted the numbers of the roots of all parts"
-            )
-        copies = leaves[np.argsort(crown.ids[leaves], kind="stable")]
-        if not np.array_equal(crown.ids[copies], np.arange(len(copies))):
-            raise FormatError(f"{path / manifest.crown.name}: found ids of leaves that are not 0 to {len(copies) - 1}")
+        copies = _copies(crown, path / manifest.crown.name)
         return _Rows(path, crown, copies, np.ones(len(crown), np.int64), [], [], manifest.num_rows)
 
     def add(self, part: Scene, where: Path) -> None:
