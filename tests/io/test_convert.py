@@ -94,7 +94,9 @@ def test_a_scene_with_levels_is_gone_through_leaf_by_leaf(tmp_path, small_chunks
 
 def test_memory_that_is_not_kept_to_is_refused(tmp_path):
     splatree.write(Scene.flat(random_gaussians(5, 0)), tmp_path / "a.glb")
-    with pytest.raises(InputError, match="max_memory: found 1G for .*b.ply, but this conversion holds the whole scene"):
+    with pytest.raises(
+        InputError, match=r"max_memory: found 1G for .*b\.ply, but this conversion holds the whole scene"
+    ):
         convert(tmp_path / "a.glb", tmp_path / "b.ply", ConvertOptions(write=WriteOptions(max_memory="1G")))
     with pytest.raises(InputError, match="max_memory: found 100M, wanted at least 250M"):
         WriteOptions(max_memory="100M")

@@ -38,6 +38,7 @@ from splatree.constants import ALPHA_THRESHOLD
 from splatree.errors import InputError
 from splatree.kernels.devices import DeviceName
 from splatree.metrics.psnr import psnr
+from splatree.outofcore.store import Store
 from splatree.progress import task
 from splatree.render.contribution import Tiles, Unit, tile_contributions
 from splatree.render.session import Session, open_session
@@ -176,7 +177,7 @@ class Calibration:
 
 
 def calibrate(
-    scene: Scene,
+    scene: Scene | Store,
     cameras: Sequence[Camera],
     options: CalibrateOptions | None = None,
     render: RenderOptions | None = None,
@@ -191,7 +192,7 @@ def calibrate(
     τ depends on the size of the pictures and on the level of detail: calibrate with what will be drawn.
 
     Args:
-        scene: any scene.
+        scene: any scene, or a store, of which the pages are read that the views need.
         cameras: views like those that will be drawn; those of the training if there are photographs. Keep views apart that
             will be scored.
         options: policy and its parameters; None: a loss of 0.1 dB.
