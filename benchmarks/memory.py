@@ -1,8 +1,8 @@
 """What each verb takes in memory: at most, and for each Gaussian more.
 
-``python benchmarks/memory.py [--chunks 1 3] [--degree 3] [--folder /tmp]`` needs the shared city. Each verb runs on fewer and on
-more chunks of the city, as a command of its own. Memory is measured as in `scale.py`. Where it does not grow with the scene, rows
-go through in chunks or cells.
+``python benchmarks/memory.py [--chunks 1 3] [--degree 3] [--only convert] [--folder /tmp]`` needs the shared city.
+Each verb runs on fewer and on more chunks of the city, as a command of its own. Memory is measured as in `scale.py`. Where it
+does not grow with the scene, rows go through in chunks or cells.
 """
 
 import argparse
@@ -16,10 +16,15 @@ from scale import run
 VERBS = {
     **{
         f"convert to {suffix}": ("convert", f"out{suffix}")
-        for suffix in (".ply", ".spz", ".splat", ".ksplat", ".glb", ".sog")
+        for suffix in (".ply", ".spz", ".splat", ".ksplat", ".glb", ".sog", ".compressed.ply")
     },
     "convert to .rad": ("convert", "out.rad"),
     "convert to .splatree": ("convert", "out.splatree"),
+    **{
+        f"convert to {suffix} --max-memory 300M": ("convert", f"out{suffix}", "--max-memory", "300M")
+        for suffix in (".compressed.ply", ".ksplat", ".sog")
+    },
+    "convert --order morton --max-memory 300M": ("convert", "out.ply", "--order", "morton", "--max-memory", "300M"),
     "clean": ("clean", "out.ply", "--floaters"),
     "thin --radius": ("thin", "out.ply", "--radius", "auto"),
     "thin --radius --max-memory 500M": ("thin", "out.ply", "--radius", "auto", "--max-memory", "500M"),
@@ -35,6 +40,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--chunks", type=int, nargs=2, default=[1, 3], help="chunks of the city, fewer and more")
     parser.add_argument("--degree", type=int, default=3)
+    parser.add_argument("--only", default="", help="only verbs whose line begins so, kept in a file of their own")
     parser.add_argument("--folder", type=Path, default=Path(tempfile.gettempdir()))
     arguments = parser.parse_args()
     city = DATA / "trained" / "semarang_city"
@@ -48,7 +54,8 @@ def main() -> None:
             for number, scene in zip(arguments.chunks, scenes, strict=True)
         ]
         rows = []
-        for what, (verb, output, *words) in VERBS.items():
+        chosen = {what: words for what, words in VERBS.items() if what.startswith(arguments.only)}
+        for what, (verb, output, *words) in chosen.items():
             less, more = (run(verb, scene, folder / output, *words, "-q", "--force") for scene in scenes)
             slope = (more.peak_bytes - less.peak_bytes) / (counts[1] - counts[0])
             rows.append(
@@ -63,7 +70,8 @@ def main() -> None:
             )
             print(rows[-1], flush=True)
     print(table(rows))
-    save("memory", rows, about="Memory of each verb on chunks of the real city")
+    name = f"memory_{arguments.only}" if arguments.only else "memory"
+    save(name, rows, about="Memory of each verb on chunks of the real city")
 
 
 if __name__ == "__main__":

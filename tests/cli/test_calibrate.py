@@ -7,6 +7,8 @@ import pytest
 
 from splatree.io.cameras.files import write_cameras
 from splatree.io.reading import read
+from splatree.io.writing import write
+from splatree.outofcore.store import open_store
 from splatree.render.paths import PathOptions, orbit
 
 from .test_commands import SIZE, result_of
@@ -64,6 +66,26 @@ def test_without_cameras_a_path_is_made(splatree, small_tree, tmp_path):
     assert "by paper" in out and "over 2 views of 64 × 36 px" in out
     scene = read(tmp_path / "out.splatree")
     assert json.loads(scene.source.metadata["calibration"])["held_out"] == "none: orbit made for the scene"
+
+
+def test_a_folder_is_calibrated_in_place_page_by_page(splatree, small_ply, cameras, tmp_path):
+    folder = tmp_path / "city.splatree"
+    build = ("build", small_ply, folder, "--part-rows", "800")
+    assert splatree(*build)[0] == 0
+    whole = read(folder)
+    write(whole, tmp_path / "one.splatree")
+    found = result_of(splatree("calibrate", folder, "--cameras", cameras, "--max-memory", "300M", "--json"))
+    wanted = result_of(splatree("calibrate", tmp_path / "one.splatree", "--cameras", cameras, "--json"))
+    assert found["calibration"] == wanted["calibration"]
+    after = read(folder)
+    assert after.threshold == found["calibration"]["threshold"] > whole.threshold
+    assert json.loads(after.source.metadata["calibration"])["held_out"] == found["held_out"]
+    assert after.gaussians.means.tobytes() == whole.gaussians.means.tobytes()
+    assert len(list(folder.glob("crown*"))) == 1
+    with open_store(folder) as store:
+        assert store.scene.threshold == after.threshold
+    code, _, err = splatree("calibrate", tmp_path / "one.splatree", "--max-memory", "300M", "--cameras", cameras)
+    assert code == 2 and "wanted one folder of parts" in err
 
 
 def test_build_calibrates_where_views_are_given(splatree, small_ply, cameras, tmp_path):

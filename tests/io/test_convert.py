@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ from splatree import (
     convert,
     edit,
 )
-from splatree.io import chunks, rows
+from splatree.io import chunks, memory, rows
 from splatree.io.formats.ply import format as ply
 from splatree.io.formats.splat import format as splat
 from splatree.io.registry import formats
@@ -54,6 +55,51 @@ def test_chunks_and_whole_scene_give_the_same_bytes(tmp_path, small_chunks, suff
     lost = splatree.write(whole, tmp_path / f"c{suffix}")
     assert (tmp_path / f"b{suffix}").read_bytes() == (tmp_path / f"c{suffix}").read_bytes()
     assert done.num_written == len(whole) and done.lost == lost
+
+
+@pytest.mark.parametrize("suffix", IN_CHUNKS)
+def test_the_bytes_do_not_depend_on_the_memory(tmp_path, small_chunks, suffix):
+    gaussians = random_gaussians(1777, 2)
+    gaussians.means[:300] = gaussians.means[0]  # many of one key
+    splatree.write(Scene.flat(gaussians), tmp_path / "a.ply")
+    for order in ("kept", "morton"):
+        options = ConvertOptions(edit=EditOptions(order=order))
+        convert(tmp_path / "a.ply", tmp_path / f"b{suffix}", options, force=True)
+        with mock.patch.object(memory, "free_bytes", lambda: 0):
+            done = convert(tmp_path / "a.ply", tmp_path / f"c{suffix}", options, force=True)
+        assert done.in_chunks and (tmp_path / f"b{suffix}").read_bytes() == (tmp_path / f"c{suffix}").read_bytes()
+        assert not list(tmp_path.glob(".*"))
+    whole = edit(splatree.read(tmp_path / "a.ply"), EditOptions(order="morton"))
+    splatree.write(whole, tmp_path / f"d{suffix}")
+    assert (tmp_path / f"b{suffix}").read_bytes() == (tmp_path / f"d{suffix}").read_bytes()
+
+
+def test_a_scene_with_levels_is_gone_through_leaf_by_leaf(tmp_path, small_chunks):
+    splatree.write(Scene.flat(random_gaussians(1500, 1)), tmp_path / "a.ply")
+    options = splatree.BuildOptions(radius=0.3, max_roots=4, follow=False)
+    folder = splatree.build_folder(
+        tmp_path / "a.ply", tmp_path / "parts.splatree", options, splatree.FolderOptions(part_rows=200)
+    ).path
+    whole = splatree.read(folder)
+    clusters = splatree.build_clusters(whole, 8)
+    splatree.write(clusters, tmp_path / "one.splatree")
+    for source, scene in ((folder, whole), (tmp_path / "one.splatree", clusters)):
+        done = convert(source, tmp_path / "b.ply", force=True)
+        lost = splatree.write(scene, tmp_path / "c.ply", force=True)
+        assert done.in_chunks and done.lost == lost and "merged nodes: ply gets the leaves" in lost[0]
+        assert (done.num_read, done.num_written) == (1500, 1500)
+        assert (tmp_path / "b.ply").read_bytes() == (tmp_path / "c.ply").read_bytes()
+    assert not convert(folder, tmp_path / "d.splatree").in_chunks  # which keeps the levels
+
+
+def test_memory_that_is_not_kept_to_is_refused(tmp_path):
+    splatree.write(Scene.flat(random_gaussians(5, 0)), tmp_path / "a.glb")
+    with pytest.raises(
+        InputError, match=r"max_memory: found 1G for .*b\.ply, but this conversion holds the whole scene"
+    ):
+        convert(tmp_path / "a.glb", tmp_path / "b.ply", ConvertOptions(write=WriteOptions(max_memory="1G")))
+    with pytest.raises(InputError, match="max_memory: found 100M, wanted at least 250M"):
+        WriteOptions(max_memory="100M")
 
 
 def test_each_format_that_is_read_in_chunks_gives_what_it_gives_whole(tmp_path, small_chunks):
@@ -103,7 +149,7 @@ def test_infinite_logits_are_counted_without_repair(tmp_path, small_chunks):
     for inputs, count in (([tmp_path / "a.ply"], 3), ([tmp_path / "a.ply", tmp_path / "a2.ply"], 6)):
         for edits in (EditOptions(), EditOptions(min_opacity=0.5), EditOptions(order="morton")):
             done = convert(inputs, tmp_path / "b.spz", ConvertOptions(edit=edits), force=True)
-            assert done.in_chunks == (edits.order == "kept") and done.repairs == {"clamped_opacities": count}
+            assert done.in_chunks and done.repairs == {"clamped_opacities": count}
 
 
 def test_what_the_reader_lost_is_said(tmp_path):
@@ -111,7 +157,6 @@ def test_what_the_reader_lost_is_said(tmp_path):
     splatree.write(Scene.flat(random_gaussians(5, 0)), path)
     path.write_bytes(path.read_bytes().replace(b"end_header", b"comment SplatRenderMode: 2dgs\nend_header"))
     assert convert(path, tmp_path / "b.ply").lost[0].startswith("the surfels' own rule")
-    # Whole: the order needs all rows.
     lost = convert(path, tmp_path / "c.ply", ConvertOptions(edit=EditOptions(order="morton"))).lost
     assert lost[0].startswith("the surfels' own rule")
 
@@ -139,6 +184,7 @@ import json, resource, sys
 import splatree
 from splatree.io.convert import convert
 import splatree.io.reading
+splatree.io.memory.free_bytes = lambda: 280_000_000  # half of which leaves 10 MB for what waits
 source, target, small, limit = sys.argv[1:]
 convert(small, target, force=True)  # what is loaded and kept from a first run is not counted
 with open("/proc/self/statm") as file:

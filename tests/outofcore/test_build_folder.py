@@ -16,9 +16,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as hs
 
 import splatree as st
+from splatree.io.memory import PROCESS_BYTES, _free_of_group, bytes_of
 from splatree.outofcore import run, shuffle, top
 from splatree.outofcore.needs import needs_of
-from splatree.outofcore.options import PROCESS_BYTES, Room, _free_of_group, bytes_of, cell_bytes
+from splatree.outofcore.options import Room, cell_bytes
 from splatree.progress import listen
 
 from ..laws.hard_scenes import hard_scene, hard_scenes

@@ -7,13 +7,18 @@ from typing import Annotated, Literal
 
 from tyro.conf import arg
 
-from splatree.cli.console import Console, counted, table
-from splatree.cli.files import Files, inputs_and_output, read_scene
+from splatree.cli.console import Console, UsageError, counted, table
+from splatree.cli.files import Files, inputs_and_output
+from splatree.cli.opening import needs_all_rows, opened, sample_of
 from splatree.errors import InputError
 from splatree.io.cameras.files import read_cameras
 from splatree.io.cameras.split import split_views
+from splatree.io.formats.folder.manifest import MANIFEST, checked_path, read_manifest
+from splatree.io.objects import located
 from splatree.io.photos import Photos, PhotosUsed, photographed
+from splatree.io.reading import read
 from splatree.io.writing import write
+from splatree.outofcore.top import replace_crown
 from splatree.render.calibrate import calibrate
 from splatree.render.calibration import CalibrateOptions, Calibration, calibrated
 from splatree.render.overlap import overlap_hint
@@ -68,9 +73,14 @@ class TrainingViews:
 
 @dataclass(frozen=True)
 class Command:
-    """Choose the τ of a scene and keep it: in.splatree out.splatree; with one path, a .splatree is changed in place."""
+    """Choose the τ of a scene and keep it: in.splatree out.splatree; with one path, a .splatree is changed in place.
+
+    A folder of parts that is changed in place is drawn page by page.
+    """
 
     files: Annotated[Files, arg(name="", help="")]
+    max_memory: str | None = None
+    """Of a folder of parts in place: what the pages that are kept may take, such as 500M; None: half of what is free."""
     views: Annotated[Views, arg(name="", help="")] = Views()
     path: Literal["orbit", "flyout"] = "flyout"
     """Path to make without --cameras and --data: away from the scene, or around it."""
@@ -99,23 +109,35 @@ class Calibrated:
 
 def run(command: Command) -> Calibrated:
     """Read, draw, choose, write."""
-    paths = command.files.paths
+    paths = tuple(map(located, command.files.paths))
     in_place = command.files.output is None and len(paths) == 1 and paths[0].suffix.lower() == ".splatree"
     inputs, output = (paths, paths[0]) if in_place else inputs_and_output(command.files, keeps_tree=True)
     views = training_views(command.views)
-    scene = read_scene(inputs, command.files.reading)
-    if views is not None:
-        views = views.relative_to(scene)
+    is_folder = in_place and (output / MANIFEST).exists()
+    if command.max_memory is not None and not is_folder:
+        raise UsageError(
+            f"max_memory: found {', '.join(map(str, inputs))}, wanted one folder of parts, which is changed in place; other "
+            "scenes are written whole, from memory"
+        )
+    whole = needs_all_rows(command.select) if is_folder else ["output"]
+    with opened(inputs, command.files.reading, command.max_memory, whole=whole) as scene:
+        if views is not None:
+            views = views.relative_to(sample_of(scene))
+        else:
+            made = {"orbit": orbit, "flyout": flyout}[command.path](sample_of(scene), command.made)
+            views = TrainingViews(list(made), None, "")
+        calibration = calibrate(
+            scene, views.cameras, command.calibration, command.options, command.select, photos=views.photos
+        )
+    held_out = views.rule or f"none: {command.path} made for the scene"
+    if is_folder:
+        crown = read(checked_path(output, read_manifest(output).crown))
+        replace_crown(output, calibrated(crown, calibration, held_out=held_out))
     else:
-        made = {"orbit": orbit, "flyout": flyout}[command.path](scene, command.made)
-        views = TrainingViews(list(made), None, "")
-    held_out = views.rule
-    calibration = calibrate(
-        scene, views.cameras, command.calibration, command.options, command.select, photos=views.photos
-    )
-    kept = calibrated(scene, calibration, held_out=held_out or f"none: {command.path} made for the scene")
-    write(kept, output, force=in_place or command.files.force)
-    return Calibrated(output, held_out, calibration, views.used, views.notes)
+        assert isinstance(scene, Scene)  # a store is opened of a folder alone
+        kept = calibrated(scene, calibration, held_out=held_out)
+        write(kept, output, force=in_place or command.files.force)
+    return Calibrated(output, views.rule, calibration, views.used, views.notes)
 
 
 def training_views(views: Views) -> TrainingViews | None:

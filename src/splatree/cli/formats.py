@@ -74,7 +74,11 @@ def run(command: Command) -> tuple[FormatLine, ...]:
 
 
 def _chunks(f: Format) -> str:
-    ways = [way for way, function in (("from", f.read_chunks), ("to", f.write_chunks)) if function is not None]
+    ways = [
+        way
+        for way, function in (("from", f.read_chunks or f.read_leaves), ("to", f.write_chunks))
+        if function is not None
+    ]
     return " and ".join(ways) or "no"
 
 

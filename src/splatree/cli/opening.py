@@ -7,10 +7,10 @@ from pathlib import Path
 from splatree.cli.console import UsageError
 from splatree.cli.files import Reading, read_scene
 from splatree.io.local import is_brought, place_of
+from splatree.io.memory import free_bytes
 from splatree.io.registry import detect, stored_bytes
 from splatree.lod.baselines import Baseline
 from splatree.outofcore.opened import open_store
-from splatree.outofcore.options import free_bytes
 from splatree.outofcore.store import Store
 from splatree.render.timing import peak_bytes
 from splatree.scene.options import SelectOptions

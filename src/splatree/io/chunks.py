@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
+from splatree.constants import ALPHA_THRESHOLD
 from splatree.errors import InputError
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.names import Mode
@@ -45,6 +46,12 @@ class Chunks:
     """As those of `Source`."""
     format: str = ""
     """As that of `Source`."""
+    threshold: float = ALPHA_THRESHOLD
+    """τ of the scene."""
+    num_merged: int = 0
+    """Merged nodes of the scene, where these are its leaves alone."""
+    num_clusters: int = 0
+    """Clusters of the scene, which are left out too."""
 
     @property
     def source(self) -> Source:

@@ -1,7 +1,7 @@
 """From files to a file of another format, edited on the way, in chunks wherever that can be: then memory is a few chunks.
 
 A conversion goes in chunks if every input is of a format that is read so, the output of one that is written so, and nothing is
-asked that needs the whole scene (a level, a cut of a tree, another order of the rows). The file has the same bytes either way: a
+asked that needs the whole scene (a level, a cut of a tree). The file has the same bytes either way: a
 format that is written in chunks has no other writer, and edits work row by row. Where rows may be dropped, the inputs are read
 twice, first to count what is left.
 """
@@ -10,6 +10,7 @@ import json
 import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -17,18 +18,21 @@ from splatree.edit.edit import edit, edit_rows, move_from_options
 from splatree.edit.options import EditOptions
 from splatree.errors import InputError
 from splatree.io.chunks import Chunks
-from splatree.io.formats.folder.manifest import MANIFEST, is_manifest
+from splatree.io.formats.folder.manifest import MANIFEST, folder_of, is_manifest
 from splatree.io.formats.folder.whole import open_whole
 from splatree.io.formats.splatree.writer import create_scene
 from splatree.io.inputs import find_inputs
 from splatree.io.joined import joined
 from splatree.io.joined_chunks import joined_chunks, opened_chunks
 from splatree.io.local import local_inputs
+from splatree.io.memory import Scratch
 from splatree.io.notes import notes_in, sentences_in
 from splatree.io.objects import located
 from splatree.io.options import ReadOptions, WriteOptions
 from splatree.io.reading import read_one
 from splatree.io.registry import detect, format_to_write
+from splatree.io.replacing import check_target
+from splatree.io.sorting import along_curve
 from splatree.io.writing import write, write_chunks
 from splatree.progress import track
 from splatree.scene.literals import check_literals
@@ -130,15 +134,19 @@ def convert(
 
 def _converted_from(found: Sequence[Path], target: Path, options: ConvertOptions, force: bool) -> Converted:
     chosen = format_to_write(target)
-    by_rows = options.read.level is None and options.depth is None and options.edit.order == "kept"
-    by_rows = by_rows and not options.write.compact
-    if by_rows and len(found) == 1 and is_manifest(found[0] / MANIFEST) and chosen.write_chunks is not None:
-        by_pages = _by_pages(found[0], target, options, force)
-        if by_pages is not None:
-            return by_pages
-    if chosen.write_chunks is not None and by_rows and (parts := opened_chunks(found, options.read)) is not None:
+    by_rows = options.read.level is None and options.depth is None and not options.write.compact
+    if by_rows and chosen.name == "splatree" and len(found) == 1 and _is_kept_folder(found[0], options):
+        return _put_together(folder_of(found[0]), target, force)
+    leaves = chosen.holds.levels != "tree"
+    if chosen.write_chunks is not None and by_rows and (parts := opened_chunks(found, options.read, leaves=leaves)):
         return _in_chunks(found, parts, target, options, force)
 
+    if options.write.max_memory is not None:
+        raise InputError(
+            f"max_memory: found {options.write.max_memory} for {target}, but this conversion holds the whole scene: a level or "
+            "a depth is asked for, the output is compact or keeps levels, or an input is not read in chunks (see `splatree "
+            "formats`); wanted --max-memory for conversions in chunks alone"
+        )
     scene = joined(read_one(path, options.read) for path in found)
     if options.mode is not None:
         scene = replace(scene, mode=options.mode)
@@ -148,27 +156,22 @@ def _converted_from(found: Sequence[Path], target: Path, options: ConvertOptions
     return _converted(num_read, scene.tree.num_leaves, scene.source.metadata, lost, scene.source.origin)
 
 
-def _by_pages(folder: Path, target: Path, options: ConvertOptions, force: bool) -> Converted | None:
-    """A folder of parts as one file, in runs of rows; None if the tree has to be in memory for it."""
-    chosen, tree = format_to_write(target), open_whole(folder)
+def _is_kept_folder(path: Path, options: ConvertOptions) -> bool:
+    """Whether a path is a folder of parts whose tree is kept as it is."""
+    folder = folder_of(path)
+    if options.edit != EditOptions() or not is_manifest(folder / MANIFEST):
+        return False
+    return options.mode in (None, open_whole(folder, checked=False).head.mode)
+
+
+def _put_together(folder: Path, target: Path, force: bool) -> Converted:
+    """A folder of parts as one file, in runs of rows."""
+    tree = open_whole(folder)
     source = replace(tree.head.source, paths=(str(folder),), format="splatree-folder")
-    tree = replace(tree, head=replace(tree.head, source=source))
-    if chosen.holds.levels == "tree":
-        if chosen.name != "splatree" or options.edit != EditOptions() or options.mode not in (None, tree.head.mode):
-            return None
-        with create_scene(target, tree.head, force=force) as writer:
-            for run in tree.runs(f"write {target.name}"):
-                writer.append(run)
-        lost: tuple[str, ...] = ()
-        num_written = tree.num_leaves
-    else:
-        chunks = tree.leaves()
-        if options.mode is not None:
-            chunks = replace(chunks, mode=options.mode)
-        edited = _edited_chunks(chunks, options.edit)
-        num_written = len(edited)
-        lost = write_chunks(edited, target, force=force, options=options.write, cut_from=tree)
-    converted = _converted(tree.num_leaves, num_written, source.metadata, lost, source.origin)
+    with create_scene(target, replace(tree.head, source=source), force=force) as writer:
+        for run in tree.runs(f"write {target.name}"):
+            writer.append(run)
+    converted = _converted(tree.num_leaves, tree.num_leaves, source.metadata, (), source.origin)
     return replace(converted, in_chunks=True)
 
 
@@ -179,7 +182,12 @@ def _in_chunks(
     if options.mode is not None:
         chunks = replace(chunks, mode=options.mode)
     edited = _edited_chunks(chunks, options.edit)
-    lost = write_chunks(edited, target, force=force, options=options.write)
+    with ExitStack() as stack:
+        ordered = edited
+        if options.edit.order == "morton":
+            scratch = Scratch.beside(check_target(target), options.write.max_memory)
+            ordered = stack.enter_context(along_curve(edited, scratch))
+        lost = write_chunks(ordered, target, force=force, options=options.write)
     return _converted(len(chunks), len(edited), chunks.metadata, lost, edited.origin, parts)
 
 
@@ -200,7 +208,7 @@ def _converted(
 
 
 def _edited_chunks(chunks: Chunks, options: EditOptions) -> Chunks:
-    if options == EditOptions():
+    if replace(options, order="kept") == EditOptions():
         return chunks
     count, move = len(chunks), move_from_options(options, chunks.origin)
     if options.may_drop_rows:

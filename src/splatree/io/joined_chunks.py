@@ -19,12 +19,14 @@ from splatree.scene.gaussians import Gaussians
 __all__ = ["joined_chunks", "opened_chunks"]
 
 
-def opened_chunks(paths: Sequence[Path], options: ReadOptions) -> list[Chunks] | None:
-    """All inputs in chunks; None if one of them cannot be read so."""
+def opened_chunks(paths: Sequence[Path], options: ReadOptions, *, leaves: bool = False) -> list[Chunks] | None:
+    """All inputs in chunks; None if one of them cannot be read so. With ``leaves``, those of a scene with levels will do."""
     parts, budget = [], RowBudget(f"{paths[0]} and {len(paths) - 1} more")
     for path in paths:
         found = detect(path)
-        chunks = None if found is None or found.read_chunks is None else found.read_chunks(path, options)
+        chunks = None
+        if found is not None and (read := found.read_chunks or (found.read_leaves if leaves else None)) is not None:
+            chunks = read(path, options)
         if chunks is None:
             return None
         if len(paths) > 1:
@@ -43,11 +45,12 @@ def joined_chunks(parts: Sequence[Chunks], paths: Sequence[Path]) -> Chunks:
         return first
     degree = max(part.sh_degree for part in parts)
     for part, path in zip(parts, paths, strict=True):
-        if part.mode != first.mode:
-            raise InputError(
-                f"inputs differ in their mode: {path} has {part.mode}, those before it {first.mode}; wanted scenes of one "
-                "training, convert them one by one"
-            )
+        for name in ("mode", "threshold"):
+            if (found := getattr(part, name)) != (wanted := getattr(first, name)):
+                raise InputError(
+                    f"inputs differ in their {name}: {path} has {found}, those before it {wanted}; wanted scenes of one "
+                    "training, convert them one by one"
+                )
 
     def make() -> Iterator[Gaussians]:
         for part in parts:
@@ -61,4 +64,7 @@ def joined_chunks(parts: Sequence[Chunks], paths: Sequence[Path]) -> Chunks:
         origin=first.origin,
         paths=source.paths,
         format=source.format,
+        threshold=first.threshold,
+        num_merged=sum(part.num_merged for part in parts),
+        num_clusters=sum(part.num_clusters for part in parts),
     )

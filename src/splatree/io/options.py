@@ -4,6 +4,7 @@ from dataclasses import dataclass, fields
 from typing import Literal
 
 from splatree.errors import InputError
+from splatree.io.memory import SMALLEST_MEMORY, bytes_of
 from splatree.maths.axes import AxesName
 from splatree.scene.literals import check_literals
 
@@ -64,15 +65,20 @@ class WriteOptions:
     axes: AxesName | None = None
     """Where x, y and z shall point in the file, where the format leaves that open; None: as in the scene, RDF."""
 
+    max_memory: str | None = None
+    """Memory that a conversion may take, such as 500M: what needs more waits in files, and the output is the same. None: half of
+    what is free."""
     packing: Packing | None = None
     """How values are packed in a .glb: `spz`; None: plain."""
 
     def __post_init__(self) -> None:
         check_literals(self)
+        if self.max_memory is not None and bytes_of(self.max_memory) < SMALLEST_MEMORY:
+            raise InputError(f"max_memory: found {self.max_memory}, wanted at least {SMALLEST_MEMORY // 10**6}M")
 
     def given(self) -> dict[str, int | str]:
-        """The options that are not left to the format."""
-        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        """The options of the format that are not left to it."""
+        values = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "max_memory"}
         return {name: value for name, value in values.items() if value is not None and value is not False}
 
     def check_taken(self, taken: tuple[str, ...], where: str) -> None:

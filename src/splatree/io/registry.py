@@ -99,6 +99,8 @@ class Format:
     """As ``write``, of chunks of a scene without levels; takes its place if there is none. None too: the format is only read."""
     read_chunks: Callable[[Path, ReadOptions], Chunks | None] | None = None
     """Open a file to be read in chunks, with the values that ``read`` gives; it returns None for a file that cannot be."""
+    read_leaves: Callable[[Path, ReadOptions], Chunks | None] | None = None
+    """As ``read_chunks``, of the leaves of a scene with levels, in the order that they have in the whole scene."""
     files: Callable[[Path], list[Path]] | None = None
     """The files that a path stands for, where they may be several; None: the file itself."""
     may_be_empty: bool = False
@@ -121,6 +123,7 @@ FORMATS: tuple[Format, ...] = (
         holds=Holds(origin=True, lossless=True, levels="tree", threshold=True, record=True, curves=True, clusters=True),
         sniff=store.sniff,
         read=store.read,
+        read_leaves=store.read_leaves,
         write=store.write,
         write_chunks=store.write_chunks,
         options=("compact",),
@@ -133,6 +136,7 @@ FORMATS: tuple[Format, ...] = (
         holds=Holds(origin=True, lossless=True, levels="tree", threshold=True, record=True),
         sniff=folder.sniff,
         read=folder.read,
+        read_leaves=folder.read_leaves,
         files=folder.files,
     ),
     Format(
@@ -143,7 +147,7 @@ FORMATS: tuple[Format, ...] = (
         holds=Holds(),
         sniff=compressed_ply.sniff,
         read=compressed_ply.read,
-        write=compressed_ply.write,
+        write_chunks=compressed_ply.write_chunks,
         read_chunks=compressed_ply.read_chunks,
     ),
     Format(

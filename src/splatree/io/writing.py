@@ -5,11 +5,9 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from splatree.constants import ALPHA_THRESHOLD
 from splatree.errors import InputError, OutputError, SplatreeError
 from splatree.io.chunks import Chunks, chunks_of
 from splatree.io.cut import cut_at
-from splatree.io.formats.folder.whole import WholeTree
 from splatree.io.holds import losses, origin_lost
 from splatree.io.objects import ObjectPath, located
 from splatree.io.options import WriteOptions
@@ -99,9 +97,8 @@ def write_chunks(
     *,
     force: bool = False,
     options: WriteOptions | None = None,
-    cut_from: WholeTree | None = None,
 ) -> tuple[str, ...]:
-    """As `write`, of Gaussians in chunks, in a format that is written so; they may be the leaves of a tree that is not kept."""
+    """As `write`, of Gaussians in chunks, in a format that is written so."""
     target, options = located(path), options or WriteOptions()
     chosen = format_to_write(target)
     options.check_taken(chosen.options, f"{target} ({chosen.name})")
@@ -110,8 +107,9 @@ def write_chunks(
         chosen.name,
         sh_degree=chunks.sh_degree,
         mode=chunks.mode,
-        threshold=ALPHA_THRESHOLD if cut_from is None else cut_from.head.threshold,
-        num_merged=0 if cut_from is None else len(cut_from) - cut_from.num_leaves,
+        threshold=chunks.threshold,
+        num_merged=chunks.num_merged,
+        num_clusters=chunks.num_clusters,
     )
     lost = (*lost, *origin_lost(chosen.holds, chosen.name, chunks.origin))
     return (*lost, *_written(chosen, chunks, target, force, options))

@@ -6,10 +6,13 @@ import numpy as np
 
 from splatree.shapes import Array
 
-__all__ = ["MortonFrame", "morton_codes", "morton_frame"]
+__all__ = ["MortonFrame", "frame_of_sample", "morton_codes", "morton_frame", "morton_sample"]
 
 BITS = 21
 """Bits an axis: 3 × 21 fit in 64."""
+
+SAMPLE = 1 << 16
+"""Points, fewer than so many, of which the grid is found."""
 
 _ROWS_AT_ONCE = 1 << 13
 """What lies between points and codes then stays in the first caches."""
@@ -25,15 +28,24 @@ class MortonFrame:
     """Its side, world units."""
 
 
+def morton_sample(num_points: int) -> slice:
+    """The points that `morton_frame` looks at."""
+    return slice(0, None, num_points // SAMPLE + 1)
+
+
 def morton_frame(points: Array) -> MortonFrame:
     """The grid for points (n 3): it spans the middle 99 % of a sample of them along each axis.
 
     What lies outside shares the outermost cells, so that a few far outliers do not cost the rest its resolution.
     """
-    n = len(points)
-    if n == 0:
+    return frame_of_sample(points[morton_sample(len(points))])
+
+
+def frame_of_sample(sample: Array) -> MortonFrame:
+    """The grid for points of which `morton_sample` has taken these."""
+    if len(sample) == 0:
         return MortonFrame((0.0, 0.0, 0.0), 1.0)
-    sample = points[:: n // 65536 + 1].astype(np.float64)
+    sample = sample.astype(np.float64)
     low, high = np.quantile(sample, 0.005, axis=0), np.quantile(sample, 0.995, axis=0)
     return MortonFrame((float(low[0]), float(low[1]), float(low[2])), max(float(np.max(high - low)), 1e-300))
 

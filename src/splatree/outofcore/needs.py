@@ -7,9 +7,9 @@ from pathlib import Path
 from splatree.io.inputs import find_inputs
 from splatree.io.joined_chunks import opened_chunks
 from splatree.io.local import is_brought
+from splatree.io.memory import PROCESS_BYTES, free_bytes
 from splatree.io.options import ReadOptions
 from splatree.io.registry import detect, stored_bytes
-from splatree.outofcore.options import PROCESS_BYTES, free_bytes
 
 __all__ = ["Needs", "needs_of"]
 

@@ -6,10 +6,10 @@ from pathlib import Path
 from splatree.errors import FormatError, InputError
 from splatree.io.formats.folder.manifest import MANIFEST, Manifest, checked_path, folder_of, is_manifest, read_manifest
 from splatree.io.formats.splatree.rows import StoredScene, open_scene
+from splatree.io.memory import bytes_of, free_bytes
 from splatree.io.objects import located
 from splatree.outofcore.index import StoreIndex, index_of_file, index_of_folder
 from splatree.outofcore.index_file import read_index
-from splatree.outofcore.options import bytes_of, free_bytes
 from splatree.outofcore.pages import table_of
 from splatree.outofcore.store import Store
 from splatree.progress import task

@@ -1,21 +1,12 @@
 """How much memory a build through files takes, and how the memory is spent."""
 
 import math
-import os
-import re
-import sys
 from dataclasses import dataclass
-from pathlib import Path
 
 from splatree.errors import InputError
+from splatree.io.memory import PROCESS_BYTES, SMALLEST_MEMORY, bytes_of, free_bytes
 
-__all__ = ["FolderOptions", "Room", "bytes_of", "free_bytes"]
-
-SMALLEST_MEMORY = 250_000_000
-"""Bytes below which not even small cells fit beside the program itself."""
-
-PROCESS_BYTES = 130_000_000
-"""What a process takes before it loads a row."""
+__all__ = ["FolderOptions", "Room"]
 
 ROW_BYTES = 350
 """What growing a cell takes for each of its rows without harmonics, with the space around it: benchmarks/scale.py."""
@@ -155,40 +146,3 @@ def cell_bytes(num_rows: int, num_coefficients: int, *, by_pairs: bool = False) 
 def top_bytes(num_roots: int, num_coefficients: int) -> int:
     """Memory of a process that grows the levels above all parts."""
     return PROCESS_BYTES + num_roots * (ROOT_BYTES + ROOT_HARMONIC_BYTES * (num_coefficients - 1))
-
-
-def bytes_of(text: str) -> int:
-    """The number of bytes that a text such as 4G or 500M says.
-
-    Raises:
-        InputError: it says none.
-    """
-    match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([kKmMgGtT]?)[bB]?\s*", text)
-    if match is None:
-        raise InputError(f"memory: found {text!r}, wanted a number of bytes such as 4G or 500M")
-    return int(float(match[1]) * 1000 ** " kmgt".index(match[2].lower() or " "))
-
-
-def free_bytes() -> int:
-    """Bytes that processes may take without others having to give any up: of the machine, and of the control group."""
-    return min(_free_of_machine(), _free_of_group())
-
-
-def _free_of_group(folder: Path = Path("/sys/fs/cgroup")) -> int:
-    """What the limit of a container leaves; what files back can be given up."""
-    try:
-        limit, used = (int((folder / name).read_text("utf-8")) for name in ("memory.max", "memory.current"))
-        backed = re.search(r"^inactive_file (\d+)$", (folder / "memory.stat").read_text("utf-8"), re.MULTILINE)
-    except (OSError, ValueError):  # no such group, or "max": no limit
-        return sys.maxsize
-    return max(0, limit - used + (int(backed[1]) if backed else 0))
-
-
-def _free_of_machine() -> int:
-    info = Path("/proc/meminfo")
-    if info.exists() and (found := re.search(r"^MemAvailable:\s+(\d+) kB", info.read_text("utf-8"), re.MULTILINE)):
-        return int(found[1]) * 1024
-    try:
-        return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    except (AttributeError, ValueError, OSError):  # Windows, macOS
-        return 8 * 10**9

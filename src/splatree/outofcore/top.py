@@ -1,6 +1,7 @@
 """The last pass: the levels above all parts, in memory, and the manifest."""
 
 import json
+import os
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import fields, replace
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from splatree.errors import InputError
-from splatree.io.formats.folder.manifest import MANIFEST, Manifest, StoredFile, stored_file
+from splatree.io.formats.folder.manifest import MANIFEST, Manifest, StoredFile, read_manifest, stored_file
 from splatree.io.formats.splatree.rows import open_scene
 from splatree.io.reading import read
 from splatree.io.writing import write
@@ -28,7 +29,7 @@ from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Scene, Source
 
-__all__ = ["finish_scene"]
+__all__ = ["finish_scene", "replace_crown"]
 
 CROWN = "crown.splatree"
 """Name of the file of the nodes above the parts."""
@@ -114,6 +115,26 @@ def _with_drawn(crown: Scene, roots: Sequence[Scene]) -> Scene:
     curves[copies] = np.concatenate([part.tree.curves for part in roots])[crown.ids[copies]]
     tree = replace(crown.tree, curves=curves)
     return replace(crown, gaussians=Gaussians(**columns), tree=tree, blocks=None)
+
+
+def replace_crown(folder: Path, crown: Scene) -> None:
+    """Put another crown into a folder, of the same rows: what a scene says of how it is drawn stands there.
+
+    The new crown is written beside the old one, and the manifest names it last: until then the folder is as it was.
+
+    Raises:
+        FormatError: the folder is damaged.
+        OutputError: something could not be written.
+    """
+    manifest = read_manifest(folder)
+    name = f"crown.{os.urandom(4).hex()}.splatree"
+    write(crown, folder / name)
+    try:
+        write_text(folder / MANIFEST, replace(manifest, crown=stored_file(folder, name)).to_json())
+    except BaseException:
+        (folder / name).unlink(missing_ok=True)
+        raise
+    (folder / manifest.crown.name).unlink(missing_ok=True)
 
 
 def _index(work: Work, files: Sequence[StoredFile]) -> StoreIndex:

@@ -33,6 +33,7 @@ import numpy as np
 
 from splatree.errors import InputError
 from splatree.kernels.devices import DeviceName
+from splatree.outofcore.store import Store
 from splatree.progress import task
 from splatree.render.calibration import CalibrateOptions, Calibration
 from splatree.render.session import open_session
@@ -46,7 +47,7 @@ __all__ = ["calibrate"]
 
 
 def calibrate(
-    scene: Scene,
+    scene: Scene | Store,
     cameras: Sequence[Camera],
     options: CalibrateOptions | None = None,
     render: RenderOptions | None = None,
@@ -61,7 +62,7 @@ def calibrate(
     τ depends on the size of the pictures and on the level of detail: calibrate with what will be drawn.
 
     Args:
-        scene: any scene.
+        scene: any scene, or a store, of which the pages are read that the views need.
         cameras: views like those that will be drawn; those of the training if there are photographs. Keep views apart that
             will be scored.
         options: policy and its parameters; None: a loss of 0.1 dB.

@@ -24,12 +24,14 @@ import numpy as np
 
 from splatree.errors import FormatError
 from splatree.io.check import LOGIT_FROM_BYTE, refuse_unusable
-from splatree.io.chunks import ROWS_PER_CHUNK, Chunks
+from splatree.io.chunks import Chunks
 from splatree.io.formats.ply.header import HEADER_MAX, Element, Text, parse_text
+from splatree.io.memory import Scratch
 from splatree.io.options import ReadOptions, WriteOptions
 from splatree.io.rows import FileRows, Fill, records_of
+from splatree.io.sorting import along_curve
 from splatree.kernels.cpu.codec.packed import CHUNK, pack, unpack
-from splatree.maths.morton import morton_codes
+from splatree.kernels.cpu.runtime.files import write_at
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Scene
@@ -78,14 +80,11 @@ def _rows(path: Path, options: ReadOptions) -> FileRows:
     return FileRows(str(path), packed.num_rows, packed.degree, start, packed.text.mode, packed.metadata)
 
 
-def write(scene: Scene, path: Path, options: WriteOptions) -> tuple[str, ...]:
+def write_chunks(chunks: Chunks, path: Path, options: WriteOptions) -> tuple[str, ...]:
     """Write all rows along a Z-curve; count those with values beyond the codes."""
-    g = scene.gaussians
-    refuse_unusable(g, "scene to write")
-    order = np.argsort(morton_codes(g.means), kind="stable")
-    n, num_rest = len(g), 3 * (g.sh.shape[1] - 1)
+    n, num_rest = len(chunks), 3 * ((chunks.sh_degree + 1) ** 2 - 1)
     lines = ["ply", "format binary_little_endian 1.0"]
-    if scene.mode == "antialiased":
+    if chunks.mode == "antialiased":
         lines.append("comment SplatRenderMode: mip")
     lines += [f"element chunk {-(-n // CHUNK)}", *(f"property float {name}" for name in _BOUNDS)]
     lines += [f"element vertex {n}", *(f"property uint {name}" for name in _VERTEX)]
@@ -93,37 +92,29 @@ def write(scene: Scene, path: Path, options: WriteOptions) -> tuple[str, ...]:
         lines += [f"element sh {n}", *(f"property uchar f_rest_{i}" for i in range(num_rest))]
     head = "\n".join([*lines, "end_header", ""]).encode()
     vertices_at = len(head) + 4 * len(_BOUNDS) * -(-n // CHUNK)
-    rest_at = vertices_at + 4 * len(_VERTEX) * n
-    with path.open("wb", buffering=0) as file, task(f"write {path.name}", n) as advance:
-        _write_at(file, 0, head)
-        for begin in range(0, n, ROWS_PER_CHUNK):
-            bounds, vertices, rest = pack(g, order[begin : begin + ROWS_PER_CHUNK])
-            _write_at(file, len(head) + begin // CHUNK * bounds.itemsize * len(_BOUNDS), bounds)
-            _write_at(file, vertices_at + begin * vertices.itemsize * len(_VERTEX), vertices)
-            _write_at(file, rest_at + begin * num_rest, rest)
-            advance(len(vertices))
-    return tuple(_clamped(g))
+    rest_at, begin = vertices_at + 4 * len(_VERTEX) * n, 0
+    clamped = {f"log-scales beyond ±{LOG_SCALE_MAX}": 0, f"harmonics beyond ±{SH_MAX}": 0}
 
+    def look(g: Gaussians, first_row: int) -> None:
+        refuse_unusable(g, "scene to write", first_row=first_row)
+        beyond = (np.abs(g.log_scales) > LOG_SCALE_MAX, np.abs(g.sh[:, 1:]) > SH_MAX)
+        for what, wrong in zip(clamped, beyond, strict=True):
+            clamped[what] += int(wrong.reshape(len(g), -1).any(axis=1).sum()) if wrong.size else 0
 
-def _clamped(g: Gaussians) -> Iterator[str]:
-    """What lies beyond the codes, a sentence each."""
-    for what, column, limit in (("log-scales", g.log_scales, LOG_SCALE_MAX), ("harmonics", g.sh[:, 1:], SH_MAX)):
-        rows = ROWS_PER_CHUNK
-        count = sum(
-            int((np.abs(column[i : i + rows]) > limit).reshape(len(column[i : i + rows]), -1).any(axis=1).sum())
-            for i in range(0, len(column), rows)
-            if column.size
-        )
-        if count:
-            yield f"{what} beyond ±{limit}: clamped in {count:,} Gaussians"
-
-
-def _write_at(file: BinaryIO, offset: int, data: bytes | Array) -> None:
-    """All bytes: an unbuffered write may take a part of them."""
-    view = memoryview(data if isinstance(data, bytes) else data.tobytes())
-    file.seek(offset)
-    while len(view):
-        view = view[file.write(view) :]
+    with (
+        along_curve(chunks, Scratch.beside(path, options.max_memory), look) as ordered,
+        path.open("wb", buffering=0) as file,
+        task(f"write {path.name}", n) as advance,
+    ):
+        write_at(file, 0, head)
+        for g in ordered:
+            bounds, vertices, rest = pack(g, np.arange(len(g)))
+            write_at(file, len(head) + begin // CHUNK * bounds.itemsize * len(_BOUNDS), bounds)
+            write_at(file, vertices_at + begin * vertices.itemsize * len(_VERTEX), vertices)
+            write_at(file, rest_at + begin * num_rest, rest)
+            begin += len(g)
+            advance(len(g))
+    return tuple(f"{what}: clamped in {count:,} Gaussians" for what, count in clamped.items() if count)
 
 
 @dataclass(frozen=True)

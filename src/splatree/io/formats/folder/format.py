@@ -8,6 +8,7 @@ copy, so that rows are in preorder. docs/reference/formats/folder.md.
 from dataclasses import replace
 from pathlib import Path
 
+from splatree.io.chunks import Chunks
 from splatree.io.formats.folder.manifest import MANIFEST, folder_of, is_manifest, read_manifest
 from splatree.io.formats.folder.whole import open_whole
 from splatree.io.options import ReadOptions
@@ -37,3 +38,8 @@ def read(path: Path, options: ReadOptions) -> Scene:
     """
     scene = open_whole(folder_of(path)).scene()
     return replace(scene, blocks=index_blocks(scene.gaussians, scene.tree))
+
+
+def read_leaves(path: Path, options: ReadOptions) -> Chunks | None:
+    """The leaves in chunks, as they lie in the whole tree; None where values may be repaired, which trees do not bear."""
+    return None if options.repair else open_whole(folder_of(path)).leaves()

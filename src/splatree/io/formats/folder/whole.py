@@ -147,6 +147,8 @@ class WholeTree:
             origin=source.origin,
             paths=source.paths,
             format=source.format,
+            threshold=self.head.threshold,
+            num_merged=len(self) - self.num_leaves,
         )
 
     def scene(self) -> Scene:

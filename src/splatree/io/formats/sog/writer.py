@@ -14,7 +14,7 @@ import io
 import json
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -24,18 +24,29 @@ from splatree.errors import InputError
 from splatree.io.check import refuse_unusable
 from splatree.io.chunks import Chunks
 from splatree.io.formats.sog.codebook import CODES, Codebook, find_codebook, sampled_rows
-from splatree.io.formats.sog.palette import find_palette
+from splatree.io.formats.sog.palette import Palette, find_palette
+from splatree.io.memory import Scratch
 from splatree.io.options import WriteOptions
 from splatree.io.replacing import replacing
+from splatree.io.sorting import Sorter
 from splatree.kernels.cpu import _core
 from splatree.kernels.cpu.codec import sog as kernel
-from splatree.maths.morton import morton_codes
+from splatree.maths.morton import frame_of_sample, morton_codes, morton_sample
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
 from splatree.shapes import Array, Float32, Float64
 
 RowOrder = Literal["morton", "kept"]
 """Which row is which pixel."""
+
+IN_MEMORY = Scratch(math.inf, Path())
+"""For what is small: all of it is held in memory."""
+
+_PACKING_BYTES = 37
+"""Memory that Pillow and libwebp take for a pixel of a picture while they pack it."""
+
+_WEIGHED = 1 << 20
+"""Rows of which the largest hundredth of the weights is found."""
 
 _SIDE_MAX = 16380
 """Largest width and height of a WebP picture that is a multiple of four, px."""
@@ -55,7 +66,7 @@ def write_chunks(chunks: Chunks, path: Path, options: WriteOptions) -> tuple[str
     """Write a bundle."""
     import zipfile
 
-    pictures, meta = encode(chunks, options)
+    pictures, meta = encode(chunks, options, scratch=Scratch.beside(path, options.max_memory))
     with zipfile.ZipFile(path, "w", zipfile.ZIP_STORED) as bundle:
         for name, data in {"meta.json": as_json(meta), **pictures}.items():
             bundle.writestr(zipfile.ZipInfo(name), data)  # with a fixed date: equal scenes give equal files
@@ -70,7 +81,7 @@ def write_folder(chunks: Chunks, path: Path, options: WriteOptions) -> tuple[str
     """
     import hashlib
 
-    pictures, meta = encode(chunks, options)
+    pictures, meta = encode(chunks, options, scratch=Scratch.beside(path, options.max_memory))
     digest = hashlib.sha256(b"".join(pictures.values())).hexdigest()[:8]
     for part in meta.values():
         if isinstance(part, dict) and "files" in part:
@@ -90,26 +101,31 @@ def write_folder(chunks: Chunks, path: Path, options: WriteOptions) -> tuple[str
 
 
 def encode(
-    chunks: Chunks, options: WriteOptions, *, order: RowOrder = "morton"
+    chunks: Chunks, options: WriteOptions, *, order: RowOrder = "morton", scratch: Scratch = IN_MEMORY
 ) -> tuple[dict[str, bytes], dict[str, Any]]:
-    """The pictures by name, and the contents of meta.json; rows along a Morton curve, or ``kept`` as they come."""
+    """The pictures by name, and the contents of meta.json; rows along a Morton curve, or ``kept`` as they come.
+
+    What grows with the scene lies in ``scratch``: 36 bytes a Gaussian, and 28 more while they are put in order. A picture takes
+    37 bytes for each pixel while it is packed, in memory.
+    """
     n, has_rest = len(chunks), chunks.sh_degree > 0 and len(chunks) > 0
     if n > _SIDE_MAX**2:
         raise InputError(f"SOG: found {n} Gaussians, wanted at most {_SIDE_MAX**2}; write the scene in chunks")
     with task("encode SOG", 3.0) as advance:
-        seen = _look(chunks)
+        seen = _look(chunks, scratch)
         palette = None
         if has_rest:
             size, rounds = _palette_size(n, options), _iterations(options)
-            palette = find_palette(lambda: (g.sh for g in chunks), seen.weights, size, iterations=rounds)
+            labels = scratch.zeros((n,), np.int32)
+            palette = find_palette(lambda: (g.sh for g in chunks), seen.weights, size, iterations=rounds, labels=labels)
         advance(1.0)
         sample = sampled_rows(n, 3)
         weights = seen.weights[sample]
         scales = find_codebook(seen.log_scales, lambda: _different(chunks, lambda g: g.log_scales), weights)
         dc = find_codebook(seen.dc, lambda: _different(chunks, lambda g: g.sh[:, 0]), weights)
         width = 4 * math.ceil(math.sqrt(n) / 4) or 4
-        labels = None if palette is None else palette.labels
-        images = _pictures(chunks, _places(seen.means, order), seen, (scales.bounds, dc.bounds), labels, width)
+        bounds = (scales.bounds, dc.bounds)
+        images = _pictures(chunks, _places(chunks, seen, order, scratch), seen, bounds, palette, width, scratch)
         low, high = seen.mean_ranges.tolist()
         meta: dict[str, Any] = {
             "version": 2,
@@ -135,7 +151,7 @@ def encode(
             }
         del seen, palette
         advance(1.0)
-        pictures = _webp(images)
+        pictures = _webp(images, scratch)
         advance(1.0)
     return pictures, meta
 
@@ -144,9 +160,10 @@ def encode(
 class _Seen:
     """What a first pass over all rows finds."""
 
-    means: Float32[Array, "n 3"]
+    means: Float32[Array, "s 3"]
+    """Those of `morton_sample`."""
     weights: Float32[Array, "n"]
-    """What a picture sees of each row: opacity × area; the largest hundredth counts as the one below it."""
+    """What a picture sees of each row: opacity × area; what is larger than all but a hundredth of a sample counts as that."""
     log_scales: Float32[Array, "s 3"]
     """Those of `sampled_rows`."""
     dc: Float32[Array, "s 3"]
@@ -155,29 +172,29 @@ class _Seen:
     """Least and largest sign(x) ln(1 + |x|) along each axis."""
 
 
-def _look(chunks: Chunks) -> _Seen:
-    n, every = len(chunks), sampled_rows(len(chunks), 3).step
-    means, areas, alphas = np.empty((n, 3), np.float32), np.empty(n, np.float32), np.empty(n, np.float32)
-    log_scales, dc = [np.empty((0, 3), np.float32)], [np.empty((0, 3), np.float32)]
+def _look(chunks: Chunks, scratch: Scratch) -> _Seen:
+    n, every, each = len(chunks), sampled_rows(len(chunks), 3).step, morton_sample(len(chunks)).step
+    weights, alphas = scratch.zeros((n,), np.float32), scratch.zeros((n,), np.float32)
+    means, log_scales, dc = ([np.empty((0, 3), np.float32)] for _ in range(3))
     ends, begin = np.array([[np.inf] * 3, [-np.inf] * 3]) if n else np.zeros((2, 3)), 0
     for g in chunks:
         refuse_unusable(g, "scene to write", first_row=begin)
         rows = slice(begin, begin + len(g))
-        means[rows] = g.means
         ends = np.stack([np.minimum(ends[0], g.means.min(axis=0)), np.maximum(ends[1], g.means.max(axis=0))])
         x, y, z = g.log_scales.T
-        areas[rows] = np.exp(x + y + z - np.minimum(np.minimum(x, y), z))  # of the two larger axes
+        weights[rows] = np.exp(x + y + z - np.minimum(np.minimum(x, y), z))  # area of the two larger axes
         alphas[rows] = 1 / (1 + np.exp(-np.maximum(g.logit_opacities, -_LOGIT_MAX)))
+        means.append(g.means[-begin % each :: each].copy())
         log_scales.append(g.log_scales[-begin % every :: every].copy())
         dc.append(g.sh[-begin % every :: every, 0].copy())
         begin += len(g)
     if n:
-        np.minimum(areas, np.quantile(areas, 0.99), out=areas)
-        areas *= alphas
-        areas /= areas.mean()
-        areas += np.float32(_WEIGHT_MIN)
+        np.minimum(weights, np.quantile(weights[:: -(-n // _WEIGHED)], 0.99), out=weights)
+        weights *= alphas
+        weights /= weights.mean()
+        weights += np.float32(_WEIGHT_MIN)
     ranges = np.sign(ends) * np.log1p(np.abs(ends))
-    return _Seen(means, areas, np.concatenate(log_scales), np.concatenate(dc), ranges)
+    return _Seen(np.concatenate(means), weights, np.concatenate(log_scales), np.concatenate(dc), ranges)
 
 
 def _different(chunks: Chunks, column: Callable[[Gaussians], Array]) -> Array:
@@ -190,18 +207,34 @@ def _different(chunks: Chunks, column: Callable[[Gaussians], Array]) -> Array:
     return values
 
 
-def _places(means: Array, order: RowOrder) -> Array:
+def _places(chunks: Chunks, seen: _Seen, order: RowOrder, scratch: Scratch) -> Array:
     """The pixel of each row."""
-    pixels = np.arange(len(means), dtype=np.int32)
+    places = scratch.zeros((len(chunks),), np.int32)
     if order == "kept":
-        return pixels
-    places = np.empty_like(pixels)
-    places[np.argsort(morton_codes(means), kind="stable")] = pixels
+        places[:] = np.arange(len(places))
+        return places
+    frame, begin = frame_of_sample(seen.means), 0
+    with Sorter(len(chunks), 4, morton_codes(seen.means, frame), replace(scratch)) as sorter:
+        for g in chunks:
+            rows = np.arange(begin, begin + len(g), dtype=np.int32)
+            sorter.put(morton_codes(g.means, frame), rows.view(np.uint8).reshape(-1, 4))
+            begin += len(g)
+        begin = 0
+        for _, records in sorter.runs():
+            rows = np.ascontiguousarray(records).view(np.int32).reshape(-1)
+            places[rows] = np.arange(begin, begin + len(rows), dtype=np.int32)
+            begin += len(rows)
     return places
 
 
 def _pictures(
-    chunks: Chunks, places: Array, seen: _Seen, bounds: tuple[Array, Array], labels: Array | None, width: int
+    chunks: Chunks,
+    places: Array,
+    seen: _Seen,
+    bounds: tuple[Array, Array],
+    palette: Palette | None,
+    width: int,
+    scratch: Scratch,
 ) -> dict[str, Array]:
     """All pictures "h w c" of one pixel a row; their height is a multiple of four as the width is."""
     height = 4 * math.ceil(len(chunks) / width / 4) or 4
@@ -211,13 +244,13 @@ def _pictures(
         "quats": 4,
         "scales": 3,
         "sh0": 4,
-        **({} if labels is None else {"labels": 3}),
+        **({} if palette is None else {"labels": 3}),
     }
-    pixels = {name: np.zeros((height * width, c), np.uint8) for name, c in channels.items()}
+    pixels = {name: scratch.zeros((height * width, c), np.uint8) for name, c in channels.items()}
     begin = 0
     for g in chunks:
         rows = slice(begin, begin + len(g))
-        own = None if labels is None else labels[rows]
+        own = None if palette is None else palette.labels[rows]
         kernel.encode(g, places[rows], seen.mean_ranges, bounds, pixels, labels=own)
         begin += len(g)
     return {name: codes.reshape(height, width, -1) for name, codes in pixels.items()}
@@ -259,7 +292,8 @@ def _centroids(codes: Array) -> Array:
     return picture.reshape(height, _ENTRIES_PER_ROW * per_channel, 3)
 
 
-def _webp(images: dict[str, Array]) -> dict[str, bytes]:
+def _webp(images: dict[str, Array], scratch: Scratch) -> dict[str, bytes]:
+    """The pictures packed, as many at the same time as there is room for."""
     from concurrent.futures import ThreadPoolExecutor
 
     from PIL import Image, WebPImagePlugin
@@ -272,5 +306,7 @@ def _webp(images: dict[str, Array]) -> dict[str, bytes]:
         Image.fromarray(image).save(buffer, "WEBP", **options)
         return buffer.getvalue()
 
-    with ThreadPoolExecutor(_core.hardware_threads()) as pool:
+    largest = max(image.shape[0] * image.shape[1] for image in images.values())
+    at_once = max(1, min(_core.hardware_threads(), int(scratch.room // (_PACKING_BYTES * largest))))
+    with ThreadPoolExecutor(at_once) as pool:
         return {f"{name}.webp": data for name, data in zip(images, pool.map(packed, images.values()), strict=True)}

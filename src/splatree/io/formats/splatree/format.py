@@ -11,6 +11,7 @@ every tensor and builds the whole file in memory before it writes; in the tests 
 docs/reference/formats/splatree.md.
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,17 +19,19 @@ import numpy as np
 
 from splatree.errors import FormatError, InputError
 from splatree.io.check import checked
-from splatree.io.chunks import Chunks
+from splatree.io.chunks import ROWS_PER_CHUNK, Chunks
 from splatree.io.formats.splatree.container import header_bytes, open_container, placed
 from splatree.io.formats.splatree.fields import NOT_STORED, columns_of, struct_from, values_of
 from splatree.io.formats.splatree.head import SceneHead
 from splatree.io.formats.splatree.older import record_of_provenance
+from splatree.io.formats.splatree.rows import StoredScene, open_scene
 from splatree.io.formats.splatree.writer import SceneWriter
 from splatree.io.levels import check_extents
 from splatree.io.options import ReadOptions, WriteOptions
 from splatree.kernels.cpu.build.spheres import bound_clusters
 from splatree.kernels.cpu.frame.blocks import index_blocks
 from splatree.progress import task
+from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Scene
 from splatree.shapes import Array
 
@@ -80,6 +83,37 @@ def write_chunks(chunks: Chunks, path: Path, options: WriteOptions) -> tuple[str
             writer.append(Scene.flat(chunk, mode=chunks.mode))
             advance(len(chunk))
     return ()
+
+
+def read_leaves(path: Path, options: ReadOptions) -> Chunks | None:
+    """The leaves in chunks; None for a compact file, and where values may be repaired, which trees do not bear."""
+    if is_compact(path) or options.repair:
+        return None
+    stored = open_scene(path)
+    end = stored.file.rows("tree.subtree_end")
+    num_leaves = sum(
+        int((end[i : i + ROWS_PER_CHUNK] == np.arange(i + 1, min(i + ROWS_PER_CHUNK, len(end)) + 1)).sum())
+        for i in range(0, len(end), ROWS_PER_CHUNK)
+    )
+    head, clusters = stored.head, stored.file.columns.get("clusters.centers")
+    return Chunks(
+        *(num_leaves, head.sh_degree, head.mode, lambda: leaves_of(stored, 0, len(stored)), head.source.metadata),
+        origin=head.source.origin,
+        threshold=head.threshold,
+        num_merged=len(stored) - num_leaves,
+        num_clusters=0 if clusters is None else clusters.shape[0],
+    )
+
+
+def leaves_of(stored: StoredScene, first: int, last: int) -> Iterator[Gaussians]:
+    """The leaves in a run of rows of a file, in chunks; no row stays in memory."""
+    for begin in range(first, last, ROWS_PER_CHUNK):
+        end = min(begin + ROWS_PER_CHUNK, last)
+        rows = stored.rows(begin, end)
+        leaves = np.flatnonzero(rows.subtree_end == np.arange(begin + 1, end + 1))
+        if len(leaves):
+            yield rows.gaussians.take(leaves)
+        stored.forget(begin, end)
 
 
 def is_compact(path: Path) -> bool:

@@ -27,5 +27,6 @@ def write_at(file: BinaryIO, offset: int, data: bytes | Array) -> None:
     Raises:
         OSError: the system refuses.
     """
-    flat = np.frombuffer(data if isinstance(data, bytes) else np.ascontiguousarray(data).data.cast("B"), np.uint8)
-    _core.write_at(file.fileno(), flat, offset)
+    flat = np.frombuffer(data, np.uint8) if isinstance(data, bytes) else np.ascontiguousarray(data)
+    if flat.size:
+        _core.write_at(file.fileno(), flat.reshape(-1).view(np.uint8), offset)
