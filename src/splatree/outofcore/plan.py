@@ -86,9 +86,7 @@ class Plan:
         """The plan as a JSON object."""
         kept = {name: value for name, value in vars(self).items() if name not in ("resolved", "cells", "sight")}
         sight = self.sight and {**vars(self.sight), "middle": self.sight.middle.tolist()}
-        return json.dumps(
-            {**kept, "resolved": self.resolved.to_json(), "cells": self.cells.halvings, "sight": sight}
-        )
+        return json.dumps({**kept, "resolved": self.resolved.to_json(), "cells": self.cells.halvings, "sight": sight})
 
     @staticmethod
     def from_json(text: str) -> "Plan":

@@ -38,6 +38,9 @@ ROW = np.dtype([("means", "<f4", 3), ("quats", "<f4", 4), ("log_scales", "<f4", 
                 ("step", "<u4"), ("input", "<u4")])  # fmt: skip
 """What passes of a Gaussian."""
 
+COLUMNS = ("means", "quats", "log_scales", "logit_opacities")
+"""Those of the Gaussian."""
+
 NUM_BINS = 1 << 12
 """Steps of depth are counted in so many bins, of which slabs are put together."""
 
@@ -92,7 +95,10 @@ def _write_slabs(work: Work, plan: Plan, axis: int, folder: Path, threads: int) 
     nearest, farthest = np.inf, -np.inf
     for cell, _ in _cells(work, plan):
         depths = depths_along(cell, plan.sight, axis, threads=threads)
-        nearest, farthest = min(nearest, float(depths.min(initial=np.inf))), max(farthest, float(depths.max(initial=-np.inf)))
+        nearest, farthest = (
+            min(nearest, float(depths.min(initial=np.inf))),
+            max(farthest, float(depths.max(initial=-np.inf))),
+        )
     counts = np.zeros(NUM_BINS, np.int64)
     for cell, _ in _cells(work, plan):
         depths = depths_along(cell, plan.sight, axis, threads=threads)
@@ -103,7 +109,7 @@ def _write_slabs(work: Work, plan: Plan, axis: int, folder: Path, threads: int) 
     for cell, inputs in _cells(work, plan):
         step = steps_of_depths(depths_along(cell, plan.sight, axis, threads=threads), nearest, farthest)
         rows = np.empty(len(cell), ROW)
-        for name in ("means", "quats", "log_scales", "logit_opacities"):
+        for name in COLUMNS:
             rows[name] = getattr(cell, name)
         rows["step"], rows["input"] = step, inputs
         slab = slab_from_bin[step >> BIN_BITS]
@@ -125,8 +131,8 @@ def _cells(work: Work, plan: Plan) -> Iterator[tuple[Gaussians, Array]]:
 
 
 def _gaussians_of(rows: Array) -> Gaussians:
-    columns = [np.ascontiguousarray(rows[name]) for name in ("means", "quats", "log_scales", "logit_opacities")]
-    return Gaussians(*columns, np.zeros((len(rows), 1, 3), np.float32))
+    columns = {name: np.ascontiguousarray(rows[name]) for name in COLUMNS}
+    return Gaussians(**columns, sh=np.zeros((len(rows), 1, 3), np.float32))
 
 
 def write_seen(work: Work, plan: Plan) -> None:
@@ -136,7 +142,10 @@ def write_seen(work: Work, plan: Plan) -> None:
     along = [read_array(work.sight(axis)) for axis in range(NUM_AXES)]
     sample = visibilities_from(np.stack([sample_of(sums, SIZE_SAMPLES) for sums in along]))
     full = full_sight(sample)
-    with task("put together what is seen", float(plan.num_rows)) as advance, replacing(work.seen, force=True) as temporary:
+    with (
+        task("put together what is seen", float(plan.num_rows)) as advance,
+        replacing(work.seen, force=True) as temporary,
+    ):
         seen = np.lib.format.open_memmap(temporary, "w+", np.float32, (plan.num_rows,))
         for begin in range(0, plan.num_rows, BATCH_ROWS):
             batch = visibilities_from(np.stack([sums[begin : begin + BATCH_ROWS] for sums in along]))

@@ -118,6 +118,7 @@ class _Rows:
         extents, ids = np.empty(n, np.float32), np.empty(n, np.uint32)
         curves = None if crown.tree.curves is None else np.zeros((n, 4), np.float32)
         if curves is not None:
+            assert crown.tree.curves is not None
             curves[above_rows] = crown.tree.curves[above]
         end[above_rows] = first_row[crown.tree.subtree_end[above]]
         depth[above_rows], extents[above_rows] = crown.tree.depth[above], crown.tree.extents[above]
