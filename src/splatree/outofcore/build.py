@@ -32,6 +32,10 @@ from splatree.scene.trial import MethodTrial
 __all__ = ["BuiltFolder", "check_target", "grow_folder"]
 
 
+NO_QUALITY = "--quality will not be known: how good cuts look is measured where the whole tree is in memory"
+"""Said of every folder."""
+
+
 @dataclass(frozen=True)
 class BuiltFolder:
     """A scene that was built through files.
@@ -100,6 +104,7 @@ def grow_folder(
             *opened.notes,
             *cut.notes(running),
             *_note_on_pixels(cut.plan, options),
+            NO_QUALITY,
         ),
         trial=trial,
     )
