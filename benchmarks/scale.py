@@ -1,6 +1,8 @@
-"""What a build through files costs beside a build in memory, and that both give the same tree.
+"""What a build through files costs beside a build in memory, and that both give the same tree, or pictures as good.
 
-``python benchmarks/scale.py [--chunks 10] [--degree 3] [--memory 1G 4G] [--workers 1 2] [--folder /tmp]`` needs the shared city.
+``python benchmarks/scale.py [--chunks 10] [--degree 3] [--method radius] [--memory 1G 4G] [--workers 1 2] [--folder /tmp]`` needs
+the shared city. Levels by a radius are the same bits. Levels by pairs are chosen cell by cell: views straight down on borders of
+cells say how much worse cuts are within four pixels of a border and elsewhere (`seams`), beside those of the tree in memory.
 ``--tiles 2`` puts 2 × 2 copies of it side by side, each moved by a centimetre at random; nothing is built in memory then.
 Each build is a command of its own. Memory is the largest sum over its processes of what is not backed by files (RssAnon), looked
 up every 20 ms; so the pages of mapped files, which the system takes back as it likes, do not count. Linux only.
@@ -14,6 +16,7 @@ import sys
 import tempfile
 import threading
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
@@ -22,6 +25,13 @@ import numpy as np
 
 import splatree as st
 from harness import DATA, save, table
+from splatree.lod.cells import halve
+from splatree.lod.region import Box
+from splatree.outofcore.options import PAIR_CELL_ROWS
+from splatree.outofcore.plan import SAMPLE_ROWS
+
+NEAR_PX = 4
+"""Pixels from a border that count as near."""
 
 COLUMNS = ("means", "quats", "log_scales", "logit_opacities", "sh")
 
@@ -98,10 +108,63 @@ def same(folder: Path, wanted: st.Scene) -> str:
     return f"no: {', '.join(differ)}" if differ else "yes"
 
 
+def seams(folder: Path, wanted: st.Scene, part_rows: int) -> dict[str, float]:
+    """Mean PSNR of cuts of a folder less that of cuts of the tree in memory, near borders of cells and elsewhere, dB.
+
+    A border through the middle of a picture that looks straight down is a straight line in it, however high things stand.
+    """
+    means = wanted.gaussians.means[wanted.tree.is_leaf]
+    sample = np.array(means[:: len(means) // SAMPLE_ROWS + 1])
+    low, high = np.quantile(sample, (0.05, 0.95), axis=0)
+    found: dict[str, list[float]] = {"near": [], "away": [], "nodes": []}
+    tree = st.read(folder)
+    for axis, at, side_low, side_high in borders(halve(sample, part_rows * len(sample) / len(means)).boxes, low, high):
+        middle = (side_low + side_high) / 2
+        middle[axis] = at
+        ground = sample[np.abs(sample - middle)[:, [0, 2]].max(axis=1) < 20][:, 1]
+        if len(ground) < 100:
+            continue
+        middle[1] = np.median(ground)
+        for height in (40.0, 160.0):
+            eye = middle - np.array([0, height, 0])  # y points down
+            camera = st.Camera.look_at(eye, middle, up=(0, 0, 1), width=480, height=480, fov_y_deg=50)
+            every = np.clip(st.render(wanted, camera, select=st.SelectOptions(pixel_error=0.0)).image, 0, 1)
+            # World x runs along the columns of the picture, z along its rows.
+            from_middle = np.abs(np.arange(480) + 0.5 - 240)
+            near = np.zeros((480, 480), bool)
+            near[(slice(None), from_middle < NEAR_PX) if axis == 0 else (from_middle < NEAR_PX, slice(None))] = True
+            cuts = [st.render(each, camera) for each in (tree, wanted)]
+            errors = [(np.clip(cut.image, 0, 1) - every) ** 2 for cut in cuts]
+            for name, mask in (("near", near), ("away", ~near)):
+                ours, whole = (-10 * np.log10(max(float(error[mask].mean()), 1e-9)) for error in errors)
+                found[name].append(ours - whole)
+            ours, whole = (cut.counters.num_selected for cut in cuts)
+            found["nodes"].append(ours / whole)
+    return {
+        "near borders, dB": float(np.mean(found["near"])),
+        "worst near borders, dB": min(found["near"]),
+        "elsewhere, dB": float(np.mean(found["away"])),
+        "nodes drawn / in memory": float(np.mean(found["nodes"])),
+        "border views": len(found["near"]),
+    }
+
+
+def borders(boxes: Sequence[Box], low: np.ndarray, high: np.ndarray) -> list[tuple[int, float, np.ndarray, np.ndarray]]:
+    """Upright sides of boxes: the axis that each is across, where, and its corners, within those of the scene."""
+    sides = []
+    for box in boxes:
+        corners = np.maximum(box.low, low), np.minimum(box.high, high)
+        sides += [
+            (axis, box.high[axis], *(c.copy() for c in corners)) for axis in (0, 2) if box.high[axis] < high[axis]
+        ]
+    return sides
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--chunks", type=int, default=10, help="chunks of the city, at most 10")
     parser.add_argument("--degree", type=int, default=3)
+    parser.add_argument("--method", choices=("radius", "pairs"), default="radius")
     parser.add_argument("--memory", nargs="+", default=["1G", "4G"])
     parser.add_argument("--tiles", type=int, default=1, help="copies along each side")
     parser.add_argument("--workers", type=int, nargs="+", default=[1])
@@ -117,21 +180,25 @@ def main() -> None:
         num_leaves = len(st.read(ply)) * arguments.tiles**2
         millions, about = num_leaves / 1e6, {"Gaussians": num_leaves, "degree": arguments.degree}
         rows: list[dict[str, object]] = []
+        by_pairs = arguments.method == "pairs"
+        words = ("--method", arguments.method, *(() if by_pairs else ("--no-follow",)))
         if arguments.tiles == 1:
-            in_memory = run("build", ply, tree, "--no-follow", "-q")
+            in_memory = run("build", ply, tree, *words, "--no-measure-quality", "-q")
             wanted = st.read(tree)
             rows.append({**about, "build": "in memory", **figures(in_memory, in_memory, millions)})
         for memory, workers in product(arguments.memory, arguments.workers):
             output = folder / f"{memory}_{workers}.splatree"
-            usage = run("build", *inputs, "-o", output, "--max-memory", memory, "--workers", workers, "-q")
+            usage = run("build", *inputs, "-o", output, *words, "--max-memory", memory, "--workers", workers, "-q")
             what = f"{memory}, {workers} process{'es' * (workers > 1)}"
-            compared = {} if wanted is None else {"same tree": same(output, wanted)}
+            compared: dict[str, object] = {}
+            if wanted is not None:
+                compared = seams(output, wanted, PAIR_CELL_ROWS) if by_pairs else {"same tree": same(output, wanted)}
             rows.append({**about, "build": what, **figures(usage, in_memory, millions), **compared})
             print(table(rows), flush=True)
             shutil.rmtree(output)
             # Each row is kept as it comes: large builds take long.
             save(
-                f"scale_degree{arguments.degree}{'_tiled' * (arguments.tiles > 1)}",
+                f"scale{'_pairs' * by_pairs}_degree{arguments.degree}{'_tiled' * (arguments.tiles > 1)}",
                 rows,
                 about="Building the real city through files, beside the build in memory",
             )

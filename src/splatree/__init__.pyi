@@ -46,7 +46,6 @@ from splatree.metrics.flip import flip as flip
 from splatree.metrics.psnr import psnr as psnr
 from splatree.metrics.ssim import ssim as ssim
 from splatree.outofcore.build import BuiltFolder as BuiltFolder
-from splatree.outofcore.build import build_folder as build_folder
 from splatree.outofcore.check import Checked as Checked
 from splatree.outofcore.check import check as check
 from splatree.outofcore.options import FolderOptions as FolderOptions
@@ -74,6 +73,7 @@ from splatree.render.contribution import tile_contributions as tile_contribution
 from splatree.render.counters import FrameCounters as FrameCounters
 from splatree.render.counters import frame_counters as frame_counters
 from splatree.render.counters import write_counters as write_counters
+from splatree.render.folder import build_folder as build_folder
 from splatree.render.evaluate import Evaluation as Evaluation
 from splatree.render.evaluate import evaluate as evaluate
 from splatree.render.framing.frame import Framing as Framing

@@ -6,7 +6,7 @@ import os
 import signal
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from itertools import product
+from itertools import pairwise, product
 
 import numpy as np
 import pytest
@@ -56,10 +56,10 @@ def test_cells_make_one_sound_tree_whose_files_do_not_depend_on_who_makes_them(
     for name, column in vars(gaussians).items():
         assert getattr(tree.gaussians, name)[leaves][rows].tobytes() == column.tobytes(), name
     sizes, nodes = built.rules["pixel_sizes"], built.rules["nodes"]
-    inner, of_size = tree.tree.extents[~leaves], np.float32(3) * np.array(sizes, np.float32)
-    assert set(inner) <= set(of_size.tolist())
+    inner = tree.tree.extents[~leaves]
+    assert set(inner.tolist()) <= set((3 * np.array(sizes)).astype(np.float32).tolist())
     assert nodes[0] == len(gaussians) and nodes[-1] == (tree.tree.depth == 0).sum()
-    assert sum(inner > 0) == len(tree) - len(gaussians) and all(a > b for a, b in zip(nodes, nodes[1:], strict=False))
+    assert sum(inner > 0) == len(tree) - len(gaussians) and all(a > b for a, b in pairwise(nodes))
 
 
 @pytest.mark.parametrize("part_rows", [None, 100])

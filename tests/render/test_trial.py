@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from importlib import import_module
 from importlib.resources import as_file, files
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 import splatree as st
 from splatree.errors import InputError
+from splatree.io.chunks import Chunks
 from splatree.render import trial as trial_module
 from splatree.scene.levels import LevelRecord
 
@@ -48,7 +50,7 @@ def test_a_sample_is_the_cube_round_the_middle():
     trial = st.try_methods(scene, most=5000)
     assert trial.num_gaussians == 5000
     leaves = replace(scene, ids=np.arange(8000, dtype=np.uint32))
-    sample = trial_module._middle_of(leaves, 5000)
+    sample = trial_module.middle_of(leaves, 5000)
     centre = trial_module.bounds_of(leaves)[0].astype(np.float32)
     reach = np.abs(scene.gaussians.means - centre).max(axis=1)
     inside = np.zeros(8000, bool)
@@ -56,10 +58,33 @@ def test_a_sample_is_the_cube_round_the_middle():
     assert reach[inside].max() <= reach[~inside].min()
 
 
+@pytest.mark.parametrize("most", [5000, 9000])
+def test_the_sample_of_a_scene_in_chunks_is_that_of_the_scene_in_memory(most, monkeypatch):
+    monkeypatch.setattr(import_module("splatree.render.paths"), "SAMPLE", 3000)
+    scene = city(8000)
+    starts = range(0, 8000, 700)
+    parts = [scene.gaussians.take(np.arange(start, min(start + 700, 8000))) for start in starts]
+    chunks = Chunks(8000, scene.gaussians.sh_degree, "classic", lambda: iter(parts))
+    found = trial_module.middle_of_chunks(chunks, most)
+    wanted = trial_module.middle_of(replace(scene, ids=np.arange(8000, dtype=np.uint32)), most)
+    np.testing.assert_array_equal(found.ids, wanted.ids)
+    np.testing.assert_array_equal(found.gaussians.sh, wanted.gaussians.sh)
+
+
+def test_a_build_through_files_makes_levels_by_the_method_that_a_build_in_memory_takes(tmp_path):
+    path = tmp_path / "in.ply"
+    st.write(city(5000), path)
+    built, wanted = st.build_folder(path, tmp_path / "out.splatree"), st.build_lod(st.read(path))
+    assert built.trial == wanted.tree.record.trial is not None
+    found = st.read(built.path)
+    assert found.tree.record == wanted.tree.record
+    assert built.rules["rule"] == found.tree.record.rule
+
+
 def test_the_built_tree_does_not_depend_on_whether_the_sample_is_the_scene(monkeypatch):
     scene = city()
     whole = st.build_lod(scene)
-    monkeypatch.setattr(trial_module.try_both, "__kwdefaults__", {"most": 5000, "threads": 0})
+    monkeypatch.setattr(import_module("splatree.render.build"), "SAMPLE", 5000)
     sampled = st.build_lod(scene)
     assert sampled.tree.record.trial.num_gaussians == 5000
     for name in ("means", "log_scales", "logit_opacities"):

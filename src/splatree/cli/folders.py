@@ -5,8 +5,9 @@ from dataclasses import dataclass
 from splatree.cli.console import counted, size
 from splatree.cli.files import Files, inputs_and_folder, read_options, told
 from splatree.lod.options import BuildOptions
-from splatree.outofcore.build import BuiltFolder, build_folder
+from splatree.outofcore.build import BuiltFolder
 from splatree.outofcore.options import FolderOptions
+from splatree.render.folder import build_folder
 from splatree.scene.names import Mode
 
 __all__ = ["Memory", "in_words", "run_through_files"]
@@ -51,4 +52,6 @@ def in_words(built: BuiltFolder) -> str:
         f"wrote {built.path}: {counted(built.num_gaussians, 'Gaussian')}, {counted(built.num_nodes, 'node')} "
         f"({built.num_nodes / max(1, built.num_gaussians):.2f} ×), {counted(built.num_parts, 'part')}, {size(built.bytes)}"
     )
-    return "\n".join([wrote, *told(built.repairs, (), built.notes)])
+    by = "pairs" if built.rules["rule"] == "pairs" else "a radius"
+    tried = [] if built.trial is None else [f"levels by {by}: {built.trial.in_words()}"]
+    return "\n".join([wrote, *tried, *told(built.repairs, (), built.notes)])

@@ -1,7 +1,8 @@
 """Build levels of detail over a scene that is larger than memory.
 
 Five passes, each through files: a plan, slices of the input by cell, cells along the curve, the levels of each cell, the levels
-above. The tree is that of `build_lod`, bit for bit, however the scene was cut: docs/explanation/out-of-core.md.
+above. Levels by a radius are those of `build_lod`, bit for bit, however the scene was cut. Levels by pairs are chosen cell by
+cell, and what lies at borders of cells waits for the levels above: docs/explanation/out-of-core.md.
 """
 
 import os
@@ -28,11 +29,9 @@ from splatree.outofcore.work import Work
 from splatree.progress import task
 from splatree.scene.names import Mode
 from splatree.scene.scene import Source
+from splatree.scene.trial import MethodTrial
 
-__all__ = ["BuiltFolder", "build_folder"]
-
-UNTRIED = "levels are by a radius, as all that are built through files: pairs are chosen from the whole scene in memory"
-"""Said unless the method was named."""
+__all__ = ["BuiltFolder", "check_target", "grow_folder"]
 
 
 @dataclass(frozen=True)
@@ -61,65 +60,36 @@ class BuiltFolder:
     """How many values or rows each rule of repair touched."""
     notes: tuple[str, ...] = ()
     """What reading and building did that the user should know, a sentence each."""
+    trial: MethodTrial | None = None
+    """How both methods did on a sample; None: the method was named, or the scene is too small to tell."""
 
 
-def build_folder(
+def grow_folder(
     inputs: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
     output: str | os.PathLike[str],
-    options: BuildOptions | None = None,
-    running: FolderOptions | None = None,
+    options: BuildOptions,
+    running: FolderOptions,
     *,
-    reading: ReadOptions | None = None,
+    reading: ReadOptions,
     mode: Mode | None = None,
     executor: Executor | None = None,
     force: bool = False,
+    trial: MethodTrial | None = None,
 ) -> BuiltFolder:
-    """Build levels of detail over a scene that is larger than memory, and write a folder of parts.
-
-    The tree is that of `build_lod` with ``follow=False``, bit for bit, but for the identities of merged nodes. A build that was
-    interrupted goes on where it stopped if it is called again in the same way. Until it ends, its files are in a folder beside
-    the output, with ``.work`` after its name.
-
-    Args:
-        inputs: one path or several of one scene, of formats that are read in chunks: .ply, .spz, .splat, .sog, .ksplat.
-        output: the new folder.
-        options: how levels grow; the method `auto` is a radius here. None: the defaults.
-        running: memory, processes and the size of parts; None: half of the free memory and this process.
-        reading: how the inputs are read.
-        mode: how the scene is drawn, where the files do not say it.
-        executor: runs the cells, in any process that sees the files of the output and the folder beside it, and that runs this
-            version on a processor of the same kind; None: ``running.workers`` processes of this machine.
-        force: replace the folder if it exists.
-
-    Returns:
-        What was written.
+    """Build levels by a method that is named, and write a folder of parts: `build_folder` (render/folder.py) chooses the method.
 
     Raises:
-        FormatError: an input does not hold what it promises.
-        InputError: an input is not read in chunks, an option does not suit, a cell needs more memory than there is, or a cluster
-            cannot take part.
-        MissingExtraError: a scheduler is named, and Dask is not installed.
-        OutputError: the output exists, or could not be written.
-
-    Source:
-        docs/explanation/out-of-core.md.
-
-    Example:
-        >>> built = st.build_folder("city.ply", "city_parts.splatree")
-        >>> len(st.read("city_parts.splatree")) == built.num_nodes
-        True
+        InputError: no method is named, or as `build_folder`; so are the other errors.
     """
-    options, running, reading = options or BuildOptions(), running or FolderOptions(), reading or ReadOptions()
-    untried = options.only_method is None
-    options = replace(options, method=options.only_method or "radius")
+    options = replace(options, method=options.named_method)
     path = located(output)
-    target = _target(path, force)
+    target = check_target(path, force=force)
     work = Work.beside(target)
     with (
         opened_inputs(inputs, reading, mode) as opened,
         cut_into_cells(work, opened, options, options, running, reading=reading, executor=executor) as cut,
     ):
-        manifest, report = _grown(work, cut, running)
+        manifest, report = _grown(work, cut, running, trial)
         _take_place(work, target, force)
     return BuiltFolder(
         path=path,
@@ -131,17 +101,17 @@ def build_folder(
         repairs=opened.repairs,
         notes=(
             *opened.notes,
-            *((UNTRIED,) if untried else ()),
             *cut.notes(running),
             *_note_on_pixels(cut.plan, options),
         ),
+        trial=trial,
     )
 
 
-def _grown(work: Work, cut: Cut, running: FolderOptions) -> tuple[Manifest, dict[str, Any]]:
+def _grown(work: Work, cut: Cut, running: FolderOptions, trial: MethodTrial | None) -> tuple[Manifest, dict[str, Any]]:
     plan = cut.plan
     results = (_by_pairs if plan.resolved.method == "pairs" else _by_radius)(work, cut, running)
-    return finish_scene(work, plan, results, Source(metadata=plan.metadata, origin=plan.origin))
+    return finish_scene(work, plan, results, Source(metadata=plan.metadata, origin=plan.origin), trial)
 
 
 def _by_radius(work: Work, cut: Cut, running: FolderOptions) -> list[dict[str, Any]]:
@@ -184,7 +154,13 @@ def _too_many(num_left: int, room: Room) -> InputError:
     )
 
 
-def _target(output: Path, force: bool) -> Path:
+def check_target(output: str | os.PathLike[str], *, force: bool) -> Path:
+    """Where the folder is to be.
+
+    Raises:
+        OutputError: it exists and is not to be replaced, or cannot be written there.
+    """
+    output = located(output)
     try:
         target = output.resolve()
         if not isinstance(target, ObjectPath) and not target.parent.is_dir():
@@ -199,11 +175,11 @@ def _target(output: Path, force: bool) -> Path:
 
 
 def _note_on_pixels(plan: Plan, options: BuildOptions) -> tuple[str, ...]:
-    if not options.follow or plan.mode != "classic":
+    if not options.follow or plan.mode != "classic" or (plan.follows and len(plan.cells) == 1):
         return ()
+    which = "merged Gaussians above all parts" if plan.follows else "merged Gaussians"
     return (
-        "merged Gaussians are drawn as stored, as after --no-follow: how they follow pixels is fitted to the whole scene in "
-        "memory",
+        f"{which} are drawn as stored, as after --no-follow: how they follow pixels is fitted to all of their leaves, in memory",
     )
 
 

@@ -21,7 +21,7 @@ NUM_ROWS = 300
 
 @cache
 def fingerprint() -> str:
-    """A digest of both kinds of trees of fixed Gaussians, made of whole numbers alone so that their bits are the same everywhere."""
+    """A digest of trees of fixed Gaussians by either method, made of whole numbers alone so that bits are the same everywhere."""
     numbers = (np.arange(14 * NUM_ROWS, dtype=np.int64) * 7919 % 10007).reshape(NUM_ROWS, 14).astype(np.float32)
     numbers /= np.float32(8192)
     gaussians = Gaussians(

@@ -54,7 +54,7 @@ def grow_cell_by_pairs(work: Work, plan: Plan, number: int, num_levels: int, thr
     seen = read_array(work.seen)[loaded.inputs] if plan.sight is not None else np.ones(len(loaded.inputs), np.float32)
     scene = Scene.flat(loaded.gaussians, mode=plan.mode)
     leaves = forest_of_leaves(scene, plan.resolved, inputs=loaded.inputs, visibilities=seen, threads=threads)
-    rows, seen = leaves.base.order, leaves.visibilities
+    rows = leaves.base.order
     forest = replace(leaves, base=replace(leaves.base, order=np.arange(len(rows), dtype=np.int32)))
     box, levels = plan.cells.boxes[number], num_levels or None
     if box == EVERYWHERE:
@@ -65,7 +65,7 @@ def grow_cell_by_pairs(work: Work, plan: Plan, number: int, num_levels: int, thr
     merged = [[size, before - left] for size, (before, left) in zip(forest.sizes, pairwise(forest.counts), strict=True)]
     waiting = 0 if forest.grown is None else int((forest.grown < forest.num_sizes).sum())
     result: dict[str, Any] = {"merged": merged, "waiting": waiting}
-    return result | _write_part(work, plan, number, forest, loaded, rows, seen, threads)
+    return result | _write_part(work, plan, number, forest, loaded, rows, leaves.visibilities, threads)
 
 
 def _write_part(

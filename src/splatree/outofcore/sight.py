@@ -38,6 +38,9 @@ ROW = np.dtype([("means", "<f4", 3), ("quats", "<f4", 4), ("log_scales", "<f4", 
                 ("step", "<u4"), ("input", "<u4")])  # fmt: skip
 """What passes of a Gaussian."""
 
+COLUMNS = ("means", "quats", "log_scales", "logit_opacities")
+"""Those of the Gaussian."""
+
 NUM_BINS = 1 << 12
 """Steps of depth are counted in so many bins, of which slabs are put together."""
 
@@ -106,7 +109,7 @@ def _write_slabs(work: Work, plan: Plan, axis: int, folder: Path, threads: int) 
     for cell, inputs in _cells(work, plan):
         step = steps_of_depths(depths_along(cell, plan.sight, axis, threads=threads), nearest, farthest)
         rows = np.empty(len(cell), ROW)
-        for name in ("means", "quats", "log_scales", "logit_opacities"):
+        for name in COLUMNS:
             rows[name] = getattr(cell, name)
         rows["step"], rows["input"] = step, inputs
         slab = slab_from_bin[step >> BIN_BITS]
@@ -128,8 +131,8 @@ def _cells(work: Work, plan: Plan) -> Iterator[tuple[Gaussians, Array]]:
 
 
 def _gaussians_of(rows: Array) -> Gaussians:
-    columns = [np.ascontiguousarray(rows[name]) for name in ("means", "quats", "log_scales", "logit_opacities")]
-    return Gaussians(*columns, np.zeros((len(rows), 1, 3), np.float32))
+    columns = {name: np.ascontiguousarray(rows[name]) for name in COLUMNS}
+    return Gaussians(**columns, sh=np.zeros((len(rows), 1, 3), np.float32))
 
 
 def write_seen(work: Work, plan: Plan) -> None:

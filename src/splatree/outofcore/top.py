@@ -28,6 +28,7 @@ from splatree.outofcore.work import Work, write_text
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Scene, Source
+from splatree.scene.trial import MethodTrial
 
 __all__ = ["finish_scene", "replace_crown"]
 
@@ -36,7 +37,13 @@ CROWN = "crown.splatree"
 
 
 def finish_scene(
-    work: Work, plan: Plan, results: Sequence[dict[str, Any]], source: Source, *, threads: int = 0
+    work: Work,
+    plan: Plan,
+    results: Sequence[dict[str, Any]],
+    source: Source,
+    trial: MethodTrial | None = None,
+    *,
+    threads: int = 0,
 ) -> tuple[Manifest, dict[str, Any]]:
     """Grow the levels above the parts, write them and the manifest.
 
@@ -45,6 +52,7 @@ def finish_scene(
         plan: what was decided for the whole scene.
         results: what came of each cell.
         source: provenance of the input.
+        trial: how both methods did on a sample, for the record.
         threads: threads to use; 0: all.
 
     Returns:
@@ -86,7 +94,9 @@ def finish_scene(
         crown = _with_drawn(
             crown, [read(work.drawn(i)) for i, result in enumerate(results) if result["file"] is not None]
         )
-    write(replace(crown, source=source), work.scene / CROWN, force=True)
+    assert crown.tree.record is not None
+    tree = replace(crown.tree, record=replace(crown.tree.record, trial=trial))
+    write(replace(crown, tree=tree, source=source, blocks=None), work.scene / CROWN, force=True)
     write_index(_index(work, files), work.scene / INDEX)
     manifest = Manifest(
         num_rows=sum(result["rows"] for result in results) + len(crown) - num_copies,
@@ -113,8 +123,7 @@ def _with_drawn(crown: Scene, roots: Sequence[Scene]) -> Scene:
         column[copies] = getattr(drawn, name)
     curves = np.zeros((len(crown), 4), np.float32)
     curves[copies] = np.concatenate([part.tree.curves for part in roots])[crown.ids[copies]]
-    tree = replace(crown.tree, curves=curves)
-    return replace(crown, gaussians=Gaussians(**columns), tree=tree, blocks=None)
+    return replace(crown, gaussians=Gaussians(**columns), tree=replace(crown.tree, curves=curves), blocks=None)
 
 
 def replace_crown(folder: Path, crown: Scene) -> None:

@@ -4,7 +4,7 @@ import dataclasses
 
 from splatree.lod.build import build_levels, leaves_of
 from splatree.lod.options import BuildOptions
-from splatree.render.trial import FEWEST, try_both
+from splatree.render.trial import FEWEST, SAMPLE, middle_of, try_both
 from splatree.scene.scene import Scene
 from splatree.scene.trial import MethodTrial
 
@@ -40,7 +40,7 @@ def build_lod(scene: Scene, options: BuildOptions | None = None, *, threads: int
     method = options.only_method or ("radius" if len(flat) < FEWEST else None)
     if method is not None:
         return build_levels(flat, dataclasses.replace(options, method=method), threads=threads)
-    tried = try_both(flat, options, threads=threads)
+    tried = try_both(middle_of(flat, SAMPLE), options, threads=threads)
     trial, trees = tried.trial, tried.trees
     if trial.num_gaussians == len(flat):  # the sample is the scene
         return _with_trial(trees[trial.better], trial)

@@ -18,6 +18,7 @@ from splatree.render.framing.frame import Framing
 from splatree.render.framing.survey import survey_of
 from splatree.render.framing.upright import guess_up
 from splatree.scene.cameras import Camera, Cameras
+from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Scene
 from splatree.shapes import Array, Float64
 
@@ -101,8 +102,9 @@ def orbit(scene: Scene, options: PathOptions | None = None) -> Cameras:
         True
     """
     options = options or PathOptions()
-    centre, radius = bounds_of(scene)
-    means, weights = _sample(scene)
+    sample = _sample(scene)
+    centre, radius = bounds_of_sample(sample)
+    means, weights = sample.means.astype(np.float64), sample.opacities()
     radius = min(
         max(radius, _weighted_quantile(np.linalg.norm(means - centre, axis=1), weights, RIM_SHARE)), RIM_MAX * radius
     )
@@ -190,22 +192,30 @@ def _between(a: Array, b: Array, share: float) -> Array:
 
 def bounds_of(scene: Scene) -> tuple[Float64[Array, "3"], float]:
     """Centre and radius, world units, of what is seen of a scene: see the head of this module."""
-    means, weights = _sample(scene)
+    return bounds_of_sample(_sample(scene))
+
+
+def bounds_of_sample(sample: Gaussians) -> tuple[Float64[Array, "3"], float]:
+    """The same of leaves that are spread evenly, every `sample_stride` rows."""
+    means, weights = sample.means.astype(np.float64), sample.opacities()
     centre = np.array([_weighted_quantile(means[:, axis], weights, 0.5) for axis in range(3)])
     radius = _weighted_quantile(np.linalg.norm(means - centre, axis=1), weights, SHARE)
     if radius == 0:  # one Gaussian, or all at one place: its own size
-        radius = float(scene.gaussians.take(scene.tree.is_leaf).reach().max())
+        radius = float(sample.reach().max())
     return centre, radius
 
 
-def _sample(scene: Scene) -> tuple[Float64[Array, "s 3"], Float64[Array, "s"]]:
-    """Centres and opacities of leaves, evenly spread over the rows."""
+def sample_stride(num_leaves: int) -> int:
+    """How far apart the rows are of which bounds are made."""
+    return -(-num_leaves // SAMPLE)
+
+
+def _sample(scene: Scene) -> Gaussians:
+    """Leaves, evenly spread over the rows."""
     leaves = np.flatnonzero(scene.tree.is_leaf)
     if len(leaves) == 0:
         raise InputError("camera path: the scene is empty; name cameras instead")
-    rows = leaves[:: -(-len(leaves) // SAMPLE)]
-    sample = scene.gaussians.take(rows)
-    return sample.means.astype(np.float64), sample.opacities()
+    return scene.gaussians.take(leaves[:: sample_stride(len(leaves))])
 
 
 def _weighted_quantile(values: Array, weights: Array, share: float) -> float:

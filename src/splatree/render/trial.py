@@ -9,30 +9,31 @@ Cost: at most two builds of the sample and 28 pictures of 320 × 180 px, 1.5 CPU
 nothing grows with the scene but the choice of the sample, 0.3 CPU-seconds a million Gaussians.
 """
 
-import dataclasses
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 from typing import Final, get_args
 
 import numpy as np
 
 from splatree.errors import InputError
+from splatree.io.chunks import Chunks
 from splatree.lod.build import build_levels, leaves_of
 from splatree.lod.options import BuildOptions
 from splatree.metrics.psnr import psnr
 from splatree.progress import task
 from splatree.render.framing.survey import survey_of
 from splatree.render.framing.upright import guess_up
-from splatree.render.paths import PathOptions, bounds_of, flyout
+from splatree.render.paths import PathOptions, bounds_of, bounds_of_sample, flyout, sample_stride
 from splatree.render.session import Session, open_session
 from splatree.scene.cameras import Camera
+from splatree.scene.gaussians import Gaussians
 from splatree.scene.options import SelectOptions
 from splatree.scene.scene import Scene
 from splatree.scene.thinning import Method
 from splatree.scene.trial import MethodTrial
-from splatree.shapes import Array
+from splatree.shapes import Array, Int64
 
-__all__ = ["FEWEST", "SAMPLE", "Tried", "try_both", "try_methods"]
+__all__ = ["FEWEST", "SAMPLE", "Tried", "middle_of", "middle_of_chunks", "try_both", "try_methods"]
 
 SAMPLE: Final = 60_000
 """Gaussians of the sample: its levels reach from single Gaussians to the whole, and the trial takes about 1.5 CPU-seconds."""
@@ -88,18 +89,17 @@ def try_methods(
         >>> trial.better in ("radius", "pairs")
         True
     """
-    return try_both(leaves_of(scene), options or BuildOptions(), most=most, threads=threads).trial
+    return try_both(middle_of(leaves_of(scene), most), options or BuildOptions(), threads=threads).trial
 
 
-def try_both(flat: Scene, options: BuildOptions, *, most: int = SAMPLE, threads: int = 0) -> Tried:
-    """The trial of `try_methods` on a flat scene, with the levels that it built."""
+def try_both(sample: Scene, options: BuildOptions, *, threads: int = 0) -> Tried:
+    """The trial of `try_methods` on a flat sample, with the levels that it built."""
     if (only := options.only_method) is not None:
         raise InputError(f"try_methods: found options that only levels by {only} use, wanted options of both methods")
-    sample = _middle_of(flat, most)
     with task("try both methods", 3.0) as advance:
         trees: dict[Method, Scene] = {}
         for method in get_args(Method):
-            trees[method] = build_levels(sample, dataclasses.replace(options, method=method), threads=threads)
+            trees[method] = build_levels(sample, replace(options, method=method), threads=threads)
             advance(1.0)
         psnrs = _psnrs(trees, threads)
         advance(1.0)
@@ -113,16 +113,42 @@ def try_both(flat: Scene, options: BuildOptions, *, most: int = SAMPLE, threads:
     return Tried(trial, trees)
 
 
-def _middle_of(flat: Scene, most: int) -> Scene:
+def middle_of(flat: Scene, most: int) -> Scene:
     """The Gaussians that are nearest to the middle, by the largest of their distances along the axes."""
     if len(flat) <= most:
         return flat
-    centre, _ = bounds_of(flat)
-    distances = np.abs(flat.gaussians.means - centre.astype(np.float32)).max(axis=1)
-    rows = np.sort(np.argsort(distances, kind="stable")[:most])
     assert flat.ids is not None
-    part = Scene.flat(flat.gaussians.take(rows), mode=flat.mode)
-    return dataclasses.replace(part, ids=flat.ids[rows], source=flat.source)
+    gaussians, rows = nearest_to(bounds_of(flat)[0], [flat.gaussians], most)
+    return replace(Scene.flat(gaussians, mode=flat.mode), ids=flat.ids[rows], source=flat.source)
+
+
+def middle_of_chunks(chunks: Chunks, most: int = SAMPLE) -> Scene:
+    """The same of a scene that is read in chunks, twice if there are more."""
+    stride, first, sample = sample_stride(len(chunks)), 0, []
+    for chunk in chunks:
+        sample.append(chunk.take(np.arange(-first % stride, len(chunk), stride)))
+        first += len(chunk)
+    centre, _ = bounds_of_sample(Gaussians.concatenate(sample))
+    gaussians, rows = nearest_to(centre, chunks, most)
+    return replace(Scene.flat(gaussians, mode=chunks.mode), ids=rows.astype(np.uint32), source=chunks.source)
+
+
+def nearest_to(centre: Array, chunks: Iterable[Gaussians], most: int) -> tuple[Gaussians, Int64[Array, "s"]]:
+    """The Gaussians nearest to a centre by the largest of their distances along the axes, and their rows, ascending."""
+    kept: list[Gaussians] = []
+    distances, rows, first = np.empty(0, np.float32), np.empty(0, np.int64), 0
+    for chunk in chunks:
+        near = np.abs(chunk.means - centre.astype(np.float32)).max(axis=1)
+        distances = np.concatenate([distances, near])
+        rows = np.concatenate([rows, first + np.arange(len(chunk))])
+        first += len(chunk)
+        chosen = np.sort(np.argsort(distances, kind="stable")[:most])
+        num_before = len(distances) - len(chunk)
+        before, now = chosen[chosen < num_before], chosen[chosen >= num_before] - num_before
+        kept = [*([kept[0].take(before)] if kept else []), chunk.take(now)]
+        kept = [Gaussians.concatenate(kept)]
+        distances, rows = distances[chosen], rows[chosen]
+    return kept[0], rows
 
 
 def _psnrs(trees: Mapping[Method, Scene], threads: int) -> dict[Method, list[float]]:

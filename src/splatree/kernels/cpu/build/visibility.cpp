@@ -90,9 +90,7 @@ Sighted project(const Source& source, const Frame& frame, int64_t width) {
 }
 
 // Of the whole scene, in a unit of depth: how many steps it is.
-float steps_in_depth(float nearest, float farthest) {
-  return farthest > nearest ? (DEPTH_STEPS - 1) / (farthest - nearest) : 0;
-}
+float steps_in_depth(float nearest, float farthest) { return farthest > nearest ? (DEPTH_STEPS - 1) / (farthest - nearest) : 0; }
 
 uint32_t step_of(float depth, float nearest, float steps) { return static_cast<uint32_t>((depth - nearest) * steps); }
 
@@ -105,8 +103,7 @@ Scratch<KeyRow> order_of(const Source* sources, int64_t n, const float* w) {
   }
   const float steps = steps_in_depth(nearest, farthest);
   Scratch<KeyRow> order = allocate<KeyRow>(n);
-  for (int64_t i = 0; i < n; ++i)
-    order[i] = {step_of(dot(sources[i].mean, w), nearest, steps), static_cast<uint32_t>(i)};
+  for (int64_t i = 0; i < n; ++i) order[i] = {step_of(dot(sources[i].mean, w), nearest, steps), static_cast<uint32_t>(i)};
   radix_sort(order, n, 1);
   return order;
 }
