@@ -51,8 +51,8 @@ __all__ = [
 ]
 
 
-SAMPLED, FEW_BLOCKS = 32, 4096
-"""The τ_R of a budget is guessed from one of so many blocks, but of fewer blocks than these all are looked at."""
+LEAST_SHARE, SAMPLE_BLOCKS = 32, 256
+"""The τ_R of a budget is guessed from one of so many blocks, or from so many blocks if these are more."""
 
 
 class Selector(Protocol):
@@ -130,7 +130,7 @@ def select(
         rows, visited, pixel_error = within_budget(rows_at, view, options, options.pixel_error, last=last)
     else:
         find = partial(find_range, scene.gaussians, scene.tree, blocks, view, runs=runs, threads=threads)
-        every = 1 if blocks is None or len(blocks.min_logits) < FEW_BLOCKS else SAMPLED
+        every = 1 if blocks is None else min(LEAST_SHARE, max(1, len(blocks) // SAMPLE_BLOCKS))
         range_at = partial(_range_at, find, scene, view, options, threads)
         rows, visited, pixel_error = fill_budget(
             range_at, rows_at, options, options.pixel_error, view.camera, every=every
