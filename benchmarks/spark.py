@@ -1,8 +1,8 @@
 """Cuts of our levels against the levels that Spark makes itself, at equal visible nodes.
 
-``python benchmarks/spark.py [--scenes ...] [--shares 5 20 50]`` needs the shared scenes, Chromium and npm; where one is missing it says
-so and stops. Spark builds levels of detail in the browser, by its methods `tiny` and `quality` (after Bhattacharyya's distance), in
-a worker that is compiled Rust. A page in headless Chromium has it do that, with 32 bytes a splat, and hands out the nodes and the
+``python benchmarks/spark.py [--scenes ...] [--shares 5 20 50]`` needs the shared scenes, Chromium and npm; where one is missing it
+says so and stops. Spark builds levels of detail in the browser, by its methods `tiny` and `quality` (by Bhattacharyya's distance),
+in a worker that is compiled Rust. A page in headless Chromium has it do that, with 32 bytes a splat, and hands out the nodes and the
 tree. Of that tree, each view draws what Spark chooses (`splatree.stream.readers.spark`) within a share of the leaves; the cuts of
 our levels get as many nodes in view as a budget. All pictures are drawn by the library and compared with that of all leaves.
 

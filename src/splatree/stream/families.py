@@ -1,8 +1,8 @@
 """Families of a tree as Spark opens them, without the nodes that it hardly ever draws.
 
 Spark opens the node that looks largest, again and again. A node of about the size of its parent is opened right after it, and was
-drawn in between by chance only. Where such a node is left out, its children belong to its parent. Levels by pairs have many:
-a seventh of all inner nodes are at least 0.8 times as large as the least node above them. Without them a file has a twentieth fewer
+drawn in between by chance only. Where such a node is left out, its children belong to its parent. Levels by pairs have many: a
+seventh of all inner nodes are at least 0.8 times as large as the least node above them. Without them a file has a twentieth fewer
 nodes, and near views need as many fewer chunks; at equal budgets pictures lose 0.01 to 0.16 dB (two pieces of a city).
 
 Sizes are compared with the least above, since Spark reaches a node only when all above it look large enough.
