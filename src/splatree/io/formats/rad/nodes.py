@@ -22,7 +22,7 @@ from splatree.scene.scene import Scene
 from splatree.scene.thinning import Groups, MergeOptions
 from splatree.shapes import Array, Float32, Int32, UInt16, UInt32, check_fields
 
-__all__ = ["Nodes", "nodes_of"]
+__all__ = ["Nodes", "log_sizes", "nodes_of"]
 
 _CHILDREN_MAX = 65535
 """Children are counted in 16 bits."""
@@ -94,8 +94,7 @@ def nodes_of(scene: Scene, path: Path) -> Nodes:
             f"{path.name}: found a node of {largest_family} children, wanted at most {_CHILDREN_MAX}; build the levels with "
             "a smaller growth or fewer roots"
         )
-    x, y, z = g.log_scales.T
-    rows = page_order(g.means, np.maximum(np.maximum(x, y), z), tree.subtree_end, above)
+    rows = page_order(g.means, log_sizes(g), tree.subtree_end, above)
     number = np.zeros(len(rows) + 1, np.uint32)
     number[rows] = np.arange(above, above + len(rows), dtype=np.uint32)
     num_children = np.empty(len(rows), np.int32)
@@ -112,6 +111,13 @@ def nodes_of(scene: Scene, path: Path) -> Nodes:
         num_children = np.append(np.int32(len(roots)), num_children)
         first_child = np.append(np.uint32(1), first_child)
     return Nodes(rows, num_children, first_child, joined, extents)
+
+
+def log_sizes(g: Gaussians) -> Float32[Array, "n"]:
+    """Logarithm of the mean of each Gaussian's three standard deviations, by which Spark 2.2 chooses nodes."""
+    largest = g.log_scales.max(axis=1)
+    ratios = np.exp(g.log_scales - largest[:, None])
+    return np.asarray(largest + np.log(ratios.sum(axis=1) / 3), np.float32)
 
 
 def _joined(g: Gaussians, roots: Array) -> Gaussians:
