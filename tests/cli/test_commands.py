@@ -70,7 +70,7 @@ def test_build_by_pairs_makes_levels_that_are_drawn_by_their_extents(splatree, s
     assert "pixel" in words
     assert json.loads(read(target).source.metadata["levels"])["rule"] == "pairs"
     counts = []
-    for profile in ((), ("--profile", "sphere")):
+    for profile in ((), ("--profile", "pixel")):
         folder = tmp_path / f"frames{len(counts)}"
         views = result_of(splatree("render", target, "-o", folder, "--views", "2", *SIZE, *profile, "--json"))["views"]
         counts.append([view["selected"] for view in views])

@@ -167,7 +167,7 @@ def test_leaving_rows_out_and_clustering_keep_the_record():
 def test_records_are_checked_and_go_through_json():
     record = tree().tree.record
     assert LevelRecord.from_json(record.to_json()) == record
-    assert json.loads(record.to_json())["profile"] == "sphere"
+    assert json.loads(record.to_json())["profile"] == "pixel"
     for wrong, message in (
         ({"rule": "grow"}, "rule: found 'grow'"),
         ({"profile": "oval"}, "profile: found 'oval'"),

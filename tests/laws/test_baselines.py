@@ -291,8 +291,8 @@ def test_each_method_says_which_radius_it_compares():
 
 @pytest.mark.parametrize("method", ["serial", "filtergs"])
 def test_the_exact_cut_is_that_of_the_levels(method):
-    """Levels by pairs are drawn by spheres: the baselines of the exact cut draw the rows that `select` draws."""
+    """Levels by pairs are drawn by their pixels: the baselines of the exact cut draw the rows that `select` draws."""
     scene = build_lod(Scene.flat(surface(600)), BuildOptions("pairs"))
     made, camera = baseline(method, scene), camera_at(12.0)
-    assert made(View(camera)).profile == "sphere"
+    assert made(View(camera)).profile == "pixel"
     np.testing.assert_array_equal(made(View(camera)).rows, select(scene, camera).rows)

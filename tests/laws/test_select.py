@@ -11,9 +11,10 @@ from splatree import Camera, Gaussians, GaussianTree, Scene, SelectOptions, sele
 from splatree.kernels.reference import select as reference
 from splatree.lod.select import count_nested
 from splatree.lod.serial import child_table_of, select_serial
+from splatree.scene.names import EXTENT_PROFILES
 from splatree.scene.view import view_of
 
-PROFILES = ("exact", "3dgs", "ref", "sphere")
+PROFILES = ("exact", "3dgs", "ref", "sphere", "pixel")
 taus = st.sampled_from([0.25, 0.5, 1.0, 2.5, 3.0, 1e9, np.inf])
 
 
@@ -220,6 +221,6 @@ def test_nodes_at_or_behind_the_near_plane_are_refined(profile, parents, camera,
     radii = reference.radii(scene.gaussians, scene.tree.extents, camera, profile, 0.3)
     depths = reference.project(scene.gaussians, camera).depths
     assert not np.isnan(radii).any()
-    if profile != "sphere":
+    if profile not in EXTENT_PROFILES:
         assert np.isinf(radii[depths <= camera.near]).all()
         assert np.isfinite(radii[depths > camera.near]).all()

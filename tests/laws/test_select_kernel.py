@@ -14,9 +14,10 @@ from splatree.kernels.cpu.frame.project import project
 from splatree.kernels.reference import blocks as reference_blocks
 from splatree.kernels.reference import select as reference
 from splatree.lod.blocks import with_blocks
+from splatree.scene.names import EXTENT_PROFILES
 from splatree.scene.view import view_of
 
-PROFILES = ("exact", "3dgs", "ref", "sphere")
+PROFILES = ("exact", "3dgs", "ref", "sphere", "pixel")
 VIEW_TESTS = ("footprint", "centre", "none")
 seeds = st.integers(0, 2**20)
 
@@ -112,7 +113,7 @@ def assert_is_the_cut(rows: np.ndarray, scene: Scene, camera: Camera, options: S
         open_nodes = np.abs(radii / tau - 1) < 1e-4
         # Depths round too: who is beyond the near plane within 0.1 % may be refined or not.
         depths = reference.project(scene.gaussians, camera).depths
-        open_nodes |= (np.abs(depths / camera.near - 1) < 1e-3) & (options.resolved_profile != "sphere")
+        open_nodes |= (np.abs(depths / camera.near - 1) < 1e-3) & (options.resolved_profile not in EXTENT_PROFILES)
     undecided = open_nodes | reference.shadowed(open_nodes, tree.subtree_end)
     cut = np.zeros(len(scene), bool)
     cut[reference.cut_rows(tree, radii, tau)] = True

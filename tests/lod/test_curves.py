@@ -21,10 +21,11 @@ def tree_over(gaussians: Gaussians, method: str = "radius") -> st.Scene:
 
 
 def both(
-    scene: st.Scene, seen: np.ndarray, *, with_extents: bool, kept_extent: float = 0.0
+    scene: st.Scene, seen: np.ndarray, *, with_extents: bool, kept_extent: float = 0.0, dilations: tuple[float, float] = (0.0, 0.0)
 ) -> list[tuple[Gaussians, np.ndarray]]:
     arguments = scene.gaussians, scene.tree.subtree_end, seen, 0.4, scene.tree.extents if with_extents else None
-    return [machine.fit_curves(*arguments, kept_extent=kept_extent) for machine in (kernel, reference)]
+    limits = dict(zip(("kept_extent", "kept_dilation", "least_dilation"), (kept_extent, *dilations), strict=True))
+    return [machine.fit_curves(*arguments, **limits) for machine in (kernel, reference)]
 
 
 @given(
@@ -33,14 +34,16 @@ def both(
     method=st_.sampled_from(["radius", "pairs"]),
     with_extents=st_.booleans(),
     share_kept=st_.sampled_from([0.0, 0.5, 1.0]),
+    dilations=st_.tuples(st_.sampled_from([0.0, 1e-3, 0.1]), st_.sampled_from([0.0, 0.05, 10.0])),
 )
 @settings(max_examples=40, deadline=None)
-def test_the_kernel_is_the_reference(n, seed, method, with_extents, share_kept):
+def test_the_kernel_is_the_reference(n, seed, method, with_extents, share_kept, dilations):
     rng = np.random.default_rng(seed)
     scene = tree_over(cloud(n, seed, log_scales=("normal", -3.0, 1.5), logits=("normal", 0.0, 3.0)), method)
     seen = rng.uniform(0.01, 1, len(scene)).astype(np.float32)
+    kept_extent = float(np.quantile(scene.tree.extents, share_kept))
     (found, curves), (wanted, expected) = both(
-        scene, seen, with_extents=with_extents, kept_extent=float(np.quantile(scene.tree.extents, share_kept))
+        scene, seen, with_extents=with_extents, kept_extent=kept_extent, dilations=dilations
     )
     # The kernel keeps a leaf's opacity as float32, 6e-8 of it; what it gives is rounded to float32 once more.
     np.testing.assert_allclose(curves, expected, rtol=1e-6)

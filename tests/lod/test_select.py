@@ -136,7 +136,7 @@ def test_roots_that_were_found_hidden_lose_their_subtrees():
 
 
 def test_options_that_do_not_exist_are_refused_by_name():
-    with pytest.raises(InputError, match="profile: found 'oval', wanted 'exact', '3dgs', 'ref', 'sphere'"):
+    with pytest.raises(InputError, match="profile: found 'oval', wanted 'exact', '3dgs', 'ref', 'sphere', 'pixel'"):
         SelectOptions(profile="oval")
     with pytest.raises(InputError, match="max_radius: found 0"):
         SelectOptions(max_radius=0)
@@ -153,7 +153,7 @@ def test_linked_levels_are_noted_by_their_record_alone():
         assert any("linked" in note for note in notes) == (rule == "linked")
 
 
-@pytest.mark.parametrize(("rule", "profile"), [("linked", "sphere"), ("pairs", "sphere"), ("radius-thinning", "exact")])
+@pytest.mark.parametrize(("rule", "profile"), [("linked", "sphere"), ("pairs", "pixel"), ("radius-thinning", "exact")])
 def test_the_profile_is_that_of_the_levels_unless_it_is_named(rule, profile):
     scene = of_rule(quad_tree(3), rule, profile)
     assert select(scene, camera_at(2.0)).profile == profile

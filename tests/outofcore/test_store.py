@@ -29,7 +29,7 @@ def cameras(draw, means):
 @hs.composite
 def choices(draw):
     """Options of a selection."""
-    profile = draw(hs.sampled_from([None, "exact", "sphere", "3dgs"]))
+    profile = draw(hs.sampled_from([None, "exact", "sphere", "pixel", "3dgs"]))
     view_test = draw(hs.sampled_from(["footprint", "footprint", "centre", "none"]))
     pixel_error = draw(hs.sampled_from([0.0, 1.0, 3.0, 12.0, 200.0, 1e7, np.inf]))
     max_radius = draw(hs.sampled_from([None, None, 5.0]))

@@ -11,8 +11,9 @@ the leaves, and large far away, where they overlap. What others hide counts less
 visibility of a leaf (simplify/visibility.py), and the node gets the mass G = √(ρ ρ_v). Mass beyond one Gaussian widens the splat
 with its dilation: its variance becomes w (v + h), w = max(1, G / 0.99)^0.3, so that of the node w v + (w − 1) h.
 
-A node is *stored* as it is drawn at the pixel that its level was made for, h_l. Viewers that know nothing of the rest draw this,
-and every file format holds it. Nearer than that it is drawn with less: `GaussianTree.curves` keeps m = M(0), n = M'(∞),
+A node is *stored* as it is drawn at a pixel h_l. For levels by a radius it is the one that the level was made for. For levels by
+pairs it is four times as wide as that, and at least eight times the median Gaussian: far views with generous budgets draw
+levels where the pixel is wider than their own. Nearer than h_l a node is drawn with less: `GaussianTree.curves` keeps m = M(0), n = M'(∞),
 g = G(h_l) and h_l, from which G follows at any h by a closed form. It is exact at 0, at h_l and far away
 (kernels/reference/project.py):
 
@@ -21,8 +22,9 @@ g = G(h_l) and h_l, from which G follows at any h by a closed form. It is exact 
 Farther than that it is drawn as stored. So what is drawn is never larger or more opaque than what is stored, and all tests of
 what can be seen hold as they are.
 
-Nodes of the finest levels by pairs stand for few leaves that are nearly one Gaussian. They keep the Gaussian of their merge, with
-the opacity α that fits best, and m and n are scaled so that G(h_l) = α: up to 1 dB nearer to the leaves (a city at 80 %).
+Nodes of the finest levels by pairs stand for few leaves that are nearly one Gaussian. They keep the Gaussian of their merge. Its
+opacity α is the one that fits best at the pixel p_0, and G is scaled so that G(0.3 p_0²) = α: up to 1 dB nearer to the leaves (a
+city at 80 %).
 
 Cost: 0.6 CPU-seconds a million leaves, and 0.7 for visibilities where the levels have not measured them. Memory: 16 bytes a node.
 """
@@ -39,6 +41,10 @@ from splatree.shapes import Array, Float32
 
 __all__ = ["with_curves"]
 
+WIDER = 4.0
+"""Levels by pairs are stored for a pixel so many times as wide as that of their level: a far view with a generous budget draws them
+there (τ_R = ¾ px). A city at 20 % gains 1.5 dB from outside and 4 dB from afar."""
+
 
 def with_curves(
     gaussians: Gaussians,
@@ -54,7 +60,8 @@ def with_curves(
         gaussians: the rows; leaves stay bit for bit.
         tree: the levels.
         seen: visibility of each row, 0 to 1; those of leaves count.
-        kept_extent: nodes of at most this extent keep their Gaussian, world units; for levels that are drawn by their extents.
+        pixels: for levels that are drawn by their extents, world units: the pixel p_0 at which fine levels were judged, whose nodes
+            keep their Gaussian; and the finest pixel that nodes are stored for.
         threads: threads to use; 0: all.
 
     Returns:
@@ -65,7 +72,7 @@ def with_curves(
     """
     record, extents = tree.record, tree.extents
     if record is not None and record.profile in EXTENT_PROFILES:  # the pixel of its level is a share of a node's extent
-        share = DILATION_PX2 / PIXEL_ERROR**2
+        share = DILATION_PX2 * (WIDER / PIXEL_ERROR) ** 2
         judged, stored = pixels
         followed, curves = fit_curves(
             *(gaussians, tree.subtree_end, seen, share, extents),

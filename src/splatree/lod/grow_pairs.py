@@ -3,17 +3,17 @@
 Level l has the size s_l = s_0 g^l, world units. Two Gaussians may become one if their merging changes the picture by at most
 E ≤ ε s_l², ε = 0.1, in squared signal (kernels/reference/pairs.py has E), the cheapest pairs first and each Gaussian with its
 cheapest partner, round after round until few are left. Gaussians that became one are a family. The nodes of a level stand for
-their leaves wherever a pixel is s_l or wider: their extent is e = τ_R s_l, so that the profile `sphere`,
-R = f e / (distance − e) ≤ τ_R, draws them from there on. Large even surfaces are merged early and small details late, whatever
+their leaves wherever a pixel is s_l or wider: their extent is e = τ_R s_l, so that the profile `pixel`,
+R = f e / distance ≤ τ_R, draws them from there on. Large even surfaces are merged early and small details late, whatever
 their size; all cuts are near the one with the fewest nodes for its squared error.
 
 In mode `classic` each splat grows by 0.3 px². So does each Gaussian here before costs are computed and areas compared, by the
 pixel p_l at which the level is *judged*:
 
-    p_l = p_0 (s_l / p_0)^¼,     p_0 = 6 s_0: half of the median Gaussian
+    p_l = p_0 max(1, s_l / p_0)^¼,     p_0 = 4 s_0: a third of the median Gaussian
 
-Levels finer than p_0 are judged at a wider pixel than their size: they merge what changes next to nothing. Levels coarser than
-p_0 are judged at a finer pixel than their size, for a budget draws them there. Judged at their own size, they would blur away
+Levels finer than p_0 are judged at p_0: they merge what changes next to nothing. Levels coarser than p_0 are judged at a finer
+pixel than their size, for a budget draws them there. Judged at their own size, they would blur away
 what such a pixel shows before costs are taken (docs/explanation/build.md, "The pixel of a level").
 
 Where the dilation dominates, many opaque splats share a pixel. The picture is saturated there, and sums of signals overstate what
@@ -46,7 +46,7 @@ from splatree.shapes import Array, Int32, Int64
 
 __all__ = ["grow_by_pairs", "grow_part_by_pairs", "judged_at"]
 
-JUDGED_POWER = 0.125
+JUDGED_POWER = 0.25
 """`classic`: the pixel of a level grows with this power of its size. At 1 tight budgets lose 1 to 2 dB (a city)."""
 
 FLOAT32_MAX = float(np.finfo(np.float32).max)

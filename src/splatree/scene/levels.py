@@ -4,7 +4,8 @@ A tree says which nodes stand for which. It does not say from which size on a no
 levels were made. `LevelRecord` holds this knowledge beside the tree (`GaussianTree.record`), and the selection takes its
 default profile from there.
 
-Every rule makes extents that allow the profile `sphere`. Levels by a radius are made for the profile `exact`.
+Every rule makes extents that allow the profile `sphere`. Levels by a radius are made for the profile `exact`, levels by pairs for
+`pixel`.
 """
 
 import dataclasses

@@ -11,8 +11,8 @@ the node becomes the Gaussian with the moments of its leaves, weighted by α v. 
 with the opacity min(0.99, g) and the variances w s + (w − 1) h_l, where s are those of the moments. Its curve is
 m = √(Σ α A(0) · Σ α v A(0)), n = √(Σ α · Σ α v), g, h_l.
 
-A node whose extent is at most the *kept extent* stays as it is: its own variances are those of A_node, g is its opacity, at most
-0.99, and m and n are multiplied by g A_node(h_l) / √(Σ α A(h_l) · Σ α v A(h_l)).
+A node whose extent is at most the *kept extent* keeps its mean and shape: its own variances are s. Its opacity α ≤ 0.99 was found
+at the dilation h_k, so all masses g, m and n are multiplied by α A_node(h_k) / √(Σ α A(h_k) · Σ α v A(h_k)).
 """
 
 import numpy as np
@@ -47,11 +47,13 @@ def fit_curves(
     extents: Float32[Array, "n"] | None = None,
     *,
     kept_extent: float = 0.0,
+    kept_dilation: float = 0.0,
+    least_dilation: float = 0.0,
 ) -> tuple[Gaussians, Float32[Array, "n 4"]]:
     """The Gaussians with other inner nodes, and the curve of each row: m, n, g, h_l; 0 for leaves.
 
     ``seen`` are visibilities; those of leaves count. h_l is ``dilation_share`` times the square of a node's extent, or without
-    extents times its variance along the longest axis.
+    extents times its variance along the longest axis; and at least ``least_dilation``. ``kept_dilation`` is h_k.
     """
     columns = {name: getattr(gaussians, name).copy() for name in ("means", "quats", "log_scales", "logit_opacities")}
     curves = np.zeros((len(gaussians), 4), np.float32)
@@ -66,24 +68,27 @@ def fit_curves(
         spread = covariances_from_gaussians(gaussians.quats[below], log_scales) + apart[:, :, None] * apart[:, None]
         own, axes = np.linalg.eigh(np.tensordot(weights, spread, 1) / weights.sum())
         own, axes = np.maximum(own[::-1], LEAST_VARIANCE), axes[:, ::-1]  # the longest first
-
-        h = max(dilation_share * float(own[0] if extents is None else np.float64(extents[row]) ** 2), 1e-30)
         variances = np.exp(2 * log_scales)
-        bare, shown = (_areas(variances, at) for at in (0.0, h))
-        curve = np.sqrt([(alphas @ bare) * (weights @ bare), alphas.sum() * weights.sum()])
-        total = np.sqrt((alphas @ shown) * (weights @ shown))
+
+        def shown(h: float, variances: Array = variances, alphas: Array = alphas, weights: Array = weights) -> float:
+            areas = _areas(variances, h)
+            return float(np.sqrt((alphas @ areas) * (weights @ areas)))
+
+        scale = 1.0
         if extents is not None and extents[row] <= kept_extent:
             node = gaussians.take(np.array([row]))
-            opacity = min(float(node.opacities()[0]), ALPHA_MAX)
-            kept = np.exp(2 * np.minimum(node.log_scales.astype(np.float64), MERGED_LOG_SCALE_MAX))
-            scaled = *(curve * (opacity * _areas(kept, h)[0] / total)), opacity, h
-            curves[row] = scaled if max(scaled) < LARGEST else 0
-            continue
-        mass = total / _areas(own[None], h)[0]
+            own = np.maximum(np.exp(2 * np.minimum(node.log_scales[0].astype(np.float64), MERGED_LOG_SCALE_MAX)), LEAST_VARIANCE)
+            alpha = min(float(node.opacities()[0]), ALPHA_MAX)
+            scale = alpha * _areas(own[None], kept_dilation)[0] / shown(kept_dilation)
+        else:
+            columns["means"][row] = mean
+            columns["quats"][row] = quats_from_matrices((axes * [1, 1, np.sign(np.linalg.det(axes))])[None])[0]
+        size2 = float(own[0] if extents is None else np.float64(extents[row]) ** 2)
+        h = max(dilation_share * size2, least_dilation, 1e-30)
+        curve = scale * np.array([shown(0.0), np.sqrt(alphas.sum() * weights.sum())])
+        mass = scale * shown(h) / _areas(own[None], h)[0]
         wide = max(mass / ALPHA_MAX, 1.0) ** 0.3
         opacity = np.clip(mass, LEAST_OPACITY, ALPHA_MAX)
-        columns["means"][row] = mean
-        columns["quats"][row] = quats_from_matrices((axes * [1, 1, np.sign(np.linalg.det(axes))])[None])[0]
         columns["log_scales"][row] = np.minimum(np.log(wide * own + (wide - 1) * h) / 2, MERGED_LOG_SCALE_MAX)
         columns["logit_opacities"][row] = np.log(opacity) - np.log1p(-opacity)
         if max(*curve, mass, h) < LARGEST:

@@ -12,7 +12,7 @@ from splatree.scene.levels import UNKNOWN_LEVELS, LevelRecord, common_record, re
 
 __all__ = ["record_of_provenance"]
 
-_PROFILE_FROM_RULE = {"radius-thinning": "exact", "pairs": "sphere", "linked": "sphere"}
+_PROFILE_FROM_RULE = {"radius-thinning": "exact", "pairs": "pixel", "linked": "sphere"}
 _FIELDS = ("rule", "mode", "growth", "merge", "importance", "color_radius", "visibility")
 
 
