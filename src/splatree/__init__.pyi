@@ -48,8 +48,8 @@ from splatree.metrics.ssim import ssim as ssim
 from splatree.outofcore.build import BuiltFolder as BuiltFolder
 from splatree.outofcore.check import Checked as Checked
 from splatree.outofcore.check import check as check
-from splatree.outofcore.options import FolderOptions as FolderOptions
 from splatree.outofcore.opened import open_store as open_store
+from splatree.outofcore.options import FolderOptions as FolderOptions
 from splatree.outofcore.store import Store as Store
 from splatree.outofcore.thin import ThinnedFile as ThinnedFile
 from splatree.outofcore.thin import thin_file as thin_file

@@ -10,6 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as hs
 
 import splatree as st
+from splatree.io.formats.splatree.rows import open_scene
+from splatree.outofcore.index import index_of_folder
+from splatree.outofcore.pages import table_of
 
 from ..laws.hard_scenes import hard_scenes
 from .conftest import small_pages
@@ -51,16 +54,43 @@ def check_is_drawn_as(store, scene, camera, options):
         assert getattr(frames[0].result, name).tobytes() == getattr(frames[1].result, name).tobytes(), name
 
 
-def check_pages_hold(store, scene):
-    """Each box holds what its page stands for; of a page of the crown, what is below its portals."""
+def check_boxes_hold(store, scene):
+    """Each box of the crown holds what its page or block stands for, below its portals too."""
     table, whole = store.index.table, store.index.whole_rows
-    is_inner = ~scene.tree.is_leaf
-    for number in range(store.index.num_own):
-        first, last = (int(whole[row]) for row in (table.begin[number], table.end[number] - 1))
-        rows = slice(first, int(scene.tree.subtree_end[last]))  # all between, parts' rows too
+    is_inner, block_start = ~scene.tree.is_leaf, table.block_start
+
+    def check_holds(begin, end, lower, upper, scale):
+        first, last = (int(whole[row]) for row in (begin, end - 1))
+        rows = slice(
+            first, int(scene.tree.subtree_end[last]) if is_leaf[end - 1] else last + 1
+        )  # all between, parts' rows too
         means, scales = scene.gaussians.means[rows], np.exp(scene.gaussians.log_scales[rows].max(axis=1))
-        assert (means >= table.lower[number]).all() and (means <= table.upper[number]).all()
-        assert scales[~is_inner[rows]].max() <= table.leaf_scales[number] * (1 + 1e-6)
+        assert (means >= lower).all() and (means <= upper).all()
+        assert scales[~is_inner[rows]].max(initial=0) <= scale * (1 + 1e-6)
+
+    is_leaf = store._files[0].file.rows("tree.subtree_end") == np.arange(1, len(whole) + 1)
+    for number in range(store.index.num_own):
+        begin, end = int(table.begin[number]), int(table.end[number])
+        check_holds(begin, end, table.lower[number], table.upper[number], table.leaf_scales[number])
+        for nth, block in enumerate(range(block_start[number], block_start[number + 1])):
+            run = begin + 256 * nth, min(begin + 256 * (nth + 1), end)
+            box = table.block_lower[block], table.block_upper[block], table.block_leaf_scales[block]
+            check_holds(*run, *box)
+
+
+def test_boxes_of_large_pages_hold_what_is_below_their_portals(folder, scene):
+    """Pages of several blocks; a box that is not widened fails."""
+    crown = open_scene(folder / "crown.splatree")
+    parts = [open_scene(path) for path in sorted((folder / "parts").iterdir())]
+    index = index_of_folder(crown, table_of(crown), [table_of(part) for part in parts], folder)
+    assert index.num_own < len(crown) / 256
+    with st.open_store(folder) as store:
+        store.index = index
+        check_boxes_hold(store, scene)
+        index.table.block_upper.setflags(write=True)
+        index.table.block_upper[0] = index.table.block_lower[0]
+        with pytest.raises(AssertionError):
+            check_boxes_hold(store, scene)
 
 
 @settings(max_examples=40, deadline=None)
@@ -99,7 +129,7 @@ def test_a_folder_is_drawn_by_pages_as_its_tree_is_drawn_in_memory(
         with st.open_store(folder) as store:
             assert (len(store), store.index.num_leaves) == (len(scene), len(gaussians))
             assert store.index.num_levels == scene.tree.num_levels
-            check_pages_hold(store, scene)
+            check_boxes_hold(store, scene)
             for _ in range(3):
                 camera, chosen = data.draw(cameras(gaussians.means)), data.draw(choices())
                 check_is_drawn_as(store, scene, camera, chosen)
