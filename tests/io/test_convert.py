@@ -35,6 +35,7 @@ EDITS = [
     EditOptions(),
     EditOptions(scale=2.0, rotate=(10.0, 20.0, 30.0), translate=(1.0, 2.0, 3.0), sh_degree=1),
     EditOptions(min_opacity=0.5, crop_box=(-9.0, -9.0, -9.0, 9.0, 9.0, 9.0)),
+    EditOptions(crop_box=(0.0, 0.0, 0.0, 4.0, 4.0, 4.0)),  # which leaves nothing of many chunks
 ]
 
 

@@ -57,10 +57,10 @@ def test_the_file_is_that_of_thinning_in_memory(tmp_path_factory, gaussians, par
     assert sorted(path.name for path in folder.iterdir()) == ["in.ply", "memory.ply", "out.ply"]
 
 
-@pytest.mark.parametrize("suffix", [".spz", ".splat", ".ksplat", ".sog", ".splatree", ".compressed.ply"])
+@pytest.mark.parametrize("suffix", [".spz", ".splat", ".ksplat", ".sog", ".splatree", ".compressed.ply", ".hier"])
 def test_any_format_that_is_written_in_chunks(tmp_path, ply, suffix):
     options, target = st.ThinOptions(radius=0.3), tmp_path / f"out{suffix}"
-    if suffix == ".compressed.ply":
+    if suffix == ".hier":
         with pytest.raises(st.InputError):
             st.thin_file(ply, target, options, SMALL)
         return

@@ -62,7 +62,7 @@ class Chunks:
         return self.num_gaussians
 
     def __iter__(self) -> Iterator[Gaussians]:
-        """All chunks, in order.
+        """All chunks that have rows, in order.
 
         Raises:
             InputError: there are more or fewer rows than announced, or a chunk of another degree.
@@ -74,7 +74,8 @@ class Chunks:
                 raise InputError(f"chunks: found harmonics of degree {chunk.sh_degree}, wanted {self.sh_degree}")
             if count > self.num_gaussians:  # writers have room for no more
                 break
-            yield chunk
+            if len(chunk):  # a filter may leave none
+                yield chunk
         if count != self.num_gaussians:
             raise InputError(
                 f"chunks: found {count} Gaussians, wanted {self.num_gaussians}; did the file change meanwhile?"

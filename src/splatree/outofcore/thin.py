@@ -141,7 +141,8 @@ def thin_file(
             left = replace(
                 opened.chunks, num_gaussians=sum(sizes), make=lambda: _rows(work, cut.plan, sizes), repairs={}
             )
-            lost = write_chunks(left, target, force=force, options=WriteOptions())
+            writing = WriteOptions(max_memory=running.max_memory)
+            lost = write_chunks(left, target, force=force, options=writing)
             shutil.rmtree(work.folder)
     return ThinnedFile(
         path=target,

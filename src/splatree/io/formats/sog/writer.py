@@ -307,6 +307,6 @@ def _webp(images: dict[str, Array], scratch: Scratch) -> dict[str, bytes]:
         return buffer.getvalue()
 
     largest = max(image.shape[0] * image.shape[1] for image in images.values())
-    at_once = max(1, min(_core.hardware_threads(), int(scratch.room // (_PACKING_BYTES * largest))))
+    at_once = max(1, int(min(_core.hardware_threads(), scratch.room / (_PACKING_BYTES * largest))))
     with ThreadPoolExecutor(at_once) as pool:
         return {f"{name}.webp": data for name, data in zip(images, pool.map(packed, images.values()), strict=True)}
