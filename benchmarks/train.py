@@ -81,6 +81,8 @@ def main() -> None:
     for name in chosen:
         rows, pixels = trained(name, RUNS[name], options.files)
         save("train", name, rows, ABOUT)
+        if not pixels:
+            sys.exit(f"{name}: interrupted; the same command goes on")
         save("train_coverage", name, pixels, ABOUT_COVERAGE)
 
 
@@ -94,7 +96,7 @@ def save(result: str, run: str, rows: list[dict[str, Any]], about: str) -> None:
 
 
 def trained(name: str, run: Run, files: Path | None) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """The scores of one training in its course, and by coverage at its end; an interrupted one is kept below ``files``."""
+    """The scores of one training in its course, and by coverage at its end, if it comes to it; runs are kept below ``files``."""
     folder = harness.DATA / "images" / run.photographs
     if not folder.is_dir():
         sys.exit(f"{folder}: not found, wanted the shared photographs")
@@ -135,9 +137,9 @@ def trained(name: str, run: Run, files: Path | None) -> tuple[list[dict[str, Any
         )
     finally:
         prepare.fill_empty_cells = filled
-    if found.stopped:
-        sys.exit(f"{name}: interrupted; the same command goes on from {kept.folder}")
     rows = [row(scored) for scored in found.history]
+    if found.stopped:
+        return rows, []
     rows[-1]["training"], rows[-1]["training fitted"] = known(found, folder)
     return rows, [{"run": name, **pixels} for pixels in by_coverage(found, folder)]
 
