@@ -73,9 +73,9 @@ from splatree.render.contribution import tile_contributions as tile_contribution
 from splatree.render.counters import FrameCounters as FrameCounters
 from splatree.render.counters import frame_counters as frame_counters
 from splatree.render.counters import write_counters as write_counters
-from splatree.render.folder import build_folder as build_folder
 from splatree.render.evaluate import Evaluation as Evaluation
 from splatree.render.evaluate import evaluate as evaluate
+from splatree.render.folder import build_folder as build_folder
 from splatree.render.framing.frame import Framing as Framing
 from splatree.render.framing.frame import frame_scene as frame_scene
 from splatree.render.moving import Motion as Motion

@@ -60,8 +60,10 @@ def test_levels_by_a_radius_that_are_far_worse_are_not_written_without_a_word(
     assert any("show this scene badly" in note and "pairs 32.0 dB" in note for note in notes) == warns
 
 
-def test_a_build_through_files_says_that_it_is_by_a_radius(city, tmp_path, capsys):
-    assert main(["build", str(city), str(tmp_path / "parts.splatree"), "--max-memory", "1G"]) == 0
-    assert "by a radius, as all that are built through files" in capsys.readouterr().out
+def test_a_build_through_files_says_which_method_and_both_figures(city, tmp_path, capsys):
+    output = tmp_path / "parts.splatree"
+    assert main(["build", str(city), str(output), "--max-memory", "1G"]) == 0
+    trial = st.read(output).tree.record.trial
+    assert f"levels by pairs: {trial.in_words()}" in capsys.readouterr().out
     assert main(["build", str(city), str(tmp_path / "b.splatree"), "--max-memory", "1G", "--method", "radius"]) == 0
-    assert "by a radius, as all" not in capsys.readouterr().out
+    assert "dB" not in capsys.readouterr().out
