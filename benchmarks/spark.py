@@ -1,10 +1,10 @@
 """Cuts of our levels against the levels that Spark makes itself, at equal visible nodes.
 
-``python benchmarks/spark.py [--scenes ...] [--shares 5 20 50]`` needs the shared scenes, Chromium and npm; where one is missing it
-says so and stops. Spark builds levels of detail in the browser, by its methods `tiny` and `quality` (by Bhattacharyya's distance),
-in a worker that is compiled Rust. A page in headless Chromium has it do that, with 32 bytes a splat, and hands out the nodes and the
-tree. Of that tree, each view draws what Spark chooses (`splatree.stream.readers.spark`) within a share of the leaves; the cuts of
-our levels get as many nodes in view as a budget. All pictures are drawn by the library and compared with that of all leaves.
+``python benchmarks/spark.py [--scenes ...] [--shares 5 20 50]`` needs the shared scenes, Chromium and npm; if one is missing
+it says so and stops. Spark builds levels of detail in the browser, by its methods `tiny` and `quality`, in a worker that is
+compiled Rust. A page in headless Chromium has it do that, with 32 bytes a splat, and hands out nodes and tree. Of that tree,
+each view draws what Spark chooses (`splatree.stream.readers.spark`) within a share of the leaves; the cuts of our levels get
+as many nodes in view as a budget. All pictures are drawn by the library and compared with that of all leaves.
 
 Scenes are without harmonics beyond the DC. A node of an opacity above 1 is drawn as our reader of ``.rad`` draws it: the Gaussian
 with the same peak and area as Spark's plateau.

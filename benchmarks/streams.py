@@ -126,15 +126,8 @@ def spark_quality(name: str, tree: splatree.Scene) -> list[dict[str, Any]]:
     return rows
 
 
-def main() -> None:
-    """Write, read, compare."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--chunk", default="5_1")
-    parser.add_argument("--peer", help="the command of splat-transform; without it our stream stands alone")
-    parser.add_argument("--city", action="store_true", help="count Spark's chunks of the whole city too")
-    arguments = parser.parse_args()
-    scene = splatree.edit(splatree.read(CITY / arguments.chunk), splatree.EditOptions(sh_degree=0))
-    build = measure(lambda: splatree.build_lod(scene, splatree.BuildOptions(method="pairs")))
+def in_playcanvas(scene: splatree.Scene, build: Cost, command: str | None) -> None:
+    """What PlayCanvas draws and loads of our stream and the peer's, and what writing them takes."""
     tree = build.value
     with tempfile.TemporaryDirectory() as folder:
         write = measure(lambda: splatree.stream(tree, Path(folder) / "ours"))
@@ -142,8 +135,8 @@ def main() -> None:
         millions = len(scene) / 1e6
         costs = [cost_row("splatree, levels", build, millions), cost_row("splatree, stream", write, millions)]
         costs[1] |= {"MB": write.value.bytes / 1e6, "levels": len(write.value.levels)}
-        if arguments.peer:
-            peer, cost = peers_stream(shlex.split(arguments.peer), scene, Path(folder))
+        if command:
+            peer, cost = peers_stream(shlex.split(command), scene, Path(folder))
             streams["peer"] = open_sog_stream(peer)
             size = sum(path.stat().st_size for path in peer.rglob("*") if path.is_file())
             costs.append(
@@ -161,14 +154,6 @@ def main() -> None:
                 exact = splatree.render(tree, camera, select=select).image
                 rows.append(row | {"exact cut, dB": splatree.psnr(np.clip(exact, 0, 1), truth)})
         print(table(rows))
-    playbot = splatree.build_lod(splatree.read(PLAYBOT), splatree.BuildOptions(method="pairs"))
-    quality = spark_quality(arguments.chunk, tree) + spark_quality("playbot", playbot)
-    print(table(quality))
-    chunks = spark_chunks(arguments.chunk, tree)
-    if arguments.city:
-        city = splatree.edit(splatree.read(sorted(CITY.glob("5_*"))), splatree.EditOptions(sh_degree=0))
-        chunks += spark_chunks("city", splatree.build_lod(city, splatree.BuildOptions(method="pairs")))
-    print(table(chunks))
     about = (
         f"One chunk of the city ({len(scene):,} Gaussians, degree 0): PSNR of what PlayCanvas draws of a streamed SOG within a "
         "budget, with the MB of the files that it loads. Levels by pairs; the peer is splat-transform on the processor."
@@ -177,6 +162,29 @@ def main() -> None:
     save(
         "streams_cost", costs, about="What making the levels and writing the stream takes, and the bytes of all levels."
     )
+
+
+def main() -> None:
+    """Write, read, compare."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--chunk", default="5_1")
+    parser.add_argument("--peer", help="the command of splat-transform; without it our stream stands alone")
+    parser.add_argument("--spark", action="store_true", help="only what Spark draws and loads")
+    parser.add_argument("--city", action="store_true", help="count Spark's chunks of the whole city too")
+    arguments = parser.parse_args()
+    scene = splatree.edit(splatree.read(CITY / arguments.chunk), splatree.EditOptions(sh_degree=0))
+    build = measure(lambda: splatree.build_lod(scene, splatree.BuildOptions(method="pairs")))
+    tree = build.value
+    if not arguments.spark:
+        in_playcanvas(scene, build, arguments.peer)
+    playbot = splatree.build_lod(splatree.read(PLAYBOT), splatree.BuildOptions(method="pairs"))
+    quality = spark_quality(arguments.chunk, tree) + spark_quality("playbot", playbot)
+    print(table(quality))
+    chunks = spark_chunks(arguments.chunk, tree)
+    if arguments.city:
+        city = splatree.edit(splatree.read(sorted(CITY.glob("5_*"))), splatree.EditOptions(sh_degree=0))
+        chunks += spark_chunks("city", splatree.build_lod(city, splatree.BuildOptions(method="pairs")))
+    print(table(chunks))
     about = "PSNR of what Spark draws of a .rad within a budget, with nodes as the tree stores them and as `stream` writes them."
     save("streams_spark", quality, about=about)
     about = (

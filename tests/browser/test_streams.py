@@ -5,6 +5,7 @@ repeats it. Viewers cut splats off earlier than we do and sort by other keys: co
 """
 
 import json
+import zipfile
 from urllib.parse import urlencode
 
 import numpy as np
@@ -14,7 +15,7 @@ import splatree as st
 from splatree.io.formats.rad.container import open_rad
 from splatree.stream.rad import as_written
 from splatree.stream.readers.cesium import open_tileset, select_cesium
-from splatree.stream.readers.playcanvas import select_playcanvas
+from splatree.stream.readers.playcanvas import select_by_errors, select_playcanvas
 from splatree.stream.readers.sog_stream import open_sog_stream
 from splatree.stream.readers.spark import select_spark
 
@@ -131,6 +132,27 @@ def test_playcanvas_with_a_tenth_is_not_far_from_the_whole(browser, served, tree
         brightness.append(picture.mean())
     assert quality[1] - quality[0] <= 8, quality
     assert abs(brightness[0] / brightness[1] - 1) <= 0.1, brightness
+
+
+def test_playcanvas_of_before_draws_a_stream_with_errors_out_of_a_zip(browser, tree, camera, tmp_path):
+    """Version 2.22 is the last that reads errors. The stream comes out of a zipped one, as it is."""
+    older, reason = install(tmp_path, {"playcanvas": "2.22.6"})
+    if older is None:
+        pytest.skip(reason)
+    st.stream(tree, tmp_path / "city.ssog", options=st.StreamOptions(errors=True, zip=True, levels=4))
+    with zipfile.ZipFile(tmp_path / "city.ssog") as archive:
+        archive.extractall(tmp_path / "served" / "city")
+    stream = open_sog_stream(tmp_path / "served" / "city")
+    by_errors, by_distance = (select(stream.ranges, camera, BUDGET) for select in (select_by_errors, select_playcanvas))
+    assert not np.array_equal(by_errors, by_distance)
+    with st.serve(tmp_path / "served", st.ServeOptions(port=0, packages=str(older))) as server:
+        picture, said, _ = shown(
+            browser, server, "playcanvas", "city/lod-meta.json", camera, budget=BUDGET, lod="error"
+        )
+    chosen = stream.gaussians_of(by_errors)
+    # The engine draws 7 % fewer than our rule says, here 55,646 for 59,963; why is not known.
+    assert 0.9 * len(chosen) <= said["drawn"] <= BUDGET
+    assert psnr(picture, drawn(chosen, camera)) >= 22
 
 
 def test_spark_draws_our_rad_chunk_by_chunk(browser, served, tree, camera):

@@ -69,7 +69,7 @@ def ranges_of(places, counts, errors):
     return Ranges(boxes, nothing, nothing, levels, np.repeat(np.array(errors, float)[:, None], num, axis=1))
 
 
-@pytest.mark.parametrize(("budget", "levels"), [(19, [2, 2]), (20, [2, 2]), (50, [1, 2]), (80, [1, 1]), (200, [0, 0])])
+@pytest.mark.parametrize(("budget", "levels"), [(19, [2, 2]), (20, [2, 2]), (50, [1, 2]), (80, [1, 2]), (200, [0, 0])])
 def test_the_nearer_chunk_is_refined_first(budget, levels):
     ranges = ranges_of([0, 40], [100, 40, 10], [0, 0.1, 0.5])
     assert select_by_errors(ranges, CAMERA, budget).tolist() == levels
@@ -80,10 +80,17 @@ def test_a_level_that_is_no_better_is_never_bought():
     assert [select_by_errors(ranges, CAMERA, b).tolist() for b in (50, 100)] == [[2], [0]]
 
 
-def test_a_step_is_worth_no_more_than_the_one_before_it():
-    """The near chunk's second step would pay best, but comes only after its first, which pays less than the far one's."""
-    ranges = ranges_of([0, 2], [100, 90, 10], [0, 0.9, 1.0])
-    far_first = ranges.errors.copy()
-    far_first[:, 1] = [0, 0, 1.0]
-    ranges = dataclasses.replace(ranges, errors=far_first)
-    assert select_by_errors(ranges, CAMERA, 100).tolist() == [2, 1]
+def test_a_step_is_worth_the_best_way_on_from_it():
+    """The near chunk's first step hardly helps by itself, but the one after it does, and the chunk is nearer."""
+    ranges = ranges_of([0, 40], [100, 90, 10], [0, 0.9, 1.0])
+    assert select_by_errors(ranges, CAMERA, 100).tolist() == [1, 2]
+    assert select_by_errors(ranges, CAMERA, 110).tolist() == [0, 2]
+
+
+def test_the_first_step_that_does_not_fit_is_the_last():
+    """The far chunk's step would fit."""
+    ranges = ranges_of([0, 40], [100, 40, 10], [0, 0.1, 0.5])
+    counts = ranges.counts.copy()
+    counts[:, 1] = [12, 11, 10]
+    ranges = dataclasses.replace(ranges, counts=counts, errors=np.stack([[0, 0], [0.1, 0.01], [0.5, 0.012]]))
+    assert select_by_errors(ranges, CAMERA, 79).tolist() == [1, 2]

@@ -13,8 +13,10 @@ __all__ = ["data_uri", "filled"]
 
 
 def filled(template: str, **values: str) -> str:
-    """A template of the package's data with its ``$names`` replaced."""
-    return Template((files("splatree") / "data" / template).read_text(encoding="utf-8")).substitute(values)
+    """A template of the package's data with its ``$names`` replaced; ``$style`` is the look that all pages share."""
+    data = files("splatree") / "data"
+    style = (data / "style.css").read_text(encoding="utf-8")
+    return Template((data / template).read_text(encoding="utf-8")).substitute(values, style=style)
 
 
 def data_uri(image: Float32[Array, "h w 3"]) -> str:

@@ -1,7 +1,7 @@
 // A streamed SOG in the PlayCanvas engine. The scene is turned by half a circle about z, since the engine has y up.
 import * as pc from 'playcanvas';
 import { CameraControls } from 'controls';
-import { fail, fov, number, position, state, stream, target, turns, up } from './query.js';
+import { fail, fov, lod, number, position, state, stream, target, turns, up } from './query.js';
 
 const canvas = document.getElementById('canvas');
 const device = await pc.createGraphicsDevice(canvas, { deviceTypes: ['webgl2'], antialias: false });
@@ -18,6 +18,7 @@ app.setCanvasFillMode(pc.FILLMODE_FILL_WINDOW);
 app.setCanvasResolution(pc.RESOLUTION_AUTO);
 app.start();
 app.scene.gsplat.splatBudget = number('budget', 1e6);
+if (lod === 'error') app.scene.gsplat.lodMode = pc.GSPLAT_LODMODE_ERROR;
 state.stop = () => { app.autoRender = false; };
 
 const asset = new pc.Asset('stream', 'gsplat', { url: stream });

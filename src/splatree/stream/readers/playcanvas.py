@@ -7,12 +7,12 @@ are three times as deep as the one before; all bands move together, to the fines
 budget. A chunk without the level takes its next finer one, or its coarsest if it has none that coarse.
 
 PlayCanvas 2.22 can choose by tables of errors instead (`select_by_errors`). All chunks begin at their coarsest level. A step to a
-finer level is worth c Δerror / Δcount, at most what the step before it was worth; c = (r / (r + distance))² for a chunk of radius
-r. Steps are taken from the most worth down while they fit the budget. Levels that have more rows than another one and no smaller
-error are left out.
+finer level is worth c Δerror / Δcount, the best of the ways on to a finer one; c = (r / (r + distance))² for a chunk of radius r.
+Steps are taken from the most worth down until one does not fit the budget. The engine sorts worths into classes, here they are
+exact. Levels that have more rows than another one and no smaller error are left out.
 """
 
-from itertools import pairwise
+import heapq
 
 import numpy as np
 
@@ -56,26 +56,38 @@ def select_playcanvas(ranges: Ranges, camera: Camera, budget: int, *, band: floa
 def select_by_errors(ranges: Ranges, camera: Camera, budget: int) -> Int64[Array, "c"]:
     """The level of each chunk by the errors of the stream, which has them and all levels of all chunks."""
     assert ranges.errors is not None
+    table: Array = ranges.errors
     radii = np.linalg.norm(ranges.boxes[:, 1] - ranges.boxes[:, 0], axis=1) / 2
     coverages = (radii / (radii + _distances(ranges.boxes, camera))) ** 2
     levels = np.empty(len(radii), np.int64)
-    steps: list[tuple[float, int, int, int, int]] = []  # − worth, chunk, from, to, rows
-    for chunk, (counts, errors) in enumerate(zip(ranges.counts.T.tolist(), ranges.errors.T.tolist(), strict=True)):
+    ladders: list[list[int]] = []  # levels that are worth having, coarse to fine
+    heap: list[tuple[float, int, int]] = []  # − worth, chunk, the next step
+
+    def offer(chunk: int, step: int) -> None:
+        """Put a chunk's next step on the heap: it is worth as much as the best way on from here."""
+        if step < len(ladders[chunk]):
+            now, further = ladders[chunk][step - 1], ladders[chunk][step:]
+            counts, errors = ranges.counts[:, chunk], table[:, chunk]
+            worth = ((errors[now] - errors[further]) / (counts[further] - counts[now])).max()
+            heapq.heappush(heap, (-coverages[chunk] * worth, chunk, step))
+
+    for chunk, (counts, errors) in enumerate(zip(ranges.counts.T.tolist(), table.T.tolist(), strict=True)):
         by_count = sorted(range(len(counts)), key=lambda level: (counts[level], errors[level]))
         useful = by_count[:1]
         for level in by_count[1:]:
             if errors[level] < errors[useful[-1]]:
                 useful.append(level)
-        levels[chunk], worth = useful[0], np.inf
-        for coarse, fine in pairwise(useful):
-            rows = counts[fine] - counts[coarse]
-            worth = min(worth, float(coverages[chunk]) * (errors[coarse] - errors[fine]) / rows)
-            steps.append((-worth, chunk, coarse, fine, rows))
+        ladders.append(useful)
+        levels[chunk] = useful[0]
+        offer(chunk, 1)
     left = budget - int(ranges.counts[levels, np.arange(len(levels))].sum())
-    for _, chunk, coarse, fine, rows in sorted(steps, key=lambda step: step[0]):  # of equals the coarser step is first
-        if levels[chunk] == coarse and rows <= left:
-            levels[chunk] = fine
-            left -= rows
+    while heap:
+        _, chunk, step = heapq.heappop(heap)
+        left -= int(ranges.counts[ladders[chunk][step], chunk] - ranges.counts[ladders[chunk][step - 1], chunk])
+        if left < 0:
+            break
+        levels[chunk] = ladders[chunk][step]
+        offer(chunk, step + 1)
     return levels
 
 
