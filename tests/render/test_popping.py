@@ -108,3 +108,11 @@ def test_pops_of_a_real_scene_stay_small(method):
     assert min(pop.psnr for pop in pops) >= psnr
     assert max(pop.changed for pop in pops) <= changed
     assert max(pop.tile_change for pop in pops) <= tile_change
+
+
+def test_a_quality_is_that_of_the_first_frame(scene):
+    path = st.dolly(scene, CAMERA, 3, step=0.1)
+    kept = st.select(scene, path[0], st.SelectOptions(quality=34)).pixel_error
+    assert kept > 0
+    pops = st.measure_pops(scene, path, st.SelectOptions(quality=34))
+    assert pops == st.measure_pops(scene, path, st.SelectOptions(pixel_error=kept))

@@ -38,19 +38,21 @@ class Options:
     """τ_R of the cuts, px."""
     budget: int | None = None
     """Largest number of nodes in view; None: no limit."""
+    quality: float | None = None
+    """PSNR against all leaves of the first frame of each dolly, dB, whose τ_R is kept, in place of a pixel error."""
 
     def __post_init__(self) -> None:
         if self.frames < 2:
             raise InputError(f"frames: found {self.frames}, wanted at least 2")
         if not -1 < self.step < 1 or self.step == 0:
             raise InputError(f"step: found {self.step:g}, wanted a share of the distance between -1 and 1, not 0")
-        SelectOptions(self.pixel_error, self.budget)
+        SelectOptions(self.pixel_error, self.budget, self.quality)
 
 
 def run(options: Options) -> Report:
     """Move from each view towards what it looks at, and measure the pop of each frame."""
     subject = subject_of(options.subject)
-    select = SelectOptions(options.pixel_error, options.budget)
+    select = SelectOptions(options.pixel_error, options.budget, options.quality)
     pops = {
         camera.name or str(i): measure_pops(
             subject.scene, dolly(subject.scene, camera, options.frames, step=options.step), select
@@ -58,10 +60,11 @@ def run(options: Options) -> Report:
         for i, camera in enumerate(subject.cameras)
     }
     limit = "" if options.budget is None else f", at most {options.budget:,} nodes in view"
+    size = f"τ_R = {options.pixel_error:g} px" if options.quality is None else f"τ_R of {options.quality:g} dB"
     about = {
         **subject.about,
         "compared with": "the cut of the frame before, drawn from the frame's camera",
-        "rules": f"τ_R = {options.pixel_error:g} px{limit}; {options.frames} frames a dolly, steps of {options.step:.3g}",
+        "rules": f"{size}{limit}; {options.frames} frames a dolly, steps of {options.step:.3g}",
     }
     tables = [
         Table("popping", "Pops of each dolly", [_summary(name, found) for name, found in pops.items()], notes=ABOUT),

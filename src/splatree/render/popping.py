@@ -116,7 +116,7 @@ def measure_pops(
     Args:
         scene: a scene with levels.
         cameras: the frames in order, as `dolly` makes them.
-        select: pixel error or budget of each frame; None: the defaults.
+        select: pixel error or budget of each frame, or a quality of the first, whose τ_R is kept; None: the defaults.
         render: how the frames are drawn.
         device: where: `cpu`, `cuda` or `reference`; None: `cpu`.
         threads: threads of the processor; 0: all.
@@ -142,6 +142,9 @@ def measure_pops(
         )
     pops = []
     with open_session(scene, device=device, options=render, threads=threads) as session:
+        if select.quality is not None:
+            found = session.select(frames[0], select=replace(select, budget=None)).pixel_error
+            select = replace(select, quality=None, pixel_error=found)
         before = _cut(session, frames[0], select)
         for camera in track(frames[1:], "pops"):
             own = _cut(session, camera, select)
@@ -153,11 +156,11 @@ def measure_pops(
 
 
 def _cut(session: Session, camera: Camera, select: SelectOptions) -> Selection:
-    """All nodes of the cut of a view, in view or not; a budget or a quality is met by what is in view."""
+    """All nodes of the cut of a view, in view or not; a budget is met by what is in view."""
     pixel_error = select.pixel_error
-    if select.budget is not None or select.quality is not None:
+    if select.budget is not None:
         pixel_error = session.select(camera, select=select).pixel_error
-    whole = replace(select, pixel_error=pixel_error, budget=None, quality=None, view_test="none", cull="none")
+    whole = replace(select, pixel_error=pixel_error, budget=None, view_test="none", cull="none")
     return session.select(camera, select=whole)
 
 
