@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from splatree.constants import PIXEL_ERROR
 from splatree.kernels.cpu.build import merge as merge_kernel
 from splatree.kernels.cpu.frame.blocks import index_blocks
 from splatree.lod.follow import with_curves
