@@ -21,7 +21,12 @@ def tree_over(gaussians: Gaussians, method: str = "radius") -> st.Scene:
 
 
 def both(
-    scene: st.Scene, seen: np.ndarray, *, with_extents: bool, kept_extent: float = 0.0, dilations: tuple[float, float] = (0.0, 0.0)
+    scene: st.Scene,
+    seen: np.ndarray,
+    *,
+    with_extents: bool,
+    kept_extent: float = 0.0,
+    dilations: tuple[float, float] = (0.0, 0.0),
 ) -> list[tuple[Gaussians, np.ndarray]]:
     arguments = scene.gaussians, scene.tree.subtree_end, seen, 0.4, scene.tree.extents if with_extents else None
     limits = dict(zip(("kept_extent", "kept_dilation", "least_dilation"), (kept_extent, *dilations), strict=True))

@@ -13,8 +13,8 @@ with its dilation: its variance becomes w (v + h), w = max(1, G / 0.99)^0.3, so 
 
 A node is *stored* as it is drawn at a pixel h_l. For levels by a radius it is the one that the level was made for. For levels by
 pairs it is four times as wide as that, and at least eight times the median Gaussian: far views with generous budgets draw
-levels where the pixel is wider than their own. Nearer than h_l a node is drawn with less: `GaussianTree.curves` keeps m = M(0), n = M'(∞),
-g = G(h_l) and h_l, from which G follows at any h by a closed form. It is exact at 0, at h_l and far away
+levels where the pixel is wider than their own. Nearer than h_l a node is drawn with less: `GaussianTree.curves` keeps m = M(0),
+n = M'(∞), g = G(h_l) and h_l, from which G follows at any h by a closed form. It is exact at 0, at h_l and far away
 (kernels/reference/project.py):
 
     G(h) = √(m² + b h + (n h)²) / A_node(h),     b such that G(h_l) = g
@@ -42,8 +42,8 @@ from splatree.shapes import Array, Float32
 __all__ = ["with_curves"]
 
 WIDER = 4.0
-"""Levels by pairs are stored for a pixel so many times as wide as that of their level: a far view with a generous budget draws them
-there (τ_R = ¾ px). A city at 20 % gains 1.5 dB from outside and 4 dB from afar."""
+"""Levels by pairs are stored for a pixel so many times as wide as that of their level: a far view with a generous budget draws
+them there (τ_R = ¾ px). A city at 20 % gains 1.5 dB from outside and 4 dB from afar."""
 
 
 def with_curves(
@@ -60,8 +60,8 @@ def with_curves(
         gaussians: the rows; leaves stay bit for bit.
         tree: the levels.
         seen: visibility of each row, 0 to 1; those of leaves count.
-        pixels: for levels that are drawn by their extents, world units: the pixel p_0 at which fine levels were judged, whose nodes
-            keep their Gaussian; and the finest pixel that nodes are stored for.
+        pixels: for levels that are drawn by their extents, world units: the pixel p_0 at which fine levels were judged, whose
+            nodes keep their Gaussian; and the finest pixel that nodes are stored for.
         threads: threads to use; 0: all.
 
     Returns:

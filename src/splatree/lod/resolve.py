@@ -39,8 +39,8 @@ JUDGED_SIZE = 4.0
 nothing: at generous budgets small objects gain 2 to 9 dB."""
 
 STORED_SIZE = 24.0
-"""`pairs`: the finest pixel that nodes are stored for, in p_0: eight median Gaussians. Far views draw fine levels there, as generous
-budgets demand: a city at 20 to 40 % gains 1 to 2 dB."""
+"""`pairs`: the finest pixel that nodes are stored for, in p_0: eight median Gaussians. Far views draw fine levels there, as
+generous budgets demand: a city at 20 to 40 % gains 1 to 2 dB."""
 
 WIDEST_PIXEL = 16.0
 """`pairs` ends with pixels so many times as wide as the scene: no change of the picture can be as large as one of them."""

@@ -77,7 +77,9 @@ def fit_curves(
         scale = 1.0
         if extents is not None and extents[row] <= kept_extent:
             node = gaussians.take(np.array([row]))
-            own = np.maximum(np.exp(2 * np.minimum(node.log_scales[0].astype(np.float64), MERGED_LOG_SCALE_MAX)), LEAST_VARIANCE)
+            own = np.maximum(
+                np.exp(2 * np.minimum(node.log_scales[0].astype(np.float64), MERGED_LOG_SCALE_MAX)), LEAST_VARIANCE
+            )
             alpha = min(float(node.opacities()[0]), ALPHA_MAX)
             scale = alpha * _areas(own[None], kept_dilation)[0] / shown(kept_dilation)
         else:

@@ -101,7 +101,8 @@ void merge_groups(nb::handle gaussians, nb::handle groups, In<float> weights, nb
 }
 
 void fit_rows(nb::handle gaussians, In<int32_t> subtree_end, In<float> seen, double dilation_share,
-              std::optional<In<float>> extents, double kept_extent, double kept_dilation, double least_dilation, Out<float> curves, int threads) {
+              std::optional<In<float>> extents, double kept_extent, double kept_dilation, double least_dilation,
+              Out<float> curves, int threads) {
   CurvesJob job{};
   job.n = int64_t(nb::len(gaussians));
   job.subtree_end = subtree_end.data();
@@ -187,8 +188,8 @@ void bind_thin(nb::module_& m) {
                      threads);
   });
   m.def("fit_curves", &fit_rows, nb::arg("gaussians"), nb::arg("subtree_end"), nb::arg("seen"), nb::arg("dilation_share"),
-        nb::arg("extents").none(), nb::arg("kept_extent"), nb::arg("kept_dilation"), nb::arg("least_dilation"), nb::arg("curves"), nb::arg("threads"),
-        "Overwrite the inner nodes, and fill their curves.");
+        nb::arg("extents").none(), nb::arg("kept_extent"), nb::arg("kept_dilation"), nb::arg("least_dilation"), nb::arg("curves"),
+        nb::arg("threads"), "Overwrite the inner nodes, and fill their curves.");
 }
 
 }  // namespace splatree

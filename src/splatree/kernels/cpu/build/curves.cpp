@@ -115,7 +115,8 @@ class Fitter {
 
   void write(int64_t row) const {
     double variance[3];
-    const double scale = job_.extents && job_.extents[row] <= job_.kept_extent ? keep(row, variance) : become_moments(row, variance);
+    const double scale =
+        job_.extents && job_.extents[row] <= job_.kept_extent ? keep(row, variance) : become_moments(row, variance);
     const double h = level_of(row, variance[0]);
     const double mass = scale * shown(row, h) / area(variance, h);  // G(h_l)
     const double wide = std::pow(std::max(mass / constants::ALPHA_MAX, 1.0), WIDENING);
@@ -131,7 +132,8 @@ class Fitter {
   // The variances of the node as it is; returns the factor that makes the mass of its leaves what it shows itself.
   double keep(int64_t row, double* variance) const {
     for (int a = 0; a < 3; ++a)
-      variance[a] = std::max(std::exp(2 * std::min<double>(job_.log_scales[3 * row + a], constants::MERGED_LOG_SCALE_MAX)), LEAST_VARIANCE);
+      variance[a] =
+          std::max(std::exp(2 * std::min<double>(job_.log_scales[3 * row + a], constants::MERGED_LOG_SCALE_MAX)), LEAST_VARIANCE);
     const double alpha = std::min(1 / (1 + std::exp(-static_cast<double>(job_.logit_opacities[row]))), constants::ALPHA_MAX);
     return alpha * area(variance, job_.kept_dilation) / shown(row, job_.kept_dilation);
   }
