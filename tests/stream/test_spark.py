@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import splatree as st
-from splatree.io.formats.rad.nodes import Nodes, log_sizes
+from splatree.io.formats.rad.nodes import Nodes, log_sizes, nodes_of
 from splatree.kernels.cpu.codec.paging import page_order
 from splatree.kernels.reference import paging as reference
 from splatree.maths.forests import links_from_preorder, parents_by_level
