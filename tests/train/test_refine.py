@@ -208,5 +208,5 @@ def test_what_nodes_learn_from_is_the_slope_of_the_loss(tree, name):
         values.append(drawn()[4].value)
         ends.append(column[found.rows].astype(float))  # where the mass of a node is held, drawing holds it
     expected = float(np.sum(slopes * (ends[1] - ends[0])))
-    # |x| has a kink, opacities end at 1/255, and A(v, h) is taken to change as A(v, h_l) does.
+    # |x| has a kink, and opacities end at 1/255.
     assert values[1] - values[0] == pytest.approx(expected, rel=0.25)

@@ -14,7 +14,7 @@ with m, n and g times s, and m and n also times A(v, h_l) / A(v₀, h_l), so tha
 
     ∂loss/∂a = (G < 0.99) H + Σ_k (∂loss/∂ln σ_k) 0.15 w (v_k + h) / σ_k²,     ∂loss/∂ln √v_k = (∂loss/∂ln σ_k) w v_k / σ_k²
 
-for the σ that are drawn and H = ∂loss/∂ln opacity; that A(v, h) changes a little less or more than A(v, h_l) is left out. A node
+for the σ that are drawn and H = ∂loss/∂ln opacity; of the shape, by ln √v also through ln A(v, h_l) − ln A(v, h). A node
 without a curve learns its logit and its scales as they are.
 """
 
@@ -53,6 +53,8 @@ class Drawn:
     """Derivative of ln σ by a."""
     by_shape: Float32[Array, "d 3"]
     """Derivative of ln σ by ln √v."""
+    by_area: Float32[Array, "d 3"]
+    """Derivative of ln mass by ln √v."""
 
 
 class Proxies:
@@ -122,6 +124,8 @@ class Proxies:
         drawn.logit_opacities[rows] = np.where(has_curve, logits, learned.logit_opacities[nodes])
         drawn.quats[rows], drawn.sh[rows, 0] = learned.quats[nodes], learned.sh[nodes, 0]
         by_mass = np.where(mass < ALPHA_MAX, 1 / (1 - opacities), 0)
+        # Masses are in proportion to A(v, h_l) / A(v, h); at the peak they no longer follow v.
+        by_area = np.where((mass < peak)[:, None], _area_slopes(v, level) - _area_slopes(v, h), 0)
         by_width = np.where(wide > 1, 0.15 * wide * (v + h[:, None]) / squares, 0)
         return Drawn(
             rows,
@@ -129,6 +133,7 @@ class Proxies:
             np.where(has_curve, by_mass, 1).astype(np.float32),
             np.where(has_curve[:, None], by_width, 0).astype(np.float32),
             np.where(has_curve[:, None], wide * v / squares, 1).astype(np.float32),
+            np.where(has_curve[:, None], by_area, 0).astype(np.float32),
         )
 
     def _at(self, nodes: Array) -> tuple[Array, Array, Array, Array, Array]:
@@ -147,7 +152,7 @@ class Proxies:
             drawn.nodes[at],
             np.zeros_like(found.means),
             found.quats,
-            found.log_scales * drawn.by_shape[at],
+            found.log_scales * drawn.by_shape[at] + mass[:, None].astype(np.float32) * drawn.by_area[at],
             mass.astype(np.float32),
             np.ascontiguousarray(found.sh[:, :1]),
         )
@@ -203,3 +208,10 @@ def _widening(mass: Array) -> Array:
 def _area(variances: Array, dilations: Array) -> Array:
     x, y, z = np.sqrt(variances.T + dilations)
     return np.asarray(np.maximum((x * y + y * z + x * z) / 3, np.float32(1e-37)))
+
+
+def _area_slopes(variances: Array, dilations: Array) -> Array:
+    """Derivatives of ln A by ln √v along each axis."""
+    axes = np.sqrt(variances + dilations[:, None])
+    others = axes.sum(axis=1, keepdims=True) - axes
+    return np.asarray(others * variances / (3 * axes * _area(variances, dilations)[:, None]))
