@@ -1,7 +1,7 @@
 """What a cut saves at a quality: nodes and frame time of the cut of 40 and of 33 dB against all leaves, at 1080p.
 
-``python benchmarks/pays.py [--scenes ...] [--quality 33 40]`` needs the shared scenes. Levels by a radius and by pairs are built
-and measured. In a near, a middle and a far view (levels.py), all leaves and the cut that each quality chooses are drawn; a time
+``python benchmarks/pays.py [--scenes ...] [--quality 33 40]`` needs the shared scenes. Levels by a radius and by pairs are built.
+In a near, a middle and a far view (levels.py), all leaves and the cut that each quality chooses are drawn; a time
 is that of the cheapest of three frames. *frame* is the processor time from culling to the picture for a τ_R that is known;
 *chosen* has the search for τ_R in it, from a view alone.
 """
@@ -31,7 +31,7 @@ def main() -> None:
         flat = st.Scene.flat(read.gaussians.take(read.tree.is_leaf), mode=read.mode)
         views = {key: large(view) for key, view in views_of(flat).items() if key in CLASSES}
         for method in get_args(Method):
-            with st.open_session(st.with_quality(st.build_lod(flat, st.BuildOptions(method)))) as session:
+            with st.open_session(st.build_lod(flat, st.BuildOptions(method))) as session:
                 for key, view in views.items():
                     leaves, leaves_s, picture = drawn(session, view, st.SelectOptions(pixel_error=0.0))
                     for quality in arguments.quality:
