@@ -8,7 +8,7 @@ import pytest
 from splatree.io.cameras.files import write_cameras
 from splatree.io.reading import read
 from splatree.io.writing import write
-from splatree.outofcore.store import open_store
+from splatree.outofcore.opened import open_store
 from splatree.render.paths import PathOptions, orbit
 
 from .test_commands import SIZE, result_of
