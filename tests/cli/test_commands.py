@@ -411,8 +411,8 @@ def test_folders_are_drawn_and_scored_without_reading_all_of_them(splatree, smal
     assert "--rule, which needs all rows in memory" in err
     assert splatree("render", folder, "-o", tmp_path / "release.png", "--rule", "release", "-q")[0] == 0
     monkeypatch.setattr("splatree.cli.opening.free_bytes", lambda: 1000)
-    code, _, err = splatree("render", folder, "-o", tmp_path / "no.png", "--quality", "40")
-    assert code == 2 and f"--quality: needs all rows of {folder} in memory, " in err and "0.0 GB are free" in err
+    code, _, err = splatree("render", folder, "-o", tmp_path / "no.png", "--rule", "release")
+    assert code == 2 and f"--rule: needs all rows of {folder} in memory, " in err and "0.0 GB are free" in err
 
 
 def test_build_through_files_refuses_what_needs_the_scene_in_memory(splatree, small_ply, tmp_path):

@@ -114,6 +114,7 @@ def test_another_threshold_of_a_scene_is_drawn_from_the_same_columns(scene: st.S
 
 
 def test_the_columns_go_with_the_session(scene: st.Scene, held: Emulator) -> None:
+    gc.collect()
     before = held.held["arrays"]
     with st.open_session(scene, device="cuda") as session:
         session.draw(VIEWS[0])

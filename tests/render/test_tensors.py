@@ -49,6 +49,7 @@ def test_kernels_read_the_tensors_where_they_lie(wrap: Any, columns: dict[str, D
 
 
 def test_tensors_are_kept_while_the_scene_is(columns: dict[str, DeviceArray], at_hand: Emulator) -> None:
+    gc.collect()
     before = at_hand.held["arrays"]
     scene = st.scene_from_tensors(**columns)
     columns.clear()

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import splatree as st
-from splatree.errors import InputError
 from splatree.outofcore import pages
 from splatree.view.exhibit import exhibit
 from splatree.view.shown import InMemory, OnDisk
@@ -91,9 +90,12 @@ def test_boxes_are_those_of_pages(stored):
     assert len(shown.boxes("clusters", rows, 1000)) == 0
 
 
-def test_a_quality_needs_the_scene_in_memory(stored):
-    with pytest.raises(InputError, match="found a store and a wanted quality"):
-        exhibit(stored[0], measured=True)
+def test_a_quality_is_that_of_the_scene_in_memory(stored):
+    store, scene = stored
+    on_disk, in_memory = exhibit(store), exhibit(scene)
+    wanted = st.SelectOptions(quality=35)
+    view = st.Camera.look_at((3, -2, 1), (0, 0, 0), up=(0, -1, 0), width=160, height=90, fov_y_deg=50)
+    assert np.array_equal(on_disk.cut(view, wanted, None).rows, in_memory.cut(view, wanted, None).rows)
 
 
 def test_a_store_is_shown_and_is_served(stored):
