@@ -17,7 +17,7 @@ from hypothesis import strategies as hs
 
 import splatree as st
 from splatree.io.memory import PROCESS_BYTES, _free_of_group, bytes_of
-from splatree.outofcore import run, shuffle, top
+from splatree.outofcore import build, run, shuffle, top
 from splatree.outofcore.needs import needs_of
 from splatree.outofcore.options import Room, cell_bytes
 from splatree.progress import listen
@@ -276,6 +276,13 @@ def test_what_a_build_needs_is_known_from_the_heads(tmp_path, ply, monkeypatch):
     monkeypatch.setattr("splatree.outofcore.needs.free_bytes", lambda: 10**12)
     monkeypatch.setattr("splatree.outofcore.needs.opened_chunks", None)
     assert needs_of([ply], st.ReadOptions()) is None  # whatever it holds, it is small
+
+
+def test_as_many_levels_more_are_grown_as_will_be_few_enough(monkeypatch):
+    room = Room.of(st.FolderOptions(max_memory="1G"), 1)
+    for left, wanted in (([9, 8, 4, 2], 1), ([9, 8, 4, 3], 2), ([9, 9, 9, 9], 3)):
+        monkeypatch.setattr("splatree.outofcore.build.top_bytes", lambda roots, k: 10**18 * (roots > 1))
+        assert build._levels_more(left, room, 1) == wanted, left
 
 
 def test_what_does_not_fit_above_the_parts_is_grown_one_level_more_in_them(tmp_path, ply, monkeypatch):

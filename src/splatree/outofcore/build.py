@@ -127,10 +127,18 @@ def _by_radius(work: Work, cut: Cut, running: FolderOptions) -> list[dict[str, A
             num_levels = ended[0]
         elif top_bytes(left[-1], (plan.sh_degree + 1) ** 2) <= room.max_bytes:
             return results
-        elif num_levels < MOST_LEVELS:  # fewer nodes are left after one level more
-            num_levels += 1
+        elif num_levels < MOST_LEVELS:
+            num_levels = min(MOST_LEVELS, num_levels + _levels_more(left, room, (plan.sh_degree + 1) ** 2))
         else:
             raise _too_many(left[-1], room)
+
+
+def _levels_more(left: list[int], room: Room, num_coefficients: int) -> int:
+    """Levels to grow more, 3 at most, if each leaves the share that the last one left: every try grows all cells again."""
+    share, expected, more = left[-1] / left[-2], float(left[-1]), 0
+    while more < PART_LEVELS and top_bytes(int(expected), num_coefficients) > room.max_bytes:
+        expected, more = expected * share, more + 1
+    return more
 
 
 def _by_pairs(work: Work, cut: Cut, running: FolderOptions) -> list[dict[str, Any]]:
