@@ -64,7 +64,7 @@ def steps(
 ) -> Iterator[dict[str, object]]:
     """A step of a page that draws, with the search begun at the last step's τ_R and anew."""
     for name, is_alone in (("step", False), ("step, alone", True)):
-        slots = Slots(shown.scene, shown.centre, 1 << 21)
+        slots = Slots(shown.shown, shown.centre, 1 << 21)
         last, costs = FIRST_TAU_PX, []
         for camera in cameras:
             begin = None if is_alone else last
@@ -115,7 +115,7 @@ def picture(
 def first_picture(shown: Exhibit) -> dict[str, object]:
     """Bytes until there is a picture, and what they take."""
     camera = turned(shown, 1.0, 0.0)
-    slots = Slots(shown.scene, shown.centre, 1 << 21)
+    slots = Slots(shown.shown, shown.centre, 1 << 21)
     options = splatree.SelectOptions(budget=LADDER[0])
     chosen = measure(lambda: shown.cut(guarded_by(camera, GUARD), options, FIRST_TAU_PX))
     change = measure(lambda: slots.move(chosen.value.rows, camera.position))

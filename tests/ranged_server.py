@@ -12,6 +12,7 @@ from pathlib import Path
 class Ranges(SimpleHTTPRequestHandler):
     """Answers with ranges; counts their bytes in ``sent``."""
 
+    disable_nagle_algorithm = True  # heads and bodies are sent apart: 40 ms for each request otherwise
     sent: list[int]
     cut = False
     """Whether it gives fewer bytes than it was asked for, as of an object that has been replaced."""

@@ -19,6 +19,19 @@ def bucket():
     files.pseudo_dirs[:] = [""]
 
 
+@pytest.fixture(scope="module")
+def folder(ply, tmp_path_factory):
+    """A folder of a few parts and pages: a request to a server takes longer than a page of this machine."""
+    with small_pages(400):
+        options, running = st.BuildOptions(radius=0.1, max_roots=4), st.FolderOptions(part_rows=500)
+        return st.build_folder(ply, tmp_path_factory.mktemp("elsewhere") / "city.splatree", options, running).path
+
+
+@pytest.fixture(scope="module")
+def scene(folder):
+    return st.read(folder)
+
+
 def cameras_of(scene):
     centre = np.median(scene.gaussians.means, axis=0)
     for distance, fov in ((1.0, 5.0), (8.0, 60.0)):
@@ -46,7 +59,7 @@ def test_a_store_of_a_server_is_drawn_from_its_ranges(folder, scene):
 
 def test_a_single_file_of_a_server_is_drawn_from_its_ranges(scene, tmp_path):
     st.write(scene, tmp_path / "one.splatree")
-    with small_pages(60), served(tmp_path) as (address, _), st.open_store(f"{address}/one.splatree") as store:
+    with small_pages(400), served(tmp_path) as (address, _), st.open_store(f"{address}/one.splatree") as store:
         check_is_drawn_alike(store, scene)
 
 

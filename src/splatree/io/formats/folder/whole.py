@@ -9,6 +9,9 @@ Memory: 24 bytes a row of the crown, and what the rows that are asked for take.
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from shutil import copyfileobj, rmtree
+from tempfile import mkdtemp
+from weakref import finalize
 
 import numpy as np
 
@@ -19,6 +22,7 @@ from splatree.io.formats.folder.manifest import MANIFEST, Manifest, StoredFile, 
 from splatree.io.formats.splatree.head import SceneHead
 from splatree.io.formats.splatree.rows import SceneRows, StoredScene, open_scene
 from splatree.io.levels import check_extents
+from splatree.io.objects import ObjectPath
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Scene
@@ -26,6 +30,14 @@ from splatree.scene.tree import GaussianTree
 from splatree.shapes import Array, Int32, Int64, UInt8
 
 __all__ = ["WholeTree", "open_whole"]
+
+
+class Brought:
+    """A temporary folder, removed when nothing holds this any more."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        finalize(self, rmtree, folder, ignore_errors=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +60,8 @@ class WholeTree:
     """The row there; of a copy, that of its root."""
     first_id: int
     """The identity of a merged node is this and its row."""
+    brought: "Brought | None" = None
+    """Where the files are that lie on a server or an object store, for as long as they are needed."""
 
     def __len__(self) -> int:
         return self.head.num_rows
@@ -216,6 +230,29 @@ def open_whole(path: Path, *, checked: bool = True) -> WholeTree:
     manifest = read_manifest(path)
     if manifest.num_rows >= 2**31:
         raise InputError(f"{path}: found {manifest.num_rows} rows, wanted less than 2^31 in one scene")
+    if not checked or not isinstance(path, ObjectPath):
+        return _opened_whole(path, manifest, checked=checked)
+    here = Brought(Path(mkdtemp(prefix="splatree-")))
+    local = here.folder
+    try:
+        _bring(path, manifest, local)
+        return replace(_opened_whole(local, manifest, checked=True), path=path, brought=here)
+    except FormatError as error:
+        raise FormatError(str(error).replace(str(local), str(path))) from error
+
+
+def _bring(path: ObjectPath, manifest: Manifest, local: Path) -> None:
+    """Copy the files of a folder to this machine: all of their bytes are needed, most of them twice."""
+    named = (manifest.crown, *manifest.parts)
+    with task(f"fetch {path.name}", float(sum(file.num_bytes for file in named))) as advance:
+        for file in named:
+            (local / file.name).parent.mkdir(parents=True, exist_ok=True)
+            with (path / file.name).open("rb") as source, (local / file.name).open("wb") as target:
+                copyfileobj(source, target, 1 << 20)
+            advance(float(file.num_bytes))
+
+
+def _opened_whole(path: Path, manifest: Manifest, *, checked: bool) -> WholeTree:
     named = (manifest.crown, *manifest.parts)
     with task(f"check {path.name}", float(sum(file.num_bytes for file in named))) as advance:
         opened = []
