@@ -105,7 +105,7 @@ def test_the_first_view_shows_the_scene_whole_in_a_narrow_window(browser, viewer
 
 
 def test_a_quality_is_asked_for(browser, city_tree):
-    with Viewer(city_tree, ViewOptions(budget=200_000, quality=34)) as made:
+    with Viewer(city_tree, ViewOptions(budget=400_000, quality=34)) as made:
         page = opened(browser, made, "&renderer=webgl&exact=0")
         assert not page.evaluate("splatree.page.db.hidden")
         assert page.evaluate("splatree.page.tau.hidden")
@@ -166,7 +166,8 @@ def test_after_any_cameras_the_page_holds_the_cut_of_the_server(browser, city_tr
         exhibit = made._server.exhibits[0]
         eye = made.camera.position
         words = pack_nodes(city_tree.gaussians, city_tree.tree, rows, eye, exhibit.centre)
-        words = followed(words, city_tree, rows, slots._dilations[held])  # as they were sent
+        curves = city_tree.tree.curves
+        words = followed(words, city_tree.gaussians, curves, rows, slots._dilations[held])  # as they were sent
         # Colours may be those of an eye that was a little elsewhere; all else is the same to the bit.
         checksum = 0
         for word in np.delete(words, 4, axis=1).ravel().tolist():
