@@ -55,14 +55,14 @@ SPLATREE_FN float size_of(const View& view, const SelectRule& rule, const Point&
   const float half_difference = 0.5f * (a - b);
   const float root = __builtin_sqrtf(greatest(half_difference * half_difference + xy * xy, rule.floor));
   const float eigenvalue = 0.5f * (a + b) + root;
-  return (p.z > view.near) & (eigenvalue < LARGEST_SIZE) ? eigenvalue : LARGEST_SIZE;
+  return ((p.z > view.near) & (eigenvalue < LARGEST_SIZE)) ? eigenvalue : LARGEST_SIZE;
 }
 
 // The same where the size is that of the extent: its radius on the image, px.
 SPLATREE_FN float size_of_extent(const SelectRule& rule, const Point& p, float extent) {
   const float distance = __builtin_sqrtf(p.dx * p.dx + p.dy * p.dy + p.dz * p.dz) - rule.ball * extent;
   const float radius = rule.focal_max * extent / distance;
-  return (distance > 0) & (radius < LARGEST_SIZE) ? radius : LARGEST_SIZE;
+  return ((distance > 0) & (radius < LARGEST_SIZE)) ? radius : LARGEST_SIZE;
 }
 
 enum Answer { NO, YES, OPEN };
