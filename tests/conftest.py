@@ -68,3 +68,12 @@ def at_hand(device: Device, monkeypatch: pytest.MonkeyPatch) -> Device:
     monkeypatch.setattr(cuda_device, "open_device", lambda ordinal: device)
     monkeypatch.setattr(cuda_device, "Renderer", partial(Renderer, rows=256, pairs=1024))
     return device
+
+
+@pytest.fixture
+def bucket() -> Iterator[str]:
+    """The address of an empty folder of the store that fsspec keeps in memory."""
+    files = pytest.importorskip("fsspec").filesystem("memory")
+    yield "memory://bucket"
+    files.store.clear()
+    files.pseudo_dirs[:] = [""]

@@ -19,15 +19,6 @@ from ..scenes import random_gaussians
 SUFFIXES = (".ply", ".compressed.ply", ".spz", ".splat", ".sog", ".ksplat", ".glb", ".rad", ".splatree", ".hier")
 
 
-@pytest.fixture
-def bucket():
-    """The address of an empty folder of the store that fsspec keeps in memory."""
-    files = fsspec.filesystem("memory")
-    yield "memory://bucket"
-    files.store.clear()
-    files.pseudo_dirs[:] = [""]
-
-
 @pytest.fixture(scope="module")
 def scene():
     return st.build_lod(st.Scene.flat(random_gaussians(3000, degree=1)), st.BuildOptions(method="radius", follow=False))

@@ -59,17 +59,16 @@ def test_more_roots_than_the_budget_is_an_error():
         meet_budget_from(surface(1e4, num_roots=500), 100, (1.0, 0.0), 5.0, CAMERA)
 
 
-def test_select_begins_at_the_last_view():
-    rng = np.random.default_rng(3)
+def cube(seed: int) -> Scene:
+    """3,000 small Gaussians anywhere in a cube."""
     n = 3000
-    flat = Gaussians(
-        rng.uniform(-1, 1, (n, 3)).astype(np.float32),
-        np.tile(np.float32([1, 0, 0, 0]), (n, 1)),
-        np.full((n, 3), -4, np.float32),
-        np.zeros(n, np.float32),
-        np.zeros((n, 1, 3), np.float32),
-    )
-    scene = build_lod(Scene.flat(flat))
+    means = np.random.default_rng(seed).uniform(-1, 1, (n, 3)).astype(np.float32)
+    quats, log_scales = np.tile(np.float32([1, 0, 0, 0]), (n, 1)), np.full((n, 3), -4, np.float32)
+    return Scene.flat(Gaussians(means, quats, log_scales, np.zeros(n, np.float32), np.zeros((n, 1, 3), np.float32)))
+
+
+def test_select_begins_at_the_last_view():
+    scene = build_lod(cube(seed=3))
     options = SelectOptions(pixel_error=1.0, budget=400)
     alone = select(scene, CAMERA, options)
     for last in (alone.pixel_error, 0.5 * alone.pixel_error, 3 * alone.pixel_error, np.inf):
@@ -152,16 +151,7 @@ def test_nodes_of_one_size_are_exchanged_together():
 
 
 def test_a_budget_is_filled_and_its_cut_is_the_cut_of_its_pixel_error():
-    rng = np.random.default_rng(5)
-    n = 3000
-    flat = Gaussians(
-        rng.uniform(-1, 1, (n, 3)).astype(np.float32),
-        np.tile(np.float32([1, 0, 0, 0]), (n, 1)),
-        np.full((n, 3), -4, np.float32),
-        np.zeros(n, np.float32),
-        np.zeros((n, 1, 3), np.float32),
-    )
-    scene = build_lod(Scene.flat(flat))
+    scene = build_lod(cube(seed=5))
     for budget in (100, 300, 700):
         met = select(scene, CAMERA, SelectOptions(pixel_error=1.0, budget=budget))
         alone = select(scene, CAMERA, SelectOptions(pixel_error=met.pixel_error))

@@ -11,14 +11,6 @@ from ..ranged_server import served
 from .conftest import small_pages
 
 
-@pytest.fixture
-def bucket():
-    files = fsspec.filesystem("memory")
-    yield "memory://bucket"
-    files.store.clear()
-    files.pseudo_dirs[:] = [""]
-
-
 @pytest.fixture(scope="module")
 def folder(ply, tmp_path_factory):
     """A folder of a few parts and pages: a request to a server takes longer than a page of this machine."""

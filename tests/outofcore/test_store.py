@@ -210,7 +210,7 @@ def test_any_rows_are_drawn_as_from_the_whole_tree(folder, scene):
     with st.open_store(folder) as store:
         for count in (0, 1, 40, 2000):
             rows = np.sort(rng.choice(len(scene), count, replace=False)).astype(np.int32)
-            np.testing.assert_array_equal(store.depths(store.located(rows)), scene.tree.depth[rows])
+            np.testing.assert_array_equal(store.depths(store.find(rows)), scene.tree.depth[rows])
 
             def chosen(view, *, threads=0, rows=rows):
                 return st.Selection(rows, "cut", "sphere", 0.0, len(rows))

@@ -14,7 +14,7 @@ from splatree.outofcore.page import Page
 from splatree.outofcore.paging import Cut
 from splatree.shapes import Array, Int32, Int64
 
-__all__ = ["crown_rows", "located"]
+__all__ = ["crown_rows", "find_rows"]
 
 
 def crown_rows(index: StoreIndex, rows: Int32[Array, "v"]) -> Int64[Array, "v"]:
@@ -23,7 +23,7 @@ def crown_rows(index: StoreIndex, rows: Int32[Array, "v"]) -> Int64[Array, "v"]:
     return np.searchsorted(index.whole_rows, rows, side="right") - 1
 
 
-def located(index: StoreIndex, crown: StoredScene, page_of: Callable[[int], Page], rows: Int32[Array, "v"]) -> Cut:
+def find_rows(index: StoreIndex, crown: StoredScene, page_of: Callable[[int], Page], rows: Int32[Array, "v"]) -> Cut:
     """The page of each row of the whole tree, and its place there.
 
     Args:

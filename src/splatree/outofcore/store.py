@@ -20,7 +20,7 @@ from splatree.io.check import checked_rows
 from splatree.io.formats.splatree.rows import StoredScene
 from splatree.lod.select import for_levels, notes_on, within_budget
 from splatree.outofcore.index import StoreIndex
-from splatree.outofcore.locate import crown_rows, located
+from splatree.outofcore.locate import crown_rows, find_rows
 from splatree.outofcore.page import Page, load_page
 from splatree.outofcore.pages import row_bytes_of
 from splatree.outofcore.paging import Cut, cut_at
@@ -225,13 +225,13 @@ class Store:
         merged = np.uint32(self.index.largest_id + 1) + rows.astype(np.uint32)
         return np.where(page.tree.is_leaf[places], own, merged)
 
-    def located(self, rows: Int32[Array, "v"]) -> Cut:
+    def find(self, rows: Int32[Array, "v"]) -> Cut:
         """The pages of rows of the whole tree, ascending.
 
         Raises:
             FormatError: a page that is needed for it is damaged.
         """
-        return located(self.index, self._files[0], self.page, rows)
+        return find_rows(self.index, self._files[0], self.page, rows)
 
     def depths(self, cut: Cut) -> UInt8[Array, "v"]:
         """The depth of each row in the whole tree."""

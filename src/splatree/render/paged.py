@@ -87,7 +87,7 @@ class PagedEngine:
     def _cut(self, view: View, select: SelectOptions | Selector, *, last: float | None = None) -> tuple[Selection, Cut]:
         if not isinstance(select, SelectOptions):
             selection = select(view, threads=self._threads)
-            return selection, self.store.located(selection.rows)
+            return selection, self.store.find(selection.rows)
         if select.quality is not None:
             point_px = smallest_radius(select.resolved_profile, view.dilation_px2)
             select = self._gauge.settled(select, view, point_px=point_px, last=last)

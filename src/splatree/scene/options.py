@@ -38,8 +38,7 @@ class SelectOptions:
     """Largest number of nodes to draw; pixel_error is raised until the nodes in view fit. None: no limit."""
     quality: float | None = None
     """PSNR against all leaves that a view shall have, dB, in place of a pixel error: 30 is rough, 40 hard to tell from all
-    leaves. It is measured in the view, which takes as long as drawing it once or twice. A budget goes before it. None: by
-    pixel_error."""
+    leaves. Measuring it takes one to four times as long as drawing all leaves. A budget goes before it. None: by pixel_error."""
     rule: Rule = "cut"
     """Rule of the selection: `cut` is exact and draws nothing twice; the others reproduce published methods."""
     profile: Profile | None = None

@@ -103,7 +103,7 @@ class OnDisk(Shown):
 
     def parts(self, rows: Int32[Array, "v"]) -> Iterator[Part]:
         """A part a page."""
-        cut = self.store.located(rows)
+        cut = self.store.find(rows)
         for number, of_page in cut.by_page():
             places = cut.places[of_page]
             page = self.store.page_to_draw(number, places)
@@ -111,13 +111,13 @@ class OnDisk(Shown):
 
     def depths(self, rows: Int32[Array, "v"]) -> UInt8[Array, "v"]:
         """Their depth in the tree."""
-        return self.store.depths(self.store.located(rows))
+        return self.store.depths(self.store.find(rows))
 
     def boxes(self, kind: BoxKind, rows: Int32[Array, "v"], most: int) -> Float64[Array, "b 2 3"]:
         """Boxes of the pages, in place of blocks; a store has no others."""
         if kind != "blocks":
             return np.zeros((0, 2, 3))
-        found = np.unique(self.store.located(rows).pages)
+        found = np.unique(self.store.find(rows).pages)
         found, table = found[:: max(1, -(-len(found) // most))], self.store.index.table
         return np.stack([table.lower[found], table.upper[found]], axis=1).astype(np.float64)
 
