@@ -46,6 +46,9 @@ CHECKED = 15_000
 WORTH_A_WORD_DB = 3.0
 """Levels by a radius that are so much worse than by pairs are not written without a word."""
 
+WORTH_A_WORD_BYTES = 1 << 16
+"""Of smaller files nobody asks why they are larger than the input: heads and names are then a part of it, too."""
+
 STEPS = {"radii": "radius", "pixel_sizes": "pixel"}
 """What each level was made by, in the record of the levels and in the table."""
 
@@ -224,7 +227,7 @@ def _in_memory(command: Command) -> list[str]:
 
 def _growth(scene: Scene, output: Path, num_bytes: int, input_bytes: int) -> str | None:
     """How much larger the file is than what was read, and the form that is more compact, if there is one."""
-    if not 0 < input_bytes < num_bytes:
+    if not 0 < input_bytes < num_bytes or num_bytes < WORTH_A_WORD_BYTES:
         return None
     larger = f"{num_bytes / input_bytes:.1f} times the {size(input_bytes)} of the input, {size(num_bytes - input_bytes)} more"
     estimate = estimated_compact_bytes(scene.tree.num_leaves, len(scene), scene.gaussians.sh_degree)

@@ -1,6 +1,7 @@
 """``splatree eval``: what the levels of detail cost in quality and save in work."""
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -151,7 +152,7 @@ class Evaluated:
     """Frames along a path; None if none were asked for."""
     mean: dict[str, float | None]
     """Mean of each number over the held-out views, or all views where there are no photographs; means against photographs are
-    over the views that have one."""
+    over the views that have one, those of a PSNR over the views whose pictures differ."""
     training_mean: dict[str, float | None]
     """The same over the training views, if they were drawn."""
     views: tuple[View, ...]
@@ -350,11 +351,12 @@ def row_of(view: View, *, verbose: bool = True) -> dict[str, object]:
 
 
 def _means(views: Sequence[View]) -> dict[str, float | None]:
-    """Means over the views that have a number: one without a photograph has none to it."""
+    """Means over the views that have a number: one without a photograph has none to it, and an infinite PSNR, that of equal
+    pictures, would hide all others."""
     means: dict[str, float | None] = {}
     for field in fields(View):
         values = [getattr(view, field.name) for view in views]
         numbers = [float(value) for value in values if isinstance(value, int | float) and not isinstance(value, bool)]
         if numbers:
-            means[field.name] = float(np.mean(numbers))
+            means[field.name] = float(np.mean([x for x in numbers if math.isfinite(x)] or numbers))
     return means

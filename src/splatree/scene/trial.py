@@ -35,11 +35,13 @@ class MethodTrial:
 
     @property
     def better(self) -> Method:
-        """The method of the better pictures; `pairs` if both are equal."""
-        return "radius" if self.radius_db > self.pairs_db else "pairs"
+        """The method of the better pictures; `pairs` if both are equal, `radius` if no picture told them apart."""
+        return "radius" if self.radius_db > self.pairs_db or not self.num_pictures else "pairs"
 
     def in_words(self) -> str:
         """Both figures, and where they are from."""
+        if not self.num_pictures:
+            return f"no picture of {self.num_gaussians:,} Gaussians told the methods apart"
         return (
             f"at equal nodes, pairs {self.pairs_db:.1f} dB, radius {self.radius_db:.1f} dB against all leaves "
             f"({self.num_pictures} pictures each of {self.num_gaussians:,} Gaussians)"
