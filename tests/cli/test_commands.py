@@ -16,9 +16,9 @@ from splatree.io.options import WriteOptions
 from splatree.io.reading import read
 from splatree.io.writing import write
 from splatree.render.calibration import METADATA_KEY
-from splatree.render.paths import PathOptions, flyout
+from splatree.render.paths import PathOptions, flyout, orbit
 from splatree.render.pipeline import render
-from splatree.scene.cameras import Camera
+from splatree.scene.cameras import Camera, Cameras
 from splatree.scene.options import SelectOptions
 from splatree.scene.scene import Scene
 
@@ -240,6 +240,18 @@ def test_eval_of_equal_pictures_is_null_in_json(splatree, small_ply):
     assert evaluated["timing"] is None
     assert evaluated["views"][0]["psnr_vs_leaves"] is None
     assert evaluated["views"][0]["ssim_vs_leaves"] == pytest.approx(1)
+
+
+def test_the_mean_of_a_psnr_is_that_of_the_pictures_that_differ(splatree, small_tree, tmp_path):
+    near, far = cameras = list(orbit(read(small_tree), PathOptions(views=2, width=96, height=64)))
+    away = near.camera_from_world.copy()
+    away[:3] *= np.array([[-1], [1], [-1]])  # turned about: nothing is in view
+    write_cameras(Cameras((replace(near, camera_from_world=away), far)), tmp_path / "cameras.json")
+    words = ("--cameras", tmp_path / "cameras.json", "--pixel-error", "20", "--frames", "0", "--json")
+    evaluated = result_of(splatree("eval", small_tree, *words))
+    equal, other = (view["psnr_vs_leaves"] for view in evaluated["views"])
+    assert equal is None and len(cameras) == 2
+    assert evaluated["mean"]["psnr_vs_leaves"] == pytest.approx(other)
 
 
 def test_eval_finds_the_photographs_and_the_cameras_beside_them(splatree, small_tree, tmp_path):

@@ -83,6 +83,16 @@ def test_the_words_end_with_the_next_command(splatree, small_ply, small_tree):
     assert out.splitlines()[-1] == f"next: splatree render {small_tree} -o pictures"
 
 
+def test_the_next_command_never_names_a_file_that_is_there(splatree, small_scene, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write(small_scene, tmp_path / "flat.splatree")
+    _, out, _ = splatree("info", "flat.splatree")
+    assert out.splitlines()[-1] == "next: splatree build flat.splatree flat_levels.splatree"
+    write(Scene.flat(small_scene.gaussians.take(np.arange(1))), tmp_path / "one.ply")
+    _, out, _ = splatree("info", "one.ply")
+    assert out.splitlines()[-1] == "next: splatree render one.ply -o pictures"
+
+
 def test_the_vertical_that_a_file_states_is_told(small_scene):
     stated = replace(small_scene.source, metadata={"comments": json.dumps(["Vertical axis: +z"])})
     info = describe(outline_of(replace(small_scene, source=stated)))

@@ -169,10 +169,18 @@ def test_text_and_big_endian_files_give_the_same_bits(tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda t: t[: len(t) // 2], "wanted at least .* cut off|wanted 23"),
-        (lambda t: t.replace("vertex 9", "vertex 999999999999"), "wanted at least .* cut off"),
-        (lambda t: t.replace("vertex 9", "vertex 10"), "cannot be read to its end|wanted at least"),
-        (lambda t: t[: t.rindex(" ")] + " x\n", "could not convert .* wanted numbers"),
+        (lambda t: t[: len(t) // 2], "lines of vertices, wanted 9; the file is cut off"),
+        (lambda t: t.replace("vertex 9", "vertex 999999999999"), "found 9 lines of vertices, wanted 999999999999"),
+        (lambda t: t.replace("vertex 9", "vertex 10"), "found 9 lines of vertices, wanted 10; .* the 9 whole ones"),
+        (lambda t: t.replace("vertex 9", "vertex 8"), "found 1 lines more than its header announces"),
+        (
+            lambda t: t.replace("vertex 9", "vertex 8").replace(
+                "end_header", "element face 2\nproperty int i\nend_header"
+            ),
+            "found 1 lines less than its header announces",
+        ),
+        (lambda t: t[: t.rindex(" ")] + " 1,5\n", "vertex 8: found rot_3 '1,5', wanted a number"),
+        (lambda t: t[:-1] + "1" * 3_000_000, "found a line of more than"),
         (lambda t: t[: t.rindex(" ")] + "\n", "vertex 8: found 22 values, wanted 23"),
         (lambda t: t[: t.rindex(" ")] + " nan\n", r"row 8, quats: found .*nan"),
         (lambda t: t[: t.rindex(" ")] + " 1e300\n", r"row 8, quats: found .*inf"),
@@ -189,6 +197,29 @@ def test_text_that_is_no_table_of_numbers_is_refused(tmp_path, change, message):
     (tmp_path / "a.ply").write_text(change(head + mark + body))
     with pytest.raises(FormatError, match=message):
         splatree.read(tmp_path / "a.ply")
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r", "\n\n", "\r\r\n", " \n"])
+def test_lines_of_text_may_end_in_any_way_and_empty_ones_do_not_count(tmp_path, end):
+    g = random_gaussians(5000, 0)
+    splatree.write(Scene.flat(g), tmp_path / "a.ply")
+    (tmp_path / "b.ply").write_bytes(text_of(tmp_path / "a.ply").replace("\n", end).encode())
+    back = splatree.read(tmp_path / "b.ply").gaussians
+    assert all(same_bits(getattr(g, c), getattr(back, c)) for c in COLUMNS)
+    chunks = ply.read_chunks(tmp_path / "b.ply", ReadOptions())
+    assert same_bits(np.concatenate([chunk.means.copy() for chunk in chunks]), g.means)
+
+
+@pytest.mark.parametrize(("kept", "whole"), [(1.0, 9), (0.9999, 8), (0.7, None)])
+def test_the_whole_rows_of_a_text_that_was_cut_off_are_read_with_repair(tmp_path, kept, whole):
+    g = random_gaussians(9, 1)
+    splatree.write(Scene.flat(g), tmp_path / "a.ply")
+    text = text_of(tmp_path / "a.ply").replace("vertex 9", "vertex 10")
+    (tmp_path / "a.ply").write_text(text[: int(len(text) * kept)])
+    scene = splatree.read(tmp_path / "a.ply", repair=True)
+    assert 0 < len(scene) < 10 and whole in (len(scene), None)
+    assert same_bits(scene.gaussians.quats, g.quats[: len(scene)])
+    assert json.loads(scene.source.metadata["repairs"]) == {"missing_rows": 10 - len(scene)}
 
 
 def test_harmonics_of_degree_4_are_cut_and_named(tmp_path):

@@ -2,6 +2,7 @@
 
 import json
 import math
+from functools import partial
 
 import numpy as np
 import pytest
@@ -75,10 +76,16 @@ def test_where_no_cut_is_as_bad_or_as_good_the_ends_are_taken(psnr, found):
     assert pixel_error_for(lambda tau: psnr, 30, point_px=POINT_PX) == pytest.approx(found)
 
 
+def falls_at(step, tau):
+    return 100.0 if size_of(tau) < step else 20.0
+
+
 def test_a_picture_that_gets_worse_at_once_is_searched_until_the_step_is_found():
-    """One node makes all the difference at 3 px: the search ends below it, and does not go on for ever."""
-    found = pixel_error_for(lambda tau: 100.0 if size_of(tau) < 3 else 20.0, 40, point_px=POINT_PX)
-    assert 2.8 < size_of(found) < 3.2
+    """One node makes all the difference at some size: the search ends below it, and does not go on for ever."""
+    for step in (2.9, 3.0, 3.1):
+        for quality in (30, 40, 95):
+            found = pixel_error_for(partial(falls_at, step), quality, point_px=POINT_PX)
+            assert 0.93 * step < size_of(found) < step
 
 
 def test_what_was_measured_of_a_view_is_not_measured_again():

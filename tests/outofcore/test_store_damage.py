@@ -51,6 +51,27 @@ def test_no_flipped_bit_changes_the_picture(tmp_path_factory, folder, scene, nam
     shutil.rmtree(path)
 
 
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (None, "manifest.json: not found, but .* holds parts of a scene"),
+        ("", "manifest.json: (not valid JSON|is empty|found)"),
+        ("[]", "manifest.json: found a list, wanted an object"),
+        ("[" * 100_000, "manifest.json: not valid JSON"),
+        ('{"format": "other"}', "manifest.json: found format 'other'"),
+    ],
+)
+def test_the_crown_never_passes_for_the_scene(copy, text, message):
+    """Without the pages' index nothing else in the folder would be refused."""
+    (copy / "pages.index").unlink()
+    (copy / "manifest.json").unlink()
+    if text is not None:
+        (copy / "manifest.json").write_text(text)
+    for use in (st.read, st.check, st.open_store):
+        with pytest.raises(st.FormatError, match=message):
+            use(copy)
+
+
 def test_a_damaged_page_is_named(copy):
     flip(copy / "parts" / "00001.splatree", -100)  # the last columns: ids, depths
     damaged = pytest.raises(st.FormatError, match=r"00001\.splatree: rows \d+ to \d+: found checksum")

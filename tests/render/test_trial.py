@@ -167,3 +167,13 @@ def test_the_better_method_is_that_of_more_decibels():
     assert replace(trial, radius_db=25.0).better == "radius"
     assert "pairs 24.0 dB, radius 20.5 dB against all leaves (4" in trial.in_words()
     assert "leaves, in one picture -7.2 dB by a radius (4" in replace(trial, radius_loss_db=7.21).in_words()
+
+
+def test_where_no_picture_tells_the_methods_apart_levels_are_by_a_radius():
+    """5,000 equal Gaussians: by pairs they would hardly merge, and no view could draw as few nodes as is tried."""
+    one = surface(1)
+    equal = st.Scene.flat(one.take(np.zeros(5000, int)))
+    built = st.build_lod(equal)
+    assert (built.tree.record.trial.num_pictures, built.tree.record.trial.better) == (0, "radius")
+    assert (built.tree.depth == 0).sum() == 1
+    assert "no picture of 5,000 Gaussians" in built.tree.record.trial.in_words()

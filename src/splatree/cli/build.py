@@ -41,11 +41,14 @@ from splatree.train.refine import refine
 from splatree.train.refine_options import RefineOptions
 
 CHECKED_FAST = 15_000
-"""Gaussians on which levels by a radius are checked with --fast, in 0.6 CPU-seconds in place of 1.4. One of seven scenes that lose
-9 dB and more went without a word."""
+"""Gaussians on which levels by a radius are checked with --fast, in 0.6 CPU-seconds in place of 1.4. One of seven scenes that
+lose 9 dB and more went without a word."""
 
 WORTH_A_WORD_DB = 6.0
 """Levels by a radius that lose so much to pairs, at equal nodes in one picture, are not written without a word."""
+
+WORTH_A_WORD_BYTES = 1 << 16
+"""Of smaller files nobody asks why they are larger than the input: heads and names are then a part of it, too."""
 
 STEPS = {"radii": "radius", "pixel_sizes": "pixel"}
 """What each level was made by, in the record of the levels and in the table."""
@@ -225,7 +228,7 @@ def _in_memory(command: Command) -> list[str]:
 
 def _growth(scene: Scene, output: Path, num_bytes: int, input_bytes: int) -> str | None:
     """How much larger the file is than what was read, and the form that is more compact, if there is one."""
-    if not 0 < input_bytes < num_bytes:
+    if not 0 < input_bytes < num_bytes or num_bytes < WORTH_A_WORD_BYTES:
         return None
     larger = f"{num_bytes / input_bytes:.1f} times the {size(input_bytes)} of the input, {size(num_bytes - input_bytes)} more"
     estimate = estimated_compact_bytes(scene.tree.num_leaves, len(scene), scene.gaussians.sh_degree)
@@ -253,7 +256,9 @@ def _with_levels(command: Command, inputs: Sequence[Path]) -> tuple[Scene, tuple
         return scene, ()
     options = replace(command.options, method="radius", visibility=False) if command.fast else command.options
     built = build_lod(scene, options)
-    return built, _checked(built, options, CHECKED_FAST if command.fast else SAMPLE) if options.only_method == "radius" else ()
+    return built, _checked(
+        built, options, CHECKED_FAST if command.fast else SAMPLE
+    ) if options.only_method == "radius" else ()
 
 
 def _checked(scene: Scene, options: BuildOptions, most: int) -> tuple[str, ...]:

@@ -105,7 +105,7 @@ class Evaluated:
     """Frames along a path; None if none were asked for."""
     mean: dict[str, float | None]
     """Mean of each number over the held-out views, or all views where there are no photographs; means against photographs are
-    over the views that have one."""
+    over the views that have one, those of a PSNR over the views whose pictures differ."""
     training_mean: dict[str, float | None]
     """The same over the training views, if they were drawn."""
     views: tuple[View, ...]

@@ -1,5 +1,6 @@
 """The numbers of one view of ``splatree eval``, their line in its table, and their means."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
@@ -103,11 +104,12 @@ def row_of(view: View, *, verbose: bool = True) -> dict[str, object]:
 
 
 def means_of(views: Sequence[View]) -> dict[str, float | None]:
-    """Means over the views that have a number: one without a photograph has none to it."""
+    """Means over the views that have a number: one without a photograph has none to it, and an infinite PSNR, that of equal
+    pictures, would hide all others."""
     means: dict[str, float | None] = {}
     for field in fields(View):
         values = [getattr(view, field.name) for view in views]
         numbers = [float(value) for value in values if isinstance(value, int | float) and not isinstance(value, bool)]
         if numbers:
-            means[field.name] = float(np.mean(numbers))
+            means[field.name] = float(np.mean([x for x in numbers if math.isfinite(x)] or numbers))
     return means

@@ -12,7 +12,7 @@ from splatree.cli.console import Console, UsageError, counted, size, table
 from splatree.cli.files import Reading, in_mode, lost_and_noted, read_scene, repairs_of, told
 from splatree.errors import InputError
 from splatree.io.cameras.files import read_cameras
-from splatree.io.formats.folder.manifest import MANIFEST, is_manifest
+from splatree.io.formats.folder.manifest import holds_parts
 from splatree.io.notes import origin_in_words
 from splatree.io.replacing import check_target, replacing
 from splatree.outofcore.mapped import mapped_whole
@@ -92,7 +92,7 @@ def run(command: Command) -> Result:
 @contextmanager
 def _scene(command: Command, inputs: tuple[Path, ...], output: Path) -> Iterator[Scene]:
     """The scene, read; or mapped, where it is a folder of parts."""
-    if len(inputs) == 1 and is_manifest(inputs[0] / MANIFEST):
+    if len(inputs) == 1 and holds_parts(inputs[0]):
         with mapped_whole(inputs[0], output) as scene:
             yield scene
     else:

@@ -18,7 +18,7 @@ from splatree.edit.edit import edit, edit_rows, move_from_options
 from splatree.edit.options import EditOptions
 from splatree.errors import InputError
 from splatree.io.chunks import Chunks
-from splatree.io.formats.folder.manifest import MANIFEST, folder_of, is_manifest
+from splatree.io.formats.folder.manifest import folder_of, holds_parts
 from splatree.io.formats.folder.whole import open_whole
 from splatree.io.formats.splatree.writer import create_scene
 from splatree.io.inputs import find_inputs
@@ -159,7 +159,7 @@ def _converted_from(found: Sequence[Path], target: Path, options: ConvertOptions
 def _is_kept_folder(path: Path, options: ConvertOptions) -> bool:
     """Whether a path is a folder of parts whose tree is kept as it is."""
     folder = folder_of(path)
-    if options.edit != EditOptions() or not is_manifest(folder / MANIFEST):
+    if options.edit != EditOptions() or not holds_parts(folder):
         return False
     return options.mode in (None, open_whole(folder, checked=False).head.mode)
 

@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from splatree.io.formats.folder.manifest import MANIFEST, is_manifest
+from splatree.io.formats.folder.manifest import holds_parts
 from splatree.io.formats.folder.whole import open_whole
 from splatree.io.formats.splatree.rows import StoredScene
 from splatree.io.inputs import find_inputs
@@ -102,7 +102,7 @@ def read_outline(paths: Sequence[Path], options: ReadOptions) -> Outline:
         found = find_inputs(local.paths, lambda path: detect(path) is not None)
         outline = None
         if options.level is None:
-            is_folder = len(found.paths) == 1 and is_manifest(found.paths[0] / MANIFEST)
+            is_folder = len(found.paths) == 1 and holds_parts(found.paths[0])
             outline = _of_folder(found.paths[0]) if is_folder else _in_chunks(found.paths, options)
         if outline is None:
             outline = outline_of(

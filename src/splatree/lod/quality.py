@@ -52,10 +52,10 @@ NEAR_DB: Final = 0.5
 """A cut whose quality is within this of what is asked for is the last that is tried: the typical fall says the rest."""
 
 NARROW_DB: Final = 6.0
-"""Two cuts that enclose the quality and differ by less are interpolated between …"""
+"""Two cuts that enclose the quality and differ by less are interpolated between."""
 
 NARROW_STEPS: Final = 1 / 8
-"""… and so are two of nearly one size: a single node then makes the difference."""
+"""Of two of nearly one size that differ by more, the finer one is taken: a single node then makes the difference."""
 
 BEST_DB: Final = 100.0
 """Better pictures count as that."""
@@ -162,8 +162,10 @@ def pixel_error_for(
             continue
         width, drop = coarse[0] - fine[0], fine[1] - coarse[1]
         between = fine[0] + fine[1] / drop * width
-        if drop <= NARROW_DB or width <= NARROW_STEPS:
+        if drop <= NARROW_DB:
             return pixel_error_of(between)
+        if width <= NARROW_STEPS:
+            return pixel_error_of(fine[0])
         step = min(max(between, fine[0] + width / 4), coarse[0] - width / 4)
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from splatree.errors import FormatError
-from splatree.io.formats.folder.manifest import MANIFEST, is_manifest, read_manifest
+from splatree.io.formats.folder.manifest import MANIFEST, holds_parts, read_manifest
 from splatree.io.formats.folder.whole import open_whole
 from splatree.io.formats.splatree.fields import column_types
 from splatree.io.formats.splatree.format import is_compact
@@ -88,7 +88,7 @@ def check(
 def _checked(path: Path, options: ReadOptions) -> Checked:
     found = detect(path)
     name, num_bytes = "" if found is None else found.name, stored_bytes(path)
-    if is_manifest(path / MANIFEST):
+    if holds_parts(path):
         return Checked(str(path), name, *_folder(path), num_bytes, True)
     if name == "splatree" and not is_compact(path) and _has_rows_alone(stored := open_scene(path)):
         pages = _pages(stored)

@@ -4,7 +4,7 @@ import os
 from pathlib import Path
 
 from splatree.errors import FormatError, InputError
-from splatree.io.formats.folder.manifest import MANIFEST, Manifest, checked_path, folder_of, is_manifest, read_manifest
+from splatree.io.formats.folder.manifest import MANIFEST, Manifest, checked_path, folder_of, holds_parts, read_manifest
 from splatree.io.formats.splatree.rows import StoredScene, open_scene
 from splatree.io.memory import bytes_of, free_bytes
 from splatree.io.objects import located
@@ -39,7 +39,7 @@ def open_store(path: str | os.PathLike[str], *, max_memory: str | None = None) -
     """
     path = folder_of(located(path))
     max_bytes = free_bytes() // 2 if max_memory is None else bytes_of(max_memory)
-    if not is_manifest(path / MANIFEST):
+    if not holds_parts(path):
         if path.is_dir():
             raise InputError(
                 f"{path}: found a folder without such a {MANIFEST}, wanted one that splatree build --max-memory made"

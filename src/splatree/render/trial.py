@@ -110,7 +110,9 @@ def try_both(sample: Scene, options: BuildOptions, *, threads: int = 0) -> Tried
         pairs_db=means["pairs"],
         num_gaussians=len(sample),
         num_pictures=len(psnrs["pairs"]),
-        radius_loss_db=max((pairs - radius for radius, pairs in zip(psnrs["radius"], psnrs["pairs"], strict=True)), default=0.0),
+        radius_loss_db=max(
+            (pairs - radius for radius, pairs in zip(psnrs["radius"], psnrs["pairs"], strict=True)), default=0.0
+        ),
     )
     return Tried(trial, trees)
 

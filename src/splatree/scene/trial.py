@@ -27,8 +27,8 @@ class MethodTrial:
     num_pictures: int
     """Pictures that each mean is taken over; 0: no picture told the methods apart."""
     radius_loss_db: float | None = None
-    """By how much the cut by a radius is worse than that by pairs in the picture where it loses most, dB; negative: it is better in
-    each. None: a file from before this was kept."""
+    """By how much the cut by a radius is worse than that by pairs in the picture where it loses most, dB; negative: it is
+    better in each. None: a file from before this was kept."""
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -38,15 +38,19 @@ class MethodTrial:
                     continue
                 least = -1e3
             if isinstance(value, bool) or not isinstance(value, int | float) or not least <= value < 1e12:
-                raise InputError(f"MethodTrial.{field.name}: found {value!r}, wanted a finite number, {least:g} or more")
+                raise InputError(
+                    f"MethodTrial.{field.name}: found {value!r}, wanted a finite number, {least:g} or more"
+                )
 
     @property
     def better(self) -> Method:
-        """The method of the better pictures; `pairs` if both are equal."""
-        return "radius" if self.radius_db > self.pairs_db else "pairs"
+        """The method of the better pictures; `pairs` if both are equal, `radius` if no picture told them apart."""
+        return "radius" if self.radius_db > self.pairs_db or not self.num_pictures else "pairs"
 
     def in_words(self) -> str:
         """Both figures, and where they are from."""
+        if not self.num_pictures:
+            return f"no picture of {self.num_gaussians:,} Gaussians told the methods apart"
         worst = "" if self.radius_loss_db is None else f", in one picture {-self.radius_loss_db:+.1f} dB by a radius"
         return (
             f"at equal nodes, pairs {self.pairs_db:.1f} dB, radius {self.radius_db:.1f} dB against all leaves{worst} "

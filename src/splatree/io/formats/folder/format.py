@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from splatree.io.chunks import Chunks
-from splatree.io.formats.folder.manifest import MANIFEST, folder_of, is_manifest, read_manifest
+from splatree.io.formats.folder.manifest import MANIFEST, folder_of, holds_parts, is_manifest, read_manifest
 from splatree.io.formats.folder.whole import open_whole
 from splatree.io.options import ReadOptions
 from splatree.kernels.cpu.frame.blocks import index_blocks
@@ -17,8 +17,8 @@ from splatree.scene.scene import Scene
 
 
 def sniff(path: Path, head: bytes) -> bool:
-    """Whether the path is a folder with such a manifest, or the manifest; servers of https do not tell folders."""
-    return (not path.is_file() and is_manifest(path / MANIFEST)) or (path.name == MANIFEST and is_manifest(path))
+    """Whether the path is a scene in parts, or its manifest; servers of https do not tell folders."""
+    return path.name == MANIFEST and is_manifest(path) if path.is_file() else holds_parts(path)
 
 
 def files(path: Path) -> list[Path]:

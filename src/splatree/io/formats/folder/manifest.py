@@ -19,6 +19,7 @@ __all__ = [
     "StoredFile",
     "digest_of",
     "folder_of",
+    "holds_parts",
     "is_manifest",
     "read_manifest",
     "stored_file",
@@ -90,6 +91,16 @@ def is_manifest(path: Path) -> bool:
         return False
 
 
+def holds_parts(folder: Path) -> bool:
+    """Whether a folder is a scene in parts, or what is left of one.
+
+    A crown and parts are one whatever the manifest says: the crown alone would pass for a scene.
+    """
+    return is_manifest(folder / MANIFEST) or (
+        folder.is_dir() and any(folder.glob("crown*.splatree")) and any(folder.glob("parts/*.splatree"))
+    )
+
+
 def read_manifest(folder: Path) -> Manifest:
     """Read and check the manifest of a folder; the files themselves are not read.
 
@@ -99,6 +110,10 @@ def read_manifest(folder: Path) -> Manifest:
     """
     path = folder / MANIFEST
     where = str(path)
+    if not path.is_file():
+        raise FormatError(
+            f"{where}: not found, but {folder} holds parts of a scene: its build or its copy is not whole; build or copy it again"
+        )
     fields = untrusted.as_object(untrusted.read_json(path), where)
     if untrusted.text(fields, "format", where) != KIND:
         raise FormatError(f"{where}: found format {fields['format']!r}, wanted {KIND!r}")

@@ -41,7 +41,7 @@ def read(path: Path, options: ReadOptions) -> Scene:
     ply = open_vertices(path, options)
     columns = ply.buffers(ply.num_rows)
     with path.open("rb") as file, task(f"read {path.name}", ply.num_rows) as advance:
-        magnitudes = ply.fill(file, 0, columns)
+        magnitudes = ply.fill(file, ply.lines(file), 0, columns)
         advance(ply.num_rows)
     source = Source(metadata=ply.metadata, origin=ply.origin)
     scene = Scene.flat(gaussians_of(columns), mode=ply.header.mode, source=source)
@@ -55,9 +55,10 @@ def read_chunks(path: Path, options: ReadOptions) -> Chunks:
     def parts() -> Iterator[tuple[Gaussians, dict[str, int]]]:
         buffers = ply.buffers(min(ROWS_PER_CHUNK, ply.num_rows))
         with path.open("rb") as file:
+            lines = ply.lines(file)
             for begin in range(0, ply.num_rows, ROWS_PER_CHUNK):
                 columns = [buffer[: ply.num_rows - begin] for buffer in buffers]
-                magnitudes = ply.fill(file, begin, columns)
+                magnitudes = ply.fill(file, lines, begin, columns)
                 yield checked_rows(
                     gaussians_of(columns), str(path), repair=options.repair, magnitudes=magnitudes, first_row=begin
                 )

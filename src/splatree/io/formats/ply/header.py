@@ -69,6 +69,8 @@ class Header:
     """Byte of the first element."""
     lines_before: int
     """Lines of a text file between there and the first vertex: the elements before it."""
+    lines_after: int
+    """Lines of a text file behind the last vertex: the elements after it."""
     count: int
     """Vertices announced."""
     dtype: np.dtype[np.void]
@@ -113,7 +115,7 @@ def parse_text(path: Path, head: bytes) -> Text:
     Raises:
         FormatError: the header is not whole or not of a .ply.
     """
-    match = re.search(rb"(?:^|\n)end_header[ \t]*\r?\n", head)
+    match = re.search(rb"(?:^|\n)end_header[ \t]*\r*\n", head)
     if not match and b"\n" not in head.partition(b"end_header")[0]:  # lines of old Macintoshes
         match = re.search(rb"(?:^|\r)end_header[ \t]*\r", head)
     if not match:
@@ -122,7 +124,7 @@ def parse_text(path: Path, head: bytes) -> Text:
         text = head[: match.start()].decode("utf-8")
     except UnicodeDecodeError:  # comments of older tools are in Latin-1
         text = head[: match.start()].decode("latin-1")
-    lines = [line.strip() for line in re.split(r"\r?\n|\r", text)]
+    lines = [line.strip() for line in re.split(r"\r*\n|\r", text)]
 
     encoding = next((line.split()[1] for line in lines if re.match(r"format\s+\S", line)), "missing")
     if encoding not in get_args(Encoding):
@@ -170,7 +172,8 @@ def parse_header(path: Path, head: bytes) -> Header:
     return Header(
         encoding=text.encoding,
         start=text.num_bytes,
-        lines_before=sum(element.count for element in before),
+        lines_before=_num_lines(before),
+        lines_after=_num_lines(after),
         count=vertices.count,
         dtype=np.dtype(vertices.properties),
         names=_by_usual_name(names),
@@ -181,6 +184,11 @@ def parse_header(path: Path, head: bytes) -> Header:
         are_surfels=text.are_surfels,
         comments=text.comments,
     )
+
+
+def _num_lines(elements: list[Element]) -> int:
+    """Lines of elements in a text; a row of nothing is an empty line, which does not count."""
+    return sum(element.count for element in elements if element.properties or element.lists)
 
 
 def _by_usual_name(names: list[str]) -> dict[str, str]:

@@ -6,6 +6,8 @@ coordinates of files in double precision that lie far from zero: they are taken 
 """
 
 import json
+import os
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
@@ -20,6 +22,7 @@ from splatree.io.formats.ply.filter3d import fuse_filter
 from splatree.io.formats.ply.header import HEADER_MAX, Header, parse_header
 from splatree.io.formats.ply.properties import DC, RGB, Fields, fields_of
 from splatree.io.formats.ply.skip import bytes_of
+from splatree.io.formats.ply.text import lines_of, records_of
 from splatree.io.objects import ObjectPath
 from splatree.io.options import ReadOptions
 from splatree.kernels.cpu.codec.columns import deinterleave
@@ -72,8 +75,14 @@ class Vertices:
         """Columns for so many rows, to be filled."""
         return [np.empty((rows, len(names)), np.float32) for names in self.fields.columns]
 
-    def fill(self, file: BinaryIO, begin: int, columns: list[Array]) -> Magnitudes:
-        """Read the rows from ``begin`` on into the columns; text must be read in order."""
+    def lines(self, file: BinaryIO) -> Iterator[bytes]:
+        """The lines of a text from the first vertex on; none of a binary file."""
+        if self.header.encoding != "ascii":
+            return iter(())
+        return islice(lines_of(self.path, file, self.start), self.header.lines_before, None)
+
+    def fill(self, file: BinaryIO, lines: Iterator[bytes], begin: int, columns: list[Array]) -> Magnitudes:
+        """Read the rows from ``begin`` on into the columns: of a text, the next ones of its ``lines``."""
         try:
             if self.header.encoding == "binary_little_endian" and not isinstance(self.path, ObjectPath):
                 start = self.start + begin * self.header.dtype.itemsize
@@ -83,7 +92,7 @@ class Vertices:
                     self._fill_means(_records(file, self.header, start, len(columns[0])), columns[0])
                     magnitudes = {}
             else:
-                self._fill_slowly(file, begin, columns)
+                self._fill_slowly(file, lines, begin, columns)
                 magnitudes = {}
         except EOFError as error:
             raise FormatError(f"{self.path}: cannot be read to its end ({error}); did it change meanwhile?") from error
@@ -107,14 +116,14 @@ class Vertices:
             for axis, name in enumerate(self.fields.columns[0]):
                 means[:, axis] = records[name].astype(np.float64) - self.origin[axis]
 
-    def _fill_slowly(self, file: BinaryIO, begin: int, columns: list[Array]) -> None:
+    def _fill_slowly(self, file: BinaryIO, lines: Iterator[bytes], begin: int, columns: list[Array]) -> None:
         num_rows, header = len(columns[0]), self.header
-        if begin == 0:
-            _to_first_row(file, self)
+        if header.encoding != "ascii":
+            file.seek(self.start + begin * header.dtype.itemsize)
         for first in range(0, num_rows, _ROWS_OF_TEXT):
             count = min(_ROWS_OF_TEXT, num_rows - first)
             if header.encoding == "ascii":
-                records = _records_of_text(self.path, list(islice(file, count)), header.dtype, begin + first)
+                records = records_of(self.path, list(islice(lines, count)), header.dtype, begin + first)
             else:
                 records = np.frombuffer(file.read(count * header.dtype.itemsize), header.dtype)
             if len(records) < count:
@@ -145,7 +154,7 @@ def open_vertices(path: Path, options: ReadOptions) -> Vertices:
         header = parse_header(path, file.read(HEADER_MAX))
         is_text = header.encoding == "ascii"
         start = header.start + (0 if is_text else bytes_of(file, header.start, header.before, path))
-        num_rows, repairs = _check_size(path, header, start, repair=bool(options.repair))
+        num_rows, repairs = _check_size(file, path, header, start, repair=bool(options.repair))
         fields = fields_of(path, header, ignore=options.ignore_properties)
         bare = Vertices(path, header, start, num_rows, fields, 1.0, NO_ORIGIN, {})
         color_max = 1.0 if DC[0] in header.names else _color_max(file, bare)
@@ -168,9 +177,8 @@ def _origin(file: BinaryIO, vertices: Vertices) -> Origin:
     if header.encoding != "ascii" and not any(kind.kind == "f" and kind.itemsize == 8 for kind in kinds):
         return NO_ORIGIN
     if header.encoding == "ascii":
-        _to_first_row(file, vertices)
-        lines = list(islice(file, min(_ROWS_OF_TEXT, vertices.num_rows)))
-        records = _records_of_text(vertices.path, lines, header.dtype, 0)
+        lines = list(islice(vertices.lines(file), min(_ROWS_OF_TEXT, vertices.num_rows)))
+        records = records_of(vertices.path, lines, header.dtype, 0)
     else:
         step = max(1, vertices.num_rows // _ROWS_OF_SAMPLE)
         records = _every(file, vertices, step)
@@ -203,13 +211,11 @@ def _color_max(file: BinaryIO, vertices: Vertices) -> float:
     kinds = [header.dtype[name] for name in names]
     if all(kind == np.uint8 for kind in kinds) or not vertices.num_rows:
         return 255.0
-    largest = 0.0
-    if header.encoding == "ascii":
-        _to_first_row(file, vertices)
+    largest, lines = 0.0, vertices.lines(file)
     for begin in range(0, vertices.num_rows, _ROWS_OF_SAMPLE):
         count = min(_ROWS_OF_SAMPLE, vertices.num_rows - begin)
         if header.encoding == "ascii":
-            records = _records_of_text(vertices.path, list(islice(file, count)), header.dtype, begin)
+            records = records_of(vertices.path, list(islice(lines, count)), header.dtype, begin)
         else:
             records = _records(file, header, vertices.start + begin * header.dtype.itemsize, count)
         largest = max(largest, *(float(np.nanmax(records[name].astype(np.float64), initial=0)) for name in names))
@@ -226,41 +232,11 @@ def _records(file: BinaryIO, header: Header, start: int, count: int) -> Array:
     return np.frombuffer(data, header.dtype)
 
 
-def _to_first_row(file: BinaryIO, vertices: Vertices) -> None:
-    """Go to the first vertex; in text over the lines of the elements before."""
-    file.seek(vertices.start)
-    for _ in islice(file, vertices.header.lines_before if vertices.header.encoding == "ascii" else 0):
-        pass
-
-
-def _records_of_text(path: Path, lines: list[bytes], dtype: np.dtype[np.void], first: int) -> Array:
-    """Rows of numbers as records of doubles."""
-    width = len(dtype.names or ())
-    rows = [line.split() for line in lines]
-    wrong = next((i for i, row in enumerate(rows) if len(row) != width), None)
-    if wrong is not None:
-        raise FormatError(
-            f"{path}: vertex {first + wrong}: found {len(rows[wrong])} values, wanted {width}; the file is cut off or damaged"
-        )
-    try:
-        values = np.array(rows, "S").astype(np.float64)
-    except ValueError as error:
-        raise FormatError(f"{path}: vertices {first} to {first + len(rows)}: {error}; wanted numbers") from error
-    return values.view([(name, "<f8") for name in dtype.names or ()]).reshape(len(rows))
-
-
-def _check_size(path: Path, header: Header, start: int, *, repair: bool) -> tuple[int, dict[str, int]]:
+def _check_size(file: BinaryIO, path: Path, header: Header, start: int, *, repair: bool) -> tuple[int, dict[str, int]]:
     """Rows to read, and repairs done: the vertices must fill the file to its end, but for other elements behind them."""
-    num_bytes, record_bytes = path.stat().st_size, header.dtype.itemsize
     if header.encoding == "ascii":
-        shortest = 2 * len(header.dtype.names or ())  # a digit and a space for each value
-        wanted = start + header.count * shortest
-        if num_bytes + 1 < wanted:  # the last line may lack its end
-            raise FormatError(
-                f"{path}: found {num_bytes} bytes, wanted at least {wanted} for the {header.count} vertices that its header "
-                "announces; the file is cut off"
-            )
-        return header.count, {}
+        return _check_lines(file, path, header, repair=repair)
+    num_bytes, record_bytes = path.stat().st_size, header.dtype.itemsize
     wanted = start + header.count * record_bytes
     if num_bytes < wanted:
         whole = max(0, num_bytes - start) // record_bytes if record_bytes else 0
@@ -280,3 +256,28 @@ def _check_size(path: Path, header: Header, start: int, *, repair: bool) -> tupl
             )
         return header.count, {"unexpected_bytes": abs(excess)}
     return header.count, {}
+
+
+def _check_lines(file: BinaryIO, path: Path, header: Header, *, repair: bool) -> tuple[int, dict[str, int]]:
+    """The same of a text, by its lines."""
+    num_lines, last = 0, b""
+    for line in lines_of(path, file, header.start):
+        num_lines, last = num_lines + 1, line
+    found = num_lines - header.lines_before
+    if found < header.count:
+        file.seek(-1, os.SEEK_END)
+        is_whole = file.read(1) in b"\r\n" and len(last.split()) == len(header.dtype.names or ())
+        whole = max(0, found - (not is_whole))
+        if not repair:
+            raise FormatError(
+                f"{path}: found {max(0, found)} lines of vertices, wanted {header.count}; the file is cut off (or its header "
+                f"lies): read the {whole} whole ones with repair"
+            )
+        return whole, {"missing_rows": header.count - whole}
+    excess = found - header.count - header.lines_after
+    if excess and not repair:
+        raise FormatError(
+            f"{path}: found {abs(excess)} lines {'more' if excess > 0 else 'less'} than its header announces "
+            f"({header.count} vertices); read it with repair to take these vertices alone"
+        )
+    return header.count, {"unexpected_lines": abs(excess)} if excess else {}
