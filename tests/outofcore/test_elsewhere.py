@@ -37,7 +37,8 @@ def check_is_drawn_alike(store, scene):
 
 
 def test_a_store_of_a_server_is_drawn_from_its_ranges(folder, scene):
-    with served(folder.parent) as (address, sent):
+    with served(folder.parent) as server:
+        address, sent = server.address, server.sent
         for named in (folder.name, f"{folder.name}/manifest.json"):
             with st.open_store(f"{address}/{named}") as store:
                 opened = sum(sent)
@@ -49,9 +50,43 @@ def test_a_store_of_a_server_is_drawn_from_its_ranges(folder, scene):
         assert (st.read(f"{address}/{folder.name}").ids == scene.ids).all()
 
 
+def test_a_store_is_opened_and_drawn_by_few_requests_over_connections_that_stay(folder, scene):
+    with served(folder.parent) as server, st.open_store(f"{server.address}/{folder.name}") as store:
+        num_files = len(store.index.file_start) - 1
+        # The head of each file, of the manifest and of the index; what merging must know of the roots of each file.
+        assert (num_files, len(server.sent)) == (3, 2 * num_files + 2)
+        st.render(store, list(cameras_of(scene))[-1])
+        assert store.num_loaded == len(store.index.table) == 2 * num_files  # all pages
+        assert (
+            len(server.sent) == 3 * num_files + 2
+        )  # the rows of each file, whose pages and columns lie near each other
+        assert len(server.opened) <= num_files
+
+
+def test_pages_of_an_object_are_counted_with_their_harmonics_and_kept_within_the_limit(bucket, scene, tmp_path):
+    st.write(scene, f"{bucket}/one.splatree")
+    st.write(scene, tmp_path / "one.splatree")
+    with (
+        small_pages(200),
+        st.open_store(f"{bucket}/one.splatree") as there,
+        st.open_store(tmp_path / "one.splatree") as here,
+    ):
+        row_bytes = scene.gaussians.nbytes / len(scene)
+        for number in range(len(there.index.table)):
+            there.page(number, len(there.index.table))
+            here.page(number, len(here.index.table))
+        assert there.resident_bytes > row_bytes * len(scene) > here.resident_bytes
+    with small_pages(100), st.open_store(f"{bucket}/one.splatree", max_memory="60k") as store:
+        num_pages = len(store.index.table)
+        for number in range(num_pages):
+            store.page(number, num_pages)
+            assert store.resident_bytes <= 60_000
+        assert store.num_loaded == num_pages and row_bytes * len(scene) > 1.5 * 60_000
+
+
 def test_a_single_file_of_a_server_is_drawn_from_its_ranges(scene, tmp_path):
     st.write(scene, tmp_path / "one.splatree")
-    with small_pages(400), served(tmp_path) as (address, _), st.open_store(f"{address}/one.splatree") as store:
+    with small_pages(400), served(tmp_path) as server, st.open_store(f"{server.address}/one.splatree") as store:
         check_is_drawn_alike(store, scene)
 
 

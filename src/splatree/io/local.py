@@ -28,7 +28,6 @@ from urllib.parse import unquote, urlsplit
 from splatree.errors import FormatError, InputError
 from splatree.io.formats.folder.manifest import MANIFEST, is_manifest
 from splatree.io.objects import ObjectPath, located
-from splatree.io.sources import TIMEOUT_S
 from splatree.io.untrusted import inner_path
 from splatree.progress import task
 
@@ -134,6 +133,8 @@ def _how_to_inflate(path: Path) -> Callable[[Path], Path] | None:
 def _download(address: str, folder: Path) -> Path:
     from urllib.error import URLError
     from urllib.request import Request, urlopen
+
+    from splatree.io.http import TIMEOUT_S
 
     name = Path(unquote(urlsplit(address).path)).name or "scene"
     target = folder / re.sub(r"[^\w.-]", "_", name)

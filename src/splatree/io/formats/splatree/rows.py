@@ -65,6 +65,26 @@ class SceneRows:
         tree = scene.tree
         return SceneRows(0, scene.gaussians, tree.subtree_end, tree.depth, tree.extents, scene.ids, tree.curves)
 
+    def part(self, begin: int, end: int) -> "SceneRows":
+        """Some of the rows, counted in the scene, as copies; all of them as they are.
+
+        Example:
+            >>> len(st.SceneRows.of(scene).part(3, 5))
+            2
+        """
+        if (begin, end) == (self.begin, self.begin + len(self)):
+            return self
+        first, last = begin - self.begin, end - self.begin
+        return SceneRows(
+            begin,
+            self.gaussians.take(np.arange(first, last)),
+            self.subtree_end[first:last].copy(),
+            self.depth[first:last].copy(),
+            self.extents[first:last].copy(),
+            None if self.ids is None else self.ids[first:last].copy(),
+            None if self.curves is None else self.curves[first:last].copy(),
+        )
+
     def scene(self, head: SceneHead) -> Scene:
         """The rows as a scene of their own, drawn as ``head`` says.
 
@@ -191,7 +211,8 @@ def open_scene(path: str | os.PathLike[str]) -> StoredScene:
 
 
 def _roots_of(file: Container, where: str) -> Roots | None:
-    columns = {name: file.rows(name) for name in file.columns if name.startswith("tree.roots.")}
+    names = [name for name in file.columns if name.startswith("tree.roots.")]
+    columns = dict(zip(names, file.rows_of(names), strict=True))
     return struct_from(Roots, "tree.roots.", columns, file.values, where) if columns else None
 
 
