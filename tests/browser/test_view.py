@@ -16,7 +16,6 @@ from splatree.render.pipeline import render
 from splatree.scene.options import RenderOptions, SelectOptions
 from splatree.scene.thinning import ThinOptions
 from splatree.simplify.thin import thin
-from splatree.view.follow import followed
 from splatree.view.options import ViewOptions
 from splatree.view.viewer import Viewer
 
@@ -165,9 +164,8 @@ def test_after_any_cameras_the_page_holds_the_cut_of_the_server(browser, city_tr
         rows = slots.rows[np.argsort(slots.slots)]
         exhibit = made._server.exhibits[0]
         eye = made.camera.position
-        words = pack_nodes(city_tree.gaussians, city_tree.tree, rows, eye, exhibit.centre)
-        curves = city_tree.tree.curves
-        words = followed(words, city_tree.gaussians, curves, rows, slots._dilations[held])  # as they were sent
+        sent_at = slots._dilations[held]
+        words = pack_nodes(city_tree.gaussians, city_tree.tree, rows, eye, exhibit.centre, sent_at)
         # Colours may be those of an eye that was a little elsewhere; all else is the same to the bit.
         checksum = 0
         for word in np.delete(words, 4, axis=1).ravel().tolist():
