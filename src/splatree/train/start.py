@@ -9,6 +9,7 @@ Cost: once a run; a fraction of a second for 100,000 points.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,9 +19,17 @@ from splatree.io.cameras.points import Points
 from splatree.maths.morton import MortonFrame, morton_codes, morton_frame
 from splatree.scene.cameras import Camera
 from splatree.scene.gaussians import Gaussians
-from splatree.shapes import Array, Float64, UInt8
+from splatree.shapes import Array, Bool, Float64, UInt8
 
-__all__ = ["EXTENT_MARGIN", "extent_of", "fill_empty_cells", "neighbour_distances", "random_points", "start_from"]
+__all__ = [
+    "EXTENT_MARGIN",
+    "add_apron",
+    "extent_of",
+    "fill_empty_cells",
+    "neighbour_distances",
+    "random_points",
+    "start_from",
+]
 
 EXTENT_MARGIN = 1.1
 """Largest distance of a camera from their mean, times this, is the extent (Kerbl 2023)."""
@@ -36,6 +45,12 @@ EMPTY_OPACITY = 0.1
 
 CELLS = 16
 """Cells along the longer side of a photograph."""
+
+APRON_CELLS = 4
+"""So many cells beyond the border of a photograph get one too, where no photograph shows anything."""
+
+APRON_OPACITY = 0.8
+"""Of a Gaussian beyond the borders: no photograph may ever change it."""
 
 SEEN_BY_MIN = 3
 """Points found in fewer pictures are often wrong; the rule counts only where the file says how many."""
@@ -125,8 +140,7 @@ def fill_empty_cells(
     """
     places, added = gaussians.means.astype(np.float64), []
     for i, camera in enumerate(cameras):
-        size = max(camera.width, camera.height) / CELLS
-        across, down = max(1, round(camera.width / size)), max(1, round(camera.height / size))
+        across, down = _cells(camera)
         depths = _median_depths(places, camera, across, down)
         empty = np.argwhere(np.isnan(depths))
         if not len(empty) or len(empty) == depths.size or room <= 0:
@@ -136,17 +150,90 @@ def fill_empty_cells(
         z = depths[tuple(filled[to].T)][:room]
         empty = empty[:room]
         pixel = (empty[:, ::-1] + 0.5) * (camera.width / across, camera.height / down)
-        slopes = (pixel - camera.K[:2, 2]) / np.diag(camera.K)[:2]
-        seen = np.concatenate([slopes, np.ones((len(z), 1))], axis=1) * z[:, None]
-        pose = camera.camera_from_world
-        new = (seen - pose[:3, 3]) @ pose[:3, :3]
+        new = _placed(pixel, z, camera)
         photo = photo_of(i)
         row, column = (pixel[:, ::-1] * (photo.shape[0] / camera.height, photo.shape[1] / camera.width)).astype(int).T
-        sigma = z * size / (2 * camera.K[0, 0])
+        sigma = z * max(camera.width, camera.height) / (2 * CELLS * camera.K[0, 0])
         added.append(_spheres(new, sigma, photo[row, column], EMPTY_OPACITY, gaussians.sh_degree))
         places = np.concatenate([places, new])
         room -= len(new)
     return Gaussians.concatenate([gaussians, *added])
+
+
+def add_apron(
+    gaussians: Gaussians, cameras: Sequence[Camera], photo_of: Callable[[int], UInt8[Array, "h w 3"]], *, room: int
+) -> Gaussians:
+    """The Gaussians, and one in each empty cell beyond the borders that no view shows, at most ``room`` of them.
+
+    It lies at the depth of the nearest cell that has one, and is of the mean colour of the nearest cell of the photograph.
+
+    Args:
+        gaussians: what there is.
+        cameras: the views; what one of them gets, the next ones know of.
+        photo_of: the photograph of a view, at any size.
+        room: Gaussians that may be added.
+    """
+    places, added = gaussians.means.astype(np.float64), []
+    for i, camera in enumerate(cameras):
+        across, down = _cells(camera)
+        size = np.array([camera.width / across, camera.height / down])
+        wide = _widened(camera, size)
+        depths = _median_depths(places, wide, across + 2 * APRON_CELLS, down + 2 * APRON_CELLS)
+        empty, filled = np.argwhere(np.isnan(depths)), np.argwhere(~np.isnan(depths))
+        if not len(empty) or not len(filled):
+            continue
+        nearest = np.argmin(np.sum((empty[:, None] - filled) ** 2, axis=2), axis=1)
+        z = depths[tuple(filled[nearest].T)]
+        new = _placed((empty[:, ::-1] + 0.5) * size, z, wide)
+        unseen = ~np.logical_or.reduce([_shown(new, other) for other in cameras])
+        new, empty, z = new[unseen][:room], empty[unseen][:room], z[unseen][:room]
+        cell = np.clip(empty - APRON_CELLS, 0, (down - 1, across - 1))
+        colors = _cell_means(photo_of(i), across, down)[tuple(cell.T)]
+        sigma = z * max(size) / (2 * camera.K[0, 0])
+        added.append(_spheres(new, sigma, colors, APRON_OPACITY, gaussians.sh_degree))
+        places = np.concatenate([places, new])
+        room -= len(new)
+    return Gaussians.concatenate([gaussians, *added])
+
+
+def _cells(camera: Camera) -> tuple[int, int]:
+    """How many cells a photograph has across and down."""
+    size = max(camera.width, camera.height) / CELLS
+    return max(1, round(camera.width / size)), max(1, round(camera.height / size))
+
+
+def _widened(camera: Camera, size: Float64[Array, "2"]) -> Camera:
+    """The view with `APRON_CELLS` cells more on each side."""
+    margin = APRON_CELLS * size
+    K = camera.K.copy()
+    K[:2, 2] += margin
+    width, height = np.rint((camera.width, camera.height) + 2 * margin).astype(int)
+    return replace(camera, K=K, width=int(width), height=int(height))
+
+
+def _placed(pixel: Array, depth: Array, camera: Camera) -> Float64[Array, "n 3"]:
+    """Where what a view shows at pixels lies, if it lies at these depths."""
+    slopes = (pixel - camera.K[:2, 2]) / np.diag(camera.K)[:2]
+    seen = np.concatenate([slopes, np.ones((len(depth), 1))], axis=1) * depth[:, None]
+    pose = camera.camera_from_world
+    return np.asarray((seen - pose[:3, 3]) @ pose[:3, :3])
+
+
+def _shown(places: Array, camera: Camera) -> Bool[Array, "n"]:
+    """Which places lie within the picture of a view."""
+    seen = places @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        pixel = seen[:, :2] / seen[:, 2:] * np.diag(camera.K)[:2] + camera.K[:2, 2]
+    inside = (pixel >= 0).all(axis=1) & (pixel < (camera.width, camera.height)).all(axis=1)
+    return np.asarray(inside & (seen[:, 2] > camera.near))
+
+
+def _cell_means(photo: UInt8[Array, "h w 3"], across: int, down: int) -> Float64[Array, "y x 3"]:
+    """The mean colour of each cell of a photograph."""
+    rows, columns = (np.arange(n) * side // n for n, side in ((down, photo.shape[0]), (across, photo.shape[1])))
+    sums = np.add.reduceat(np.add.reduceat(photo, rows, axis=0, dtype=np.float64), columns, axis=1)
+    counts = np.diff([*rows, photo.shape[0]])[:, None] * np.diff([*columns, photo.shape[1]])
+    return np.asarray(sums / counts[..., None])
 
 
 def _median_depths(places: Array, camera: Camera, across: int, down: int) -> Float64[Array, "y x"]:
