@@ -236,3 +236,12 @@ def test_cameras_that_do_not_see_the_scene_are_told():
         and "applied_transform" in hint
     )
     assert overlap_hint(scene, []) is None
+
+
+@pytest.mark.parametrize("content", [b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR", b"\xff\xd8\xff\xe0\0\x10JFIF"])
+def test_a_photograph_in_the_place_of_cameras_is_told(tmp_path, content):
+    (tmp_path / "0000.png").write_bytes(content)
+    with pytest.raises(
+        InputError, match=r"found a file that is no text; wanted cameras.json, transforms.json, or a folder"
+    ):
+        st.read_cameras(tmp_path / "0000.png")

@@ -15,6 +15,7 @@ import pytest
 import splatree as st
 from splatree import FormatError, InputError, Scene
 from splatree.io import local
+from splatree.io.registry import stored_bytes
 
 from ..scenes import random_gaussians
 from .conftest import same_bits
@@ -67,6 +68,7 @@ def test_an_address_is_read_and_named(serve, ply, tmp_path):
     assert st.convert(address, tmp_path / "b.ply").num_read == 20
     (tmp_path / "c.ply.gz").write_bytes(gzip.compress(ply.read_bytes()))
     assert len(st.read(address.replace("a.ply", "c.ply.gz"))) == 20
+    assert stored_bytes(Path(address)) == ply.stat().st_size  # though the server gives no ranges
     with pytest.raises(InputError, match=r"gone.ply: cannot be fetched \(.*[Nn]ot [Ff]ound"):
         st.read(address.replace("a.ply", "gone.ply"))
 
@@ -78,6 +80,38 @@ def test_addresses_of_other_kinds_are_refused_by_name(serve, tmp_path):
         st.read("gopher://example.org/a.ply")
     with pytest.raises(InputError, match=r"cannot be fetched|leads to"):
         st.read(serve(_Odd) + "/a.ply")
+
+
+class _Broken(BaseHTTPRequestHandler):
+    """Says that a chunk of 1000 bytes comes, and sends 10; or answers with no HTTP at all."""
+
+    def do_GET(self):
+        if self.path == "/none.ply":
+            self.connection.sendall(b"hello\r\n\r\n")
+            return
+        self.send_response(200)
+        self.send_header("Transfer-Encoding", "chunked")
+        self.end_headers()
+        self.wfile.write(b"3e8\r\n0123456789")
+
+    def log_message(self, *_):
+        pass
+
+
+@pytest.mark.parametrize("name", ["chunk.ply", "none.ply"])
+def test_a_connection_that_breaks_off_within_a_chunk_is_told(serve, name):
+    with pytest.raises(InputError, match=rf"^http://127.0.0.1:\d+/{name}: cannot be fetched \("):
+        st.read(f"{serve(_Broken)}/{name}")
+
+
+def test_errors_name_what_the_user_named(serve, ply, tmp_path):
+    ply.write_bytes(b"<!DOCTYPE html><html></html>")
+    address = serve(partial(_Quiet, directory=str(tmp_path))) + "/a.ply"
+    with pytest.raises(InputError, match=rf"^{address}: is a web page"):
+        st.read(address)
+    (tmp_path / "c.ply.gz").write_bytes(gzip.compress(b"ply\nformat ascii 1.0\n"))
+    with pytest.raises(FormatError, match=rf"^{tmp_path}/c.ply.gz: found no end_header"):
+        st.read(tmp_path / "c.ply.gz")
 
 
 def test_a_server_cannot_send_without_end(serve, ply, tmp_path, monkeypatch):

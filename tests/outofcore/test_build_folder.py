@@ -6,6 +6,8 @@ import json
 import multiprocessing
 import os
 import signal
+import sys
+import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from itertools import pairwise, product
@@ -123,6 +125,25 @@ def test_an_interrupted_build_goes_on_where_it_stopped(tmp_path, ply, monkeypatc
     assert not {job[2:4] for job in again} & {job[2:4] for job in done}
     check_is_tree_of(tmp_path / "out.splatree", ply)
     assert [path.name for path in tmp_path.iterdir()] == ["out.splatree"]
+
+
+def test_ctrl_c_is_left_to_the_program_and_its_workers_end_without_a_word():
+    """A terminal sends it to all processes: workers used to print where they were, those that were just starting too."""
+    others = set(multiprocessing.active_children())
+    with pytest.raises(KeyboardInterrupt), run.Workers(2).pool() as executor:
+        started = set(multiprocessing.active_children()) - others
+        assert executor is not None and len(started) == 2
+        executor.submit(signal.raise_signal, signal.SIGINT).result()  # in a worker
+        if sys.platform != "win32":
+            assert signal.SIGINT in executor.submit(signal.pthread_sigmask, signal.SIG_BLOCK, []).result()
+            assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])
+        busy = executor.submit(time.sleep, 600)
+        waiting = [executor.submit(time.sleep, 600) for _ in range(5)]
+        raise KeyboardInterrupt
+    for process in started:
+        process.join(60)
+        assert process.exitcode == -signal.SIGTERM
+    assert all(future.cancelled() or future.exception(60) for future in (busy, *waiting))
 
 
 def _build_and_die(ply, output, pieces, options=None, running=SMALL):

@@ -1,5 +1,6 @@
 """`check` touches everything: whatever is damaged in a scene on disk is named, and what is whole passes in little memory."""
 
+import gzip
 import shutil
 
 import numpy as np
@@ -27,6 +28,9 @@ def test_what_is_whole_passes(folder, scene, ply, tmp_path):
         assert (each.num_gaussians, each.num_nodes) == (scene.tree.num_leaves, len(scene))
     (flat,) = st.check(ply)
     assert (flat.format, flat.num_gaussians, flat.by_pages) == ("ply", 700, True)
+    (tmp_path / "in.ply.gz").write_bytes(gzip.compress(ply.read_bytes()))
+    (packed,) = st.check(tmp_path / "in.ply.gz")
+    assert (packed.path, packed.num_gaussians) == (str(tmp_path / "in.ply.gz"), 700)  # not where it was unpacked
     st.write(build_clusters(scene), tmp_path / "clustered.splatree")
     assert not st.check(tmp_path / "clustered.splatree")[0].by_pages
 

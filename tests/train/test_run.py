@@ -199,6 +199,24 @@ def test_alpha_of_photographs_is_a_mask(photographs):
     assert found[0] == found[1]
 
 
+@pytest.mark.parametrize(
+    ("first_column", "numbers"), [(0, (None, None)), (40, ("found", None)), (20, ("found", "found"))]
+)
+def test_held_out_photographs_with_few_pixels_that_count_are_scored_by_those(photographs, first_column, numbers):
+    """Of an object that is in the right half of its photograph, no gain can be fitted on the left half."""
+    mask = np.zeros((64, 64, 3), np.float32)
+    mask[:, 64 if first_column == 0 else first_column :] = 1
+    (photographs / "masks").mkdir()
+    for i, camera in enumerate(read_cameras(photographs).views):
+        st.write_image(np.ones_like(mask) if i % 2 else mask, photographs / "masks" / camera.name)
+    trained = st.train(
+        photographs, st.TrainOptions(iterations=10, max_gaussians=260, held_out=2, masks=photographs / "masks")
+    )
+    score = trained.history[-1].score
+    assert [None if x is None else "found" for x in (score.psnr, score.psnr_fitted)] == list(numbers)
+    assert score.psnr is None or 5 < score.psnr < 60
+
+
 def test_alpha_of_photographs_can_be_matched(photographs, truth):
     """Photographs of an object before nothing: the scene becomes as transparent, whatever colour they have there."""
     from PIL import Image

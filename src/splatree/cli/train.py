@@ -12,7 +12,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from splatree.cli.console import Console, UsageError, size, table
+from splatree.cli.console import Console, UsageError, counted, size, table
 from splatree.cli.files import lost_and_noted
 from splatree.errors import InputError, OutputError
 from splatree.io.photos import PhotosUsed
@@ -161,8 +161,11 @@ def _tell(scored: Scored, console: Console) -> None:
     """Say on stderr how far the run has come."""
     if console.quiet or sys.stderr is None or not (sys.stderr.isatty() or console.verbose):
         return
-    quality = "" if scored.score is None else f", held-out PSNR {scored.score.psnr:.2f} dB"
-    fitted = "" if scored.score is None else f" ({scored.score.psnr_fitted:.2f} with the exposure fitted)"
+    score = scored.score
+    quality = "" if score is None or score.psnr is None else f", held-out PSNR {score.psnr:.2f} dB"
+    fitted = (
+        "" if score is None or score.psnr_fitted is None else f" ({score.psnr_fitted:.2f} with the exposure fitted)"
+    )
     print(
         f"{scored.share:.0%}: {scored.iterations:,} steps, {scored.num_gaussians:,} Gaussians, loss {scored.loss:.4f}"
         f"{quality}{fitted}",
@@ -176,7 +179,7 @@ def show(result: Result) -> str:
     rows = [_row(scored) for scored in result.history]
     nodes = "" if result.num_nodes == result.num_gaussians else f", {result.num_nodes:,} nodes"
     lines = [table(rows)] if rows else []
-    lines.append(f"wrote {result.output}: {result.num_gaussians:,} Gaussians{nodes}, {size(result.bytes)}")
+    lines.append(f"wrote {result.output}: {counted(result.num_gaussians, 'Gaussian')}{nodes}, {size(result.bytes)}")
     lines.append(f"held out: {result.held_out}")
     lines += result.photographs.in_words()
     lines += [f"note: {note}" for note in result.notes]

@@ -12,7 +12,7 @@ _PICKLE_PROTOCOLS = tuple(bytes([0x80, protocol]) for protocol in range(2, 6))
 def not_content(head: bytes) -> str | None:
     """What a file is that a download left in the place of its content; None for other files. ``head`` is its first bytes."""
     if not head:
-        return "is empty: found 0 bytes, wanted a scene; a download or a copy was cut off, fetch it again"
+        return "is empty: found 0 bytes; a download or a copy was cut off, fetch it again"
     if head.startswith(b"version https://git-lfs.github.com/spec/"):
         number = re.search(rb"\nsize (\d{1,18})\s", head)
         size = f" for {int(number[1]) / 2**20:,.1f} MiB" if number else ""
@@ -21,7 +21,7 @@ def not_content(head: bytes) -> str | None:
     if start.startswith((b"<!doctype html", b"<html", b"<head", b"<?xml")):
         title = re.search(rb"<title>([^<]{1,80})</title>", head, re.IGNORECASE)
         words = f" ({title[1].decode('utf-8', 'replace').strip()!r})" if title else ""
-        return f"is a web page{words}, not a scene: the server answered with it in place of the file; fetch it again"
+        return f"is a web page{words}: the server answered with it in place of the file; fetch it again"
     return None
 
 

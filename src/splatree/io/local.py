@@ -31,7 +31,7 @@ from splatree.io.objects import ObjectPath, located
 from splatree.io.untrusted import inner_path
 from splatree.progress import task
 
-__all__ = ["LocalInputs", "is_brought", "local_inputs", "place_of"]
+__all__ = ["LocalInputs", "is_brought", "is_fetched_whole", "local_inputs", "place_of"]
 
 DOWNLOAD_MAX = 64 << 30
 """Bytes that are taken from a server at most: a billion Gaussians without harmonics."""
@@ -90,6 +90,13 @@ def local_inputs(paths: Sequence[Path]) -> Iterator[LocalInputs]:
             found.append(local)
             names[str(local)] = str(path)
         yield LocalInputs(found, names)
+    except InputError as error:
+        said = str(error)
+        for local, named in names.items():  # the user knows no other name
+            said = said.replace(local, named)
+        if said == str(error):
+            raise
+        raise type(error)(said) from error
     finally:
         if folder is not None:
             shutil.rmtree(folder, ignore_errors=True)
@@ -101,6 +108,11 @@ def place_of(named: Path) -> Path:
     return (
         path / MANIFEST if _is_of_server(path) and path.suffix == ".splatree" and is_manifest(path / MANIFEST) else path
     )
+
+
+def is_fetched_whole(path: Path) -> bool:
+    """Whether an input is one file of a server, which need not give ranges of it."""
+    return _is_of_server(path) and place_of(path).name not in _OF_FOLDERS
 
 
 def _is_of_server(path: Path) -> bool:
@@ -131,6 +143,7 @@ def _how_to_inflate(path: Path) -> Callable[[Path], Path] | None:
 
 
 def _download(address: str, folder: Path) -> Path:
+    from http.client import HTTPException
     from urllib.error import URLError
     from urllib.request import Request, urlopen
 
@@ -153,7 +166,7 @@ def _download(address: str, folder: Path) -> Path:
                 raise InputError(
                     f"{address}: found {size:,} of {announced:,} bytes; the connection broke off, try again"
                 )
-    except (URLError, OSError, ValueError) as error:
+    except (URLError, HTTPException, OSError, ValueError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(f"{address}: cannot be fetched ({getattr(error, 'reason', None) or error})") from error

@@ -15,6 +15,7 @@ from splatree.errors import FormatError, InputError, SplatreeError
 from splatree.io.chunks import Chunks
 from splatree.io.foreign import not_content
 from splatree.io.holds import Holds
+from splatree.io.local import is_fetched_whole
 from splatree.io.objects import located
 from splatree.io.options import ReadOptions, WriteOptions
 from splatree.scene.scene import Scene
@@ -332,5 +333,7 @@ def stored_bytes(path: Path) -> int:
 def files_of(path: Path) -> list[Path]:
     """The files that a path of a known format stands for."""
     path = located(path)
+    if is_fetched_whole(path):
+        return [path]
     found = detect(path)
     return [path] if found is None or found.files is None else found.files(path)

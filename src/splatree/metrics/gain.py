@@ -6,7 +6,6 @@ found on the left half of the picture. The score is taken on the right half alon
 
 import numpy as np
 
-from splatree.errors import InputError
 from splatree.metrics.psnr import comparable, psnr
 from splatree.shapes import Array, Bool, Float32, Float64
 
@@ -22,8 +21,8 @@ def fitted_gain(image: Float32[Array, "h w 3"], photo: Float32[Array, "h w 3"]) 
 
 def psnr_with_gain(
     image: Float32[Array, "h w 3"], photo: Float32[Array, "h w 3"], mask: Bool[Array, "h w"] | None = None
-) -> float:
-    """PSNR of the right half, dB, after the gain that fits the left half best.
+) -> float | None:
+    """PSNR of the right half, dB, after the gain that fits the left half best; None if a half has no pixel that counts.
 
     Args:
         image: a picture, not clipped; clipped to 0 to 1 after the gain.
@@ -32,13 +31,12 @@ def psnr_with_gain(
 
     Raises:
         ShapeError: the pictures differ in shape.
-        InputError: a half has no pixel.
     """
     comparable(image, photo)
     middle = image.shape[1] // 2
     counts = np.ones(image.shape[:2], bool) if mask is None else mask
     left, right = counts[:, :middle], counts[:, middle:]
     if not (left.any() and right.any()):
-        raise InputError("psnr_with_gain: found a half of the picture without a pixel that counts, wanted one in each")
+        return None
     gain = fitted_gain(image[:, :middle][left], photo[:, :middle][left])
     return psnr(np.clip(image[:, middle:][right] * gain, 0, 1).astype(np.float32)[None], photo[:, middle:][right][None])

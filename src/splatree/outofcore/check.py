@@ -6,7 +6,7 @@ What is drawn page by page is checked page by page, when it is touched. So a dam
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -82,7 +82,8 @@ def check(
     paths = [path] if isinstance(path, str | os.PathLike) else list(path)
     with local_inputs([Path(p) for p in paths]) as local:
         found = find_inputs(local.paths, lambda p: detect(p) is not None)
-        return tuple(_checked(path, options) for path in found.paths)
+        checked = [_checked(path, options) for path in found.paths]
+        return tuple(replace(one, path=local.named(one.path)) for one in checked)
 
 
 def _checked(path: Path, options: ReadOptions) -> Checked:

@@ -4,13 +4,15 @@ Any executor of `concurrent.futures` will do, on this machine or on others that 
 files, returns nothing and may be done twice. Its mark says that it is done, so a piece with a mark is not run again.
 """
 
+import signal
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
-from multiprocessing import get_context
+from multiprocessing import active_children, get_context
 from pathlib import Path
 from typing import Any
 
@@ -75,8 +77,34 @@ class Workers:
             yield self.executor
             return
         # Spawned: a forked process would inherit what this one has in memory, and its threads' locks.
-        with ProcessPoolExecutor(self.num_workers, mp_context=get_context("spawn")) as executor:
-            yield executor
+        with ProcessPoolExecutor(
+            self.num_workers, get_context("spawn"), signal.signal, (signal.SIGINT, signal.SIG_IGN)
+        ) as executor:
+            others = set(active_children())
+            with _interruptions_held():
+                for _ in range(self.num_workers):
+                    executor.submit(int)  # starts a process
+            started = set(active_children()) - others
+            try:
+                yield executor
+            except KeyboardInterrupt:  # what they are doing has no mark, and is done again
+                executor.shutdown(wait=False, cancel_futures=True)
+                for process in started:
+                    process.terminate()
+                raise
+
+
+@contextmanager
+def _interruptions_held() -> Iterator[None]:
+    """Let Ctrl-C wait until the end of the block; of processes that are started in it, it never reaches any."""
+    if sys.platform == "win32":
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def run_cells(work: Work, plan: Plan, kind: str, workers: Workers, *, argument: float = 0) -> list[dict[str, Any]]:
@@ -116,7 +144,7 @@ def run_pieces(
         for _ in range(TRIES):
             if missing:
                 with workers.pool() as executor:
-                    missing = _run(executor, {number: jobs[number] for number in missing}, workers.died, ended)
+                    missing = _run(executor, {number: jobs[number] for number in missing}, workers, ended)
                 missing = [number for number in missing if work.result(names[number], plan.run) is None]
         if missing:
             raise InputError(
@@ -135,7 +163,7 @@ def run_pieces(
 def _run(
     executor: Executor | None,
     jobs: Mapping[int, tuple[Any, ...]],
-    died: type[Exception],
+    workers: Workers,
     ended: Callable[[int], None],
 ) -> list[int]:
     """Do the jobs of some cells, and tell of each that has ended; returns the cells whose processes died."""
@@ -150,16 +178,18 @@ def _run(
         for number, job in jobs.items():
             futures[executor.submit(do_piece, *job)] = number
         for future in as_completed(futures):
-            if isinstance(future.exception(), died):
+            if isinstance(future.exception(), workers.died):
                 missing.append(futures[future])
             else:
                 future.result()
                 ended(futures[future])
-    except died:  # while pieces were handed out: what is done has a mark
+    except workers.died:  # while pieces were handed out: what is done has a mark
         missing = list(jobs)
-    finally:
-        for future in futures:
-            future.cancel()
+    except BaseException as error:
+        if isinstance(error, Exception) or workers.executor is not None:  # else `Workers.pool` ends its processes
+            for future in futures:
+                future.cancel()
+        raise
     return sorted(missing)
 
 

@@ -116,7 +116,7 @@ def evaluate(
 def _photo_score(image: Array, photo: Array, lpips: Callable[[Array, Array], float] | None) -> Score:
     """The score against a photograph, whose exposure may be another."""
     found = score(image, photo, lpips)
-    return replace(found, psnr_fitted=psnr_with_gain(image, photo)) if image.shape[1] > 1 else found
+    return replace(found, psnr_fitted=psnr_with_gain(image, photo))
 
 
 def score(image: Array, reference: Array, lpips: Callable[[Array, Array], float] | None = None) -> Score:

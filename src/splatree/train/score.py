@@ -25,12 +25,13 @@ __all__ = ["HeldOut", "Score"]
 
 @dataclass(frozen=True)
 class Score:
-    """How near pictures are to the held-out photographs; means over these."""
+    """How near pictures are to the held-out photographs; means over those that have the number."""
 
-    psnr: float
-    """As rendered, dB."""
-    psnr_fitted: float
-    """With a gain for each channel that is fitted on the left half of each picture and scored on its right half, dB."""
+    psnr: float | None
+    """As rendered, dB; None if masks leave no pixel of any photograph."""
+    psnr_fitted: float | None
+    """With a gain for each channel that is fitted on the left half of each picture and scored on its right half, dB; None if no
+    photograph has pixels in both."""
     ssim: float | None
     """Structural similarity as rendered; None where pictures are smaller than its window, or masked."""
 
@@ -54,20 +55,22 @@ class HeldOut:
             self._targets = Targets(self._folder, self._cameras, masks=self._masks, alpha=self._alpha)
             self._targets.placed(world.near, np.asarray(world.origin))
         found = [self._one(gaussians, drawing, i, division) for i in range(len(self._targets))]
-        structure = [ssim for _, _, ssim in found if ssim is not None]
-        return Score(
-            float(np.mean([psnr for psnr, _, _ in found])),
-            float(np.mean([fitted for _, fitted, _ in found])),
-            float(np.mean(structure)) if structure else None,
-        )
+        return Score(*(_mean(numbers) for numbers in zip(*found, strict=True)))
 
-    def _one(self, gaussians: Gaussians, drawing: Drawing, i: int, division: int) -> tuple[float, float, float | None]:
+    def _one(self, gaussians: Gaussians, drawing: Drawing, i: int, division: int) -> tuple[float | None, ...]:
         assert self._targets is not None
         target = self._targets.at(i, division)
         image = drawn(gaussians, drawing.view(target.camera), drawing)[2].image
         photo, clipped = target.photo / np.float32(255), np.clip(image, 0, 1)
         fitted = psnr_with_gain(image, photo, target.mask)
+        if target.mask is not None and not target.mask.any():
+            return None, None, None
         if target.mask is not None:
             return psnr(clipped[target.mask][None], photo[target.mask][None]), fitted, None
         is_large = min(image.shape[:2]) >= SSIM_WINDOW_PX
         return psnr(clipped, photo), fitted, ssim(clipped, photo) if is_large else None
+
+
+def _mean(numbers: Sequence[float | None]) -> float | None:
+    there = [number for number in numbers if number is not None]
+    return float(np.mean(there)) if there else None

@@ -90,6 +90,10 @@ def _read(root: Path) -> Cameras:
         if colmap.is_model(root.parent):
             return colmap.read(root.parent)
         raise InputError(f"{root}: found no COLMAP model in its folder, wanted cameras and images beside each other")
+    if root.suffix.lower() != ".json" and not _is_text(root):
+        raise InputError(
+            f"{root}: found a file that is no text; wanted cameras.json, transforms.json, or a folder with a COLMAP model"
+        )
     content = untrusted.read_json(root)
     if known := foreign.advice_for_content(content):
         raise InputError(f"{root}: {known}")
@@ -106,6 +110,11 @@ def _read(root: Path) -> Cameras:
     raise FormatError(
         f"{root}: found other JSON, wanted a list of cameras (INRIA), or an object with frames or a camera_path (nerfstudio)"
     )
+
+
+def _is_text(path: Path) -> bool:
+    with path.open("rb") as file:
+        return b"\0" not in file.read(4096)
 
 
 def _of_splits(paths: Sequence[Path]) -> Cameras:
