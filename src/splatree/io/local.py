@@ -92,8 +92,8 @@ def local_inputs(paths: Sequence[Path]) -> Iterator[LocalInputs]:
         yield LocalInputs(found, names)
     except InputError as error:
         said = str(error)
-        for inside, named in names.items():  # the user knows no other name
-            said = said.replace(inside, named)
+        for inside, known in names.items():  # the user knows no other name
+            said = said.replace(inside, known)
         if said == str(error):
             raise
         raise type(error)(said) from error
