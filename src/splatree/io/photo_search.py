@@ -128,11 +128,11 @@ class PhotoSearch:
                 f"; files of these names lie in {listed}, but the cameras name other folders or these hold no photographs by "
                 "their names: if they are meant, name that folder with --data"
             )
+        cameras = f"the {len(names)} cameras ({names[0] if names else ''!r}, ...)"
         if not num_pictures:
-            return InputError(f"data: found no pictures in {self.folder}, wanted those of {len(names)} cameras{hint}")
+            return InputError(f"data: found no pictures in {self.folder}, wanted those of {cameras}{hint}")
         return InputError(
-            f"data: none of the {num_pictures} pictures in {self.folder} is named like one of the {len(names)} cameras "
-            f"({names[0] if names else ''!r}, ...){hint}"
+            f"data: none of the {num_pictures} pictures in {self.folder} is named like one of {cameras}{hint}"
         )
 
     def _in_place(self, place: _Place) -> dict[str, Path]:
