@@ -116,6 +116,16 @@ def test_a_thinned_scene_is_sent(bucket, ply, tmp_path, monkeypatch):
     assert fsspec.filesystem("memory").cat_file("/bucket/thin.ply") == (tmp_path / "thin.ply").read_bytes()
 
 
+def test_a_folder_of_sog_is_thinned_to_where_there_is_one_already(bucket, ply, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "sog").mkdir()
+    fsspec.filesystem("memory").pipe_file("/bucket/sog/notes.txt", b"kept")
+    for folder in (tmp_path / "sog", f"{bucket}/sog"):
+        st.thin_file(ply, f"{folder}/meta.json", st.ThinOptions(radius=0.1))
+    here, there = st.read(tmp_path / "sog"), st.read(f"{bucket}/sog/meta.json")
+    assert here.gaussians.means.tobytes() == there.gaussians.means.tobytes()
+
+
 def test_verbs_take_addresses(bucket, ply, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     fsspec.filesystem("memory").put_file(str(ply), "/bucket/in.ply")
