@@ -72,6 +72,30 @@ def test_an_object_is_replaced_only_if_that_is_asked(bucket, scene):
     st.write(scene, f"{bucket}/a.spz", force=True)
 
 
+def test_a_folder_of_sog_is_written_to_a_store_whole_or_not_at_all(bucket, scene, tmp_path, monkeypatch):
+    st.write(scene, tmp_path / "sog" / "meta.json")
+    st.write(scene, f"{bucket}/sog/meta.json")
+    files = fsspec.filesystem("memory")
+    wanted = {f"/bucket/sog/{path.name}": path.read_bytes() for path in (tmp_path / "sog").iterdir()}
+    assert {name: files.cat_file(name) for name in files.find("/bucket/sog")} == wanted and len(wanted) > 5
+    check_are_equal(st.read(f"{bucket}/sog/meta.json"), st.read(tmp_path / "sog"))
+    with pytest.raises(OutputError, match=r"memory://bucket/sog/meta\.json: exists already"):
+        st.write(scene, f"{bucket}/sog/meta.json")
+    put = sources._Fsspec.put
+
+    def refuse_the_last(self, local, url):
+        if url.endswith("meta.json"):
+            raise OutputError(f"{url}: could not be written (full)")
+        put(self, local, url)
+
+    monkeypatch.setattr(sources._Fsspec, "put", refuse_the_last)
+    with pytest.raises(OutputError, match=r"memory://bucket/new/meta\.json: could not be written \(full\)"):
+        st.write(scene, f"{bucket}/new/meta.json")
+    with pytest.raises(OutputError, match="full"):
+        st.write(scene, f"{bucket}/sog/meta.json", force=True)
+    assert sorted(files.find("/bucket")) == sorted(wanted)  # what was there before stays
+
+
 def test_nothing_is_sent_of_a_file_that_could_not_be_written(bucket, scene):
     with pytest.raises(InputError, match=r"^memory://bucket/a\.spz: found version 9"):
         st.write(scene, f"{bucket}/a.spz", options=st.WriteOptions(format_version=9))
@@ -98,8 +122,6 @@ def test_what_a_store_lacks_is_said(bucket, scene, monkeypatch):
         st.read("gopher://b/a.ply")
     with pytest.raises(OutputError, match=r"http://b/a\.ply: cannot be written, https is only read"):
         st.write(scene, "http://b/a.ply")
-    with pytest.raises(OutputError, match="a folder of SOG is written on this machine only"):
-        st.write(scene, f"{bucket}/folder/meta.json")
     imported = builtins.__import__
 
     def without_fsspec(name, *rest):
