@@ -129,6 +129,25 @@ def test_no_view_shows_the_middle_of_what_lies_beyond_the_borders():
     assert len(add_apron(start, cameras, lambda i: np.full((64, 64, 3), 90, np.uint8), room=0)) == len(start)
 
 
+def test_nothing_is_put_before_what_another_view_has():
+    """A floor goes on beyond the border of its view, but not where another view, along the floor, has a wall behind it."""
+    floor, wall = plane_of(200), plane_of(200)
+    floor.means[:] = floor.means * 0.35 + np.float32([0, 0, -2])
+    wall.means[:] = np.stack([np.full(len(wall), -8.0), wall.means[:, 0], wall.means[:, 1] + 0.4], axis=1)
+    along = Camera.look_at(np.array([6.0, 0, -3.8]), np.array([0, 0, -2.0]), width=64, height=64, fov_y_deg=5)
+    cameras = [facing(), along]
+
+    def beside_the_view_along(gaussians):
+        found = add_apron(gaussians, cameras, lambda i: np.full((64, 64, 3), 90, np.uint8), room=10**4)
+        new = found.means[len(gaussians) :].astype(np.float64)
+        row = pixels_of(new, along)[:, 1]
+        beside = ((row > -15) & (row < 0)) | ((row >= 64) & (row < 79))  # within four cells of its picture
+        return int((beside & (abs(new[:, 2] + 2) < 1e-4) & (abs(new[:, 0]) > 0.55) & (abs(new[:, 0]) < 1)).sum())
+
+    assert beside_the_view_along(floor) > 4
+    assert beside_the_view_along(Gaussians.concatenate([floor, wall])) == 0
+
+
 def test_one_place_has_no_extent():
     camera = views(1)[0]
     with pytest.raises(InputError, match="at one place"):

@@ -49,6 +49,9 @@ CELLS = 16
 APRON_CELLS = 4
 """So many cells beyond the border of a photograph get one too, where no photograph shows anything."""
 
+BEFORE = 0.8
+"""What lies nearer than this share of a depth would hide what is there."""
+
 APRON_OPACITY = 0.8
 """Of a Gaussian beyond the borders: no photograph may ever change it."""
 
@@ -166,6 +169,7 @@ def add_apron(
     """The Gaussians, and one in each empty cell beyond the borders that no view shows, at most ``room`` of them.
 
     It lies at the depth of the nearest cell that has one, and is of the mean colour of the nearest cell of the photograph.
+    There is none where it would hide from another view what that view has there.
 
     Args:
         gaussians: what there is.
@@ -173,26 +177,33 @@ def add_apron(
         photo_of: the photograph of a view, at any size.
         room: Gaussians that may be added.
     """
-    places, added = gaussians.means.astype(np.float64), []
+    known = gaussians.means.astype(np.float64)
+    wide = [_widened(camera) for camera in cameras]
+    depths_of = [_median_depths(known, camera, *cells) for camera, cells in wide]
+    new, added = np.zeros((0, 3)), []
     for i, camera in enumerate(cameras):
-        across, down = _cells(camera)
-        size = np.array([camera.width / across, camera.height / down])
-        wide = _widened(camera, size)
-        depths = _median_depths(places, wide, across + 2 * APRON_CELLS, down + 2 * APRON_CELLS)
-        empty, filled = np.argwhere(np.isnan(depths)), np.argwhere(~np.isnan(depths))
+        view, (across, down) = wide[i]
+        depths = depths_of[i]
+        empty, filled = (
+            np.argwhere(np.isnan(depths) & np.isnan(_median_depths(new, view, across, down))),
+            np.argwhere(~np.isnan(depths)),
+        )
         if not len(empty) or not len(filled):
             continue
         nearest = np.argmin(np.sum((empty[:, None] - filled) ** 2, axis=2), axis=1)
         z = depths[tuple(filled[nearest].T)]
-        new = _placed((empty[:, ::-1] + 0.5) * size, z, wide)
-        unseen = ~np.logical_or.reduce([_shown(new, other) for other in cameras])
-        new, empty, z = new[unseen][:room], empty[unseen][:room], z[unseen][:room]
-        cell = np.clip(empty - APRON_CELLS, 0, (down - 1, across - 1))
-        colors = _cell_means(photo_of(i), across, down)[tuple(cell.T)]
-        sigma = z * max(size) / (2 * camera.K[0, 0])
-        added.append(_spheres(new, sigma, colors, APRON_OPACITY, gaussians.sh_degree))
-        places = np.concatenate([places, new])
-        room -= len(new)
+        places = _placed((empty[:, ::-1] + 0.5) * (view.width / across, view.height / down), z, view)
+        refused = np.logical_or.reduce([_shown(places, other) for other in cameras])
+        for (other, _), known_depths in zip(wide, depths_of, strict=True):
+            refused |= _hides(places, other, known_depths)
+        places, empty, z = places[~refused][:room], empty[~refused][:room], z[~refused][:room]
+        inner = np.array(_cells(camera))
+        cell = np.clip(empty - APRON_CELLS, 0, inner[::-1] - 1)
+        colors = _cell_means(photo_of(i), *inner)[tuple(cell.T)]
+        sigma = z * max(camera.width, camera.height) / (2 * CELLS * camera.K[0, 0])
+        added.append(_spheres(places, sigma, colors, APRON_OPACITY, gaussians.sh_degree))
+        new = np.concatenate([new, places])
+        room -= len(places)
     return Gaussians.concatenate([gaussians, *added])
 
 
@@ -202,13 +213,17 @@ def _cells(camera: Camera) -> tuple[int, int]:
     return max(1, round(camera.width / size)), max(1, round(camera.height / size))
 
 
-def _widened(camera: Camera, size: Float64[Array, "2"]) -> Camera:
-    """The view with `APRON_CELLS` cells more on each side."""
-    margin = APRON_CELLS * size
+def _widened(camera: Camera) -> tuple[Camera, tuple[int, int]]:
+    """The view with `APRON_CELLS` cells more on each side, and its cells across and down."""
+    across, down = _cells(camera)
+    margin = APRON_CELLS * np.array([camera.width / across, camera.height / down])
     K = camera.K.copy()
     K[:2, 2] += margin
     width, height = np.rint((camera.width, camera.height) + 2 * margin).astype(int)
-    return replace(camera, K=K, width=int(width), height=int(height))
+    return replace(camera, K=K, width=int(width), height=int(height)), (
+        across + 2 * APRON_CELLS,
+        down + 2 * APRON_CELLS,
+    )
 
 
 def _placed(pixel: Array, depth: Array, camera: Camera) -> Float64[Array, "n 3"]:
@@ -219,13 +234,28 @@ def _placed(pixel: Array, depth: Array, camera: Camera) -> Float64[Array, "n 3"]
     return np.asarray((seen - pose[:3, 3]) @ pose[:3, :3])
 
 
-def _shown(places: Array, camera: Camera) -> Bool[Array, "n"]:
-    """Which places lie within the picture of a view."""
+def _seen(places: Array, camera: Camera) -> tuple[Float64[Array, "n 2"], Float64[Array, "n"], Bool[Array, "n"]]:
+    """Pixels and depths of places in a view, and which of them lie within its picture."""
     seen = places @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3]
     with np.errstate(divide="ignore", invalid="ignore"):
         pixel = seen[:, :2] / seen[:, 2:] * np.diag(camera.K)[:2] + camera.K[:2, 2]
     inside = (pixel >= 0).all(axis=1) & (pixel < (camera.width, camera.height)).all(axis=1)
-    return np.asarray(inside & (seen[:, 2] > camera.near))
+    return pixel, seen[:, 2], np.asarray(inside & (seen[:, 2] > camera.near))
+
+
+def _shown(places: Array, camera: Camera) -> Bool[Array, "n"]:
+    """Which places lie within the picture of a view."""
+    return _seen(places, camera)[2]
+
+
+def _hides(places: Array, camera: Camera, depths: Float64[Array, "y x"]) -> Bool[Array, "n"]:
+    """Which places lie well before what a view has in the same cell."""
+    pixel, z, inside = _seen(places, camera)
+    down, across = depths.shape
+    cell = (pixel[inside] * (across / camera.width, down / camera.height)).astype(int)
+    hides = np.zeros(len(places), bool)
+    hides[inside] = z[inside] < BEFORE * depths[cell[:, 1], cell[:, 0]]  # not where the cell is empty: NaN
+    return hides
 
 
 def _cell_means(photo: UInt8[Array, "h w 3"], across: int, down: int) -> Float64[Array, "y x 3"]:
