@@ -2,6 +2,8 @@
 
 import json
 
+from splatree.io.reading import read_levels
+
 
 def test_what_is_whole_is_said_to_be(splatree, small_ply, small_tree):
     code, out, err = splatree("check", small_ply, small_tree)
@@ -19,3 +21,16 @@ def test_what_is_damaged_is_named(splatree, small_tree, tmp_path):
     assert code == 1
     assert "damaged.splatree" in err
     assert "cut off" in err
+
+
+def test_every_level_of_a_stream_is_checked(splatree, small_tree, tmp_path):
+    stream = tmp_path / "stream"
+    assert splatree("stream", small_tree, stream, "--quiet")[0] == 0
+    (whole,) = json.loads(splatree("check", stream, "--json")[1])["scenes"]
+    levels = read_levels(stream)
+    assert len(levels) > 2 and whole["num_gaussians"] == len(levels[0])
+    assert whole["num_nodes"] == sum(map(len, levels))
+    part = next(stream.glob("2_0-*"))
+    (part / "means_l.webp").write_bytes(b"damaged")
+    code, _, err = splatree("check", stream)
+    assert code == 1 and f"{part.name}/meta.json: means_l.webp: not a whole WebP" in err

@@ -166,7 +166,7 @@ def test_a_tree_is_not_reordered(tree):
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        ({"scale": 0}, "scale: found 0, wanted more than 0"),
+        ({"scale": 0}, "scale: found 0, wanted 1e-12 to 1e12"),
         ({"scale": np.inf}, "scale: found inf"),
         ({"min_opacity": 1}, "wanted at least 0 and less than 1"),
         ({"rotate": (0, np.nan, 0)}, "rotate: found"),

@@ -162,6 +162,21 @@ def test_what_the_reader_lost_is_said(tmp_path):
     assert lost[0].startswith("the surfels' own rule")
 
 
+@pytest.mark.parametrize("scale", [1e12, 1e-12])
+@pytest.mark.parametrize("suffix", [".ply", ".spz", ".splatree"])
+@pytest.mark.parametrize("has_levels", [False, True])
+def test_what_an_edit_moves_beyond_what_is_read_is_not_written(tmp_path, scale, suffix, has_levels):
+    g = random_gaussians(50, 0)
+    g.means[:] *= 1e4
+    scene = Scene.flat(g)
+    splatree.write(splatree.build_lod(scene) if has_levels else scene, tmp_path / "a.splatree")
+    with pytest.raises(InputError, match=r"row \d+, .*: found .*, wanted .* rows have such values$"):
+        splatree.convert(
+            tmp_path / "a.splatree", tmp_path / f"b{suffix}", ConvertOptions(edit=EditOptions(scale=scale))
+        )
+    assert not (tmp_path / f"b{suffix}").exists()
+
+
 def test_a_failure_half_way_leaves_the_old_file_whole(tmp_path, small_chunks):
     g = random_gaussians(555, 1)
     g.means[500, 0] = np.nan

@@ -163,7 +163,7 @@ def test_a_cut_off_file_is_refused(tmp_path):
     whole = (tmp_path / "a.ksplat").read_bytes()
     for length in (0, 100, 4096, 5000, len(whole) - 1):
         (tmp_path / "a.ksplat").write_bytes(whole[:length])
-        with pytest.raises(FormatError, match=f"found {length} bytes, wanted"):
+        with pytest.raises(FormatError, match=f"found {length} bytes[;,] (a download|wanted)"):
             splatree.read(tmp_path / "a.ksplat")
 
 

@@ -37,6 +37,18 @@ def test_round_trip_is_within_a_quantum(tmp_path):
     assert angles.max() < 0.8
 
 
+def test_clipped_colours_are_counted(tmp_path):
+    g = random_gaussians(5, 0)
+    g.sh[:] = 0
+    g.sh[[1, 3], 0, 2] = (3, -2)
+    g.sh[4, 0, 0] = 0.5 / SH_C0  # a colour of 1
+    lost = splatree.write(Scene.flat(g), tmp_path / "a.splat")
+    assert "the colours of 2 Gaussians: splat clips them to 0 to 1" in lost
+    assert not any(
+        "clips" in said for said in splatree.write(splatree.read(tmp_path / "a.splat"), tmp_path / "b.splat")
+    )
+
+
 def test_what_was_read_is_written_back_byte_for_byte(tmp_path):
     """Codes are fixed points: colours, opacities and rotations survive any number of round trips."""
     splatree.write(Scene.flat(random_gaussians(300, 0)), tmp_path / "a.splat")

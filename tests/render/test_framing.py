@@ -152,6 +152,13 @@ def test_one_gaussian_has_a_picture():
     assert picture(one, framing).alpha.max() > 0.5
 
 
+@pytest.mark.parametrize("aspect", [1 / 65537, 65537])
+def test_pictures_of_any_shape_are_framed(aspect):
+    """Their trial pictures are 1:16 to 16:1: narrower ones had no pixel, wider ones took minutes."""
+    framing = st.frame_scene(scene_named("figure"), inside=False, aspect=aspect)
+    assert np.isfinite(framing.eye).all() and np.isfinite(framing.target).all()
+
+
 def test_what_cannot_be_framed_is_refused(small_scene):
     with pytest.raises(InputError, match="empty"):
         st.frame_scene(st.Scene.flat(st.Gaussians.empty()))

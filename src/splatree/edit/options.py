@@ -46,8 +46,8 @@ class EditOptions:
         check_literals(self)
         if not 0 <= self.min_opacity < 1:
             raise InputError(f"min_opacity: found {self.min_opacity}, wanted at least 0 and less than 1")
-        if not (self.scale > 0 and math.isfinite(self.scale)):
-            raise InputError(f"scale: found {self.scale}, wanted more than 0")
+        if not 1e-12 <= self.scale <= 1e12:
+            raise InputError(f"scale: found {self.scale}, wanted 1e-12 to 1e12")
         for name in ("rotate", "translate", "crop_box", "crop_sphere"):
             numbers = getattr(self, name) or ()
             if not all(math.isfinite(number) for number in numbers):

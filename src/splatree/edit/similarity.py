@@ -46,9 +46,10 @@ class Similarity:
         moved = np.empty_like(points)
         linear = self.scale * self.rotation
         x, y, z = (points[:, axis].astype(np.float64) for axis in range(3))
-        for axis in range(3):
-            a, b, c = linear[axis]
-            moved[:, axis] = a * x + b * y + c * z + self.translation[axis]
+        with np.errstate(over="ignore"):  # beyond float32 they are infinite, as the check of values says
+            for axis in range(3):
+                a, b, c = linear[axis]
+                moved[:, axis] = a * x + b * y + c * z + self.translation[axis]
         return moved
 
     def gaussians(self, g: Gaussians, means: Float32[Array, "n 3"] | None = None) -> Gaussians:

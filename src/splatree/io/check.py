@@ -123,7 +123,7 @@ def _noted(source: Source, repairs: dict[str, int]) -> Source:
 
 def _mended(gaussians: Gaussians, where: str, repair: Repair, first_row: int) -> tuple[Gaussians, dict[str, int]]:
     if not repair:
-        raise FormatError(_describe(gaussians, where, first_row))
+        raise FormatError(f"{_describe(gaussians, where, first_row)}, read it with repair to fix or drop them")
     return without_unusable(gaussians) if repair == "drop" else repaired(gaussians)
 
 
@@ -223,6 +223,5 @@ def _describe(g: Gaussians, where: str, first_row: int = 0) -> str:
     inner = "".join(f"[{i}]" for i in index[1:])
     return (
         f"{where}: row {first_row + index[0]}, {first.column}{inner}: found {found}, wanted {first.wanted}; "
-        f"{bad_rows.sum()} of {len(g)} rows{f' from {first_row} on' if first_row else ''} have such values, read it with "
-        "repair to fix or drop them"
+        f"{bad_rows.sum()} of {len(g)} rows{f' from {first_row} on' if first_row else ''} have such values"
     )

@@ -17,6 +17,7 @@ from pathlib import Path
 from splatree.edit.edit import edit, edit_rows, move_from_options
 from splatree.edit.options import EditOptions
 from splatree.errors import InputError
+from splatree.io.check import refuse_unusable
 from splatree.io.chunks import Chunks
 from splatree.io.formats.folder.manifest import folder_of, holds_parts
 from splatree.io.formats.folder.whole import open_whole
@@ -35,6 +36,7 @@ from splatree.io.replacing import check_target
 from splatree.io.sorting import along_curve
 from splatree.io.writing import write, write_chunks
 from splatree.progress import track
+from splatree.scene.gaussians import Gaussians
 from splatree.scene.literals import check_literals
 from splatree.scene.names import Mode
 from splatree.scene.origin import Origin
@@ -152,6 +154,8 @@ def _converted_from(found: Sequence[Path], target: Path, options: ConvertOptions
         scene = replace(scene, mode=options.mode)
     num_read = scene.tree.num_leaves
     scene = edit(scene, options.edit)
+    if options.edit != EditOptions():
+        refuse_unusable(scene.gaussians, "the scene after the edits")
     lost = write(scene, target, depth=options.depth, force=force, options=options.write)
     return _converted(num_read, scene.tree.num_leaves, scene.source.metadata, lost, scene.source.origin)
 
@@ -217,7 +221,13 @@ def _edited_chunks(chunks: Chunks, options: EditOptions) -> Chunks:
         chunks,
         num_gaussians=count,
         sh_degree=min(chunks.sh_degree, options.sh_degree),
-        make=lambda: (edit_rows(chunk, options, move) for chunk in chunks),
+        make=lambda: (_usable(edit_rows(chunk, options, move)) for chunk in chunks),
         metadata=move.similarity.metadata(chunks.metadata),
         origin=move.origin,
     )
+
+
+def _usable(edited: Gaussians) -> Gaussians:
+    """Rows that were scaled or moved out of what can be read are not written."""
+    refuse_unusable(edited, "the scene after the edits")
+    return edited

@@ -62,7 +62,9 @@ class BuildOptions:
         if self.pixel_size is not None and not 0 < self.pixel_size <= 1e30:
             raise InputError(f"pixel_size: found {self.pixel_size}, wanted more than 0 world units, finite")
         if not 1 < self.growth <= 1e6:
-            raise InputError(f"growth: found {self.growth}, wanted more than 1 (2 doubles the radius each level)")
+            raise InputError(
+                f"growth: found {self.growth}, wanted more than 1 (2 doubles the radius each level), at most 1e6"
+            )
         if self.max_roots < 1:
             raise InputError(f"max_roots: found {self.max_roots}, wanted at least 1")
         if self.color_radius is not None and not self.color_radius > 0:

@@ -21,7 +21,7 @@ from splatree.io.inputs import find_inputs
 from splatree.io.joined_chunks import opened_chunks
 from splatree.io.local import local_inputs
 from splatree.io.options import ReadOptions
-from splatree.io.reading import read_one
+from splatree.io.reading import read_levels, read_one
 from splatree.io.registry import detect, stored_bytes
 from splatree.outofcore.index import index_of_folder
 from splatree.outofcore.index_file import read_index
@@ -94,6 +94,9 @@ def _checked(path: Path, options: ReadOptions) -> Checked:
     if name == "splatree" and not is_compact(path) and _has_rows_alone(stored := open_scene(path)):
         pages = _pages(stored)
         return Checked(str(path), name, pages.num_leaves, len(stored), num_bytes, True)
+    if found is not None and found.holds.levels == "one of" and options.level is None:
+        levels = [len(level) for level in read_levels(path, repair=bool(options.repair))]
+        return Checked(str(path), name, levels[0], sum(levels), num_bytes, False)
     chunks = opened_chunks([path], options)
     if chunks is not None:
         count = sum(map(len, track(chunks[0], f"check {path.name}")))

@@ -38,6 +38,9 @@ INCLUDED, MARGIN = 0.998, 0.08
 NEARER: Final = (1.0, 0.65, 0.4)
 """Shares of the fitting distance that are tried, the next while something stands before the focus."""
 
+MOST_ASPECT: Final = 16
+"""Trial pictures are at most so many times as wide as high, or as high as wide: a strip of 1:1000 says nothing more."""
+
 BLOCKED: Final = 0.1
 """Share of a picture that something before the focus may take."""
 
@@ -79,6 +82,7 @@ def from_outside(survey: Survey, up: Array, centre: Array, radius: float, aspect
     focus = survey.means[np.linalg.norm(survey.means - centre, axis=1) < FOCUS_RADII * radius]
     north, east = horizontals(up)
     best, best_score = None, -np.inf
+    width = round(64 * min(max(aspect, 1 / MOST_ASPECT), MOST_ASPECT))
     for nearer in NEARER:
         for elevation in np.radians(ELEVATIONS_DEG):
             for turn in np.arange(AZIMUTHS) / AZIMUTHS * 2 * np.pi:
@@ -86,7 +90,7 @@ def from_outside(survey: Survey, up: Array, centre: Array, radius: float, aspect
                 backward = np.cos(elevation) * flat + np.sin(elevation) * up
                 target, distance = _fitted(focus, centre, backward, up, aspect)
                 eye = target + nearer * distance * backward
-                camera = trial_camera(eye, target, up, (round(64 * aspect), 64), OUTSIDE_FOV_DEG)
+                camera = trial_camera(eye, target, up, (width, 64), OUTSIDE_FOV_DEG)
                 trial = judge(draw(sample, camera), camera, focus, centre, radius)
                 score = trial.score + 0.3 * survey.gaze(eye)
                 if score > best_score + 1e-6:

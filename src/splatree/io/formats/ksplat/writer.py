@@ -11,6 +11,7 @@ from splatree.constants import SH_C0
 from splatree.errors import InputError
 from splatree.io.check import refuse_unusable
 from splatree.io.chunks import Chunks
+from splatree.io.colors import num_clipped
 from splatree.io.formats.ksplat.layout import CODE_RANGE, HALF_MAX, HALF_MIN, HEADER, SECTION, record_of, rest_order
 from splatree.io.memory import Scratch
 from splatree.io.opacities import opacities_from_logits
@@ -30,9 +31,6 @@ _BLOCK_SIZE_IN_SIGMAS = 1310.0
 
 _SAMPLE = 1 << 16
 """Rows, evenly spread, of which the median is taken."""
-
-_CLIP_MIN = 0.5 / 255
-"""A colour that is clipped by less is only rounded."""
 
 
 def write_chunks(chunks: Chunks, path: Path, options: WriteOptions) -> tuple[str, ...]:
@@ -112,7 +110,7 @@ class _Codes:
         quats = g.quats.astype(np.float64)
         records["quat"] = quats / np.linalg.norm(quats, axis=1, keepdims=True)
         color = 0.5 + SH_C0 * g.sh[:, 0].astype(np.float64)
-        self.num_clipped += int(((color < -_CLIP_MIN) | (color > 1 + _CLIP_MIN)).any(axis=1).sum())
+        self.num_clipped += num_clipped(g.sh[:, 0])
         records["rgba"][:, :3] = np.rint(np.clip(color, 0, 1) * 255)
         records["rgba"][:, 3] = np.rint(opacities_from_logits(g.logit_opacities) * np.float32(255))
         rest = g.sh.reshape(len(g), -1)[:, 3 + self._order]

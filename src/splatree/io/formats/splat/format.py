@@ -23,9 +23,11 @@ from typing import BinaryIO, Self
 
 import numpy as np
 
+from splatree.constants import SH_C0
 from splatree.errors import FormatError
 from splatree.io.check import are_within, magnitudes_of, refuse_unusable
 from splatree.io.chunks import ROWS_PER_CHUNK, Chunks
+from splatree.io.colors import num_clipped
 from splatree.io.options import ReadOptions, WriteOptions
 from splatree.io.rows import FileRows, Fill
 from splatree.kernels.cpu.codec import splat
@@ -62,7 +64,7 @@ def read_chunks(path: Path, options: ReadOptions) -> Chunks:
 
 def write_chunks(chunks: Chunks, path: Path, options: WriteOptions) -> tuple[str, ...]:
     """Write all rows by descending opacity × volume, equal ones in their order."""
-    counts = np.zeros(_NUM_RANKS, np.int64)
+    counts, clipped = np.zeros(_NUM_RANKS, np.int64), 0
     with path.open("wb") as file, _Rows(path.parent, len(chunks)) as rows:
         reserve(file, len(chunks) * _RECORD_BYTES)
         with task(f"write {path.name}", 2 * len(chunks)) as advance:
@@ -74,6 +76,7 @@ def write_chunks(chunks: Chunks, path: Path, options: WriteOptions) -> tuple[str
                     largest = splat.encode(g, records)
                     if not are_within(g, magnitudes_of(g, sh=largest)):  # what cannot be used has no code either
                         refuse_unusable(g.with_sh_degree(0), "scene to write", first_row=first_row)
+                    clipped += num_clipped(g.sh[:, 0]) if largest > 0.5 / SH_C0 else 0
                     splat.ranks(g, ranks)
                     counts += np.bincount(ranks, minlength=_NUM_RANKS)
                     first_row += len(g)
@@ -82,7 +85,7 @@ def write_chunks(chunks: Chunks, path: Path, options: WriteOptions) -> tuple[str
             for records, ranks in rows.all():
                 splat.place(records, ranks, places, file)
                 advance(len(ranks))
-    return ()
+    return (f"the colours of {clipped:,} Gaussians: splat clips them to 0 to 1",) if clipped else ()
 
 
 class _Rows:
