@@ -1,11 +1,14 @@
 """Stores that lie elsewhere: built there, and drawn from there by the ranges that a view needs."""
 
+from dataclasses import fields
+
 import fsspec
 import numpy as np
 import pytest
 
 import splatree as st
 from splatree.cli.main import main
+from splatree.io.formats.splatree import container
 
 from ..ranged_server import served
 from .conftest import small_pages
@@ -84,10 +87,32 @@ def test_pages_of_an_object_are_counted_with_their_harmonics_and_kept_within_the
         assert store.num_loaded == num_pages and row_bytes * len(scene) > 1.5 * 60_000
 
 
-def test_a_single_file_of_a_server_is_drawn_from_its_ranges(scene, tmp_path):
-    st.write(scene, tmp_path / "one.splatree")
-    with small_pages(400), served(tmp_path) as server, st.open_store(f"{server.address}/one.splatree") as store:
+def test_a_single_file_of_a_server_is_drawn_from_its_ranges(scene, tmp_path, monkeypatch):
+    monkeypatch.setattr(container, "NEAR_BYTES", 0)  # columns of a large file lie far from each other
+    path = tmp_path / "one.splatree"
+    st.write(scene, path)
+    with small_pages(100), served(tmp_path) as server, st.open_store(f"{server.address}/one.splatree") as store:
+        # The index is made of all columns but the harmonics, of which the first 16 kB of the file have some.
+        assert sum(server.sent) < path.stat().st_size - scene.gaussians.sh.nbytes + 16384
+        num_columns, num_roots = 8, 5
+        assert len(store.index.table) == 12
+        assert len(server.sent) <= 2 + num_roots + num_columns  # all pages by one request a column
         check_is_drawn_alike(store, scene)
+    with small_pages(100), st.open_store(path) as here:
+        assert all(
+            getattr(store.index.table, f.name).tobytes() == getattr(here.index.table, f.name).tobytes()
+            for f in fields(here.index.table)
+        )
+
+
+def test_a_single_file_of_a_server_is_drawn_by_the_command_from_its_ranges(scene, tmp_path, monkeypatch, capsys):
+    st.write(scene, tmp_path / "one.splatree")
+    monkeypatch.setattr("splatree.cli.opening.read_scene", None)
+    with served(tmp_path) as server:
+        line = (
+            f"render {server.address}/one.splatree -o {tmp_path}/picture.png --width 32 --height 24 --max-memory 300M"
+        )
+        assert main(line.split()) == 0, capsys.readouterr().err
 
 
 def test_a_scene_of_a_store_is_built_into_it(bucket, ply, tmp_path, monkeypatch):

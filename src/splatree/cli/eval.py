@@ -71,8 +71,9 @@ class Command:
     device: DeviceName = "cpu"
     """Where to select and draw: `cuda` is an NVIDIA GPU; `splatree doctor` says what it needs."""
     max_memory: str | None = None
-    """Most memory for what is read of a .splatree or a folder of parts, such as 1G: only what the views need is read. A folder is
-    always drawn so, unless a baseline or a reference needs all of it; by default it takes half of the free memory."""
+    """Most memory for what is read of a .splatree or a folder of parts, such as 1G: only what the views need is read. A folder,
+    and a .splatree larger than half of the free memory, is always drawn so, unless a baseline or a reference needs all of it; by
+    default it takes half of the free memory."""
     made: Annotated[PathOptions, arg(name="", help="")] = PathOptions(views=8)
     select: Annotated[SelectOptions, arg(name="", help="")] = SelectOptions()
     options: Annotated[RenderOptions, arg(name="", help="")] = RenderOptions()

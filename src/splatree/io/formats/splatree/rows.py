@@ -124,13 +124,14 @@ class StoredScene:
     def __len__(self) -> int:
         return self.head.num_rows
 
-    def rows(self, begin: int, end: int, *, harmonics: bool = True) -> SceneRows:
+    def rows(self, begin: int, end: int, *, harmonics: bool | None = True) -> SceneRows:
         """Map the rows ``begin`` to ``end`` and check their values; no other row is read.
 
         Args:
             begin: first row, 0 or more.
             end: one past the last row, at most the number of rows.
-            harmonics: check the harmonics too; without, they are mapped, but not read.
+            harmonics: check the harmonics too. False: they are mapped, but not read; of an object of a store they are fetched,
+                but not checked. None: they are zeros, which take no memory, and those of the file are not asked for.
 
         Returns:
             The rows, read-only, as views of the file. They stay valid when the handle is gone.
@@ -143,11 +144,13 @@ class StoredScene:
             raise InputError(
                 f"{self.file.path}: found rows {begin} to {end}, wanted some of the {len(self)} rows there are"
             )
-        where, file = str(self.file.path), self.file
-        wanted = [f"gaussians.{f.name}" for f in fields(Gaussians)]
+        where, file, sh = str(self.file.path), self.file, "gaussians.sh"
+        wanted = [f"gaussians.{f.name}" for f in fields(Gaussians) if harmonics is not None or f.name != "sh"]
         wanted += [f"tree.{name}" for name in ("subtree_end", "depth", "extents")]
         wanted += ["ids"] * self.head.has_ids + ["tree.curves"] * self.head.has_curves
         columns = dict(zip(wanted, file.rows_of(wanted, begin, end), strict=True))
+        if harmonics is None:
+            columns[sh] = np.zeros((end - begin, *file.columns[sh].shape[1:]), np.float32)
         mapped = Gaussians(*(columns[f"gaussians.{f.name}"] for f in fields(Gaussians)))
         magnitudes = None if harmonics else magnitudes_of(mapped, sh=0.0)
         gaussians, _ = checked_rows(mapped, where, repair=False, magnitudes=magnitudes, first_row=begin)
