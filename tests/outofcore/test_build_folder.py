@@ -35,7 +35,7 @@ SMALL = st.FolderOptions(part_rows=200)
 
 def room_for(num_roots):
     """Memory for so many roots of parts together, as long as the context lasts."""
-    return mock.patch.object(build, "top_bytes", lambda roots, k: 10**18 if roots > num_roots else 0)
+    return mock.patch.object(build, "top_bytes", lambda roots, k, follows: 10**18 if roots > num_roots else 0)
 
 
 def check_is_tree_of(folder, path, options=None, mode=None):

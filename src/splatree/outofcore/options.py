@@ -8,7 +8,7 @@ from splatree.io.memory import PROCESS_BYTES, SMALLEST_MEMORY, bytes_of, free_by
 
 __all__ = ["FolderOptions", "Room"]
 
-ROW_BYTES = 350
+ROW_BYTES = 420
 """What growing a cell takes for each of its rows without harmonics, with the space around it: benchmarks/scale.py."""
 
 HARMONIC_BYTES = 32
@@ -19,6 +19,9 @@ ROOT_BYTES = 450
 
 ROOT_HARMONIC_BYTES = 45
 """What they take besides for each coefficient of harmonics above degree 0."""
+
+ROOT_SHOWN_BYTES = 1000
+"""What it takes besides where nodes follow the pixel: what leaves show at the pixel of each level."""
 
 MOST_LEVELS = 16
 """Levels that a user may let cells grow: what has to be loaded around a cell doubles with each."""
@@ -146,6 +149,7 @@ def row_bytes_of(num_coefficients: int, *, by_pairs: bool = False) -> int:
     return (PAIR_ROW_BYTES if by_pairs else ROW_BYTES) + HARMONIC_BYTES * (num_coefficients - 1)
 
 
-def top_bytes(num_roots: int, num_coefficients: int) -> int:
+def top_bytes(num_roots: int, num_coefficients: int, *, follows: bool) -> int:
     """Memory of a process that grows roots of parts together."""
-    return PROCESS_BYTES + num_roots * (ROOT_BYTES + ROOT_HARMONIC_BYTES * (num_coefficients - 1))
+    root_bytes = ROOT_BYTES + ROOT_HARMONIC_BYTES * (num_coefficients - 1) + ROOT_SHOWN_BYTES * follows
+    return PROCESS_BYTES + num_roots * root_bytes
