@@ -257,7 +257,9 @@ def test_all_blend_kernels_draw_the_same_bits_in_any_order(emulator: Device) -> 
             assert same_bits(first, Stages(emulator).blend(splats, bins, seen(seen_by, **BACKGROUND), kernel=kernel))
 
 
-@pytest.mark.parametrize("size", [(48, 32), (300, 200), (1100, 300)])  # 6, 247 and 1311 tiles: less and more than threads
+@pytest.mark.parametrize(
+    "size", [(48, 32), (300, 200), (1100, 300)]
+)  # 6, 247 and 1311 tiles: less and more than threads
 def test_tiles_with_the_longest_lists_come_first(size: tuple[int, int], device: Device) -> None:
     seen_by = camera(*size)
     splats = splats_of(st.Scene.flat(gaussians(200, 3, log_scales=(-4, -1))), seen_by)
