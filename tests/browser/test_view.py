@@ -419,7 +419,9 @@ def test_copying_works_without_the_clipboard_of_pages_with_tls(browser, viewer):
 def test_lines_stand_out_from_the_background(browser, viewer):
     """The mean colour of the page's ground and of each line over it differ by a third of the way from black to white."""
     page = opened(browser, viewer, "&renderer=webgl&exact=0")
-    page.evaluate("splatree.page.showFrusta([{ ...splatree.page.views.current('a') }], null); splatree.page.setClip(true)")
+    page.evaluate(
+        "splatree.page.showFrusta([{ ...splatree.page.views.current('a') }], null); splatree.page.setClip(true)"
+    )
     for layer, background in (("color", "white"), ("color", "black"), ("depth", "white")):
         page.evaluate(f"splatree.state.layer = '{layer}'; splatree.state.background = '{background}'")
         ground = 1.0 if (layer, background) == ("color", "white") else 0.0
