@@ -361,6 +361,10 @@ def test_touch_turns_and_pinches(browser, viewer):
     assert page.evaluate("document.documentElement.scrollWidth") <= 360  # nothing sticks out …
     boxes = "['title', 'status'].map((id) => document.getElementById(id).getBoundingClientRect())"
     assert page.evaluate(f"{boxes}.reduce((a, b) => a.right <= b.left || a.bottom <= b.top)")  # … or overlaps
+    page.evaluate("document.getElementById('name').textContent = 'the long name of a scene.splatree'")
+    page.call("Emulation.setDeviceMetricsOverride", width=320, height=568, deviceScaleFactor=1, mobile=True)
+    settled(page)
+    assert page.evaluate(f"{boxes}.reduce((a, b) => a.right <= b.left || a.bottom <= b.top)")
 
 
 def test_two_pages_at_once_show_views_of_their_own(browser, viewer):
