@@ -183,7 +183,7 @@ def main() -> None:
         by_pairs = arguments.method == "pairs"
         words = ("--method", arguments.method, *(() if by_pairs else ("--no-follow",)))
         if arguments.tiles == 1:
-            in_memory = run("build", ply, tree, *words, "--no-measure-quality", "-q")
+            in_memory = run("build", ply, tree, *words, "-q")
             wanted = st.read(tree)
             rows.append({**about, "build": "in memory", **figures(in_memory, in_memory, millions)})
         for memory, workers in product(arguments.memory, arguments.workers):

@@ -3,7 +3,7 @@
 ``python benchmarks/train.py`` runs all but those of more than ten minutes; names of runs as arguments choose some, and keep the
 rows of the others. With ``--files FOLDER`` an interrupt (Ctrl-C) leaves a checkpoint there, and the same command goes on. The
 runs named ``points`` and ``cells`` begin alike but for one thing: with the points of the cameras' model alone, or with a Gaussian
-in each empty cell of the photographs too.
+in each empty cell of the photographs, and of what lies beyond their borders, too.
 """
 
 import argparse
@@ -38,7 +38,7 @@ class Run:
     iterations: int | None = None
     """Steps instead of seconds."""
     fills_cells: bool = True
-    """Whether training begins in empty cells, too."""
+    """Whether training begins in empty cells and beyond the borders, too."""
 
 
 RUNS = {
@@ -105,7 +105,7 @@ def trained(name: str, run: Run, files: Path | None) -> tuple[list[dict[str, Any
     else:
         options = st.TrainOptions(iterations=run.iterations, max_gaussians=run.max_gaussians)
     prepare = importlib.import_module("splatree.train.prepare")
-    filled = prepare.fill_empty_cells
+    fills = {name: getattr(prepare, name) for name in ("fill_empty_cells", "add_apron")}
 
     def row(scored: st.Scored) -> dict[str, Any]:
         assert scored.score is not None
@@ -121,7 +121,8 @@ def trained(name: str, run: Run, files: Path | None) -> tuple[list[dict[str, Any
         }
 
     if not run.fills_cells:
-        prepare.fill_empty_cells = lambda gaussians, *others, **more: gaussians
+        for fill in fills:
+            setattr(prepare, fill, lambda gaussians, *others, **more: gaussians)
     kept = st.RunFiles() if files is None else st.RunFiles(files / name, resume=(files / name).is_dir())
     interrupted: list[int] = []
     if files is not None:
@@ -136,7 +137,8 @@ def trained(name: str, run: Run, files: Path | None) -> tuple[list[dict[str, Any
             watch=lambda scored: print(row(scored), flush=True),
         )
     finally:
-        prepare.fill_empty_cells = filled
+        for fill, original in fills.items():
+            setattr(prepare, fill, original)
     rows = [row(scored) for scored in found.history]
     if found.stopped:
         return rows, []

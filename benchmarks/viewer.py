@@ -4,7 +4,8 @@
 camera turns about the scene in steps of 2°, from the first view, and from a half and a third of its distance, in a window
 of 960 × 540 px.
 
-- *step*: the selection of at most ``--budget`` nodes, begun at the τ_R of the step before, and what takes the page there.
+- *step*: the selection of at most ``--budget`` nodes, begun at the τ_R of the step before, and what takes the page there: new
+  nodes, those that look otherwise by now, and colours.
 - *step, alone*: the same where each budget is searched anew, as for a view alone.
 - *picture*: drawn on the server as for ``--frames``, at the sizes that a page asks for while it moves, and made a JPEG; the mean
   of all steps, since the cut is chosen anew in some of them only.
@@ -69,7 +70,7 @@ def steps(
         for camera in cameras:
             begin = None if is_alone else last
             chosen = measure(partial(shown.cut, guarded_by(camera, GUARD), options, begin))
-            change = measure(partial(slots.move, chosen.value.rows, camera.position))
+            change = measure(partial(slots.move, chosen.value.rows, camera.position, shown.session.view(camera)))
             last = chosen.value.pixel_error
             new, kilobytes = len(change.value.add), len(change.value.payload) / 1e3
             costs.append((1e3 * chosen.cpu_s, 1e3 * change.cpu_s, len(chosen.value), new, kilobytes))
@@ -118,7 +119,7 @@ def first_picture(shown: Exhibit) -> dict[str, object]:
     slots = Slots(shown.shown, shown.centre, 1 << 21)
     options = splatree.SelectOptions(budget=LADDER[0])
     chosen = measure(lambda: shown.cut(guarded_by(camera, GUARD), options, FIRST_TAU_PX))
-    change = measure(lambda: slots.move(chosen.value.rows, camera.position))
+    change = measure(lambda: slots.move(chosen.value.rows, camera.position, shown.session.view(camera)))
     costs = {"ms": 1e3 * (chosen.cpu_s + change.cpu_s), "select ms": 1e3 * chosen.cpu_s, "pack ms": 1e3 * change.cpu_s}
     page = sum(len(data) for data, _ in page_files().values()) / 1e3
     nodes, kilobytes = len(chosen.value), len(change.value.payload) / 1e3

@@ -4,18 +4,27 @@ import re
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
+from splatree.io.http import close_connections
+
 
 class Ranges(SimpleHTTPRequestHandler):
-    """Answers with ranges; counts their bytes in ``sent``."""
+    """Answers with ranges; counts their bytes in ``sent``, and connections in ``opened``."""
 
+    protocol_version = "HTTP/1.1"  # connections stay open
     disable_nagle_algorithm = True  # heads and bodies are sent apart: 40 ms for each request otherwise
     sent: list[int]
+    opened: list[object]
     cut = False
     """Whether it gives fewer bytes than it was asked for, as of an object that has been replaced."""
+
+    def setup(self) -> None:
+        super().setup()
+        self.opened.append(self.client_address)
 
     def do_GET(self) -> None:
         path = Path(self.translate_path(self.path))
@@ -46,16 +55,72 @@ class Cutting(Ranges):
     cut = True
 
 
+class Closing(Ranges):
+    """Closes each connection after an answer, and does not tell."""
+
+    def do_GET(self) -> None:
+        super().do_GET()
+        self.close_connection = True
+
+
+class Leading(Ranges):
+    """Leads each address to another."""
+
+    def do_GET(self) -> None:
+        if self.path.startswith("/old"):
+            self.send_response(302)
+            self.send_header("Location", self.path.replace("/old", ""))
+            self.send_header("Content-Length", "0")
+            self.end_headers()
+        else:
+            super().do_GET()
+
+
+class Proxy(Ranges):
+    """Is asked for addresses of other servers."""
+
+    def do_GET(self) -> None:
+        if self.headers["Host"] == "elsewhere.invalid" and self.headers["Proxy-Authorization"] == "Basic dTpw":
+            self.path = self.path.removeprefix("http://elsewhere.invalid")
+            super().do_GET()
+        else:
+            self.send_error(407)
+
+
+class Refusing(Ranges):
+    """Has nothing, and says so on a page."""
+
+    def do_GET(self) -> None:
+        self.send_response(404)
+        self.send_header("Content-Length", "1000")
+        self.end_headers()
+        self.wfile.write(bytes(1000))
+
+
+@dataclass
+class Served:
+    """A folder that a server gives."""
+
+    address: str = ""
+    """Where it is."""
+    sent: list[int] = field(default_factory=list)
+    """Bytes of each range that was sent."""
+    opened: list[object] = field(default_factory=list)
+    """Connections that were opened."""
+
+
 @contextmanager
-def served(folder: Path, handler: type[SimpleHTTPRequestHandler] = Ranges) -> Iterator[tuple[str, list[int]]]:
-    """The address of a folder, and the bytes of each range that was sent."""
-    sent: list[int] = []
-    counting = type("Counting", (handler,), {"sent": sent})
+def served(folder: Path, handler: type[SimpleHTTPRequestHandler] = Ranges) -> Iterator[Served]:
+    """A folder, served while the context lasts."""
+    found = Served()
+    counting = type("Counting", (handler,), {"sent": found.sent, "opened": found.opened})
     with ThreadingHTTPServer(("127.0.0.1", 0), partial(counting, directory=str(folder))) as server:
         thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
         thread.start()
         try:
-            yield f"http://127.0.0.1:{server.server_port}", sent
+            found.address = f"http://127.0.0.1:{server.server_port}"
+            yield found
         finally:
+            close_connections()
             server.shutdown()
             thread.join()

@@ -30,6 +30,14 @@ def test_each_page_is_one_of_four_kinds_and_in_the_navigation():
     assert len(navigation) == len(set(navigation))
 
 
+def test_the_first_page_leads_to_each_page():
+    """But for the pages of the reference that an index of their own lists."""
+    first = (ROOT / "docs" / "index.md").read_text()
+    pages = [path.relative_to(ROOT / "docs").as_posix() for path in (ROOT / "docs").rglob("*.md")]
+    listed = [page for page in pages if page != "index.md" and not page.startswith("reference/formats/")]
+    assert [page for page in listed if page not in first] == []
+
+
 def test_the_tests_that_the_page_of_promises_names_are_there():
     page = (ROOT / "docs" / "explanation" / "what-is-held.md").read_text()
     there = {

@@ -31,6 +31,7 @@ _NAMES = {
     "hardware.config": ("Machine",),
     "hardware.study": ("Simulation", "simulate"),
     "io.cameras.files": ("read_cameras", "write_cameras"),
+    "io.cleaning": ("CleanedFile", "clean_file"),
     "io.convert": ("ConvertOptions", "Converted", "convert"),
     "io.formats.splatree.head": ("SceneHead", "common_head"),
     "io.formats.splatree.rows": ("SceneRows", "StoredScene", "open_scene"),

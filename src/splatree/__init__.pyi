@@ -19,6 +19,8 @@ from splatree.hardware.study import Simulation as Simulation
 from splatree.hardware.study import simulate as simulate
 from splatree.io.cameras.files import read_cameras as read_cameras
 from splatree.io.cameras.files import write_cameras as write_cameras
+from splatree.io.cleaning import CleanedFile as CleanedFile
+from splatree.io.cleaning import clean_file as clean_file
 from splatree.io.convert import ConvertOptions as ConvertOptions
 from splatree.io.convert import Converted as Converted
 from splatree.io.convert import convert as convert

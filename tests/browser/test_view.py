@@ -16,7 +16,6 @@ from splatree.render.pipeline import render
 from splatree.scene.options import RenderOptions, SelectOptions
 from splatree.scene.thinning import ThinOptions
 from splatree.simplify.thin import thin
-from splatree.view.follow import followed
 from splatree.view.options import ViewOptions
 from splatree.view.viewer import Viewer
 
@@ -165,9 +164,8 @@ def test_after_any_cameras_the_page_holds_the_cut_of_the_server(browser, city_tr
         rows = slots.rows[np.argsort(slots.slots)]
         exhibit = made._server.exhibits[0]
         eye = made.camera.position
-        words = pack_nodes(city_tree.gaussians, city_tree.tree, rows, eye, exhibit.centre)
-        curves = city_tree.tree.curves
-        words = followed(words, city_tree.gaussians, curves, rows, slots._dilations[held])  # as they were sent
+        sent_at = slots._dilations[held]
+        words = pack_nodes(city_tree.gaussians, city_tree.tree, rows, eye, exhibit.centre, sent_at)
         # Colours may be those of an eye that was a little elsewhere; all else is the same to the bit.
         checksum = 0
         for word in np.delete(words, 4, axis=1).ravel().tolist():
@@ -377,3 +375,49 @@ def test_two_pages_at_once_show_views_of_their_own(browser, viewer):
     header = one.evaluate("splatree.layers[0].header")
     assert psnr(one.screenshot(), picture(viewer, one, pixel_error=header["tau"])) >= 40
     assert one.errors + two.errors == []
+
+
+def test_a_hand_ends_a_flight_and_a_glide(browser, viewer):
+    page = opened(browser, viewer, "&renderer=webgl&exact=0")
+    page.evaluate("splatree.page.views.add(); splatree.camera.orbit(0.5, 0); splatree.page.views.add()")
+    page.evaluate("splatree.page.views.play(false)")
+    assert page.evaluate("splatree.page.views.flight !== null")
+    page.mouse("mouseWheel", 200, 100, deltaX=0, deltaY=-30)
+    page.wait_for("splatree.page.views.flight === null")
+    page.evaluate("splatree.reset()")
+    assert page.evaluate("splatree.motion !== null")
+    page.mouse("mousePressed", 200, 150, button="left", buttons=1, clickCount=1)
+    page.wait_for("splatree.motion === null")
+    assert page.errors == []
+
+
+def test_many_cameras_are_listed_in_lines_that_can_be_read(browser, viewer):
+    page = browser.new_page()
+    page.open(f"{viewer.url}?renderer=webgl&exact=0", size=SIZE)
+    page.wait_for("window.splatree?.isReady")
+    page.evaluate("for (let i = 0; i < 40; i++) splatree.page.views.add(); document.body.classList.add('open')")
+    page.evaluate("document.querySelectorAll('#panel details').forEach((section) => (section.open = true))")
+    heights = page.evaluate("[...document.querySelectorAll('.views button')].map((row) => row.offsetHeight)")
+    assert len(heights) == 40 and min(heights) >= 20
+
+
+def test_copying_works_without_the_clipboard_of_pages_with_tls(browser, viewer):
+    page = opened(browser, viewer, "&renderer=webgl&exact=0")
+    page.evaluate("Object.defineProperty(navigator, 'clipboard', { value: undefined })")
+    page.evaluate("document.addEventListener('copy', (event) => (window.copied = event.target.value))")
+    page.call("Runtime.evaluate", expression="splatree.page.copy('an address', 'Copied.')", userGesture=True)
+    page.wait_for("window.copied === 'an address'")
+    page.wait_for("document.getElementById('notice').textContent === 'Copied.'")
+
+
+def test_lines_stand_out_from_the_background(browser, viewer):
+    """The mean colour of the page's ground and of each line over it differ by a third of the way from black to white."""
+    page = opened(browser, viewer, "&renderer=webgl&exact=0")
+    page.evaluate(
+        "splatree.page.showFrusta([{ ...splatree.page.views.current('a') }], null); splatree.page.setClip(true)"
+    )
+    for layer, background in (("color", "white"), ("color", "black"), ("depth", "white")):
+        page.evaluate(f"splatree.state.layer = '{layer}'; splatree.state.background = '{background}'")
+        ground = 1.0 if (layer, background) == ("color", "white") else 0.0
+        for red, green, blue, alpha in page.evaluate("splatree.page.linesDrawn().map((line) => line.color)"):
+            assert abs(alpha * (0.3 * red + 0.6 * green + 0.1 * blue - ground)) > 0.33

@@ -50,14 +50,16 @@ def test_fast_is_refused_beside_what_contradicts_it(city, tmp_path, capsys, word
 
 
 @pytest.mark.parametrize("words", [["--fast"], ["--method", "radius"]])
-@pytest.mark.parametrize(("pairs_db", "warns"), [(32.0, True), (22.0, False)])
+@pytest.mark.parametrize(("loss_db", "warns"), [(6.5, True), (5.5, False)])
 def test_levels_by_a_radius_that_are_far_worse_are_not_written_without_a_word(
-    city, tmp_path, capsys, monkeypatch, words, pairs_db, warns
+    city, tmp_path, capsys, monkeypatch, words, loss_db, warns
 ):
-    trial = st.MethodTrial(radius_db=21.0, pairs_db=pairs_db, num_gaussians=5000, num_pictures=9)
+    trial = st.MethodTrial(radius_db=41.0, pairs_db=42.0, num_gaussians=5000, num_pictures=9, radius_loss_db=loss_db)
     monkeypatch.setattr("splatree.cli.build.try_methods", lambda scene, most: trial)
     notes = built(city, tmp_path, capsys, *words)["notes"]
-    assert any("show this scene badly" in note and "pairs 32.0 dB" in note for note in notes) == warns
+    assert (
+        any("show this scene badly" in note and "in one picture -6.5 dB by a radius" in note for note in notes) == warns
+    )
 
 
 def test_a_build_through_files_says_which_method_and_both_figures(city, tmp_path, capsys):

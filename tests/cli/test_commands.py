@@ -416,6 +416,17 @@ def test_folders_are_drawn_and_scored_without_reading_all_of_them(splatree, smal
         for name in ("num_gaussians", "num_nodes", "levels"):
             assert found[name] == scored[name]
     assert splatree("render", folder, "-o", tmp_path / "made.png", "-q")[0] == 0  # a view is chosen for it
+    monkeypatch.setattr(
+        "splatree.cli.opening.free_bytes", lambda: 2 * one.stat().st_size - 1
+    )  # one file is large, then
+    assert splatree("render", one, "-o", tmp_path / "paged", "--force", *views, "-q")[0] == 0
+    for view in drawn["views"]:
+        name = Path(view["file"]).name
+        assert (tmp_path / "paged" / name).read_bytes() == (tmp_path / "read" / name).read_bytes()
+    monkeypatch.undo()
+    monkeypatch.setattr("splatree.cli.opening.open_store", None)  # half of what is free will do
+    monkeypatch.setattr("splatree.cli.opening.free_bytes", lambda: 2 * one.stat().st_size)
+    assert splatree("render", one, "-o", tmp_path / "small.png", "-q")[0] == 0
     monkeypatch.undo()
     for path, words in ((small_ply, ()), (folder, ("--level", "0")), (folder, ("--rule", "release"))):
         code, _, err = splatree("render", path, "-o", tmp_path / "no.png", "--max-memory", "1M", *words)

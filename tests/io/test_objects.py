@@ -1,6 +1,7 @@
 """Scenes on object stores and servers: what is read and written there is what is read and written here."""
 
 import builtins
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields
 from pathlib import Path
 
@@ -9,11 +10,11 @@ import pytest
 
 import splatree as st
 from splatree.errors import FormatError, InputError, MissingExtraError, OutputError
-from splatree.io import objects, sources
+from splatree.io import http, objects, sources
 from splatree.io.objects import ObjectPath, located
 from splatree.scene.scene import Source
 
-from ..ranged_server import Cutting, served
+from ..ranged_server import Closing, Cutting, Leading, Proxy, Refusing, served
 from ..scenes import random_gaussians
 
 SUFFIXES = (".ply", ".compressed.ply", ".spz", ".splat", ".sog", ".ksplat", ".glb", ".rad", ".splatree", ".hier")
@@ -71,6 +72,30 @@ def test_an_object_is_replaced_only_if_that_is_asked(bucket, scene):
     st.write(scene, f"{bucket}/a.spz", force=True)
 
 
+def test_a_folder_of_sog_is_written_to_a_store_whole_or_not_at_all(bucket, scene, tmp_path, monkeypatch):
+    st.write(scene, tmp_path / "sog" / "meta.json")
+    st.write(scene, f"{bucket}/sog/meta.json")
+    files = fsspec.filesystem("memory")
+    wanted = {f"/bucket/sog/{path.name}": path.read_bytes() for path in (tmp_path / "sog").iterdir()}
+    assert {name: files.cat_file(name) for name in files.find("/bucket/sog")} == wanted and len(wanted) > 5
+    check_are_equal(st.read(f"{bucket}/sog/meta.json"), st.read(tmp_path / "sog"))
+    with pytest.raises(OutputError, match=r"memory://bucket/sog/meta\.json: exists already"):
+        st.write(scene, f"{bucket}/sog/meta.json")
+    put = sources._Fsspec.put
+
+    def refuse_the_last(self, local, url):
+        if url.endswith("meta.json"):
+            raise OutputError(f"{url}: could not be written (full)")
+        put(self, local, url)
+
+    monkeypatch.setattr(sources._Fsspec, "put", refuse_the_last)
+    with pytest.raises(OutputError, match=r"memory://bucket/new/meta\.json: could not be written \(full\)"):
+        st.write(scene, f"{bucket}/new/meta.json")
+    with pytest.raises(OutputError, match="full"):
+        st.write(scene, f"{bucket}/sog/meta.json", force=True)
+    assert sorted(files.find("/bucket")) == sorted(wanted)  # what was there before stays
+
+
 def test_nothing_is_sent_of_a_file_that_could_not_be_written(bucket, scene):
     with pytest.raises(InputError, match=r"^memory://bucket/a\.spz: found version 9"):
         st.write(scene, f"{bucket}/a.spz", options=st.WriteOptions(format_version=9))
@@ -97,8 +122,6 @@ def test_what_a_store_lacks_is_said(bucket, scene, monkeypatch):
         st.read("gopher://b/a.ply")
     with pytest.raises(OutputError, match=r"http://b/a\.ply: cannot be written, https is only read"):
         st.write(scene, "http://b/a.ply")
-    with pytest.raises(OutputError, match="a folder of SOG is written on this machine only"):
-        st.write(scene, f"{bucket}/folder/meta.json")
     imported = builtins.__import__
 
     def without_fsspec(name, *rest):
@@ -136,9 +159,53 @@ def test_an_object_that_shrinks_while_it_is_read_is_not_believed(bucket, scene, 
 
 def test_folders_of_a_server_are_read_by_ranges(scene, tmp_path):
     st.write(scene, tmp_path / "sog" / "meta.json")
-    with served(tmp_path) as (address, sent):
-        check_are_equal(st.read(f"{address}/sog/meta.json"), st.read(tmp_path / "sog"))
-        assert sent
+    with served(tmp_path) as server:
+        check_are_equal(st.read(f"{server.address}/sog/meta.json"), st.read(tmp_path / "sog"))
+        assert len(server.sent) > 5 and len(server.opened) == 1
+
+
+@pytest.mark.parametrize("handler, place", [(Closing, ""), (Leading, "/old"), (Proxy, "")])
+def test_servers_that_close_lead_on_or_stand_between_are_read(scene, tmp_path, monkeypatch, handler, place):
+    st.write(scene, tmp_path / "sog" / "meta.json")
+    with served(tmp_path, handler) as server:
+        address = server.address
+        if handler is Proxy:
+            monkeypatch.setenv("http_proxy", address.replace("//", "//u:p@"))
+            http.close_connections()  # and proxies are looked up
+            address = "http://elsewhere.invalid"
+        check_are_equal(st.read(f"{address}{place}/sog/meta.json"), st.read(tmp_path / "sog"))
+        assert len(server.opened) == (len(server.sent) if handler is Closing else 1)
+
+
+def test_a_connection_that_waited_long_or_has_too_many_beside_it_is_closed(tmp_path, monkeypatch):
+    (tmp_path / "a.bin").write_bytes(bytes(range(100)))
+    with served(tmp_path) as server:
+        url = f"{server.address}/a.bin"
+
+        def read(_):
+            return sources.source_of(url).read(url, 10, 90)
+
+        with ThreadPoolExecutor(8) as pool:
+            assert set(pool.map(read, range(64))) == {bytes(range(10, 90))}
+        assert len(server.opened) <= 8
+        before = len(server.opened)
+        read(0)
+        assert len(server.opened) == before
+        monkeypatch.setattr(http, "IDLE_S", 0.0)
+        read(0)
+        assert len(server.opened) == before + 1
+        monkeypatch.setattr(http, "IDLE_S", 20.0)
+        monkeypatch.setattr(http, "MOST_IDLE", 0)
+        read(0)  # over the one that waits, which then is closed
+        read(0)
+        assert len(server.opened) == before + 2
+
+
+def test_an_error_of_a_server_leaves_the_connection_open(tmp_path):
+    with served(tmp_path, Refusing) as server:
+        for _ in range(3):
+            assert not located(f"{server.address}/gone.ply").exists()
+        assert len(server.opened) == 1
 
 
 def test_servers_without_ranges_or_bytes_are_refused(scene, tmp_path):
@@ -153,18 +220,20 @@ def test_servers_without_ranges_or_bytes_are_refused(scene, tmp_path):
     path = tmp_path / "a.splatree"
     st.write(scene, path)
     (tmp_path / "empty.splatree").write_bytes(b"")
-    with served(tmp_path, Whole) as (address, _):
+    with served(tmp_path, Whole) as server:
+        address = server.address
         with pytest.raises(
             InputError, match=r"a\.splatree: found a server that answers with the whole file \(status 200\)"
         ):
             st.open_store(f"{address}/a.splatree")
         assert len(st.read(f"{address}/a.splatree")) == len(scene)  # one file is fetched
     with (
-        served(tmp_path, Cutting) as (address, _),
+        served(tmp_path, Cutting) as server,
         pytest.raises(InputError, match=r"a\.splatree: found 65,535 of 65,536 bytes from byte 0 on"),
     ):
-        st.open_store(f"{address}/a.splatree")
-    with served(tmp_path) as (address, _):
+        st.open_store(f"{server.address}/a.splatree")
+    with served(tmp_path) as server:
+        address = server.address
         with pytest.raises(FormatError, match="found a header of 0 bytes in a file of 0"):
             st.open_store(f"{address}/empty.splatree")
         with pytest.raises(InputError, match=r"gone\.splatree: cannot be read \(No such object\)"):

@@ -289,5 +289,5 @@ def test_a_folder_of_a_relative_name_is_not_lost_unless_it_is_a_plain_one(tmp_pa
 
 def test_a_folder_without_pictures_is_told(tmp_path):
     camera = Camera.look_at([0, 0, -5], [0, 0, 0], width=8, height=8)
-    with pytest.raises(InputError, match=r"data: found no pictures in .*, wanted those of 1 cameras"):
+    with pytest.raises(InputError, match=r"data: found no pictures in .*, wanted those of the 1 cameras"):
         Photos(tmp_path, [replace(camera, name="a.png")])

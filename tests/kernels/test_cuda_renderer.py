@@ -103,7 +103,7 @@ def test_schedule_and_kernel_change_no_bit(ids: bool, emulator: Emulator) -> Non
     if not ids:
         scene = replace(scene, ids=None)
     found = []
-    for seed, num_resident, blend in ((1, 1, "blend_16"), (2, 3, "blend_16"), (3, 2, "blend_8")):
+    for seed, num_resident, blend in ((1, 1, "blend_16"), (2, 3, "blend_16"), (3, 2, "longest_8")):
         emulator.seed(seed)
         emulator.interleave(num_resident)
         picture = renderer_of(scene, emulator, blend=blend).draw(view_of(scene, seen_by, DRAWING), st.SelectOptions())

@@ -10,7 +10,7 @@ import splatree as st
 from splatree.kernels import reference
 from splatree.kernels.cpu import frame as cpu
 from splatree.kernels.cuda.driver import Device
-from splatree.kernels.cuda.plan import Blend
+from splatree.kernels.cuda.plan import Blend, Launch
 from splatree.kernels.cuda.stages import Stages
 from splatree.kernels.reference.bin import smallest_distances
 from splatree.scene.frame import Splats
@@ -24,6 +24,8 @@ from .test_blend import BACKGROUND, EVERYTHING, assert_outputs_are_those_of_the_
 from .test_project import MODES, all_rows, aspect, assert_at_a_step, seen
 
 KERNELS: tuple[Blend, ...] = get_args(Blend)
+ROW_BY_ROW = [kernel for kernel in KERNELS if kernel.startswith("blend")]
+"""Those that take the tiles in their order; the others have the same bits."""
 
 
 @pytest.fixture(params=SCENES)
@@ -147,7 +149,7 @@ def test_more_tiles_than_16_bits_number_are_listed_alike(device: Device) -> None
     np.testing.assert_array_equal(bins.splat_from_pair, wanted.splat_from_pair)
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("kernel", ROW_BY_ROW)
 def test_picture_of_the_same_lists_is_that_of_the_reference(
     view: tuple[st.Scene, st.Camera], device: Device, kernel: Blend
 ) -> None:
@@ -183,7 +185,7 @@ def test_squares_are_listed_as_on_the_processor(
     assert len(moved) <= 1e-3 * len(splats) + 1
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("kernel", ROW_BY_ROW)
 def test_splats_are_tapered_as_by_the_reference(
     view: tuple[st.Scene, st.Camera], device: Device, kernel: Blend
 ) -> None:
@@ -253,6 +255,23 @@ def test_all_blend_kernels_draw_the_same_bits_in_any_order(emulator: Device) -> 
         emulator.seed(seed)  # type: ignore[attr-defined]
         for kernel in KERNELS:
             assert same_bits(first, Stages(emulator).blend(splats, bins, seen(seen_by, **BACKGROUND), kernel=kernel))
+
+
+# 6, 247 and 1311 tiles: less and more than threads
+@pytest.mark.parametrize("size", [(48, 32), (300, 200), (1100, 300)])
+def test_tiles_with_the_longest_lists_come_first(size: tuple[int, int], device: Device) -> None:
+    seen_by = camera(*size)
+    splats = splats_of(st.Scene.flat(gaussians(200, 3, log_scales=(-4, -1))), seen_by)
+    bins = cpu.bin.bin(splats, seen(seen_by))
+    work = Stages(device)._workspace(None, seen(seen_by), num_rows=len(splats), pairs=bins.num_pairs)
+    work.fill("tile_start", bins.tile_start[:, None])
+    work.run([Launch("order_tiles", 1)])
+    order = work.arrays["tile_order"].numpy()[: len(bins.tile_start) - 1, 0]
+    assert sorted(order.tolist()) == list(range(len(order)))
+    lengths = np.diff(bins.tile_start)[order]
+    longest_behind = np.maximum.accumulate(lengths[::-1])[::-1]
+    assert (longest_behind <= 1.5 * lengths).all()  # half an octave
+    assert lengths[0] > 2 * np.median(lengths)
 
 
 def test_what_lies_behind_a_wall_is_not_read(device: Device) -> None:

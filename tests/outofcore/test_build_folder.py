@@ -10,7 +10,9 @@ import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from itertools import pairwise, product
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -19,15 +21,21 @@ from hypothesis import strategies as hs
 
 import splatree as st
 from splatree.io.memory import PROCESS_BYTES, _free_of_group, bytes_of
-from splatree.outofcore import build, run, shuffle, top
+from splatree.outofcore import build, crown, run, shuffle
 from splatree.outofcore.needs import needs_of
 from splatree.outofcore.options import Room, cell_bytes
 from splatree.progress import listen
 
 from ..laws.hard_scenes import hard_scene, hard_scenes
 from ..laws.test_parts import check_same_tree
+from .conftest import small_pages
 
 SMALL = st.FolderOptions(part_rows=200)
+
+
+def room_for(num_roots):
+    """Memory for so many roots of parts together, as long as the context lasts."""
+    return mock.patch.object(build, "top_bytes", lambda roots, k: 10**18 if roots > num_roots else 0)
 
 
 def check_is_tree_of(folder, path, options=None, mode=None):
@@ -47,13 +55,17 @@ def check_is_tree_of(folder, path, options=None, mode=None):
     part_levels=hs.integers(1, 4),
     radius=hs.sampled_from(["auto", 0.15]),
     max_roots=hs.sampled_from([1, 64]),
+    most_together=hs.sampled_from([20, 10**9]),
 )
-def test_the_tree_is_that_of_a_build_in_memory(tmp_path_factory, gaussians, part_rows, part_levels, radius, max_roots):
+def test_the_tree_is_that_of_a_build_in_memory(
+    tmp_path_factory, gaussians, part_rows, part_levels, radius, max_roots, most_together
+):
     path = tmp_path_factory.mktemp("scene") / "in.ply"
     st.write(st.Scene.flat(gaussians), path)
     options = st.BuildOptions(radius=radius, max_roots=max_roots)
     running = st.FolderOptions(part_rows=part_rows, part_levels=part_levels)
-    built = st.build_folder(path, path.with_name("out.splatree"), options, running)
+    with room_for(max(most_together, max_roots)):
+        built = st.build_folder(path, path.with_name("out.splatree"), options, running)
     found = check_is_tree_of(built.path, path, options)
     assert (built.num_gaussians, built.num_nodes) == (len(gaussians), len(found))
     assert sorted(p.name for p in path.parent.iterdir()) == ["in.ply", "out.splatree"]
@@ -134,7 +146,7 @@ def test_ctrl_c_is_left_to_the_program_and_its_workers_end_without_a_word():
     assert all(future.cancelled() or future.exception(60) for future in (busy, *waiting))
 
 
-def _build_and_die(ply, output, pieces, options=None):
+def _build_and_die(ply, output, pieces, options=None, running=SMALL):
     """In a process of its own: a build that is killed while it works."""
     left, do_piece = [pieces], run.do_piece
 
@@ -148,7 +160,7 @@ def _build_and_die(ply, output, pieces, options=None):
             os.kill(os.getpid(), signal.SIGKILL)
 
     run.do_piece = dying
-    st.build_folder(ply, output, options, SMALL)
+    st.build_folder(ply, output, options, running)
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGKILL")
@@ -162,6 +174,23 @@ def test_a_killed_build_goes_on(tmp_path, ply):
     check_is_tree_of(tmp_path / "out.splatree", ply)
     st.build_folder(ply, tmp_path / "whole.splatree", running=SMALL)
     assert files_in(tmp_path / "out.splatree") == files_in(tmp_path / "whole.splatree")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGKILL")
+@pytest.mark.parametrize("pieces", [30, 45])  # of 24 in the first tier, 12, 8 and 1 in those above, and the crown
+def test_a_build_that_is_killed_above_its_parts_goes_on(tmp_path, ply, pieces):
+    running, target = st.FolderOptions(part_rows=60, part_levels=2), tmp_path / "out.splatree"
+    with room_for(20):
+        context = multiprocessing.get_context("fork")
+        process = context.Process(target=_build_and_die, args=(ply, target, pieces, LITTLE, running))
+        process.start()
+        process.join()
+        assert process.exitcode == -signal.SIGKILL
+        assert len(folders_of_tiers(tmp_path / "out.splatree.work")) > 1
+        st.build_folder(ply, target, LITTLE, running)
+        st.build_folder(ply, tmp_path / "whole.splatree", LITTLE, running)
+    assert files_in(target) == files_in(tmp_path / "whole.splatree")
+    check_is_tree_of(target, ply, LITTLE)
 
 
 def _build_and_die_at_rename(ply, output, number):
@@ -299,25 +328,46 @@ def test_what_a_build_needs_is_known_from_the_heads(tmp_path, ply, monkeypatch):
     assert needs_of([ply], st.ReadOptions()) is None  # whatever it holds, it is small
 
 
-def test_as_many_levels_more_are_grown_as_will_be_few_enough(monkeypatch):
-    room = Room.of(st.FolderOptions(max_memory="1G"), 1)
-    for left, wanted in (([9, 8, 4, 2], 1), ([9, 8, 4, 3], 2), ([9, 9, 9, 9], 3)):
-        monkeypatch.setattr("splatree.outofcore.build.top_bytes", lambda roots, k: 10**18 * (roots > 1))
-        assert build._levels_more(left, room, 1) == wanted, left
+LITTLE = st.BuildOptions(radius=0.05, max_roots=1, follow=False)
 
 
-def test_what_does_not_fit_above_the_parts_is_grown_one_level_more_in_them(tmp_path, ply, monkeypatch):
-    options = st.BuildOptions(radius=0.1, max_roots=1, follow=False)
-    left = st.build_lod(st.read(ply), options).source.metadata["levels"]
-    after = json.loads(left)["nodes"]
-    monkeypatch.setattr("splatree.outofcore.build.top_bytes", lambda roots, k: 10**18 if roots > after[4] else 0)
-    built = st.build_folder(ply, tmp_path / "out.splatree", options, SMALL)
-    assert len(st.read(built.path / "crown.splatree").tree.roots) <= after[4]
-    check_is_tree_of(built.path, ply, options)
-    monkeypatch.setattr("splatree.outofcore.build.top_bytes", lambda roots, k: 10**18)
-    monkeypatch.setattr("splatree.outofcore.build.MOST_LEVELS", 4)
-    with pytest.raises(st.InputError, match="which do not fit in"):
-        st.build_folder(ply, tmp_path / "never.splatree", options, SMALL)
+def folders_of_tiers(folder):
+    """The folders of a build that is under way: each is the work on the levels above the one before."""
+    found = [folder]
+    while (found[-1] / "above" / "plan.json").exists():
+        found.append(found[-1] / "above")
+    return found
+
+
+@pytest.mark.parametrize(("most", "num_tiers"), [(10**9, 2), (500, 3), (100, 4), (20, 5)])
+def test_what_does_not_fit_above_the_parts_is_grown_in_cells_of_its_own(tmp_path, ply, monkeypatch, most, num_tiers):
+    monkeypatch.setattr("splatree.outofcore.build.shutil.rmtree", lambda *_, **__: None)
+    running = st.FolderOptions(part_rows=60, part_levels=2)
+    with room_for(most):
+        built = st.build_folder(ply, tmp_path / "out.splatree", LITTLE, running)
+    check_is_tree_of(built.path, ply, LITTLE)
+    tiers = folders_of_tiers(tmp_path / "out.splatree.work")
+    assert len(tiers) == num_tiers
+    cells = [len(json.loads((tier / "plan.json").read_text())["cells"]) + 1 for tier in tiers]
+    assert cells[-1] == 1 and all(below >= above for below, above in pairwise(cells))
+
+
+def test_a_crown_of_many_tiers_is_drawn_from_disk_as_the_whole_tree(tmp_path, ply):
+    with room_for(20), small_pages(60):
+        built = st.build_folder(ply, tmp_path / "out.splatree", LITTLE, st.FolderOptions(part_rows=60, part_levels=2))
+        st.check(built.path)
+    tree = st.read(built.path)
+    views = st.orbit(tree, st.PathOptions(views=2, width=64, height=48))
+    with st.open_store(built.path) as store, st.open_session(store) as session:
+        for view, pixel_error in product(views, (1.0, 8.0)):
+            select = st.SelectOptions(pixel_error=pixel_error)
+            found, wanted = session.draw(view, select=select), st.render(tree, view, select=select)
+            assert found.image.tobytes() == wanted.image.tobytes()
+
+
+def test_an_end_that_does_not_fit_is_told(tmp_path, ply):
+    with room_for(0), pytest.raises(st.InputError, match="which do not fit in"):
+        st.build_folder(ply, tmp_path / "never.splatree", LITTLE, SMALL)
 
 
 def test_a_full_disk_is_told_and_the_build_goes_on_later(tmp_path, ply, monkeypatch):
@@ -333,11 +383,11 @@ def test_a_full_disk_is_told_and_the_build_goes_on_later(tmp_path, ply, monkeypa
 
 
 def test_a_part_that_vanished_from_the_work_is_told(tmp_path, ply, monkeypatch):
-    finish = top.finish_scene
+    finish = crown.finish_scene
 
-    def without_part(work, *arguments, **options):
-        (work.scene / "parts" / "00001.splatree").unlink()
-        return finish(work, *arguments, **options)
+    def without_part(tiers, *arguments):
+        (tiers[0].work.scene / "parts" / "00001.splatree").unlink()
+        return finish(tiers, *arguments)
 
     monkeypatch.setattr("splatree.outofcore.build.finish_scene", without_part)
     with pytest.raises(st.InputError, match=r"00001\.splatree: found another file than was written, or none"):

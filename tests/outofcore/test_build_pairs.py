@@ -14,6 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as hs
 
 import splatree as st
+from splatree.lod.follow import with_curves
+from splatree.lod.resolve import measure, resolve
 from splatree.outofcore import build, sight
 from splatree.outofcore.options import PAIR_CELL_ROWS, Room, cell_bytes
 from splatree.simplify.visibility import visibilities_in
@@ -77,15 +79,29 @@ def test_what_is_seen_is_what_is_seen_in_memory_bit_for_bit(tmp_path, ply, monke
     np.testing.assert_array_equal(found[0], visibilities_in(mode, st.read(ply).gaussians))
 
 
-def test_nodes_of_parts_follow_the_pixel_and_those_above_are_drawn_as_stored(tmp_path, ply):
-    built = st.build_folder(ply, tmp_path / "out.splatree", FOLLOWING, SMALL)
-    assert any("drawn as stored" in note for note in built.notes)
-    tree, crown = st.read(built.path), st.read(built.path / "crown.splatree")
-    follows = tree.tree.curves[:, 3] > 0
-    assert not follows[tree.tree.is_leaf].any()
-    assert not crown.tree.curves[~crown.tree.is_leaf].any()
-    num_above = int((~crown.tree.is_leaf).sum())
-    assert follows.sum() == (~tree.tree.is_leaf).sum() - num_above > num_above
+@settings(max_examples=6, deadline=None)
+@given(hard_scenes(most=300, degree=1), hs.sampled_from([16, 60]), hs.sampled_from([None, 1]))
+def test_all_nodes_follow_the_pixel_by_what_their_leaves_show(tmp_path_factory, gaussians, part_rows, part_levels):
+    path = tmp_path_factory.mktemp("scene") / "in.ply"
+    st.write(st.Scene.flat(gaussians), path)
+    running, options = st.FolderOptions(part_rows=part_rows, part_levels=part_levels), replace(FOLLOWING, max_roots=1)
+    built = st.build_folder(path, path.with_name("out.splatree"), options, running)
+    assert not any("drawn as stored" in note for note in built.notes)
+    merged = st.build_folder(path, path.with_name("merged.splatree"), replace(options, follow=False), running)
+    tree, plain = st.read(built.path), st.read(merged.path)
+    resolved = resolve(options, measure(gaussians, options, "classic"), "classic")
+    seen, leaves = np.ones(len(tree), np.float32), tree.tree.is_leaf
+    seen[leaves] = visibilities_in("classic", gaussians)[tree.ids[leaves]]
+    pixels = resolved.judged_size, resolved.stored_size
+    wanted, shaped = with_curves(plain.gaussians, plain.tree, seen, pixels=pixels)
+    # The sums of those above parts run over roots instead of leaves, in float64, and the square root of a variance is kept.
+    np.testing.assert_allclose(tree.tree.curves, shaped.curves, rtol=1e-4, atol=1e-30)
+    np.testing.assert_allclose(tree.gaussians.means, wanted.means, rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(tree.gaussians.log_scales, wanted.log_scales, rtol=1e-3, atol=1e-3)
+    np.testing.assert_allclose(tree.gaussians.logit_opacities, wanted.logit_opacities, rtol=1e-3, atol=1e-3)
+
+
+def test_one_cell_follows_the_pixel_as_in_memory(tmp_path, ply):
     one = st.build_folder(ply, tmp_path / "one.splatree", replace(FOLLOWING, max_roots=8))
     wanted = st.build_lod(st.read(ply), replace(FOLLOWING, max_roots=8))
     np.testing.assert_array_equal(st.read(one.path).tree.curves, wanted.tree.curves)

@@ -1,11 +1,14 @@
 """Stores that lie elsewhere: built there, and drawn from there by the ranges that a view needs."""
 
+from dataclasses import fields
+
 import fsspec
 import numpy as np
 import pytest
 
 import splatree as st
 from splatree.cli.main import main
+from splatree.io.formats.splatree import container
 
 from ..ranged_server import served
 from .conftest import small_pages
@@ -37,7 +40,8 @@ def check_is_drawn_alike(store, scene):
 
 
 def test_a_store_of_a_server_is_drawn_from_its_ranges(folder, scene):
-    with served(folder.parent) as (address, sent):
+    with served(folder.parent) as server:
+        address, sent = server.address, server.sent
         for named in (folder.name, f"{folder.name}/manifest.json"):
             with st.open_store(f"{address}/{named}") as store:
                 opened = sum(sent)
@@ -49,10 +53,66 @@ def test_a_store_of_a_server_is_drawn_from_its_ranges(folder, scene):
         assert (st.read(f"{address}/{folder.name}").ids == scene.ids).all()
 
 
-def test_a_single_file_of_a_server_is_drawn_from_its_ranges(scene, tmp_path):
+def test_a_store_is_opened_and_drawn_by_few_requests_over_connections_that_stay(folder, scene):
+    with served(folder.parent) as server, st.open_store(f"{server.address}/{folder.name}") as store:
+        num_files = len(store.index.file_start) - 1
+        # The head of each file, of the manifest and of the index; what merging must know of the roots of each file.
+        assert (num_files, len(server.sent)) == (3, 2 * num_files + 2)
+        st.render(store, list(cameras_of(scene))[-1])
+        assert store.num_loaded == len(store.index.table) == 2 * num_files  # all pages
+        assert (
+            len(server.sent) == 3 * num_files + 2
+        )  # the rows of each file, whose pages and columns lie near each other
+        assert len(server.opened) <= num_files
+
+
+def test_pages_of_an_object_are_counted_with_their_harmonics_and_kept_within_the_limit(bucket, scene, tmp_path):
+    st.write(scene, f"{bucket}/one.splatree")
     st.write(scene, tmp_path / "one.splatree")
-    with small_pages(400), served(tmp_path) as (address, _), st.open_store(f"{address}/one.splatree") as store:
+    with (
+        small_pages(200),
+        st.open_store(f"{bucket}/one.splatree") as there,
+        st.open_store(tmp_path / "one.splatree") as here,
+    ):
+        row_bytes = scene.gaussians.nbytes / len(scene)
+        for number in range(len(there.index.table)):
+            there.page(number, len(there.index.table))
+            here.page(number, len(here.index.table))
+        assert there.resident_bytes > row_bytes * len(scene) > here.resident_bytes
+    with small_pages(100), st.open_store(f"{bucket}/one.splatree", max_memory="60k") as store:
+        num_pages = len(store.index.table)
+        for number in range(num_pages):
+            store.page(number, num_pages)
+            assert store.resident_bytes <= 60_000
+        assert store.num_loaded == num_pages and row_bytes * len(scene) > 1.5 * 60_000
+
+
+def test_a_single_file_of_a_server_is_drawn_from_its_ranges(scene, tmp_path, monkeypatch):
+    monkeypatch.setattr(container, "NEAR_BYTES", 0)  # columns of a large file lie far from each other
+    path = tmp_path / "one.splatree"
+    st.write(scene, path)
+    with small_pages(100), served(tmp_path) as server, st.open_store(f"{server.address}/one.splatree") as store:
+        # The index is made of all columns but the harmonics, of which the first 16 kB of the file have some.
+        assert sum(server.sent) < path.stat().st_size - scene.gaussians.sh.nbytes + 16384
+        num_columns, num_roots = 8, 5
+        assert len(store.index.table) == 12
+        assert len(server.sent) <= 2 + num_roots + num_columns  # all pages by one request a column
         check_is_drawn_alike(store, scene)
+    with small_pages(100), st.open_store(path) as here:
+        assert all(
+            getattr(store.index.table, f.name).tobytes() == getattr(here.index.table, f.name).tobytes()
+            for f in fields(here.index.table)
+        )
+
+
+def test_a_single_file_of_a_server_is_drawn_by_the_command_from_its_ranges(scene, tmp_path, monkeypatch, capsys):
+    st.write(scene, tmp_path / "one.splatree")
+    monkeypatch.setattr("splatree.cli.opening.read_scene", None)
+    with served(tmp_path) as server:
+        line = (
+            f"render {server.address}/one.splatree -o {tmp_path}/picture.png --width 32 --height 24 --max-memory 300M"
+        )
+        assert main(line.split()) == 0, capsys.readouterr().err
 
 
 def test_a_scene_of_a_store_is_built_into_it(bucket, ply, tmp_path, monkeypatch):
@@ -79,6 +139,16 @@ def test_a_thinned_scene_is_sent(bucket, ply, tmp_path, monkeypatch):
     st.thin_file(ply, f"{bucket}/thin.ply", st.ThinOptions(radius=0.1))
     st.thin_file(ply, tmp_path / "thin.ply", st.ThinOptions(radius=0.1))
     assert fsspec.filesystem("memory").cat_file("/bucket/thin.ply") == (tmp_path / "thin.ply").read_bytes()
+
+
+def test_a_folder_of_sog_is_thinned_to_where_there_is_one_already(bucket, ply, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "sog").mkdir()
+    fsspec.filesystem("memory").pipe_file("/bucket/sog/notes.txt", b"kept")
+    for folder in (tmp_path / "sog", f"{bucket}/sog"):
+        st.thin_file(ply, f"{folder}/meta.json", st.ThinOptions(radius=0.1))
+    here, there = st.read(tmp_path / "sog"), st.read(f"{bucket}/sog/meta.json")
+    assert here.gaussians.means.tobytes() == there.gaussians.means.tobytes()
 
 
 def test_verbs_take_addresses(bucket, ply, tmp_path, monkeypatch, capsys):

@@ -33,6 +33,33 @@ def test_a_trial_has_the_same_figures_for_any_number_of_threads():
     assert one.num_pictures >= 6
 
 
+def test_the_loss_of_a_radius_is_that_of_the_picture_where_it_loses_most():
+    """By the definition, with pictures that are drawn one by one."""
+    scene = city()
+    trial = st.try_methods(scene)
+    trees = {method: st.build_lod(scene, st.BuildOptions(method)) for method in ("radius", "pairs")}
+    losses, means = [], []
+    for view in trial_module._made(trees["pairs"]):
+        every = st.render(scene, view)
+        for share in (0.05, 0.15, 0.4, 0.8):
+            select = st.SelectOptions(pixel_error=0, budget=int(share * every.counters.num_selected))
+            cuts = [st.render(tree, view, select=select).image for tree in trees.values()]
+            radius, pairs = (min(st.psnr(np.clip(cut, 0, 1), np.clip(every.image, 0, 1)), 59) for cut in cuts)
+            losses.append(pairs - radius)
+            means.append((radius, pairs))
+    assert trial.num_pictures == len(losses)
+    assert trial.radius_loss_db == pytest.approx(max(losses), abs=1e-3)
+    assert (trial.radius_db, trial.pairs_db) == pytest.approx(np.mean(means, axis=0), abs=1e-3)
+
+
+def test_a_loss_far_above_40_db_is_not_hidden():
+    """The bundled city at four fifths of its leaves from afar: 44 dB by a radius, 56 by pairs."""
+    with as_file(files("splatree") / "data" / "semarang_5_9.sog") as path:
+        trial = st.try_methods(st.read(path))
+    assert trial.radius_loss_db > 10  # found: 11.8
+    assert trial.pairs_db - trial.radius_db < 3  # means alone would say little
+
+
 def test_the_default_takes_the_method_of_the_better_pictures_and_keeps_both_figures():
     scene = city()
     trial = st.try_methods(scene)
@@ -121,10 +148,13 @@ def test_steps_of_a_build_need_a_method_that_is_named():
 
 def test_the_figures_go_through_files(tmp_path):
     scene = st.build_lod(st.Scene.flat(surface(300)), st.BuildOptions("pairs"))
-    trial = st.MethodTrial(radius_db=20.5, pairs_db=24.0, num_gaussians=300, num_pictures=4)
+    trial = st.MethodTrial(radius_db=20.5, pairs_db=24.0, num_gaussians=300, num_pictures=4, radius_loss_db=-0.5)
     record = replace(scene.tree.record, trial=trial)
     st.write(replace(scene, tree=replace(scene.tree, record=record)), tmp_path / "a.splatree")
     assert st.read(tmp_path / "a.splatree").tree.record.trial == trial
+    before = json.loads(record.to_json())
+    del before["trial"]["radius_loss_db"]  # as older files have it
+    assert LevelRecord.from_json(json.dumps(before)).trial == replace(trial, radius_loss_db=None)
     damaged = json.loads(record.to_json())
     damaged["trial"]["pairs_db"] = -3
     with pytest.raises(InputError, match="level record"):
@@ -135,7 +165,8 @@ def test_the_better_method_is_that_of_more_decibels():
     trial = st.MethodTrial(radius_db=20.5, pairs_db=24.0, num_gaussians=300, num_pictures=4)
     assert trial.better == "pairs"
     assert replace(trial, radius_db=25.0).better == "radius"
-    assert "pairs 24.0 dB, radius 20.5 dB" in trial.in_words()
+    assert "pairs 24.0 dB, radius 20.5 dB against all leaves (4" in trial.in_words()
+    assert "leaves, in one picture -7.2 dB by a radius (4" in replace(trial, radius_loss_db=7.21).in_words()
 
 
 def test_where_no_picture_tells_the_methods_apart_levels_are_by_a_radius():

@@ -69,7 +69,11 @@ def ranges_of(places, counts, errors):
     return Ranges(boxes, nothing, nothing, levels, np.repeat(np.array(errors, float)[:, None], num, axis=1))
 
 
-@pytest.mark.parametrize(("budget", "levels"), [(19, [2, 2]), (20, [2, 2]), (50, [1, 2]), (80, [1, 2]), (200, [0, 0])])
+# The file has 100 rows. A budget of 54 takes lines of 8 rows, of which the last leaves 4 empty, and 50 rows are left.
+@pytest.mark.parametrize(
+    ("budget", "levels"),
+    [(19, [2, 2]), (20, [2, 2]), (53, [2, 2]), (54, [1, 2]), (80, [1, 2]), (211, [0, 1]), (212, [0, 0])],
+)
 def test_the_nearer_chunk_is_refined_first(budget, levels):
     ranges = ranges_of([0, 40], [100, 40, 10], [0, 0.1, 0.5])
     assert select_by_errors(ranges, CAMERA, budget).tolist() == levels
@@ -77,14 +81,14 @@ def test_the_nearer_chunk_is_refined_first(budget, levels):
 
 def test_a_level_that_is_no_better_is_never_bought():
     ranges = ranges_of([0], [100, 40, 10], [0, 0.5, 0.5])
-    assert [select_by_errors(ranges, CAMERA, b).tolist() for b in (50, 100)] == [[2], [0]]
+    assert [select_by_errors(ranges, CAMERA, b).tolist() for b in (50, 110)] == [[2], [0]]
 
 
 def test_a_step_is_worth_the_best_way_on_from_it():
     """The near chunk's first step hardly helps by itself, but the one after it does, and the chunk is nearer."""
     ranges = ranges_of([0, 40], [100, 90, 10], [0, 0.9, 1.0])
-    assert select_by_errors(ranges, CAMERA, 100).tolist() == [1, 2]
-    assert select_by_errors(ranges, CAMERA, 110).tolist() == [0, 2]
+    assert select_by_errors(ranges, CAMERA, 110).tolist() == [1, 2]
+    assert select_by_errors(ranges, CAMERA, 120).tolist() == [0, 2]
 
 
 def test_the_first_step_that_does_not_fit_is_the_last():
@@ -94,3 +98,11 @@ def test_the_first_step_that_does_not_fit_is_the_last():
     counts[:, 1] = [12, 11, 10]
     ranges = dataclasses.replace(ranges, counts=counts, errors=np.stack([[0, 0], [0.1, 0.01], [0.5, 0.012]]))
     assert select_by_errors(ranges, CAMERA, 79).tolist() == [1, 2]
+
+
+def test_steps_of_about_the_same_worth_are_taken_in_turn():
+    """The far chunk's is worth a tenth less, which is one class: it stands first in the list, so it is taken first."""
+    ranges = ranges_of([0.05, 0], [100, 40, 10], [0, 0.1, 0.5])
+    assert select_by_errors(ranges, CAMERA, 54).tolist() == [1, 2]
+    ranges = ranges_of([3.0, 0], [100, 40, 10], [0, 0.1, 0.5])
+    assert select_by_errors(ranges, CAMERA, 54).tolist() == [2, 1]

@@ -11,6 +11,7 @@ import pytest
 import splatree as st
 from splatree.io.cameras.files import read_cameras
 from splatree.kernels.devices import training_stages_of
+from splatree.train.prepare import prepare
 from splatree.train.step import Drawing, drawn
 
 OPTIONS = st.TrainOptions(iterations=30, max_gaussians=260, held_out=4)
@@ -235,6 +236,24 @@ def test_alpha_of_photographs_can_be_matched(photographs, truth):
             [np.abs(st.render(scene, c).alpha - st.render(truth, c).alpha).mean() for c in cameras[1:]]
         )
     assert wrong["match"] < 0.5 * wrong["mask"] and wrong["match"] < 0.1
+
+
+def test_points_leave_room_and_objects_stand_before_nothing(photographs):
+    """200 points and 100 Gaussians: a tenth is left for what points do not reach. Beyond an object there is nothing."""
+    work = prepare(photographs, st.TrainOptions(iterations=1, max_gaussians=100, held_out=4), None)
+    assert len(work.points) > 100
+    assert len(work.start()) == 100
+    beyond = {}
+    for kind in ("mask", "match"):
+        work = prepare(photographs, st.TrainOptions(iterations=1, held_out=4, alpha=kind), None)
+        places = work.start().means.astype(np.float64) + np.asarray(work.world.origin)
+        shown = np.zeros(len(places), bool)
+        for camera in work.targets.cameras:
+            seen = places @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3]
+            pixel = seen[:, :2] / seen[:, 2:] * np.diag(camera.K)[:2] + camera.K[:2, 2]
+            shown |= ((pixel >= 0) & (pixel < (camera.width, camera.height))).all(axis=1)
+        beyond[kind] = int((~shown).sum())
+    assert beyond["mask"] > 10 * beyond["match"]  # 14 points lie outside of all photographs
 
 
 def test_one_photograph_is_too_few(photographs):

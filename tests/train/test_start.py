@@ -6,8 +6,9 @@ import pytest
 from splatree.errors import InputError
 from splatree.io.cameras.points import Points
 from splatree.maths.harmonics import basis_from_directions
+from splatree.scene.cameras import Camera
 from splatree.scene.gaussians import Gaussians
-from splatree.train.start import extent_of, fill_empty_cells, neighbour_distances, start_from
+from splatree.train.start import APRON_CELLS, add_apron, extent_of, fill_empty_cells, neighbour_distances, start_from
 
 from .conftest import views
 
@@ -77,6 +78,74 @@ def test_every_cell_of_every_view_gets_something():
     assert (np.abs(filled.means).max(axis=1) < 10).all()
     assert len(fill_empty_cells(start, cameras, lambda i: photo, room=7)) == 307
     assert isinstance(filled, Gaussians)
+
+
+def plane_of(color):
+    """Points of a plane that the view fills: a cell of 4 px of 64 is 4 / 64 of its width."""
+    across = np.linspace(-1.3, 1.3, 60)
+    x, y = (grid.ravel() for grid in np.meshgrid(across, across))
+    points = Points(np.stack([x, y, 0 * x], axis=1), np.full((x.size, 3), color, np.uint8), np.zeros(x.size, np.int32))
+    return start_from(points, degree=1, max_gaussians=10**4, rng=np.random.default_rng(0))
+
+
+def facing(x=0.0):
+    """A view of 64 px, three units before the plane z = 0."""
+    return Camera.look_at(np.array([x, 0, -3.0]), np.array([x, 0, 0.0]), width=64, height=64, fov_y_deg=45)
+
+
+def pixels_of(places, camera):
+    seen = places @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3]
+    return seen[:, :2] / seen[:, 2:] * np.diag(camera.K)[:2] + camera.K[:2, 2]
+
+
+def test_beyond_the_border_lies_the_colour_of_the_border():
+    camera, start = facing(), plane_of(200)
+    photo = np.zeros((32, 32, 3), np.uint8)  # at half of the size: red at its left, blue at its right
+    photo[:, :16, 0], photo[:, 16:, 2] = 255, 255
+    apron = add_apron(start, [camera], lambda i: photo, room=10**4).take(slice(len(start), None))
+    assert len(apron) == (16 + 2 * APRON_CELLS) ** 2 - 16**2 - inner_cells(start, camera)
+    pixel = pixels_of(apron.means.astype(np.float64), camera)
+    assert ((pixel < 0) | (pixel >= 64)).any(axis=1).all()
+    np.testing.assert_allclose(apron.means[:, 2], 0, atol=1e-5)  # the plane goes on
+    np.testing.assert_array_equal(apron.sh[:, 0, 0] > 0, pixel[:, 0] < 32)
+    np.testing.assert_array_equal(apron.sh[:, 0, 2] > 0, pixel[:, 0] >= 32)
+
+
+def inner_cells(gaussians, camera):
+    """Cells beyond the picture in which points lie."""
+    cells = np.unique(np.floor(pixels_of(gaussians.means.astype(np.float64), camera) / 4).astype(int), axis=0)
+    return int(((cells < 0) | (cells >= 16)).any(axis=1).sum())
+
+
+def test_no_view_shows_the_middle_of_what_lies_beyond_the_borders():
+    cameras, start = [facing(x) for x in (-0.7, 0, 0.7)], plane_of(200)
+    apron = add_apron(start, cameras, lambda i: np.full((64, 64, 3), 90, np.uint8), room=10**4)
+    new = apron.means[len(start) :].astype(np.float64)
+    assert len(new) > 100
+    for camera in cameras:
+        pixel = pixels_of(new, camera)
+        assert ((pixel < 0) | (pixel >= 64)).any(axis=1).all()
+    assert len(add_apron(start, cameras, lambda i: np.full((64, 64, 3), 90, np.uint8), room=7)) == len(start) + 7
+    assert len(add_apron(start, cameras, lambda i: np.full((64, 64, 3), 90, np.uint8), room=0)) == len(start)
+
+
+def test_nothing_is_put_before_what_another_view_has():
+    """A floor goes on beyond the border of its view, but not where another view, along the floor, has a wall behind it."""
+    floor, wall = plane_of(200), plane_of(200)
+    floor.means[:] = floor.means * 0.35 + np.float32([0, 0, -2])
+    wall.means[:] = np.stack([np.full(len(wall), -8.0), wall.means[:, 0], wall.means[:, 1] + 0.4], axis=1)
+    along = Camera.look_at(np.array([6.0, 0, -3.8]), np.array([0, 0, -2.0]), width=64, height=64, fov_y_deg=5)
+    cameras = [facing(), along]
+
+    def beside_the_view_along(gaussians):
+        found = add_apron(gaussians, cameras, lambda i: np.full((64, 64, 3), 90, np.uint8), room=10**4)
+        new = found.means[len(gaussians) :].astype(np.float64)
+        row = pixels_of(new, along)[:, 1]
+        beside = ((row > -15) & (row < 0)) | ((row >= 64) & (row < 79))  # within four cells of its picture
+        return int((beside & (abs(new[:, 2] + 2) < 1e-4) & (abs(new[:, 0]) > 0.55) & (abs(new[:, 0]) < 1)).sum())
+
+    assert beside_the_view_along(floor) > 4
+    assert beside_the_view_along(Gaussians.concatenate([floor, wall])) == 0
 
 
 def test_one_place_has_no_extent():

@@ -103,6 +103,19 @@ def test_colours_of_many_nodes_come_in_parts(monkeypatch):
     assert (sent, steps) == (250, 3)
 
 
+def test_the_oldest_colours_come_first_where_a_message_does_not_hold_all(monkeypatch):
+    monkeypatch.setattr(module, "TINTS", 100)
+    slots = Slots(InMemory(scene()), CENTRE, 512)
+    rows = np.arange(250, dtype=np.int32)
+    slots.move(rows, FAR)
+    sent = []
+    for step in range(5):  # each step leaves all colours behind
+        angle = 1 + 2 * step
+        sent.append(set(slots.move(rows, 9 * np.array([np.sin(angle), 0, np.cos(angle)])).tint.tolist()))
+    assert all(len(each) == 100 for each in sent)
+    assert len(sent[0] | sent[1] | sent[2]) == 250
+
+
 def test_merged_nodes_come_as_they_look_and_come_again_when_that_changes():
     import splatree
     from splatree.kernels.reference.project import follow

@@ -18,7 +18,7 @@ from splatree.io.objects import located
 from splatree.io.photos import Photos, PhotosUsed, photographed
 from splatree.io.reading import read
 from splatree.io.writing import write
-from splatree.outofcore.top import replace_crown
+from splatree.outofcore.crown import replace_crown
 from splatree.render.calibrate import calibrate
 from splatree.render.calibration import CalibrateOptions, Calibration, calibrated
 from splatree.render.overlap import overlap_hint

@@ -8,18 +8,19 @@ import numpy as np
 from tyro.conf import arg
 
 from splatree.cli.console import Console, UsageError, counted, size
-from splatree.cli.files import Files, inputs_and_output, lost_and_noted, read_scene, repairs_of, told
-from splatree.edit.clean import CleanOptions, clean
+from splatree.cli.files import Files, inputs_and_output, read_options, told
+from splatree.edit.clean import CleanOptions
 from splatree.io.cameras.files import read_cameras
+from splatree.io.cleaning import clean_file
 from splatree.io.registry import stored_bytes
-from splatree.io.writing import write
 
 
 @dataclass(frozen=True)
 class Command:
     """Drop what does not belong into a scene: Gaussians by size, by distance, and floaters that touch nothing.
 
-    --dry-run says what each filter would drop, and writes nothing.
+    --dry-run says what each filter would drop, and writes nothing. Files larger than memory go through in chunks where both
+    formats allow it (see `formats`).
 
     splatree clean city.ply --floaters --max-distance 5 --dry-run
     splatree clean city.ply clean.ply --floaters
@@ -30,6 +31,8 @@ class Command:
     """Say what each filter would drop; write nothing. An output is not needed, and one that is not there yet is passed over."""
     cameras: Path | None = None
     """For --max-distance: cameras.json, transforms.json or a COLMAP model; distances are those to the nearest camera."""
+    max_memory: str | None = None
+    """What may be taken, such as 4G; what has no room lies in files beside the output. None: half of what is free."""
     options: Annotated[CleanOptions, arg(name="", help="")] = CleanOptions()
     console: Annotated[Console, arg(name="", help="")] = Console()
 
@@ -52,6 +55,8 @@ class Result:
     """How many values or rows each rule of repair touched."""
     lost: tuple[str, ...]
     """What of the inputs the file does not hold, a sentence each."""
+    in_chunks: bool
+    """Whether it went in chunks, with bounded memory."""
     notes: tuple[str, ...] = ()
     """What reading did that the user should know, a sentence each."""
 
@@ -71,19 +76,25 @@ def run(command: Command) -> Result:
     cameras = None
     if command.cameras is not None:
         cameras = np.array([camera.position for camera in read_cameras(command.cameras)])
-    scene = read_scene(inputs, command.files.reading)
-    cleaned = clean(scene, command.options, cameras=cameras)
-    lost = () if output is None else write(cleaned.scene, output, force=command.files.force)
-    lost, notes = lost_and_noted(scene, lost)
+    done = clean_file(
+        inputs,
+        output,
+        command.options,
+        cameras=cameras,
+        reading=read_options(command.files.reading),
+        max_memory=command.max_memory,
+        force=command.files.force,
+    )
     return Result(
         output=output,
-        num_read=scene.tree.num_leaves,
-        num_gaussians=scene.tree.num_leaves - cleaned.num_dropped,
-        dropped=cleaned.dropped,
+        num_read=done.num_read,
+        num_gaussians=done.num_written,
+        dropped=done.dropped,
         bytes=0 if output is None else stored_bytes(output),
-        repairs=repairs_of(scene),
-        lost=() if output is None else lost,
-        notes=notes,
+        repairs=done.repairs,
+        lost=done.lost,
+        in_chunks=done.in_chunks,
+        notes=done.notes,
     )
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from tyro.conf import arg
 
 from splatree.cli.console import Console, UsageError, counted, table
-from splatree.cli.eval import row_of, view_of
+from splatree.cli.eval_views import row_of, view_of
 from splatree.cli.flight import Demo, DemoView
 from splatree.cli.report import write_report
 from splatree.errors import OutputError

@@ -1,17 +1,16 @@
 """``splatree eval``: what the levels of detail cost in quality and save in work."""
 
 import json
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 from tyro.conf import Positional, arg
 
 from splatree.cli.comparison import Drawing, Reporting, compared, in_words
 from splatree.cli.console import Console, UsageError, counted, table
+from splatree.cli.eval_views import View, means_of, row_of, view_of
 from splatree.cli.files import Reading, check_inputs, lost_and_noted, read_scene
 from splatree.cli.opening import bytes_of, counts_of, needs_all_rows, opened, sample_of
 from splatree.errors import InputError
@@ -26,7 +25,7 @@ from splatree.outofcore.store import Store
 from splatree.render.calibration import METADATA_KEY
 from splatree.render.compare import comparison_views
 from splatree.render.compare_page import Comparison
-from splatree.render.evaluate import Evaluation, evaluate
+from splatree.render.evaluate import evaluate
 from splatree.render.overlap import overlap_hint
 from splatree.render.paths import PathOptions, flyout
 from splatree.render.timing import STAGES, Timing, time_frames
@@ -72,59 +71,14 @@ class Command:
     device: DeviceName = "cpu"
     """Where to select and draw: `cuda` is an NVIDIA GPU; `splatree doctor` says what it needs."""
     max_memory: str | None = None
-    """Most memory for what is read of a .splatree or a folder of parts, such as 1G: only what the views need is read. A folder is
-    always drawn so, unless a baseline or a reference needs all of it; by default it takes half of the free memory."""
+    """Most memory for what is read of a .splatree or a folder of parts, such as 1G: only what the views need is read. A folder,
+    and a .splatree larger than half of the free memory, is always drawn so, unless a baseline or a reference needs all of it; by
+    default it takes half of the free memory."""
     made: Annotated[PathOptions, arg(name="", help="")] = PathOptions(views=8)
     select: Annotated[SelectOptions, arg(name="", help="")] = SelectOptions()
     options: Annotated[RenderOptions, arg(name="", help="")] = RenderOptions()
     reading: Annotated[Reading, arg(name="", help="")] = Reading()
     console: Annotated[Console, arg(name="", help="")] = Console()
-
-
-@dataclass(frozen=True)
-class View:
-    """One view; pictures are compared clipped to 0 to 1."""
-
-    name: str
-    """Name of the camera."""
-    selected: int
-    """Nodes drawn from the cut."""
-    pairs: int
-    """N_P of the cut."""
-    pixel_error: float
-    """τ_R, px, as raised to meet a budget."""
-    psnr_vs_leaves: float
-    """Cut against all leaves, dB; infinity (null in JSON) for equal pictures."""
-    ssim_vs_leaves: float | None
-    """The same, structural similarity."""
-    lpips_vs_leaves: float | None
-    """The same, LPIPS."""
-    ms: dict[str, float]
-    """Wall time of each stage for the cut."""
-    leaves_selected: int
-    """Nodes drawn of all leaves."""
-    leaves_pairs: int
-    """N_P of all leaves."""
-    leaves_ms: dict[str, float]
-    """Wall time of each stage for all leaves."""
-    psnr_vs_photo: float | None = None
-    """Cut against the photograph, dB."""
-    psnr_fitted_vs_photo: float | None = None
-    """The same of the right half, with a gain for each channel fitted on the left half: exposure does not count."""
-    ssim_vs_photo: float | None = None
-    """Cut against the photograph, structural similarity."""
-    leaves_psnr_vs_photo: float | None = None
-    """All leaves against the photograph, dB."""
-    leaves_psnr_fitted_vs_photo: float | None = None
-    """The same of the right half, with the gain fitted on the left half."""
-    leaves_ssim_vs_photo: float | None = None
-    """All leaves against the photograph, structural similarity."""
-    lpips_vs_photo: float | None = None
-    """Cut against the photograph, LPIPS."""
-    leaves_lpips_vs_photo: float | None = None
-    """All leaves against the photograph, LPIPS."""
-    held_out: bool = True
-    """Whether the view counts; a training view does not."""
 
 
 @dataclass(frozen=True)
@@ -216,8 +170,8 @@ def _evaluated(command: Command, drawn_from: Scene | Store, named: Cameras | Non
         compared_with=compared_with,
         num_bytes=bytes_of(drawn_from, select),
         timing=timing,
-        mean=_means([view for view in views if view.held_out]),
-        training_mean=_means([view for view in views if not view.held_out]),
+        mean=means_of([view for view in views if view.held_out]),
+        training_mean=means_of([view for view in views if not view.held_out]),
         views=views,
         photographs=None if photos is None else photos.used,
         notes=(*lost_and_noted(scene)[1], *cameras.notes, *([hint] if hint else [])),
@@ -302,61 +256,3 @@ def _words(mean: Mapping[str, float | None]) -> str:
     return ", ".join(
         f"{name} {value:,.0f}" if abs(value) >= 1e3 else f"{name} {value:.4g}" for name, value in given.items()
     )
-
-
-def view_of(e: Evaluation) -> View:
-    """The numbers of one view."""
-    return View(
-        name=e.camera.name,
-        selected=e.cut.result.counters.num_selected,
-        pairs=e.cut.result.counters.num_pairs,
-        pixel_error=e.cut.selection.pixel_error,
-        psnr_vs_leaves=e.cut_vs_leaves.psnr,
-        ssim_vs_leaves=e.cut_vs_leaves.ssim,
-        lpips_vs_leaves=e.cut_vs_leaves.lpips,
-        ms=e.cut.result.milliseconds,
-        leaves_selected=e.leaves.result.counters.num_selected,
-        leaves_pairs=e.leaves.result.counters.num_pairs,
-        leaves_ms=e.leaves.result.milliseconds,
-        psnr_vs_photo=e.cut_vs_photo.psnr if e.cut_vs_photo else None,
-        psnr_fitted_vs_photo=e.cut_vs_photo.psnr_fitted if e.cut_vs_photo else None,
-        ssim_vs_photo=e.cut_vs_photo.ssim if e.cut_vs_photo else None,
-        leaves_psnr_vs_photo=e.leaves_vs_photo.psnr if e.leaves_vs_photo else None,
-        leaves_psnr_fitted_vs_photo=e.leaves_vs_photo.psnr_fitted if e.leaves_vs_photo else None,
-        leaves_ssim_vs_photo=e.leaves_vs_photo.ssim if e.leaves_vs_photo else None,
-        lpips_vs_photo=e.cut_vs_photo.lpips if e.cut_vs_photo else None,
-        leaves_lpips_vs_photo=e.leaves_vs_photo.lpips if e.leaves_vs_photo else None,
-    )
-
-
-def row_of(view: View, *, verbose: bool = True) -> dict[str, object]:
-    """One line of the table; milliseconds only with ``verbose``."""
-    row: dict[str, object] = {
-        "view": view.name,
-        "nodes": view.selected,
-        "of": view.leaves_selected,
-        "pairs": view.pairs,
-        "of ": view.leaves_pairs,
-        "PSNR": view.psnr_vs_leaves,
-        "SSIM": None if view.ssim_vs_leaves is None else f"{view.ssim_vs_leaves:.4f}",
-    }
-    if view.lpips_vs_leaves is not None:
-        row["LPIPS"] = f"{view.lpips_vs_leaves:.4f}"
-    if verbose:
-        row |= {f"{stage} ms": ms for stage, ms in view.ms.items()}
-    if view.psnr_vs_photo is not None:
-        row |= {"PSNR photo": view.psnr_vs_photo, "fitted": view.psnr_fitted_vs_photo}
-        row |= {"leaves photo": view.leaves_psnr_vs_photo, "leaves fitted": view.leaves_psnr_fitted_vs_photo}
-    return row
-
-
-def _means(views: Sequence[View]) -> dict[str, float | None]:
-    """Means over the views that have a number: one without a photograph has none to it, and an infinite PSNR, that of equal
-    pictures, would hide all others."""
-    means: dict[str, float | None] = {}
-    for field in fields(View):
-        values = [getattr(view, field.name) for view in views]
-        numbers = [float(value) for value in values if isinstance(value, int | float) and not isinstance(value, bool)]
-        if numbers:
-            means[field.name] = float(np.mean([x for x in numbers if math.isfinite(x)] or numbers))
-    return means

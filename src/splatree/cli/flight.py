@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from splatree.cli.eval import View
+from splatree.cli.eval_views import View
 from splatree.scene.options import SelectOptions
 
 

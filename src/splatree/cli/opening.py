@@ -1,4 +1,5 @@
-"""Scenes that are drawn where they lie: a folder of parts, or a .splatree with --max-memory, is not read as a whole."""
+"""Scenes that are drawn where they lie and not read as a whole: a folder of parts, a .splatree with --max-memory, or one that is
+larger than half of the free memory."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -6,6 +7,8 @@ from pathlib import Path
 
 from splatree.cli.console import UsageError
 from splatree.cli.files import Reading, read_scene
+from splatree.io.formats.splatree.format import is_compact
+from splatree.io.formats.splatree.rows import open_scene
 from splatree.io.local import is_brought, place_of
 from splatree.io.memory import free_bytes
 from splatree.io.registry import detect, stored_bytes
@@ -23,7 +26,7 @@ __all__ = ["bytes_of", "counts_of", "needs_all_rows", "opened", "sample_of"]
 def opened(
     paths: Sequence[Path], reading: Reading, max_memory: str | None, *, whole: Sequence[str] = ()
 ) -> Iterator[Scene | Store]:
-    """The scene of all paths, read; or a store, where one path is a folder of parts or ``max_memory`` is given.
+    """The scene of all paths, read; or a store, where one path is a folder of parts or a large file, or ``max_memory`` is given.
 
     ``whole`` names options that are given and need all rows: then a folder is read.
 
@@ -31,7 +34,8 @@ def opened(
         UsageError: ``max_memory`` is given, and the paths cannot be read page by page, or all rows are needed.
     """
     paths = [place_of(path) for path in paths]
-    found = detect(paths[0]) if len(paths) == 1 and not is_brought(paths[0]) else None
+    by_ranges = max_memory is not None and paths[0].suffix == ".splatree"  # an address is not brought here then
+    found = detect(paths[0]) if len(paths) == 1 and (by_ranges or not is_brought(paths[0])) else None
     name = None if found is None else found.name
     is_folder = name == "splatree-folder"
     if max_memory is not None and (whole or not (is_folder or name == "splatree")):
@@ -48,11 +52,19 @@ def opened(
             f"{_named(whole)}: needs all rows of {paths[0]} in memory, {needed / 1e9:.1f} GB, and {free / 1e9:.1f} GB are free; "
             "without it only the pages are read that views need"
         )
-    if whole or not (is_folder or max_memory is not None):
+    by_pages = is_folder or max_memory is not None or (name == "splatree" and _is_large(paths[0], reading))
+    if whole or not by_pages:
         yield read_scene(paths, reading)
         return
     with open_store(paths[0], max_memory=max_memory) as store:
         yield store
+
+
+def _is_large(path: Path, reading: Reading) -> bool:
+    """Whether a file with levels would take more than half of the free memory, and can be drawn page by page."""
+    if reading != Reading() or 2 * stored_bytes(path) <= free_bytes() or is_compact(path):
+        return False
+    return open_scene(path).head.record is not None
 
 
 def _named(options: Sequence[str]) -> str:

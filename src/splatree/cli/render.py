@@ -74,8 +74,8 @@ class Command:
     device: DeviceName = "cpu"
     """Where to select and draw: `cuda` is an NVIDIA GPU; `splatree doctor` says what it needs."""
     max_memory: str | None = None
-    """Most memory for what is read of a .splatree or a folder of parts, such as 1G: only what the views need is read. A folder is
-    always drawn so; by default it takes half of the free memory."""
+    """Most memory for what is read of a .splatree or a folder of parts, such as 1G: only what the views need is read. A folder,
+    and a .splatree larger than half of the free memory, is always drawn so; by default it takes half of the free memory."""
     moving: bool = False
     """Draw the views as those of a camera that moves, several times faster: cuts and colours are kept while it moves little, and
     there is no depth. What viewers show until the camera is still."""

@@ -37,8 +37,8 @@ class Command:
     photos: Path | None = None
     """Folder of the photographs of these views."""
     max_memory: str | None = None
-    """Most memory for what is read of a .splatree or a folder of parts, such as 1G: only what the views need is read. A folder is
-    always shown so; by default it takes half of the free memory."""
+    """Most memory for what is read of a .splatree or a folder of parts, such as 1G: only what the views need is read. A folder,
+    and a .splatree larger than half of the free memory, is always shown so; by default it takes half of the free memory."""
     no_browser: bool = False
     """Only print the address."""
     mode: Mode | None = None

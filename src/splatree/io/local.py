@@ -28,7 +28,6 @@ from urllib.parse import unquote, urlsplit
 from splatree.errors import FormatError, InputError
 from splatree.io.formats.folder.manifest import MANIFEST, is_manifest
 from splatree.io.objects import ObjectPath, located
-from splatree.io.sources import TIMEOUT_S
 from splatree.io.untrusted import inner_path
 from splatree.progress import task
 
@@ -93,8 +92,8 @@ def local_inputs(paths: Sequence[Path]) -> Iterator[LocalInputs]:
         yield LocalInputs(found, names)
     except InputError as error:
         said = str(error)
-        for local, named in names.items():  # the user knows no other name
-            said = said.replace(local, named)
+        for inside, known in names.items():  # the user knows no other name
+            said = said.replace(inside, known)
         if said == str(error):
             raise
         raise type(error)(said) from error
@@ -147,6 +146,8 @@ def _download(address: str, folder: Path) -> Path:
     from http.client import HTTPException
     from urllib.error import URLError
     from urllib.request import Request, urlopen
+
+    from splatree.io.http import TIMEOUT_S
 
     name = Path(unquote(urlsplit(address).path)).name or "scene"
     target = folder / re.sub(r"[^\w.-]", "_", name)

@@ -9,15 +9,16 @@ import io
 import os
 import re
 import stat
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import IO, Any, Self
+from typing import IO, Any, Self, TypeVar
 from urllib.parse import unquote
 
 from splatree.errors import InputError
-from splatree.io.sources import Info, source_of
+from splatree.io.sources import HEAD_BYTES, Info, source_of
 
-__all__ = ["ObjectPath", "located"]
+__all__ = ["MOST_BYTES", "ObjectPath", "at_once", "located"]
 
 FIRST_BYTES = 1 << 16
 """A header, or what a format is known by, is in so many."""
@@ -25,7 +26,13 @@ FIRST_BYTES = 1 << 16
 MOST_BYTES = 1 << 23
 """8 MB: a request takes 30 to 100 ms before its first byte, and these bytes about as long at 100 MB/s."""
 
+AT_ONCE = 16
+"""Requests that are under way at the same time."""
+
 _ADDRESS = re.compile(r"([a-z][a-z0-9+.-]{1,15}):/+(.*)", re.IGNORECASE | re.DOTALL)
+
+_Asked = TypeVar("_Asked")
+_Found = TypeVar("_Found")
 
 _known: dict[str, Info | None] = {}
 """What was found of addresses since one was last named: a format looks for one file many times."""
@@ -61,6 +68,9 @@ class ObjectPath(type(Path())):  # type: ignore[misc]  # PosixPath or WindowsPat
         """
         if begin >= end:
             return b""
+        info = _known.get(str(self))
+        if info is not None and end <= len(info.head):
+            return info.head[begin:end]
         data = source_of(str(self)).read(str(self), begin, end)
         if len(data) != end - begin:
             raise InputError(
@@ -105,7 +115,7 @@ class ObjectPath(type(Path())):  # type: ignore[misc]  # PosixPath or WindowsPat
         if mode != "rb":
             raise InputError(f"{self}: found an address to be opened for {mode!r}, wanted 'rb'; objects are put whole")
         raw = _ObjectFile(self)
-        return raw if buffering == 0 else io.BufferedReader(raw, FIRST_BYTES)  # type: ignore[return-value]
+        return raw if buffering == 0 else io.BufferedReader(raw, HEAD_BYTES)  # type: ignore[return-value]
 
     def read_bytes(self) -> bytes:
         return self.read_range(0, self.stat().st_size)
@@ -133,7 +143,9 @@ class _ObjectFile(io.RawIOBase):
 
     def __init__(self, path: ObjectPath) -> None:
         self._path, self._size = path, path.stat().st_size
-        self._place, self._begin, self._block = 0, -1, b""
+        info = path.info()
+        self._block = b"" if info is None else info.head
+        self._place, self._begin = 0, 0 if self._block else -1
         self._ahead = FIRST_BYTES
 
     def readable(self) -> bool:
@@ -171,6 +183,8 @@ class _ObjectFile(io.RawIOBase):
 
 def located(path: str | os.PathLike[str]) -> Path:
     """The path that a user names: of an address a path that reads from there, of others the path itself."""
+    if isinstance(path, ObjectPath):
+        return path
     match = _ADDRESS.fullmatch(str(path).replace("\\", "/"))
     if match is None:
         return Path(path)
@@ -178,3 +192,11 @@ def located(path: str | os.PathLike[str]) -> Path:
         return Path(f"/{unquote(match[2])}")
     _known.clear()
     return ObjectPath(f"{match[1].lower()}://{match[2]}")
+
+
+def at_once(ask: Callable[[_Asked], _Found], asked: Sequence[_Asked]) -> list[_Found]:
+    """What ``ask`` finds of each, in order; for what waits for a store and not for the processor."""
+    if len(asked) < 2:
+        return [ask(each) for each in asked]
+    with ThreadPoolExecutor(min(AT_ONCE, len(asked)), "splatree-store") as pool:
+        return list(pool.map(ask, asked))

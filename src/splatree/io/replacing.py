@@ -11,7 +11,7 @@ import os
 import re
 import stat
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import ModuleType
@@ -91,7 +91,7 @@ def replacing(path: str | os.PathLike[str], *, force: bool = False) -> Iterator[
 
 @contextmanager
 def _sent_to(target: ObjectPath) -> Iterator[Path]:
-    """A file of this machine, which is put into a store when it is whole."""
+    """A file of this machine, which is put into a store when it is whole; what was written beside it goes before it."""
     with tempfile.TemporaryDirectory(prefix="splatree-") as folder:
         local = Path(folder) / target.name
         local.touch()
@@ -102,7 +102,23 @@ def _sent_to(target: ObjectPath) -> Iterator[Path]:
             raise
         except OSError as error:
             raise OutputError(f"{target}: could not be written ({error.strerror or error})") from error
-        send(local, target)
+        others = [path for path in local.parent.iterdir() if path != local]
+        _send_all([(path, target.parent / path.name) for path in sorted(others)] + [(local, target)])
+
+
+def _send_all(files: Sequence[tuple[Path, ObjectPath]]) -> None:
+    """Put files into a store; if one cannot be sent, those that were sent and not there before are removed."""
+    sent = list[ObjectPath]()
+    try:
+        for local, target in files:
+            is_new = not target.exists()
+            send(local, target)
+            sent += [target] * is_new
+    except BaseException:
+        for target in sent:
+            with suppress(OutputError):  # the store refuses that, too
+                target.unlink()
+        raise
 
 
 def send(local: Path, target: ObjectPath) -> None:

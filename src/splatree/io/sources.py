@@ -5,17 +5,17 @@ them: s3fs for ``s3://``, gcsfs for ``gs://``, adlfs for ``az://``. `splatree.io
 """
 
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 from urllib.parse import urlsplit
 
 from splatree.errors import InputError, MissingExtraError, OutputError
 
-__all__ = ["Info", "Source", "source_of"]
+__all__ = ["HEAD_BYTES", "Info", "Source", "source_of"]
 
-TIMEOUT_S = 30.0
-"""A server that sends nothing for so long is given up."""
+HEAD_BYTES = 1 << 14
+"""What a server is asked for to learn the size of a file: as long as the heads of most files, for no more waiting."""
 
 _PACKAGES = "s3fs for s3://, gcsfs for gs://, adlfs for az://"
 
@@ -30,6 +30,8 @@ class Info:
     """Whether other objects have its name and a slash before theirs."""
     version: int = 0
     """A number that is another when the object has been replaced."""
+    head: bytes = field(default=b"", repr=False)
+    """Its first bytes, if they came along."""
 
 
 class Source(Protocol):
@@ -68,12 +70,13 @@ class _Http:
     """Servers of HTTP, which give ranges, or answer with the whole."""
 
     def info(self, url: str) -> Info | None:
-        status, headers, _ = self._get(url, 0, 1, missing_ok=True)
+        status, headers, head = self._get(url, 0, HEAD_BYTES, missing_ok=True)
         if status == 404:
             return None
         whole = headers.get("Content-Range", "").rpartition("/")[2] if status == 206 else headers.get("Content-Length")
         version = zlib.crc32((headers.get("ETag") or headers.get("Last-Modified") or "").encode())
-        return Info(int(whole or 0) if status != 416 else 0, version=version)
+        num_bytes = int(whole or 0) if status != 416 else 0
+        return Info(num_bytes, version=version, head=head if len(head) == min(HEAD_BYTES, num_bytes) else b"")
 
     def read(self, url: str, begin: int, end: int) -> bytes:
         status, _, data = self._get(url, begin, end)
@@ -100,12 +103,12 @@ class _Http:
         """Status, headers, and the bytes if they are a range."""
         from http.client import HTTPException
         from urllib.error import HTTPError, URLError
-        from urllib.request import Request, urlopen
 
-        headers = {"User-Agent": "splatree", "Range": f"bytes={begin}-{end - 1}"}
+        from splatree.io.http import open_range  # what it imports takes as long as the rest of the program
+
         try:
-            with urlopen(Request(url, headers=headers), timeout=TIMEOUT_S) as answer:
-                return answer.status, answer.headers, answer.read() if answer.status == 206 else b""
+            with open_range(url, begin, end) as answer:
+                return answer.status or 0, answer.headers, answer.read() if answer.status == 206 else b""
         except HTTPError as error:
             with error:
                 if error.code == 416 or (error.code == 404 and missing_ok):  # 416: of no bytes at all

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 from splatree.errors import InputError, OutputError, SplatreeError
@@ -119,11 +119,8 @@ def _written(chosen: Format, chunks: Chunks, target: Path, force: bool, options:
     if chosen.write_chunks is None:
         raise InputError(f"{target}: format {chosen.name} is not written in chunks; wanted a whole scene")
     if target.name == FOLDER_FILE and chosen.write_folder is not None:
-        if isinstance(target, ObjectPath):
-            raise OutputError(
-                f"{target}: a folder of SOG is written on this machine only; wanted a .sog, which is one object"
-            )
-        with _folder_of(target), replacing(target, force=force) as temporary:
+        folder = nullcontext() if isinstance(target, ObjectPath) else _folder_of(target)  # stores have no empty folders
+        with folder, replacing(target, force=force) as temporary:
             return chosen.write_folder(chunks, temporary, options)
     with replacing(target, force=force) as temporary:
         return chosen.write_chunks(chunks, temporary, options)

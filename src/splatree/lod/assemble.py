@@ -5,6 +5,7 @@ Harmonics above DC take no part in the grouping. They are averaged here, in plac
 
 import dataclasses
 import json
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -76,7 +77,9 @@ def assemble(
     ids = np.empty(n, np.uint32)
     ids[row_from_leaf] = leaf_ids
     ids[row[num_leaves:]] = np.arange(first_id, first_id + n - num_leaves, dtype=np.uint32)
-    tree = dataclasses.replace(order.tree, record=record_of(forest, resolved), roots=roots_of(forest, order, resolved))
+    tree = dataclasses.replace(
+        order.tree, record=record_of(resolved, forest.sizes), roots=roots_of(forest, order, resolved)
+    )
     if seen is not None and n > num_leaves:
         seen_from_row = np.ones(n, np.float32)
         seen_from_row[row[:num_leaves]] = seen
@@ -106,14 +109,14 @@ def order_of(forest: Forest) -> Order:
     return preorder(forest.families, forest.roots, np.concatenate([part.means for part in forest.columns]), reach)
 
 
-def record_of(forest: Forest, resolved: ResolvedBuild) -> LevelRecord:
-    """How the levels of a forest were made."""
+def record_of(resolved: ResolvedBuild, sizes: Sequence[float]) -> LevelRecord:
+    """How levels of these sizes were made."""
     by_pairs = resolved.method == "pairs"
     return LevelRecord(
         rule="pairs" if by_pairs else "radius-thinning",
         profile="pixel" if by_pairs else "exact",
         mode=resolved.mode,
-        steps=forest.sizes,
+        steps=tuple(sizes),
         growth=resolved.growth,
         merge=resolved.merge,
         importance=None if by_pairs else resolved.importance,

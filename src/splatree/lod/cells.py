@@ -1,9 +1,12 @@
 """Cells: boxes that tile space and hold about equally many rows.
 
-A sample of the means is halved at the median of its longest side (1 to 99 % quantiles, so that outliers do not decide) until few
-enough rows are expected in each box. Where a cut would separate nothing, as among rows at one place, halving ends.
+A sample of the means is halved across its longest side (1 to 99 % quantiles, so that outliers do not decide) until few enough
+rows are expected in each box. Where that takes an odd number of boxes, the cut is at the quantile that gives all of them the same
+share: boxes as large as allowed have the least around them. Where a cut would separate nothing, as among rows at one place,
+halving ends.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -74,11 +77,13 @@ def halve(sample: Array, sample_rows: float) -> Cells:
         return -num_cells
 
     def split(points: Array) -> int:
-        if len(points) <= max(sample_rows, 1):
+        count = math.ceil(len(points) / max(sample_rows, 1) * (1 - 1e-9))
+        if count <= 1:
             return end()
+        place = len(points) * (count // 2) // count
         spread = np.quantile(points, 0.99, axis=0) - np.quantile(points, 0.01, axis=0)
         for axis in np.argsort(-spread, kind="stable"):
-            at = np.float32(np.median(points[:, axis]))  # cuts that float32 holds leave equal coordinates together
+            at = np.partition(points[:, axis], place)[place]  # equal coordinates stay together
             is_below = points[:, axis] < at
             if is_below.any() and not is_below.all():
                 number = len(halvings)

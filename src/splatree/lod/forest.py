@@ -22,7 +22,7 @@ from splatree.shapes import Array, Float32, Float64, Int32, Int64, UInt64, check
 from splatree.simplify.merge import weights_of
 from splatree.simplify.visibility import visibilities_in
 
-__all__ = ["Base", "Forest", "NewLevel", "forest_of_leaves", "forest_of_roots"]
+__all__ = ["Base", "Forest", "NewLevel", "forest_above", "forest_of_leaves", "forest_of_roots"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,26 +187,27 @@ def forest_of_roots(parts: Sequence[Scene], resolved: ResolvedBuild) -> Forest:
     if not waits and len({state.num_sizes for state in states}) > 1:
         found = sorted({state.num_sizes for state in states})
         raise InputError(f"parts: found parts grown to {found} sizes of levels, wanted all grown to the same")
-    codes = np.concatenate([state.codes for state in states])
-    inputs = np.concatenate([state.inputs for state in states])
-    order = np.lexsort((inputs, codes)).astype(np.int32)
-
-    def ordered(name: str) -> Array:
-        return np.concatenate([getattr(state, name) for state in states])[order]
-
     roots = [part.gaussians.with_sh_degree(0).take(np.flatnonzero(part.tree.depth == 0)) for part in parts]
-    base = Base(order, codes[order], inputs[order], ordered("reaches"))
-    visibilities = ordered("visibilities") if resolved.method == "pairs" else None
-    columns = Gaussians.concatenate(roots).take(order)
-    num_sizes, grown = states[0].num_sizes, None
-    if waits:
-        grown = np.concatenate([_grown(state) for state in states])[order]
-        num_sizes = int(grown.min())
-    return _planted(base, columns, ordered("weights"), visibilities, num_sizes, grown)
+    return forest_above(Gaussians.concatenate(roots), Roots.concatenate(states), resolved)
 
 
-def _grown(state: Roots) -> Array:
-    return np.full(len(state), state.num_sizes, np.int32) if state.grown is None else state.grown
+def forest_above(gaussians: Gaussians, state: Roots, resolved: ResolvedBuild) -> Forest:
+    """The forest that goes on above nodes without a parent.
+
+    Args:
+        gaussians: the nodes, as they were merged; harmonics to degree 0.
+        state: the state of growth of each.
+        resolved: what was decided for the whole scene.
+
+    Returns:
+        A forest without families, in the order of rank.
+    """
+    order = np.lexsort((state.inputs, state.codes)).astype(np.int32)
+    state = state.take(order)
+    base = Base(order, state.codes, state.inputs, state.reaches)
+    visibilities = state.visibilities if resolved.method == "pairs" else None
+    num_sizes = state.num_sizes if state.grown is None else int(state.grown.min(initial=state.num_sizes))
+    return _planted(base, gaussians.take(order), state.weights, visibilities, num_sizes, state.grown)
 
 
 def _planted(

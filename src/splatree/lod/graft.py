@@ -58,7 +58,7 @@ def graft(top: Forest, parts: Sequence[Scene], resolved: ResolvedBuild, *, threa
 
     gaussians = Gaussians(**{name: grafted(name) for name in names})
     tree = _tree(top, small, parts, seats)
-    record = common_record([part.tree.record for part in parts if part.tree.record] + [record_of(top, resolved)])
+    record = common_record([part.tree.record for part in parts if part.tree.record] + [record_of(resolved, top.sizes)])
     tree = dataclasses.replace(tree, record=record, roots=roots_of(top, small, resolved))
     sizes = list(record.steps) if record else []
     source = with_report(

@@ -44,7 +44,7 @@ from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
 from splatree.shapes import Array, Int32, Int64
 
-__all__ = ["grow_by_pairs", "grow_part_by_pairs", "judged_at"]
+__all__ = ["extent_of", "grow_by_pairs", "grow_part_by_pairs", "judged_at"]
 
 JUDGED_POWER = 0.25
 """`classic`: the pixel of a level grows with this power of its size. At 1 tight budgets lose 1 to 2 dB (a city)."""
@@ -130,6 +130,11 @@ def judged_at(size: float, resolved: ResolvedBuild) -> float:
     return resolved.judged_size * math.pow(max(1.0, size / resolved.judged_size), JUDGED_POWER)
 
 
+def extent_of(size: float) -> np.float32:
+    """The extent of a node that was made at a level of that size, world units."""
+    return np.float32(min(PIXEL_ERROR * size, FLOAT32_MAX))
+
+
 def rows_at(forest: Forest, num_sizes: int) -> Int64[Array, "_"]:
     """The roots that have gone through so many sizes, by their place among the roots."""
     if forest.grown is None:
@@ -172,6 +177,6 @@ def level_of(
         merged=Gaussians(**columns),
         weights=with_present(forest.root_weights, present.weights),
         visibilities=with_present(forest.visibilities, present.visibilities),
-        extents=np.full(len(groups), min(PIXEL_ERROR * size, FLOAT32_MAX), np.float32),
+        extents=np.full(len(groups), extent_of(size)),
         grown=grown,
     )

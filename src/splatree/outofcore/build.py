@@ -1,8 +1,9 @@
 """Build levels of detail over a scene that is larger than memory.
 
-Five passes, each through files: a plan, slices of the input by cell, cells along the curve, the levels of each cell, the levels
-above. Levels by a radius are those of `build_lod`, bit for bit, however the scene was cut. Levels by pairs are chosen cell by
-cell, and what lies at borders of cells waits for the levels above: docs/explanation/out-of-core.md.
+It goes in passes, each through files: a plan, slices of the input by cell, cells along the curve, the levels of each cell. Then
+come levels of their roots in cells of their own, tier by tier, and the crown. Levels by a radius are those of `build_lod`, bit
+for bit, however the scene was cut. Levels by pairs are chosen cell by cell, and what lies at borders of cells waits for the
+levels above: docs/explanation/out-of-core.md.
 """
 
 import os
@@ -13,18 +14,21 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from splatree.errors import InputError, OutputError
 from splatree.io.formats.folder.manifest import MANIFEST, Manifest, is_manifest, total_bytes
 from splatree.io.objects import ObjectPath, located
 from splatree.io.options import ReadOptions
 from splatree.kernels.cpu.build.visibility import NUM_AXES
 from splatree.lod.options import BuildOptions
+from splatree.outofcore.crown import Tier, finish_scene
 from splatree.outofcore.cut import Cut, cut_into_cells, opened_inputs
-from splatree.outofcore.options import MOST_LEVELS, PART_LEVELS, FolderOptions, Room, top_bytes
-from splatree.outofcore.plan import Plan
-from splatree.outofcore.run import run_cells, run_pieces
+from splatree.outofcore.options import PART_LEVELS, FolderOptions, Room, top_bytes
+from splatree.outofcore.plan import Plan, plan_above
+from splatree.outofcore.run import Workers, run_cells, run_pieces
+from splatree.outofcore.shuffle import cell_sizes
 from splatree.outofcore.sight import check_planes, write_seen
-from splatree.outofcore.top import finish_scene
 from splatree.outofcore.work import Work
 from splatree.progress import task
 from splatree.scene.names import Mode
@@ -110,49 +114,66 @@ def grow_folder(
 
 def _grown(work: Work, cut: Cut, running: FolderOptions, trial: MethodTrial | None) -> tuple[Manifest, dict[str, Any]]:
     plan = cut.plan
-    results = (_by_pairs if plan.resolved.method == "pairs" else _by_radius)(work, cut, running)
-    return finish_scene(work, plan, results, Source(metadata=plan.metadata, origin=plan.origin), trial)
+    tiers = (_by_pairs if plan.resolved.method == "pairs" else _by_radius)(work, cut, running)
+    return finish_scene(tiers, Source(metadata=plan.metadata, origin=plan.origin), trial)
 
 
-def _by_radius(work: Work, cut: Cut, running: FolderOptions) -> list[dict[str, Any]]:
-    """Grow the cells to so many levels that what is left fits in memory."""
-    plan, room = cut.plan, cut.room
-    num_levels = running.part_levels or PART_LEVELS
+def _by_radius(work: Work, cut: Cut, running: FolderOptions) -> list[Tier]:
+    """Grow cells, and their roots in cells of their own, until what is left fits in memory; then all of it together."""
+    tiers = [_grown_cells(work, cut.plan, cut.workers, running.part_levels or PART_LEVELS)]
+    while not _fits(tiers[-1], cut.room):
+        below = tiers[-1]
+        if sum(below.roots) <= cut.plan.resolved.max_roots or not [*cut.plan.resolved.sizes_from(_num_sizes(below), 1)]:
+            raise _too_many(sum(below.roots), cut.room)  # the tree ends here
+        plan = plan_above(below.work, below.plan, below.roots, _num_sizes(below), whole=False)
+        tiers.append(_grown_cells(below.work.above, plan, cut.workers, running.part_levels or PART_LEVELS))
+    return [*tiers, _crown_above(tiers[-1], _num_sizes(tiers[-1]))]
+
+
+def _grown_cells(work: Work, plan: Plan, workers: Workers, num_levels: int) -> Tier:
+    """Grow cells by so many levels, or fewer where a build in memory ends before."""
+    sizes = (
+        cell_sizes(work, plan)
+        if plan.first_roots is None
+        else np.full(len(plan.cells), plan.num_rows / len(plan.cells))
+    )
     while True:
-        results = run_cells(work, plan, "grow", cut.workers, argument=num_levels)
+        results = run_pieces(work, plan, "grow", workers, sizes.astype(float).tolist(), argument=num_levels)
         left = [sum(counts) for counts in zip(*(result["counts"] for result in results), strict=True)]
-        # A build in memory ends where few enough are left: parts may not have grown beyond that.
         ended = [level for level, num_left in enumerate(left[:-1]) if num_left <= plan.resolved.max_roots]
-        if ended:
-            num_levels = ended[0]
-        elif top_bytes(left[-1], (plan.sh_degree + 1) ** 2) <= room.max_bytes:
-            return results
-        elif num_levels < MOST_LEVELS:
-            num_levels = min(MOST_LEVELS, num_levels + _levels_more(left, room, (plan.sh_degree + 1) ** 2))
-        else:
-            raise _too_many(left[-1], room)
+        if not ended:
+            return Tier(work, plan, results)
+        num_levels = ended[0]
 
 
-def _levels_more(left: list[int], room: Room, num_coefficients: int) -> int:
-    """Levels to grow more, 3 at most, if each leaves the share that the last one left: every try grows all cells again."""
-    share, expected, more = left[-1] / left[-2], float(left[-1]), 0
-    while more < PART_LEVELS and top_bytes(int(expected), num_coefficients) > room.max_bytes:
-        expected, more = expected * share, more + 1
-    return more
+def _num_sizes(tier: Tier) -> int:
+    """Sizes of levels that the parts of a tier have gone through."""
+    return tier.plan.num_sizes + len(tier.results[0]["counts"]) - 1
 
 
-def _by_pairs(work: Work, cut: Cut, running: FolderOptions) -> list[dict[str, Any]]:
+def _fits(tier: Tier, room: Room) -> bool:
+    """Whether all roots of a tier can be grown together."""
+    return top_bytes(sum(tier.roots), (tier.plan.sh_degree + 1) ** 2) <= room.max_bytes
+
+
+def _crown_above(tier: Tier, num_sizes: int) -> Tier:
+    """The last tier: all roots together, in this process."""
+    plan = plan_above(tier.work, tier.plan, tier.roots, num_sizes, whole=True)
+    above = tier.work.above
+    return Tier(above, plan, run_pieces(above, plan, "crown", Workers(1), [float(plan.num_rows)]))
+
+
+def _by_pairs(work: Work, cut: Cut, running: FolderOptions) -> list[Tier]:
     """Measure what is seen, and grow the cells: to the same levels whatever the memory, for the tree depends on them."""
-    plan, room = cut.plan, cut.room
+    plan = cut.plan
     if plan.sight is not None:
-        check_planes(plan, room)
+        check_planes(plan, cut.room)
         run_pieces(work, plan, "sight", cut.workers, [float(plan.num_rows)] * NUM_AXES)
         write_seen(work, plan)
-    results = run_cells(work, plan, "grow-pairs", cut.workers, argument=running.part_levels or 0)
-    num_left = sum(result["roots"] for result in results)
-    if top_bytes(num_left, (plan.sh_degree + 1) ** 2) > room.max_bytes:
-        raise _too_many(num_left, room)
-    return results
+    tier = Tier(work, plan, run_cells(work, plan, "grow-pairs", cut.workers, argument=running.part_levels or 0))
+    if not _fits(tier, cut.room):
+        raise _too_many(sum(tier.roots), cut.room)
+    return [tier, _crown_above(tier, 0)]
 
 
 def _too_many(num_left: int, room: Room) -> InputError:
@@ -183,11 +204,11 @@ def check_target(output: str | os.PathLike[str], *, force: bool) -> Path:
 
 
 def _note_on_pixels(plan: Plan, options: BuildOptions) -> tuple[str, ...]:
-    if not options.follow or plan.mode != "classic" or (plan.follows and len(plan.cells) == 1):
+    if not options.follow or plan.mode != "classic" or plan.follows:
         return ()
-    which = "merged Gaussians above all parts" if plan.follows else "merged Gaussians"
     return (
-        f"{which} are drawn as stored, as after --no-follow: how they follow pixels is fitted to all of their leaves, in memory",
+        "merged Gaussians are drawn as stored, as after --no-follow: levels by a radius follow pixels only where they are built "
+        "in memory",
     )
 
 

@@ -132,9 +132,10 @@ def _folder(path: Path) -> tuple[int, int]:
         raise FormatError(
             f"{path / MANIFEST}: found {tree.num_leaves} leaves in the files, wanted {manifest.num_leaves}"
         )
-    own, pages = _pages(crown, checksums=True), [_pages(part, checksums=True) for part in parts]
+    wanted = index_of_folder(
+        crown, _pages(crown, checksums=True), (_pages(part, checksums=True) for part in parts), path
+    )
     if manifest.index is not None:
-        wanted = index_of_folder(crown, own, pages, path)
         found = read_index(path / manifest.index.name, tree.files)
         for struct, other in ((wanted, found), (wanted.table, found.table)):
             for f in fields(struct):

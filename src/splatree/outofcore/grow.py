@@ -2,31 +2,40 @@
 
 By a radius, a cell is loaded with as much around it as growing needs, seven times the radii together; where that is too little,
 half as much more, and again. Nothing is decided otherwise. By pairs, a cell is grown alone: what looks beyond its border waits,
-and is merged where it meets its neighbours, by the levels above. What the cell owns is written as a part, and its roots again by
-themselves, for the levels above.
+and is merged where it meets its neighbours, by the levels above.
+
+What the cell owns is written as a part. Its roots are written again by themselves, as a cell of the work on the levels above,
+which goes the same way: cells of roots are grown to parts, whose leaves are copies of these roots. Where all roots fit in memory
+together, they are one cell, and its part is the crown.
 """
 
-from dataclasses import replace
+from collections.abc import Iterable, Sequence
+from dataclasses import fields, replace
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from splatree.io.formats.folder.manifest import stored_file
+from splatree.io.formats.splatree.rows import open_scene
 from splatree.io.writing import write
-from splatree.lod.assemble import assemble
-from splatree.lod.forest import Forest, forest_of_leaves
+from splatree.lod.assemble import assemble, order_of
+from splatree.lod.forest import Forest, forest_above, forest_of_leaves
+from splatree.lod.grow import grow
 from splatree.lod.grow_pairs import grow_by_pairs, grow_part_by_pairs
 from splatree.lod.grow_region import Owned, TooNarrowError, grow_region
 from splatree.lod.region import EVERYWHERE, Region
+from splatree.lod.shown import Shown, fit_shown, shown_above, shown_of_leaves
 from splatree.outofcore.load import Loaded, load, load_alone, reaches, with_harmonics
 from splatree.outofcore.plan import Plan
-from splatree.outofcore.work import Work, read_array
+from splatree.outofcore.shuffle import write_bounds
+from splatree.outofcore.work import Work, read_array, write_array
+from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Scene, Source
 from splatree.scene.tree import GaussianTree
 from splatree.shapes import Array
 
-__all__ = ["grow_cell", "grow_cell_by_pairs"]
+__all__ = ["grow_cell", "grow_cell_by_pairs", "grow_crown"]
 
 
 FEWEST_SHARE = 16
@@ -36,7 +45,8 @@ FEWEST_SHARE = 16
 def grow_cell(work: Work, plan: Plan, number: int, num_levels: int, threads: int = 0) -> dict[str, Any]:
     """Grow a cell by a radius and write its part; returns what the manifest and the report have to know."""
     owned, loaded = _grown(work, plan, number, num_levels, threads)
-    result: dict[str, Any] = {"counts": owned.counts, "loaded": len(loaded.inputs)}
+    sizes = plan.resolved.sizes_from(plan.num_sizes, num_levels)
+    result = {"counts": owned.counts, "merged": _merged(sizes, owned.counts), "loaded": len(loaded.inputs)}
     return result | _write_part(work, plan, number, owned.forest, loaded, owned.rows, None, threads)
 
 
@@ -62,10 +72,34 @@ def grow_cell_by_pairs(work: Work, plan: Plan, number: int, num_levels: int, thr
     else:
         fewest = 1 if num_levels else len(rows) // FEWEST_SHARE
         forest = grow_part_by_pairs(forest, plan.resolved, box, num_levels=levels, fewest=fewest, threads=threads)
-    merged = [[size, before - left] for size, (before, left) in zip(forest.sizes, pairwise(forest.counts), strict=True)]
     waiting = 0 if forest.grown is None else int((forest.grown < forest.num_sizes).sum())
-    result: dict[str, Any] = {"merged": merged, "waiting": waiting}
+    result: dict[str, Any] = {"merged": _merged(forest.sizes, forest.counts), "waiting": waiting}
     return result | _write_part(work, plan, number, forest, loaded, rows, leaves.visibilities, threads)
+
+
+def grow_crown(work: Work, plan: Plan, number: int, argument: float = 0, threads: int = 0) -> dict[str, Any]:
+    """Grow all roots of parts together, to the end, and write them as one part: as `grow_cell`, without an argument."""
+    loaded = load(work, plan, number, np.inf)
+    forest = _forest_of(plan, loaded, threads)
+    rows = forest.base.order
+    forest = replace(forest, base=replace(forest.base, order=np.arange(len(rows), dtype=np.int32)))
+    forest = grow(forest, plan.resolved, threads=threads)
+    result: dict[str, Any] = {"merged": _merged(forest.sizes, forest.counts)}
+    return result | _write_part(work, plan, number, forest, loaded, rows, None, threads)
+
+
+def _merged(sizes: Iterable[float], counts: Sequence[int]) -> list[tuple[float, int]]:
+    """How many nodes fewer there are after each size."""
+    return [(size, before - left) for size, (before, left) in zip(sizes, pairwise(counts), strict=True)]
+
+
+def _forest_of(plan: Plan, loaded: Loaded, threads: int) -> Forest:
+    """What grows, with the levels that it has."""
+    if loaded.roots is not None:
+        return forest_above(loaded.gaussians, loaded.roots, plan.resolved)
+    scene = Scene.flat(loaded.gaussians, mode=plan.mode)
+    leaves = forest_of_leaves(scene, plan.resolved, inputs=loaded.inputs, threads=threads)
+    return replace(leaves, num_sizes=plan.num_sizes)  # more than none where a cell of roots is empty
 
 
 def _write_part(
@@ -73,31 +107,94 @@ def _write_part(
 ) -> dict[str, Any]:
     """Write a part and its roots; ``seen`` of levels by pairs."""
     if not len(rows):
-        return {"leaves": 0, "rows": 0, "roots": 0, "file": None}
+        write_bounds(work.above, number, np.empty((0, 3)))
+        return {"leaves": 0, "rows": 0, "roots": 0, "depth": 0, "file": None}
     leaves = Scene.flat(with_harmonics(work, plan, loaded, rows), mode=plan.mode)
+    leaves = replace(leaves, ids=loaded.inputs[rows].astype(np.uint32))
     part = assemble(forest, leaves, plan.resolved, seen=seen if plan.follows else None, threads=threads)
     part = replace(part, blocks=None, source=Source())  # the crown has the provenance
-    if plan.follows and part.tree.curves is None:  # it has leaves alone
+    if plan.follows and part.tree.curves is None:  # no node follows
         part = replace(part, tree=replace(part.tree, curves=np.zeros((len(part), 4), np.float32)))
+    if plan.first_roots is not None and plan.resolved.method == "pairs":
+        part = _with_copies(work, plan, part)
+        if plan.follows and forest.families:
+            part = _following(work, plan, part, forest, loaded, rows)
     name = work.part_name(number)
     write(part, work.scene / name, force=True)
-    roots = _roots_of(part)
-    if plan.follows:
-        write(roots, work.drawn(number), force=True)
-        roots = replace(roots, gaussians=replace(forest.present, sh=roots.gaussians.sh))  # as they were merged
-    write(roots, work.roots(number), force=True)
+    _write_roots(work, plan, number, part, forest)
     file = stored_file(work.scene, name)
     found = {"rows": len(part), "roots": len(forest.roots), "depth": int(part.tree.depth.max()), "file": vars(file)}
     return {"leaves": len(rows), **found}
 
 
+def _with_copies(work: Work, plan: Plan, part: Scene) -> Scene:
+    """The crown by pairs, its leaves as copies of roots: extents are not those of balls, and they may follow the pixel."""
+    assert plan.first_roots is not None and part.ids is not None
+    copies = np.flatnonzero(part.tree.is_leaf)
+    numbers = part.ids[copies].astype(np.int64)
+    files = np.searchsorted(plan.first_roots, numbers, side="right") - 1
+    columns = {f.name: getattr(part.gaussians, f.name).copy() for f in fields(Gaussians)}
+    extents, curves = part.tree.extents.copy(), None if part.tree.curves is None else part.tree.curves.copy()
+    for file in np.unique(files):
+        of_file = files == file
+        at, own = copies[of_file], numbers[of_file] - plan.first_roots[file]
+        stored = open_scene(work.drawn(int(file)) if plan.follows else work.cell(int(file)))
+        extents[at] = stored.file.rows("tree.extents")[own]
+        if curves is not None:
+            curves[at] = stored.file.rows("tree.curves")[own]
+            for name, column in columns.items():
+                column[at] = stored.file.rows(f"gaussians.{name}")[own]
+    return replace(part, gaussians=Gaussians(**columns), tree=replace(part.tree, extents=extents, curves=curves))
+
+
+def _following(work: Work, plan: Plan, part: Scene, forest: Forest, loaded: Loaded, rows: Array) -> Scene:
+    """The crown with nodes that follow the pixel they are drawn at, by what the leaves below their roots show."""
+    parts = [(file, loaded.rows[loaded.cells == file]) for file in np.unique(loaded.cells)]  # in the order of loading
+    base = Shown.concatenate([Shown.of_columns(read_array(work.shown(int(file)))[own]) for file, own in parts])
+    shown = shown_above(base.take(rows), forest.families)
+    merged = Gaussians.concatenate(list(forest.columns[1:]))
+    extents = np.concatenate([level.extents for level in forest.families if level.extents is not None])
+    merged, found = fit_shown(merged, extents, shown, plan.resolved)
+    at = order_of(forest).row_from_node[len(rows) :]
+    columns = {f.name: getattr(part.gaussians, f.name).copy() for f in fields(Gaussians)}
+    for name in ("means", "quats", "log_scales", "logit_opacities"):
+        columns[name][at] = getattr(merged, name)
+    assert part.tree.curves is not None
+    curves = part.tree.curves.copy()
+    curves[at] = found
+    return replace(part, gaussians=Gaussians(**columns), tree=replace(part.tree, curves=curves))
+
+
+def _write_roots(work: Work, plan: Plan, number: int, part: Scene, forest: Forest) -> None:
+    """Write the roots of a part, for the levels above."""
+    above, roots = work.above, _roots_of(part)
+    if plan.follows:
+        write(roots, above.drawn(number), force=True)
+        if plan.first_roots is None:
+            write_array(above.shown(number), _shown(work, plan, part).columns())
+        roots = replace(roots, gaussians=replace(forest.present, sh=roots.gaussians.sh))  # as they were merged
+    write(replace(roots, gaussians=roots.gaussians.with_sh_degree(0)), above.cell(number), force=True)
+    if plan.sh_degree:
+        write_array(above.harmonics(number), roots.gaussians.sh[:, 1:])
+    write_bounds(above, number, roots.gaussians.means)
+
+
+def _shown(work: Work, plan: Plan, part: Scene) -> Shown:
+    """What the leaves below each root show."""
+    is_leaf = part.tree.is_leaf
+    leaves = np.flatnonzero(is_leaf)
+    assert part.ids is not None
+    seen = read_array(work.seen)[part.ids[leaves]] if plan.sight is not None else np.ones(len(leaves), np.float32)
+    start = np.cumsum(is_leaf)[part.tree.depth == 0] - is_leaf[part.tree.depth == 0]
+    return shown_of_leaves(part.gaussians.take(leaves).with_sh_degree(0), seen, start, plan.resolved)
+
+
 def _grown(work: Work, plan: Plan, number: int, num_levels: int, threads: int) -> tuple[Owned, Loaded]:
     box = plan.cells.boxes[number]
-    radii = plan.resolved.sizes_from(0, num_levels)
+    radii = plan.resolved.sizes_from(plan.num_sizes, num_levels)
     for reach in reaches(box, sum(radii)):
         loaded = load(work, plan, number, reach)
-        scene = Scene.flat(loaded.gaussians, mode=plan.mode)
-        forest = forest_of_leaves(scene, plan.resolved, inputs=loaded.inputs, threads=threads)
+        forest = _forest_of(plan, loaded, threads)
         try:
             region = Region(box, reach)
             return grow_region(forest, plan.resolved, region, num_levels=num_levels, threads=threads), loaded

@@ -1,6 +1,6 @@
 """What a store knows of its files before it reads a page: the table of pages, and where each row stands in the whole tree."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from splatree.constants import BLOCK_ROWS
 from splatree.errors import FormatError, InputError, ShapeError
+from splatree.io.chunks import ROWS_PER_CHUNK
 from splatree.io.formats.splatree.rows import StoredScene
 from splatree.outofcore.page import HARMONIC_ROWS, Checksums
 from splatree.outofcore.pages import FilePages, PageTable, table_of
@@ -92,80 +93,105 @@ def index_of_file(stored: StoredScene, advance: Callable[[float], None]) -> Stor
     return StoreIndex(found.table, start, len(stored), found.num_leaves, levels, 0, found.largest_id)
 
 
-def index_of_folder(crown: StoredScene, own: FilePages, pages: Sequence[FilePages], where: Path) -> StoreIndex:
+def index_of_folder(crown: StoredScene, own: FilePages, pages: Iterable[FilePages], where: Path) -> StoreIndex:
     """The index of a folder from what was found in its files.
 
     Args:
         crown: the nodes above the parts.
         own: what `table_of` found in the crown.
-        pages: what it found in each part, in their order.
+        pages: what it finds in each part, in their order; one is held at a time, but for its table.
         where: the folder, for errors.
 
     Raises:
         FormatError: the parts are not those of the crown.
         InputError: there are 2³¹ rows or more.
+
+    Memory: 12 bytes a row of the crown, and the index.
     """
-    num_roots = sum(len(part.root_sizes) for part in pages)
-    copies, roots = _copies(crown, num_roots, own.num_leaves, where)
-    num_rows_of = np.ones(len(crown), np.int64)
-    num_rows_of[copies] = np.concatenate([part.root_sizes for part in pages])[roots]
-    levels = np.concatenate([part.root_levels for part in pages])[roots].astype(np.int32)
-    first_row = np.concatenate([[0], np.cumsum(num_rows_of)])
-    largest_id = max((part.largest_id for part in pages), default=-1)
-    if first_row[-1] >= 2**31 or largest_id + first_row[-1] >= 2**32:
+    copies = _copies(crown, own.num_leaves)
+    sizes = np.ones(len(crown), np.int32)
+    widened, tables, noted = _Widened(own.table), list[PageTable](), list(own.checksums)
+    num_roots = num_leaves = num_levels = 0
+    largest_id = -1
+    depth = crown.file.rows("tree.depth")
+    for part in pages:
+        of_part = copies[num_roots : num_roots + len(part.root_sizes)]
+        if len(of_part) < len(part.root_sizes):
+            raise _of_different_builds(where, f"more than {num_roots + len(of_part)}", own.num_leaves)
+        sizes[of_part] = part.root_sizes
+        widened.hold(of_part, part)
+        tables.append(replace(part.table, first_root=part.table.first_root + num_roots))
+        noted += part.checksums
+        num_roots, num_leaves = num_roots + len(of_part), num_leaves + part.num_leaves
+        deepest = int((depth[of_part] + part.root_levels.astype(np.int32)).max(initial=-1))
+        num_levels, largest_id = max(num_levels, deepest + 1), max(largest_id, part.largest_id)
+    if num_roots != own.num_leaves:
+        raise _of_different_builds(where, str(num_roots), own.num_leaves)
+    num_rows = int(sizes.sum(dtype=np.int64))
+    if num_rows >= 2**31 or largest_id + num_rows >= 2**32:
         raise InputError(
-            f"{where}: found {first_row[-1]} rows and identities of leaves up to {largest_id}, wanted less than 2^31 rows, and "
-            "less than 2^32 identities together"
+            f"{where}: found {num_rows} rows and identities of leaves up to {largest_id}, wanted less than 2^31 rows, and less "
+            "than 2^32 identities together"
         )
-    table = PageTable.joined([own.table, *_numbered(pages)])
-    noted = [checksums for part in (own, *pages) for checksums in part.checksums]
+    table = PageTable.joined([widened.table, *tables])
     has_checksums = len(noted) == len(table)
     return StoreIndex(
-        table=_widened(table, len(own.table), copies, roots, pages),
-        file_start=np.cumsum([0, len(own.table), *(len(part.table) for part in pages)]).astype(np.int32),
-        num_rows=int(first_row[-1]),
-        num_leaves=sum(part.num_leaves for part in pages),
-        num_levels=int((crown.file.rows("tree.depth")[copies] + levels).max()) + 1,
+        table=table,
+        file_start=np.cumsum([0, len(own.table), *map(len, tables)]).astype(np.int32),
+        num_rows=num_rows,
+        num_leaves=num_leaves,
+        num_levels=num_levels,
         num_roots=num_roots,
         largest_id=largest_id,
-        whole_rows=first_row[:-1].astype(np.int32),
+        whole_rows=np.cumsum(sizes, dtype=np.int32) - sizes,
         plain_checksums=np.array([each.plain for each in noted], np.uint32) if has_checksums else None,
         block_checksums=np.concatenate([each.harmonics for each in noted]) if has_checksums else None,
     )
 
 
-def _copies(crown: StoredScene, num_roots: int, num_leaves: int, where: Path) -> tuple[Array, Array]:
-    """The rows of the crown that are copies of roots of parts, ascending, and the number of each root."""
+def _copies(crown: StoredScene, num_leaves: int) -> Int32[Array, "r"]:
+    """The row of the crown of the copy of each root of a part, by the number of the root."""
+    path = crown.file.path
     if not crown.head.has_ids:
-        raise FormatError(f"{crown.file.path}: found no ids, wanted the numbers of the roots of all parts")
-    copies = np.flatnonzero(crown.file.rows("tree.subtree_end") == np.arange(1, len(crown) + 1))
-    roots = crown.file.rows("ids")[copies]
-    if num_leaves != num_roots or not np.array_equal(np.sort(roots), np.arange(num_roots)):
-        raise FormatError(
-            f"{where}: found {num_roots} roots in the parts and {num_leaves} leaves in the crown, wanted a copy of each root; "
-            "the files are of different builds"
-        )
-    return copies, roots
+        raise FormatError(f"{path}: found no ids, wanted the numbers of the roots of all parts")
+    rows = np.full(num_leaves, -1, np.int32)
+    for begin in range(0, len(crown), ROWS_PER_CHUNK):
+        ends = crown.file.rows("tree.subtree_end", begin, begin + ROWS_PER_CHUNK)
+        leaves = np.flatnonzero(ends == np.arange(begin + 1, begin + 1 + len(ends)))
+        numbers = crown.file.rows("ids", begin, begin + len(ends))[leaves]
+        if numbers.max(initial=0) >= max(num_leaves, 1):
+            break
+        rows[numbers] = begin + leaves
+    if num_leaves and rows.min() < 0:
+        raise FormatError(f"{path}: found ids of leaves that are not 0 to {num_leaves - 1}; the file is damaged")
+    return rows
 
 
-def _numbered(pages: Sequence[FilePages]) -> list[PageTable]:
-    """The tables of the parts, with roots numbered through all of them."""
-    first = np.cumsum([0, *(len(part.root_sizes) for part in pages)])
-    return [
-        replace(part.table, first_root=part.table.first_root + number)
-        for part, number in zip(pages, first[:-1], strict=True)
-    ]
+def _of_different_builds(where: Path, num_roots: str, num_leaves: int) -> FormatError:
+    return FormatError(
+        f"{where}: found {num_roots} roots in the parts and {num_leaves} leaves in the crown, wanted a copy of each root; the "
+        "files are of different builds"
+    )
 
 
-def _widened(table: PageTable, num_own: int, copies: Array, roots: Array, pages: Sequence[FilePages]) -> PageTable:
-    """The table in which the pages of the crown, and their blocks, hold what is below their portals."""
-    page = np.searchsorted(table.begin[:num_own], copies, side="right") - 1
-    block = table.block_start[page] + (copies - table.begin[page]) // BLOCK_ROWS
-    widened = {}
-    for name, bound in (("lower", np.minimum), ("upper", np.maximum), ("scales", np.maximum)):
-        of_roots = np.concatenate([getattr(part, f"root_{name}") for part in pages])[roots]
-        column = f"leaf_{name}" if name == "scales" else name
-        for kind, place in ((column, page), (f"block_{column}", block)):
-            widened[kind] = getattr(table, kind).copy()
-            bound.at(widened[kind], place, of_roots)
-    return replace(table, **widened)
+class _Widened:
+    """The table of the crown, in which pages and their blocks come to hold what is below their portals."""
+
+    def __init__(self, table: PageTable) -> None:
+        names = ("lower", "upper", "leaf_scales")
+        columns = {name: getattr(table, name).copy() for kind in names for name in (kind, f"block_{kind}")}
+        self.table = replace(table, **columns)
+        """The table; its bounds grow."""
+
+    def hold(self, copies: Int32[Array, "r"], part: FilePages) -> None:
+        """Take the bounds of a part, whose roots have copies in these rows."""
+        table = self.table
+        page = np.searchsorted(table.begin, copies, side="right") - 1
+        block = table.block_start[page] + (copies - table.begin[page]) // BLOCK_ROWS
+        for name, of_roots, bound in (
+            ("lower", part.root_lower, np.minimum),
+            ("upper", part.root_upper, np.maximum),
+            ("leaf_scales", part.root_scales, np.maximum),
+        ):
+            bound.at(getattr(table, name), page, of_roots)
+            bound.at(getattr(table, f"block_{name}"), block, of_roots)

@@ -14,7 +14,7 @@ import numpy as np
 
 from splatree.errors import FormatError, ShapeError
 from splatree.io import untrusted
-from splatree.io.formats.splatree.container import Container, header_bytes, open_container, placed
+from splatree.io.formats.splatree.container import header_bytes, open_container, placed
 from splatree.io.formats.splatree.rows import StoredScene
 from splatree.io.replacing import replacing
 from splatree.outofcore.index import StoreIndex
@@ -63,8 +63,14 @@ def read_index(path: Path, files: Sequence[StoredScene]) -> StoreIndex:
         name: untrusted.integer(said, name, f"{where}: numbers", high=high.get(name, 2**31 - 1)) for name in NUMBERS
     }
     try:
-        table = PageTable(**{f.name: _column(container, f"table.{f.name}", where) for f in fields(PageTable)})
-        columns: dict[str, Any] = {name: _column(container, name, where) for name in COLUMNS}
+        names = [f"table.{f.name}" for f in fields(PageTable)]
+        missing = [name for name in (*names, *COLUMNS) if name not in container.columns]
+        if missing:
+            raise FormatError(
+                f"{where}: found no column {missing[0]!r}; the file is damaged or of an older version: build again"
+            )
+        columns: dict[str, Any] = dict(zip((*names, *COLUMNS), container.rows_of([*names, *COLUMNS]), strict=True))
+        table = PageTable(*(columns.pop(name) for name in names))
         index = StoreIndex(table, **columns, **numbers)
     except ShapeError as error:
         raise FormatError(f"{where}: {error}; the file is damaged") from error
@@ -72,12 +78,6 @@ def read_index(path: Path, files: Sequence[StoredScene]) -> StoreIndex:
     if wrong is not None:
         raise FormatError(f"{where}: {wrong}; the file is damaged or of another build")
     return index
-
-
-def _column(container: Container, name: str, where: str) -> Array:
-    if name not in container.columns:
-        raise FormatError(f"{where}: found no column {name!r}; the file is damaged or of an older version: build again")
-    return container.rows(name)
 
 
 def _wrong(index: StoreIndex, num_rows: Sequence[int]) -> Iterator[str]:

@@ -11,6 +11,7 @@ from splatree.outofcore.plan import Plan
 from splatree.outofcore.shuffle import BOUND_ROWS
 from splatree.outofcore.work import Work, read_array
 from splatree.scene.gaussians import Gaussians
+from splatree.scene.roots import Roots
 from splatree.shapes import Array, Int32, Int64
 
 __all__ = ["Loaded", "load", "load_alone", "num_within", "reaches", "with_harmonics"]
@@ -29,11 +30,13 @@ class Loaded:
     gaussians: Gaussians
     """To degree 0."""
     inputs: Int64[Array, "n"]
-    """Row of each in the input."""
+    """Row of each in the input; above parts, its number among the roots of all parts."""
     cells: Int32[Array, "n"]
-    """The cell that each lies in."""
+    """The cell that each lies in; above parts, the part whose root it is."""
     rows: Int64[Array, "n"]
     """Its row there."""
+    roots: Roots | None
+    """Above parts, the state of growth of each."""
 
 
 def reaches(box: Box, radii: float) -> Iterator[float]:
@@ -59,8 +62,8 @@ def num_within(work: Work, plan: Plan, number: int, radii: float) -> int:
 
 def load(work: Work, plan: Plan, number: int, reach: float) -> Loaded:
     """All rows of the scene whose mean is within a distance of the box of a cell."""
-    box, parts = plan.cells.boxes[number], list[tuple[Gaussians, Array, Array, Array]]()
-    for other in range(len(plan.cells)):
+    box, parts, states = plan.cells.boxes[number], list[tuple[Gaussians, Array, Array, Array]](), list[Roots]()
+    for other in range(plan.num_files):
         bounds = read_array(work.bounds(other))
         near = np.flatnonzero(box.gaps(bounds[0], bounds[1]) <= reach)
         if not len(near):
@@ -69,15 +72,21 @@ def load(work: Work, plan: Plan, number: int, reach: float) -> Loaded:
         for run in np.split(near, np.flatnonzero(np.diff(near) > 1) + 1):
             begin, end = int(run[0]) * BOUND_ROWS, min((int(run[-1]) + 1) * BOUND_ROWS, len(stored))
             rows = stored.rows(begin, end)
-            assert rows.ids is not None
             kept = np.flatnonzero(box.distances(rows.gaussians.means) <= reach)
-            cells = np.full(len(kept), other, np.int32)
-            parts.append((rows.gaussians.take(kept), rows.ids[kept].astype(np.int64), cells, begin + kept))
+            if plan.first_roots is not None:
+                inputs = plan.first_roots[other] + begin + kept
+                assert stored.head.roots is not None
+                states.append(stored.head.roots.take(begin + kept))
+            else:
+                assert rows.ids is not None
+                inputs = rows.ids[kept].astype(np.int64)
+            parts.append((rows.gaussians.take(kept), inputs, np.full(len(kept), other, np.int32), begin + kept))
     if not parts:
         nothing = np.empty(0, np.int64)
-        return Loaded(Gaussians.empty(), nothing, nothing.astype(np.int32), nothing)
+        return Loaded(Gaussians.empty(), nothing, nothing.astype(np.int32), nothing, None)
     gaussians = Gaussians.concatenate([part[0] for part in parts])
-    return Loaded(gaussians, *(np.concatenate([part[i] for part in parts]) for i in (1, 2, 3)))
+    inputs, cells, rows_there = (np.concatenate([part[i] for part in parts]) for i in (1, 2, 3))
+    return Loaded(gaussians, inputs, cells, rows_there, Roots.concatenate(states) if states else None)
 
 
 def load_alone(work: Work, number: int) -> Loaded:
@@ -86,7 +95,7 @@ def load_alone(work: Work, number: int) -> Loaded:
     rows = stored.rows(0, len(stored))
     assert rows.ids is not None
     places = np.arange(len(stored), dtype=np.int64)
-    return Loaded(rows.gaussians, rows.ids.astype(np.int64), np.full(len(stored), number, np.int32), places)
+    return Loaded(rows.gaussians, rows.ids.astype(np.int64), np.full(len(stored), number, np.int32), places, None)
 
 
 def with_harmonics(work: Work, plan: Plan, loaded: Loaded, rows: Array) -> Gaussians:

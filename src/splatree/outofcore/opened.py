@@ -7,7 +7,7 @@ from splatree.errors import FormatError, InputError
 from splatree.io.formats.folder.manifest import MANIFEST, Manifest, checked_path, folder_of, holds_parts, read_manifest
 from splatree.io.formats.splatree.rows import StoredScene, open_scene
 from splatree.io.memory import bytes_of, free_bytes
-from splatree.io.objects import located
+from splatree.io.objects import ObjectPath, at_once, located
 from splatree.outofcore.index import StoreIndex, index_of_file, index_of_folder
 from splatree.outofcore.index_file import read_index
 from splatree.outofcore.pages import table_of
@@ -48,7 +48,8 @@ def open_store(path: str | os.PathLike[str], *, max_memory: str | None = None) -
         with task(f"index {path.name}", float(len(file))) as advance:
             return Store([file], index_of_file(file, advance), max_bytes)
     manifest = read_manifest(path)
-    crown, *parts = (open_scene(path / file.name) for file in (manifest.crown, *manifest.parts))
+    files = [path / file.name for file in (manifest.crown, *manifest.parts)]
+    crown, *parts = at_once(open_scene, files) if isinstance(path, ObjectPath) else map(open_scene, files)
     _check_alike(crown, parts)
     index = _index(path, manifest, crown, parts)
     if (index.num_rows, index.num_leaves) != (manifest.num_rows, manifest.num_leaves):
@@ -64,7 +65,7 @@ def _index(path: Path, manifest: Manifest, crown: StoredScene, parts: list[Store
     if manifest.index is not None:
         return read_index(checked_path(path, manifest.index), [crown, *parts])
     with task(f"index {path.name}", float(manifest.num_rows)) as advance:
-        return index_of_folder(crown, table_of(crown), [table_of(part, advance=advance) for part in parts], path)
+        return index_of_folder(crown, table_of(crown), (table_of(part, advance=advance) for part in parts), path)
 
 
 def _check_alike(crown: StoredScene, parts: list[StoredScene]) -> None:

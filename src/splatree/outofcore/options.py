@@ -15,19 +15,19 @@ HARMONIC_BYTES = 32
 """What it takes besides for each coefficient of harmonics above degree 0, three floats."""
 
 ROOT_BYTES = 450
-"""What the levels above the parts take for each root of a part, without harmonics."""
+"""What growing roots of parts together takes for each of them without harmonics: benchmarks/scale.py."""
 
 ROOT_HARMONIC_BYTES = 45
 """What they take besides for each coefficient of harmonics above degree 0."""
 
 MOST_LEVELS = 16
-"""Levels that cells grow at most: what has to be loaded around a cell doubles with each."""
+"""Levels that a user may let cells grow: what has to be loaded around a cell doubles with each."""
 
 PART_ROWS = 1_000_000
 """Rows of a cell where memory allows: larger cells load less around them, smaller ones are done sooner."""
 
 PART_LEVELS = 3
-"""Levels by a radius that cells grow at first."""
+"""Levels by a radius that cells grow: radii double, and with them what has to be loaded around a cell."""
 
 PAIR_CELL_ROWS = 1 << 18
 """Rows of a cell where levels are made by pairs, whatever the memory: the tree depends on the cells."""
@@ -61,8 +61,8 @@ class FolderOptions:
     """Rows of a cell; None: a million, or as many as memory allows. The files depend on it, the tree does not. For levels by
     pairs, which depend on the cells: 262,144."""
     part_levels: int | None = None
-    """Levels that cells grow; those above are grown in one piece. None: for levels by a radius 3, or more where what is left does
-    not fit in memory; for levels by pairs until a sixteenth of a cell is left."""
+    """Levels that cells grow, before what is left is cut into cells anew, or grown in one piece where it fits in memory. None:
+    for levels by a radius 3; for levels by pairs until a sixteenth of a cell is left, and then in one piece."""
 
     def __post_init__(self) -> None:
         if self.workers < 1:
@@ -126,9 +126,8 @@ class Room:
                     "on it"
                 )
             return Room(max_bytes, rows, _beside(options, max_bytes, cell), piece_bytes)
-        rows = options.part_rows or PART_ROWS
-        while options.part_rows is None and rows > FEWEST_ROWS and cell_bytes(rows, num_coefficients) > piece_bytes:
-            rows //= 2
+        fitting = int((piece_bytes - PROCESS_BYTES) // row_bytes_of(num_coefficients))
+        rows = options.part_rows or min(PART_ROWS, max(fitting, FEWEST_ROWS))
         return Room(max_bytes, rows, _beside(options, max_bytes, cell_bytes(rows, num_coefficients)), piece_bytes)
 
 
@@ -139,10 +138,14 @@ def _beside(options: FolderOptions, max_bytes: int, cell: int) -> int:
 
 def cell_bytes(num_rows: int, num_coefficients: int, *, by_pairs: bool = False) -> int:
     """Memory of a process that grows a cell."""
-    row_bytes = PAIR_ROW_BYTES if by_pairs else ROW_BYTES
-    return PROCESS_BYTES + num_rows * (row_bytes + HARMONIC_BYTES * (num_coefficients - 1))
+    return PROCESS_BYTES + num_rows * row_bytes_of(num_coefficients, by_pairs=by_pairs)
+
+
+def row_bytes_of(num_coefficients: int, *, by_pairs: bool = False) -> int:
+    """What growing a cell takes for each of its rows."""
+    return (PAIR_ROW_BYTES if by_pairs else ROW_BYTES) + HARMONIC_BYTES * (num_coefficients - 1)
 
 
 def top_bytes(num_roots: int, num_coefficients: int) -> int:
-    """Memory of a process that grows the levels above all parts."""
+    """Memory of a process that grows roots of parts together."""
     return PROCESS_BYTES + num_roots * (ROOT_BYTES + ROOT_HARMONIC_BYTES * (num_coefficients - 1))

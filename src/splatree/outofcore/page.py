@@ -14,7 +14,7 @@ import numpy as np
 
 from splatree.errors import FormatError, ShapeError
 from splatree.io.check import SH_MAX, refuse_unusable
-from splatree.io.formats.splatree.rows import SceneRows, StoredScene
+from splatree.io.formats.splatree.rows import SceneRows
 from splatree.kernels.cpu.codec.columns import largest_magnitude
 from splatree.kernels.cpu.frame import select as kernel
 from splatree.kernels.cpu.frame.blocks import index_blocks
@@ -24,7 +24,7 @@ from splatree.scene.tree import BlockIndex, GaussianTree
 from splatree.scene.view import View
 from splatree.shapes import Array, Bool, Int32, Int64, UInt8, UInt32
 
-__all__ = ["HARMONIC_ROWS", "Checksums", "Page", "load_page", "page_of"]
+__all__ = ["HARMONIC_ROWS", "Checksums", "Page", "page_of"]
 
 HARMONIC_ROWS = 64
 """Rows whose harmonics are read and checked together: 12 kB at degree 3. Runs of 256 rows touch a sixth more harmonics in a near
@@ -120,27 +120,18 @@ class Checksums:
         return Checksums(_plain_checksum(rows), np.array(runs, np.uint32))
 
 
-def load_page(
-    stored: StoredScene, begin: int, end: int, path: Int64[Array, "a"], *, checksums: Checksums | None = None
-) -> Page:
-    """Map rows of a stored scene, check them and index them.
+def page_of(rows: SceneRows, file: str, path: Int64[Array, "a"], *, checksums: Checksums | None = None) -> Page:
+    """Check that rows are a part of a tree, and index them.
 
     Args:
-        stored: the file.
-        begin: first row.
-        end: one past the last row, which is a leaf.
+        rows: their values have been checked; the last one is a leaf.
+        file: named in errors.
         path: where the subtrees of the ancestors of the first row end, from the root down.
         checksums: those of the rows when they were indexed; None: they are not compared.
 
     Raises:
-        FormatError: a value cannot be used, or the rows are no part of a tree, or not those that were indexed.
+        FormatError: the rows are no part of a tree, or not those that were indexed.
     """
-    rows = stored.rows(begin, end, harmonics=False)
-    return page_of(rows, str(stored.file.path), path, checksums=checksums)
-
-
-def page_of(rows: SceneRows, file: str, path: Int64[Array, "a"], *, checksums: Checksums | None = None) -> Page:
-    """As `load_page`, of rows whose values have been checked; ``file`` is named in errors."""
     begin, end = rows.begin, rows.begin + len(rows)
     where = f"{file}: rows {begin} to {end}"
     if checksums is not None and checksums.plain != (found := _plain_checksum(rows)):

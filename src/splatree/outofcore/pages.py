@@ -13,7 +13,7 @@ harmonics, once.
 """
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -32,6 +32,9 @@ __all__ = ["PAGE_BYTES", "PageTable", "row_bytes_of", "table_of"]
 
 PAGE_BYTES = 1_000_000
 """Bytes of a page: smaller pages fit views more closely, larger ones take fewer steps; benchmarks/paging.py compares."""
+
+FETCHED_PAGES = 32
+"""Pages of an object of a store that are fetched together while the table is made."""
 
 DEEPEST = 255
 """A leaf follows each row within so many rows."""
@@ -154,7 +157,7 @@ def table_of(
     stored: StoredScene,
     *,
     checksums: bool = False,
-    look: Callable[[Page], None] = lambda page: None,
+    look: Callable[[Page], None] | None = None,
     advance: Callable[[float], None] = lambda rows: None,
 ) -> FilePages:
     """Go through a file page by page and note what a selection has to know of each.
@@ -162,25 +165,35 @@ def table_of(
     Args:
         stored: the file.
         checksums: also note checksums, for which harmonics have to be read.
-        look: is given each page.
+        look: is given each page, for which harmonics are mapped.
         advance: is told how many rows were gone through.
 
     Raises:
         FormatError: a value cannot be used, or the rows are no tree.
     """
-    page_rows, n = max(PAGE_BYTES // row_bytes_of(stored.head), 1), len(stored)
-    noted = _Noted(checksums)
-    begin, path = 0, np.zeros(0, np.int64)
-    while begin < n:
-        end = _end_of_page(stored, begin, page_rows)
-        rows = stored.rows(begin, end, harmonics=False)
+    noted, path = _Noted(checksums), np.zeros(0, np.int64)
+    for rows in _pages_of(stored, harmonics=False if checksums or look is not None else None):
         page = page_of(rows, str(stored.file.path), path)
-        look(page)
+        if look is not None:
+            look(page)
         path = noted.add(rows, page)
-        stored.forget(begin, end)
-        advance(float(end - begin))
-        begin = end
+        stored.forget(page.begin, page.begin + len(page))
+        advance(float(len(page)))
     return noted.pages()
+
+
+def _pages_of(stored: StoredScene, *, harmonics: bool | None) -> Iterator[SceneRows]:
+    """The rows of one page after the other; of an object of a store, several are fetched together."""
+    page_rows, n = max(PAGE_BYTES // row_bytes_of(stored.head), 1), len(stored)
+    fetched_rows = page_rows * FETCHED_PAGES if stored.file.is_elsewhere else page_rows
+    held = stored.rows(0, 0, harmonics=harmonics)
+    begin = 0
+    while begin < n:
+        end = _end_of_page(held, stored, begin, page_rows)
+        if end > held.begin + len(held):
+            held = stored.rows(begin, max(end, min(begin + fetched_rows, n)), harmonics=harmonics)
+        yield held.part(begin, end)
+        begin = end
 
 
 class _Noted:
@@ -279,12 +292,19 @@ class _Noted:
         )
 
 
-def _end_of_page(stored: StoredScene, begin: int, page_rows: int) -> int:
-    """The end of a page of at least so many rows, the first behind a leaf; or the end of the file."""
+def _end_of_page(held: SceneRows, stored: StoredScene, begin: int, page_rows: int) -> int:
+    """The end of a page of at least so many rows, the first behind a leaf; or the end of the file.
+
+    It is looked for among the rows that are held, and in the file where these end before.
+    """
     first, n = begin + page_rows - 1, len(stored)
     if first >= n - 1:
         return n
-    ends = stored.file.rows("tree.subtree_end", first, min(first + DEEPEST + 1, n))
+    last = min(first + DEEPEST + 1, n)
+    if last <= held.begin + len(held):
+        ends = held.subtree_end[first - held.begin : last - held.begin]
+    else:
+        ends = stored.file.rows("tree.subtree_end", first, last)
     is_leaf = ends == first + 1 + np.arange(len(ends))
     if not is_leaf.any():
         raise FormatError(

@@ -53,34 +53,42 @@ class Cut:
 
 
 def cut_at(
-    index: StoreIndex, page_of: Callable[[int], Page], view: View, options: SelectOptions, *, threads: int = 0
+    index: StoreIndex, page_of: Callable[[int, int], Page], view: View, options: SelectOptions, *, threads: int = 0
 ) -> tuple[Cut, int]:
     """The cut of a view at the pixel error of the options, and how many rows were looked at.
 
     Args:
         index: of the store.
-        page_of: loads a page.
+        page_of: loads a page, given its number and one past the last of the pages that are asked for next, without a gap.
         view: the view.
         options: of the rule `cut`, with the profile of the levels; a budget is not looked at.
         threads: threads to use; 0: all.
     """
     asked = _Asked(index, page_of, view, options, threads)
     if not index.has_parts:
-        for page in np.flatnonzero(asked.is_open):
-            asked.take_file(int(page))
+        for run in _runs(asked.is_open):
+            asked.take_file(*run)
         return asked.cut()
     num_own = index.num_own
-    for page in np.flatnonzero(asked.is_open[:num_own]):
-        asked.take_crown(int(page))
+    for run in _runs(asked.is_open[:num_own]):
+        asked.take_crown(*run)
     rows = asked.portals()
     table = index.table
     # A page belongs to the roots that begin in it, and to the one before if it begins within a subtree.
     first = table.first_root[num_own:] - (np.diff(table.ancestor_start)[num_own:] > 0)
     last = np.append(table.first_root[num_own + 1 :], index.num_roots)
     num_open = np.concatenate([[0], np.cumsum(rows >= 0)])
-    for page in np.flatnonzero(asked.is_open[num_own:] & (num_open[last] > num_open[first])) + num_own:
-        asked.take_part(int(page), rows)
+    for page, end in _runs(asked.is_open[num_own:] & (num_open[last] > num_open[first])):
+        asked.take_part(page + num_own, end + num_own, rows)
     return asked.cut()
+
+
+def _runs(is_wanted: Bool[Array, "p"]) -> Iterator[tuple[int, int]]:
+    """Each page that is wanted, and the end of the run of such pages that it is in."""
+    pages = np.flatnonzero(is_wanted)
+    ends = np.append(np.flatnonzero(np.diff(pages) > 1), len(pages) - 1)  # the last of each run
+    for page, last in zip(pages, pages[ends[np.searchsorted(ends, np.arange(len(pages)))]], strict=True):
+        yield int(page), int(last) + 1
 
 
 class _Asked:
@@ -89,7 +97,7 @@ class _Asked:
     def __init__(
         self,
         index: StoreIndex,
-        page_of: Callable[[int], Page],
+        page_of: Callable[[int, int], Page],
         view: View,
         options: SelectOptions,
         threads: int,
@@ -103,15 +111,15 @@ class _Asked:
         self._portals: list[tuple[Array, Array]] = []
         self._visited = 0
 
-    def take_file(self, number: int) -> None:
-        """Select in a page of the only file."""
-        page = self._page_of(number)
+    def take_file(self, number: int, end: int) -> None:
+        """Select in a page of the only file; pages up to ``end`` are asked for next."""
+        page = self._page_of(number, end)
         places = self._select(number, page, self._packed)
         self._keep(number, page, places, places + np.int32(page.begin))
 
-    def take_crown(self, number: int) -> None:
+    def take_crown(self, number: int, end: int) -> None:
         """Select in a page of the crown: inner nodes are drawn, leaves are open portals."""
-        page, whole_rows = self._page_of(number), self._index.whole_rows
+        page, whole_rows = self._page_of(number, end), self._index.whole_rows
         assert whole_rows is not None and page.ids is not None
         places = self._select(number, page, self._packed_unseen)
         is_portal = page.tree.is_leaf[places]
@@ -127,9 +135,9 @@ class _Asked:
             found[numbers] = rows
         return found
 
-    def take_part(self, number: int, rows: Array) -> None:
+    def take_part(self, number: int, end: int, rows: Array) -> None:
         """Select in a page of a part, below open portals."""
-        page, table = self._page_of(number), self._index.table
+        page, table = self._page_of(number, end), self._index.table
         places = self._select(number, page, self._packed)
         roots = np.flatnonzero(page.depth == 0)
         nth = np.searchsorted(roots, places, side="right")  # 0: of the subtree that the page begins within

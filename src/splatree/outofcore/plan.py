@@ -6,14 +6,15 @@ by the functions that a build in memory calls: the grid of the Morton codes, the
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from splatree.errors import InputError
 from splatree.io.chunks import Chunks
+from splatree.io.formats.splatree.rows import open_scene
 from splatree.io.options import ReadOptions
 from splatree.kernels.cpu.build.thin import nearest_distances
 from splatree.kernels.cpu.build.visibility import Sight
@@ -33,7 +34,7 @@ from splatree.simplify.merge import check_finite, largest_log_weight
 from splatree.simplify.thin import query_rows, radius_of_spacing
 from splatree.simplify.visibility import NUM_SAMPLES, SIZE_SAMPLES, median_size, sample_of, sight_of
 
-__all__ = ["Plan", "make_plan", "read_plan"]
+__all__ = ["Plan", "make_plan", "plan_above", "read_plan"]
 
 SAMPLE_ROWS = 1 << 20
 """Rows of which the cells are made."""
@@ -76,6 +77,15 @@ class Plan:
     """Levels by pairs: the lengths by which the scene is looked at; None: nothing hides anything."""
     follows: bool
     """Whether merged Gaussians follow the pixel that they are drawn at."""
+    first_roots: tuple[int, ...] | None = None
+    """Above parts, how many roots the parts before each one have together; None: what grows are the Gaussians of the input."""
+    num_sizes: int = 0
+    """Sizes of levels that the parts below have gone through."""
+
+    @property
+    def num_files(self) -> int:
+        """Files of rows that grow: one for each cell, or above parts one for each part."""
+        return len(self.cells) if self.first_roots is None else len(self.first_roots)
 
     @property
     def num_slices(self) -> int:
@@ -96,6 +106,8 @@ class Plan:
         fields["cells"] = Cells.of_halvings(fields["cells"])
         if (sight := fields["sight"]) is not None:
             fields["sight"] = Sight(**{**sight, "middle": np.array(sight["middle"])})
+        if (first_roots := fields["first_roots"]) is not None:
+            fields["first_roots"] = tuple(first_roots)
         x, y, z = fields["origin"]
         return Plan(**{**fields, "origin": (x, y, z)})
 
@@ -179,6 +191,27 @@ def make_plan(
     )
     write_text(work.plan, plan.to_json())
     return plan
+
+
+def plan_above(work: Work, plan: Plan, roots: Sequence[int], num_sizes: int, *, whole: bool) -> Plan:
+    """Cut the roots of parts into cells of their own, and write the plan of the levels above.
+
+    Args:
+        work: where the parts are.
+        plan: theirs.
+        roots: how many each part has.
+        num_sizes: sizes of levels that the parts have gone through.
+        whole: put all roots into one cell.
+    """
+    above, first = work.above, np.cumsum([0, *roots]).tolist()
+    step, files = first[-1] // SAMPLE_ROWS + 1, [number for number, count in enumerate(roots) if count]
+    sample = np.concatenate([open_scene(above.cell(file)).file.rows("gaussians.means")[::step] for file in files])
+    cells = Cells.of_halvings(()) if whole else halve(sample, plan.part_rows * len(sample) / first[-1])
+    found = replace(plan, num_rows=first[-1], cells=cells, first_roots=tuple(first[:-1]), num_sizes=num_sizes)
+    found = replace(found, run=hashlib.blake2b(found.to_json().encode(), digest_size=8).hexdigest())
+    above.begin()
+    write_text(above.plan, found.to_json())
+    return found
 
 
 def _first_radius(means: Array, options: BuildOptions, widest: float, threads: int) -> float:

@@ -18,7 +18,7 @@ from typing import Any
 
 from splatree.errors import InputError
 from splatree.outofcore.fingerprint import fingerprint
-from splatree.outofcore.grow import grow_cell, grow_cell_by_pairs
+from splatree.outofcore.grow import grow_cell, grow_cell_by_pairs, grow_crown
 from splatree.outofcore.plan import Plan, read_plan
 from splatree.outofcore.shuffle import cell_sizes, make_cell
 from splatree.outofcore.sight import look_along
@@ -47,6 +47,7 @@ KINDS = {
     "sight": _Kind("measure what is seen", look_along),
     "grow": _Kind("grow cells", grow_cell),
     "grow-pairs": _Kind("grow cells", grow_cell_by_pairs),
+    "crown": _Kind("grow levels above", grow_crown),
     "count": _Kind("count what a radius leaves", count_cell),
     "thin": _Kind("thin cells", thin_cell),
 }

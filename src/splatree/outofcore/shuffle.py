@@ -24,7 +24,7 @@ from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Scene
 from splatree.shapes import Array
 
-__all__ = ["BOUND_ROWS", "make_cell", "make_slices"]
+__all__ = ["BOUND_ROWS", "make_cell", "make_slices", "write_bounds"]
 
 BOUND_ROWS = 2048
 """Rows of a cell that share a box of bounds."""
@@ -104,7 +104,12 @@ def make_cell(work: Work, plan: Plan, number: int, argument: float = 0, threads:
             writer.append(replace(Scene.flat(gaussians.take(batch).with_sh_degree(0)), ids=inputs[batch]))
     if plan.sh_degree:
         write_array(work.harmonics(number), gaussians.sh[order, 1:])
-    means = gaussians.means[order]
+    write_bounds(work, number, gaussians.means[order])
+    return {}
+
+
+def write_bounds(work: Work, number: int, means: Array) -> None:
+    """Write the boxes of each 2,048 rows of a cell."""
     start = np.arange(0, len(means), BOUND_ROWS)
     bounds = (
         np.stack([f.reduceat(means, start, axis=0) for f in (np.minimum, np.maximum)])
@@ -112,4 +117,3 @@ def make_cell(work: Work, plan: Plan, number: int, argument: float = 0, threads:
         else np.empty((2, 0, 3))
     )
     write_array(work.bounds(number), bounds.astype(np.float64))
-    return {}

@@ -21,7 +21,7 @@ from splatree.io.formats.splatree.rows import StoredScene
 from splatree.lod.select import for_levels, notes_on, within_budget
 from splatree.outofcore.index import StoreIndex
 from splatree.outofcore.locate import crown_rows, find_rows
-from splatree.outofcore.page import Page, load_page
+from splatree.outofcore.page import Page, page_of
 from splatree.outofcore.pages import row_bytes_of
 from splatree.outofcore.paging import Cut, cut_at
 from splatree.scene.cameras import Camera
@@ -38,6 +38,9 @@ __all__ = ["Store"]
 INDEX_BYTES = 30
 """What a page takes for each of its rows beside the mapped columns: the index of its blocks, its tree."""
 
+
+FETCHED_BYTES = 1 << 23
+"""Pages of an object of a store that follow each other are fetched together, up to so many bytes."""
 
 SAMPLE = 60_000
 """Gaussians of a sample: as many as framing looks at."""
@@ -158,7 +161,7 @@ class Store:
         self,
         view: Camera | View,
         options: SelectOptions | None,
-        page_of: Callable[[int], Page],
+        page_of: Callable[[int, int], Page],
         *,
         last: float | None = None,
         threads: int = 0,
@@ -177,8 +180,13 @@ class Store:
         notes = notes_on(scene, options, pixel_error, view)
         return Selection(cut.rows, "cut", options.resolved_profile, pixel_error, visited, notes), cut
 
-    def page(self, number: int, *, ahead: bool = False) -> Page:
-        """A page, loaded if it is not there; ``ahead`` says for which count.
+    def page(self, number: int, end: int = 0, *, ahead: bool = False) -> Page:
+        """A page, loaded if it is not there; of an object of a store, those up to ``end`` come with it.
+
+        Args:
+            number: of the page.
+            end: one past the last of the pages that are asked for next.
+            ahead: whether they are counted as loaded before they were needed.
 
         Raises:
             FormatError: it is damaged.
@@ -189,17 +197,43 @@ class Store:
                 raise InputError("store: found it closed, wanted it open; open another with open_store")
             page = self._pages.get(number)
             if page is None:
-                table, stored = self.index.table, self._files[self.index.file_of(number)]
-                begin, end = int(table.begin[number]), int(table.end[number])
-                checksums = self.index.checksums_of(number)
-                page = load_page(stored, begin, end, table.path(number), checksums=checksums)
-                self._pages[number] = page
-                self._bytes += self._bytes_of(page)
+                numbers = range(number, self._end_of_fetch(number, end))
+                for each, loaded in zip(reversed(numbers), reversed(self._loaded(numbers)), strict=True):
+                    self._pages[each] = page = loaded
+                    self._bytes += self._bytes_of(page)
                 self._give_up()
-                self.num_loaded += not ahead
-                self.num_ahead += ahead
+                self.num_loaded += len(numbers) * (not ahead)
+                self.num_ahead += len(numbers) * ahead
             self._pages.move_to_end(number)
+            assert page is not None
             return page
+
+    def _end_of_fetch(self, number: int, end: int) -> int:
+        """One past the last page that is loaded with a page, of an object of a store."""
+        table, file = self.index.table, self.index.file_of(number)
+        if not self._files[file].file.is_elsewhere:
+            return number + 1
+        most_rows = min(FETCHED_BYTES, self.max_bytes // 2) // row_bytes_of(self._files[file].head)
+        last = number
+        for each in range(number + 1, min(end, int(self.index.file_start[file + 1]))):
+            if each in self._pages or table.end[each] - table.begin[number] > most_rows:
+                break
+            last = each
+        return last + 1
+
+    def _loaded(self, numbers: range) -> list[Page]:
+        """Consecutive pages of one file, read at once."""
+        table, stored = self.index.table, self._files[self.index.file_of(numbers[0])]
+        rows = stored.rows(int(table.begin[numbers[0]]), int(table.end[numbers[-1]]), harmonics=False)
+        return [
+            page_of(
+                rows.part(int(table.begin[number]), int(table.end[number])),
+                str(stored.file.path),
+                table.path(number),
+                checksums=self.index.checksums_of(number),
+            )
+            for number in numbers
+        ]
 
     def page_to_draw(self, number: int, places: Int32[Array, "w"]) -> Page:
         """A page whose harmonics have been checked in some of its rows.
@@ -301,10 +335,12 @@ class Store:
             return  # who draws the view is told, if it is drawn
 
     def _bytes_of(self, page: Page) -> int:
-        """What has been read of a page: all but the harmonics, and the harmonics that were checked."""
+        """What has been read of a page: all of an object of a store; of a file the harmonics only where they were checked."""
         harmonics = page.gaussians.sh.nbytes
-        plain = len(page) * (row_bytes_of(self._files[0].head) + INDEX_BYTES) - harmonics
-        return plain + int(harmonics * page.is_checked.mean())
+        all_bytes = len(page) * (row_bytes_of(self._files[0].head) + INDEX_BYTES)
+        if self._files[0].file.is_elsewhere:
+            return all_bytes
+        return all_bytes - int(harmonics * (1 - page.is_checked.mean()))
 
     def _give_up(self) -> None:
         """Give up the pages that were used longest ago while there are too many, but not the last one."""

@@ -120,7 +120,7 @@ def thin_file(
     if chosen.write_chunks is None:
         raise InputError(f"{target}: format {chosen.name} is not written in chunks, wanted one that is, such as .ply")
     place = target.parent if target.name == FOLDER_FILE else target  # a folder of SOG
-    check_target(place)
+    check_target(target if place.is_dir() else place)
     if target.exists() and not force:
         raise OutputError(f"{target}: exists already; choose another name or replace it with force")
     work = Work.beside(place)

@@ -3,10 +3,11 @@
     city.splatree.work/
       plan.json                     what was decided for the whole scene
       slices/00000.splatree         rows of the input, by cell
-      cells/00000.splatree .npy     one cell along the curve: degree 0, and the harmonics above
+      cells/00000.splatree .npy     one cell along the curve: degree 0, and the harmonics above; of roots that follow
+                                    the pixel, .drawn.splatree and .shown.npy: as they are drawn, and what leaves show
       sight/0.npy                   what is seen of each row of the input along one axis
       sight/seen.npy                what others leave to be seen of each row
-      roots/00000.splatree          the roots of one part; .drawn.splatree: as they are drawn
+      above/                        the work on the levels above: its cells are the roots of the parts
       thinned/00000.splatree .npy   what thinning leaves of one cell, and its rows of the input
       done/…json                    a mark for each piece of work that is done, with what came of it
       scene/                        the folder to be: parts, crown, manifest
@@ -29,7 +30,7 @@ from splatree.shapes import Array
 
 __all__ = ["Work"]
 
-FOLDERS = ("slices", "cells", "sight", "roots", "thinned", "done", "scene/parts")
+FOLDERS = ("slices", "cells", "sight", "thinned", "done", "scene/parts", "above/cells")
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,11 @@ class Work:
         return self.folder / "plan.json"
 
     @property
+    def above(self) -> "Work":
+        """The work on the levels above the parts of this one, whose roots are its cells."""
+        return Work(self.folder / "above")
+
+    @property
     def token(self) -> Path:
         """Which of all folders this is: a worker that reads it sees the folder."""
         return self.folder / "token"
@@ -73,7 +79,7 @@ class Work:
         return self.folder / "slices" / f"{number:05}.splatree"
 
     def cell(self, number: int) -> Path:
-        """The Gaussians of a cell to degree 0, along the curve."""
+        """The Gaussians of a cell to degree 0, along the curve; above parts, the roots of a part."""
         return self.folder / "cells" / f"{number:05}.splatree"
 
     def harmonics(self, number: int) -> Path:
@@ -84,6 +90,10 @@ class Work:
         """Boxes of runs of rows of a cell."""
         return self.folder / "cells" / f"{number:05}.bounds.npy"
 
+    def drawn(self, number: int) -> Path:
+        """The rows of a cell of roots as they are drawn, where they follow the pixel."""
+        return self.folder / "cells" / f"{number:05}.drawn.splatree"
+
     def sight(self, axis: int) -> Path:
         """What is seen of each row of the input along an axis."""
         return self.folder / "sight" / f"{axis}.npy"
@@ -93,13 +103,9 @@ class Work:
         """What others leave to be seen of each row of the input."""
         return self.folder / "sight" / "seen.npy"
 
-    def roots(self, number: int) -> Path:
-        """The roots of a part."""
-        return self.folder / "roots" / f"{number:05}.splatree"
-
-    def drawn(self, number: int) -> Path:
-        """The roots of a part as they are drawn, where they follow the pixel."""
-        return self.folder / "roots" / f"{number:05}.drawn.splatree"
+    def shown(self, number: int) -> Path:
+        """What the leaves below the rows of a cell of roots show, where they follow the pixel (`Shown.columns`)."""
+        return self.folder / "cells" / f"{number:05}.shown.npy"
 
     def thinned(self, number: int) -> Path:
         """What thinning leaves of a cell."""

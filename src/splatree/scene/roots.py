@@ -1,6 +1,10 @@
 """What merging has to know of the roots of a tree to go on where an earlier build stopped."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
 
 from splatree.errors import ShapeError
 from splatree.shapes import Array, Float32, Float64, Int32, Int64, UInt64, check_fields
@@ -40,3 +44,23 @@ class Roots:
 
     def __len__(self) -> int:
         return len(self.weights)
+
+    def take(self, rows: Int64[Array, "n"]) -> "Roots":
+        """The state of some of the roots."""
+        return replace(self, **{name: column[rows] for name, column in self._columns().items()})
+
+    @staticmethod
+    def concatenate(states: Sequence["Roots"]) -> "Roots":
+        """The state of all roots of one scene, one part after the other; at least one."""
+        if any(state.grown is not None or state.num_sizes != states[0].num_sizes for state in states):
+            states = [state if state.grown is not None else state._counted() for state in states]
+        columns = [state._columns() for state in states]
+        joined: dict[str, Any] = {name: np.concatenate([each[name] for each in columns]) for name in columns[0]}
+        return replace(states[0], **joined, num_sizes=max(state.num_sizes for state in states))
+
+    def _columns(self) -> dict[str, Any]:
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        return {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
+
+    def _counted(self) -> "Roots":
+        return replace(self, grown=np.full(len(self), self.num_sizes, np.int32))

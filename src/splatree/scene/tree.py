@@ -115,7 +115,7 @@ class BlockIndex:
     """As ``leaf_scales``, of groups."""
     size_classes: UInt8[Array, "n"]
     """255 for a leaf; else the whole part of 8 log₂ σ + 128, held in 0 to 254; σ is the row's middle standard deviation or a
-    third of its extent, the lesser."""
+    third of its extent, the lesser. 254 for an inner row without a place: its mean is not a number."""
 
     __repr__ = in_short
 

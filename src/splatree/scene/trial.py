@@ -26,12 +26,21 @@ class MethodTrial:
     """Gaussians of the sample."""
     num_pictures: int
     """Pictures that each mean is taken over; 0: no picture told the methods apart."""
+    radius_loss_db: float | None = None
+    """By how much the cut by a radius is worse than that by pairs in the picture where it loses most, dB; negative: it is
+    better in each. None: a file from before this was kept."""
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            value = getattr(self, field.name)
-            if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < 1e12:
-                raise InputError(f"MethodTrial.{field.name}: found {value!r}, wanted a finite number, 0 or more")
+            value, least = getattr(self, field.name), 0.0
+            if field.name == "radius_loss_db":
+                if value is None:
+                    continue
+                least = -1e3
+            if isinstance(value, bool) or not isinstance(value, int | float) or not least <= value < 1e12:
+                raise InputError(
+                    f"MethodTrial.{field.name}: found {value!r}, wanted a finite number, {least:g} or more"
+                )
 
     @property
     def better(self) -> Method:
@@ -42,7 +51,8 @@ class MethodTrial:
         """Both figures, and where they are from."""
         if not self.num_pictures:
             return f"no picture of {self.num_gaussians:,} Gaussians told the methods apart"
+        worst = "" if self.radius_loss_db is None else f", in one picture {-self.radius_loss_db:+.1f} dB by a radius"
         return (
-            f"at equal nodes, pairs {self.pairs_db:.1f} dB, radius {self.radius_db:.1f} dB against all leaves "
+            f"at equal nodes, pairs {self.pairs_db:.1f} dB, radius {self.radius_db:.1f} dB against all leaves{worst} "
             f"({self.num_pictures} pictures each of {self.num_gaussians:,} Gaussians)"
         )

@@ -14,11 +14,12 @@ from splatree.io.cameras.split import split_views
 from splatree.scene.cameras import Camera
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.origin import origin_of
+from splatree.shapes import Array, UInt8
 from splatree.train.densify import along_curve
 from splatree.train.options import DIVISIONS, TrainOptions
 from splatree.train.schedule import Schedule, generator
 from splatree.train.score import HeldOut
-from splatree.train.start import extent_of, fill_empty_cells, random_points, start_from
+from splatree.train.start import add_apron, extent_of, fill_empty_cells, random_points, start_from
 from splatree.train.targets import Targets, coarsest_division, finest_division
 from splatree.train.world import World
 
@@ -29,6 +30,10 @@ NEAR_EXTENTS = 0.01
 
 ROOTS_SHARE = 16
 """A tree that grows begins with so many times fewer points than it may have leaves: what it begins with is its coarsest level."""
+
+
+POINTS_SHARE = 0.9
+"""Share of the Gaussians that points may take at the start: empty cells, the apron and births need some too."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,15 +60,17 @@ class Work:
     def start(self) -> Gaussians:
         """The Gaussians that the first step draws, along a Morton curve."""
         rng, room = generator(self.options.seed, "start", 0), self.options.max_gaussians
-        first = max(1, room // ROOTS_SHARE) if self.options.levels == "grow" else room
+        share = 1 / ROOTS_SHARE if self.options.levels == "grow" else POINTS_SHARE
+        first = max(1, int(share * room))
         gaussians = start_from(self.points, degree=self.options.degree, max_gaussians=first, rng=rng)
-        division = self.schedule.division(0.0)
-        gaussians = fill_empty_cells(
-            gaussians,
-            self.targets.cameras,
-            lambda i: self.targets.at(i, division).photo,
-            room=room - len(gaussians),
-        )
+        cameras, division = self.targets.cameras, self.schedule.division(0.0)
+
+        def photo_of(i: int) -> UInt8[Array, "h w 3"]:
+            return self.targets.at(i, division).photo
+
+        gaussians = fill_empty_cells(gaussians, cameras, photo_of, room=room - len(gaussians))
+        if self.options.alpha != "match":  # an object stands before nothing
+            gaussians = add_apron(gaussians, cameras, photo_of, room=room - len(gaussians))
         return gaussians.take(along_curve(gaussians))
 
 

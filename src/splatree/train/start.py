@@ -9,6 +9,7 @@ Cost: once a run; a fraction of a second for 100,000 points.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,9 +19,17 @@ from splatree.io.cameras.points import Points
 from splatree.maths.morton import MortonFrame, morton_codes, morton_frame
 from splatree.scene.cameras import Camera
 from splatree.scene.gaussians import Gaussians
-from splatree.shapes import Array, Float64, UInt8
+from splatree.shapes import Array, Bool, Float64, UInt8
 
-__all__ = ["EXTENT_MARGIN", "extent_of", "fill_empty_cells", "neighbour_distances", "random_points", "start_from"]
+__all__ = [
+    "EXTENT_MARGIN",
+    "add_apron",
+    "extent_of",
+    "fill_empty_cells",
+    "neighbour_distances",
+    "random_points",
+    "start_from",
+]
 
 EXTENT_MARGIN = 1.1
 """Largest distance of a camera from their mean, times this, is the extent (Kerbl 2023)."""
@@ -36,6 +45,15 @@ EMPTY_OPACITY = 0.1
 
 CELLS = 16
 """Cells along the longer side of a photograph."""
+
+APRON_CELLS = 4
+"""So many cells beyond the border of a photograph get one too, where no photograph shows anything."""
+
+BEFORE = 0.8
+"""What lies nearer than this share of a depth would hide what is there."""
+
+APRON_OPACITY = 0.8
+"""Of a Gaussian beyond the borders: no photograph may ever change it."""
 
 SEEN_BY_MIN = 3
 """Points found in fewer pictures are often wrong; the rule counts only where the file says how many."""
@@ -125,8 +143,7 @@ def fill_empty_cells(
     """
     places, added = gaussians.means.astype(np.float64), []
     for i, camera in enumerate(cameras):
-        size = max(camera.width, camera.height) / CELLS
-        across, down = max(1, round(camera.width / size)), max(1, round(camera.height / size))
+        across, down = _cells(camera)
         depths = _median_depths(places, camera, across, down)
         empty = np.argwhere(np.isnan(depths))
         if not len(empty) or len(empty) == depths.size or room <= 0:
@@ -136,17 +153,117 @@ def fill_empty_cells(
         z = depths[tuple(filled[to].T)][:room]
         empty = empty[:room]
         pixel = (empty[:, ::-1] + 0.5) * (camera.width / across, camera.height / down)
-        slopes = (pixel - camera.K[:2, 2]) / np.diag(camera.K)[:2]
-        seen = np.concatenate([slopes, np.ones((len(z), 1))], axis=1) * z[:, None]
-        pose = camera.camera_from_world
-        new = (seen - pose[:3, 3]) @ pose[:3, :3]
+        new = _placed(pixel, z, camera)
         photo = photo_of(i)
         row, column = (pixel[:, ::-1] * (photo.shape[0] / camera.height, photo.shape[1] / camera.width)).astype(int).T
-        sigma = z * size / (2 * camera.K[0, 0])
+        sigma = z * max(camera.width, camera.height) / (2 * CELLS * camera.K[0, 0])
         added.append(_spheres(new, sigma, photo[row, column], EMPTY_OPACITY, gaussians.sh_degree))
         places = np.concatenate([places, new])
         room -= len(new)
     return Gaussians.concatenate([gaussians, *added])
+
+
+def add_apron(
+    gaussians: Gaussians, cameras: Sequence[Camera], photo_of: Callable[[int], UInt8[Array, "h w 3"]], *, room: int
+) -> Gaussians:
+    """The Gaussians, and one in each empty cell beyond the borders that no view shows, at most ``room`` of them.
+
+    It lies at the depth of the nearest cell that has one, and is of the mean colour of the nearest cell of the photograph.
+    There is none where it would hide from another view what that view has there.
+
+    Args:
+        gaussians: what there is.
+        cameras: the views; what one of them gets, the next ones know of.
+        photo_of: the photograph of a view, at any size.
+        room: Gaussians that may be added.
+    """
+    known = gaussians.means.astype(np.float64)
+    wide = [_widened(camera) for camera in cameras]
+    depths_of = [_median_depths(known, camera, *cells) for camera, cells in wide]
+    new, added = np.zeros((0, 3)), []
+    for i, camera in enumerate(cameras):
+        view, (across, down) = wide[i]
+        depths = depths_of[i]
+        empty, filled = (
+            np.argwhere(np.isnan(depths) & np.isnan(_median_depths(new, view, across, down))),
+            np.argwhere(~np.isnan(depths)),
+        )
+        if not len(empty) or not len(filled):
+            continue
+        nearest = np.argmin(np.sum((empty[:, None] - filled) ** 2, axis=2), axis=1)
+        z = depths[tuple(filled[nearest].T)]
+        places = _placed((empty[:, ::-1] + 0.5) * (view.width / across, view.height / down), z, view)
+        refused = np.logical_or.reduce([_shown(places, other) for other in cameras])
+        for (other, _), known_depths in zip(wide, depths_of, strict=True):
+            refused |= _hides(places, other, known_depths)
+        places, empty, z = places[~refused][:room], empty[~refused][:room], z[~refused][:room]
+        inner = np.array(_cells(camera))
+        cell = np.clip(empty - APRON_CELLS, 0, inner[::-1] - 1)
+        colors = _cell_means(photo_of(i), *inner)[tuple(cell.T)]
+        sigma = z * max(camera.width, camera.height) / (2 * CELLS * camera.K[0, 0])
+        added.append(_spheres(places, sigma, colors, APRON_OPACITY, gaussians.sh_degree))
+        new = np.concatenate([new, places])
+        room -= len(places)
+    return Gaussians.concatenate([gaussians, *added])
+
+
+def _cells(camera: Camera) -> tuple[int, int]:
+    """How many cells a photograph has across and down."""
+    size = max(camera.width, camera.height) / CELLS
+    return max(1, round(camera.width / size)), max(1, round(camera.height / size))
+
+
+def _widened(camera: Camera) -> tuple[Camera, tuple[int, int]]:
+    """The view with `APRON_CELLS` cells more on each side, and its cells across and down."""
+    across, down = _cells(camera)
+    margin = APRON_CELLS * np.array([camera.width / across, camera.height / down])
+    K = camera.K.copy()
+    K[:2, 2] += margin
+    width, height = np.rint((camera.width, camera.height) + 2 * margin).astype(int)
+    return replace(camera, K=K, width=int(width), height=int(height)), (
+        across + 2 * APRON_CELLS,
+        down + 2 * APRON_CELLS,
+    )
+
+
+def _placed(pixel: Array, depth: Array, camera: Camera) -> Float64[Array, "n 3"]:
+    """Where what a view shows at pixels lies, if it lies at these depths."""
+    slopes = (pixel - camera.K[:2, 2]) / np.diag(camera.K)[:2]
+    seen = np.concatenate([slopes, np.ones((len(depth), 1))], axis=1) * depth[:, None]
+    pose = camera.camera_from_world
+    return np.asarray((seen - pose[:3, 3]) @ pose[:3, :3])
+
+
+def _seen(places: Array, camera: Camera) -> tuple[Float64[Array, "n 2"], Float64[Array, "n"], Bool[Array, "n"]]:
+    """Pixels and depths of places in a view, and which of them lie within its picture."""
+    seen = places @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        pixel = seen[:, :2] / seen[:, 2:] * np.diag(camera.K)[:2] + camera.K[:2, 2]
+    inside = (pixel >= 0).all(axis=1) & (pixel < (camera.width, camera.height)).all(axis=1)
+    return pixel, seen[:, 2], np.asarray(inside & (seen[:, 2] > camera.near))
+
+
+def _shown(places: Array, camera: Camera) -> Bool[Array, "n"]:
+    """Which places lie within the picture of a view."""
+    return _seen(places, camera)[2]
+
+
+def _hides(places: Array, camera: Camera, depths: Float64[Array, "y x"]) -> Bool[Array, "n"]:
+    """Which places lie well before what a view has in the same cell."""
+    pixel, z, inside = _seen(places, camera)
+    down, across = depths.shape
+    cell = (pixel[inside] * (across / camera.width, down / camera.height)).astype(int)
+    hides = np.zeros(len(places), bool)
+    hides[inside] = z[inside] < BEFORE * depths[cell[:, 1], cell[:, 0]]  # not where the cell is empty: NaN
+    return hides
+
+
+def _cell_means(photo: UInt8[Array, "h w 3"], across: int, down: int) -> Float64[Array, "y x 3"]:
+    """The mean colour of each cell of a photograph."""
+    rows, columns = (np.arange(n) * side // n for n, side in ((down, photo.shape[0]), (across, photo.shape[1])))
+    sums = np.add.reduceat(np.add.reduceat(photo, rows, axis=0, dtype=np.float64), columns, axis=1)
+    counts = np.diff([*rows, photo.shape[0]])[:, None] * np.diff([*columns, photo.shape[1]])
+    return np.asarray(sums / counts[..., None])
 
 
 def _median_depths(places: Array, camera: Camera, across: int, down: int) -> Float64[Array, "y x"]:

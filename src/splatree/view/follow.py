@@ -5,53 +5,28 @@ A page keeps a node until it leaves the cut. A node whose pixel has changed much
 
 import numpy as np
 
-from splatree.kernels.reference.nodes import LOG_SCALE_MAX
-from splatree.kernels.reference.project import follow
-from splatree.scene.gaussians import Gaussians
 from splatree.scene.view import View
-from splatree.shapes import Array, Float32, Int32, UInt32
+from splatree.shapes import Array, Float32, Float64
 
-__all__ = ["dilations_at", "followed", "has_drifted"]
+__all__ = ["DRIFT", "Depths", "depths_of", "dilations_at"]
 
 DRIFT = 1.15
 """Factor on its dilation in world units² at which a node is sent again: 7 % of its distance."""
 
+Depths = tuple[Float64[Array, "4"], float]
+"""The plane (n, d) with the depth n·p + d, and the dilation of a pixel at depth 1, world units²."""
 
-def dilations_at(
-    means: Float32[Array, "v 3"], limits: Float32[Array, "v"], view: View | None
-) -> Float32[Array, "v"] | None:
-    """The dilation at the depth of each node, world units², at most that of its level; None: nodes do not follow."""
+
+def depths_of(view: View | None) -> Depths | None:
+    """How far nodes are from a view, and what a pixel is there; None: nodes do not follow."""
     if view is None or view.mode != "classic":
         return None
-    camera = view.camera
-    forward = camera.camera_from_world[2]
-    depths = means @ forward[:3].astype(np.float32) + np.float32(forward[3])
-    dilations = np.float32(view.dilation_px2 / (camera.K[0, 0] * camera.K[1, 1])) * depths * depths
-    return np.asarray(np.minimum(dilations, limits))
+    K = view.camera.K
+    return np.array(view.camera.camera_from_world[2], np.float64), float(view.dilation_px2 / (K[0, 0] * K[1, 1]))
 
 
-def has_drifted(now: Float32[Array, "v"], sent: Float32[Array, "v"]) -> Array:
-    """Whether each dilation has left the one that its node was sent with; leaves have 0 and never do."""
-    return np.asarray((now > DRIFT * sent) | (now * DRIFT < sent))
-
-
-def followed(
-    words: UInt32[Array, "v 8"],
-    gaussians: Gaussians,
-    curves: Float32[Array, "n 4"],
-    rows: Int32[Array, "v"],
-    dilations: Float32[Array, "v"],
-) -> UInt32[Array, "v 8"]:
-    """Packed nodes (kernels/reference/nodes.py) with the scales and opacities that they are drawn with."""
-    at = np.flatnonzero(curves[rows, 2] > 0)
-    chosen = rows[at]
-    given = np.exp(gaussians.log_scales[chosen].astype(np.float64))
-    scales, opacities = follow(
-        curves[chosen].astype(np.float64), dilations[at].astype(np.float64), given, np.ones(len(at))
-    )
-    shares = np.clip(np.log(np.maximum(scales, 1e-30)) / LOG_SCALE_MAX, -1, 1)
-    codes = np.rint((shares + 1) * 32767.5).astype(np.uint32)
-    words[at, 3] = (words[at, 3] & np.uint32(0xFFFF)) | np.rint(65535 * opacities).astype(np.uint32) << np.uint32(16)
-    words[at, 6] = (words[at, 6] & np.uint32(0xFFFF)) | codes[:, 0] << np.uint32(16)
-    words[at, 7] = codes[:, 1] | codes[:, 2] << np.uint32(16)
-    return words
+def dilations_at(means: Float32[Array, "v 3"], limits: Float32[Array, "v"], depths: Depths) -> Float32[Array, "v"]:
+    """The dilation at the depth of each node, world units², at most that of its level."""
+    plane, unit = depths
+    depth = means.astype(np.float64) @ plane[:3] + plane[3]
+    return np.asarray(np.minimum(unit * depth * depth, limits), np.float32)

@@ -2,7 +2,7 @@
 
 A page keeps its nodes in numbered slots. The numbers are given out here, so a message needs no answer: each one names the slots
 that fall free and the slots that new nodes go into, and turns one exact cut into another. Cost of a step: a few passes over the
-rows of the cut; memory: 4 bytes a row of the scene, touched where rows were shown, and 36 bytes a slot.
+rows of the cut; memory: 4 bytes a row of the scene, touched where rows were shown, and 40 bytes a slot.
 """
 
 from dataclasses import dataclass
@@ -10,11 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from splatree.kernels.cpu.codec.nodes import pack_colors, pack_nodes
-from splatree.kernels.cpu.codec.slots import keep, release, stale
+from splatree.kernels.cpu.codec.slots import drifted, keep, release, stale
 from splatree.kernels.reference.nodes import NODE_WORDS, with_depths
 from splatree.scene.view import View
 from splatree.shapes import Array, Float64, Int32, UInt32
-from splatree.view.follow import dilations_at, followed, has_drifted
+from splatree.view.follow import DRIFT, Depths, depths_of, dilations_at
 from splatree.view.shown import Shown
 
 __all__ = ["Change", "Slots"]
@@ -65,15 +65,13 @@ class Slots:
         self._eyes = np.zeros((capacity, 3), np.float32) if shown.scene.gaussians.sh_degree else None
         self._eye: Float64[Array, 3] | None = None
         self._is_behind = False
+        self._first_behind = 0  # the row from which on colours are looked through: those behind the last message's
         self._dilations = np.zeros(capacity, np.float32)  # that each node was sent with
         self._limits = np.zeros(capacity, np.float32)  # the largest dilation that changes a node
         self.rows: Int32[Array, v] = np.zeros(0, np.int32)
         """Rows that the page holds, ascending."""
-
-    @property
-    def slots(self) -> Int32[Array, "v"]:
-        """The slot of each row that the page holds."""
-        return self._slot_after[self.rows] - 1
+        self.slots: Int32[Array, v] = np.zeros(0, np.int32)
+        """The slot of each of them."""
 
     def move(self, rows: Int32[Array, "v"], eye: Float64[Array, "3"], view: View | None = None) -> Change:
         """Let the page hold ``rows``, ascending, at most as many as there are slots, seen from ``eye``.
@@ -81,60 +79,63 @@ class Slots:
         With the ``view`` that is drawn, merged nodes are sent as they look at their pixel; without, as they are stored.
         """
         self._step += 1
-        drifted = self._let_drift(view)
-        new = keep(rows, self._slot_after, self._stamps, self._step)
-        drop = np.concatenate([drifted, release(self.rows, self._slot_after, self._stamps, self._step)])
+        depths = depths_of(view) if self._shown.follows else None
+        drifts = self._let_drift(depths)
+        slots, places = keep(rows, self._slot_after, self._stamps, self._step)
+        gone = release(self.rows, self.slots, self._slot_after, self._stamps, self._step)
+        drop = np.concatenate([drifts, gone])
         self._free[self._num_free : self._num_free + len(drop)] = drop
         top = self._num_free + len(drop)
-        self._num_free = top - len(new)
-        add = self._free[self._num_free : top].copy()
+        self._num_free = top - len(places)
+        add, new = self._free[self._num_free : top].copy(), rows[places]
         self._slot_after[new] = add + 1
+        slots[places] = add
         if self._eyes is not None:
             self._eyes[add] = eye - self._centre
-        self.rows = rows
-        nodes = self._nodes(new, add, eye, view)
+        self.rows, self.slots = rows, slots
+        nodes = self._nodes(new, add, eye, depths)
         tint, colors = self._tints(eye)
         return Change(drop.view(np.uint32), add.view(np.uint32), nodes, tint.view(np.uint32), colors, self._is_behind)
 
     def _nodes(
-        self, rows: Int32[Array, "a"], slots: Int32[Array, "a"], eye: Array, view: View | None
+        self, rows: Int32[Array, "a"], slots: Int32[Array, "a"], eye: Array, depths: Depths | None
     ) -> UInt32[Array, "a 8"]:
         """Rows as they go into slots."""
         nodes = np.empty((len(rows), NODE_WORDS), np.uint32)
         for part in self._shown.parts(rows):
             own, curves = slots[part.of_rows], part.tree.curves
-            words = pack_nodes(part.gaussians, part.tree, part.places, eye, self._centre)
             self._means[own] = part.gaussians.means[part.places]
-            if (
-                curves is not None
-                and (dilations := dilations_at(self._means[own], curves[part.places, 3], view)) is not None
-            ):
-                words = followed(words, part.gaussians, curves, part.places, dilations)
-                self._limits[own], self._dilations[own] = curves[part.places, 3], dilations
-            nodes[part.of_rows] = words
+            dilations = None
+            if curves is not None and depths is not None:
+                limits = curves[part.places, 3]
+                dilations = dilations_at(self._means[own], limits, depths)
+                self._limits[own], self._dilations[own] = limits, dilations
+            nodes[part.of_rows] = pack_nodes(part.gaussians, part.tree, part.places, eye, self._centre, dilations)
         with_depths(nodes, self._shown.depths(rows))
         return nodes
 
-    def _let_drift(self, view: View | None) -> Int32[Array, "d"]:
+    def _let_drift(self, depths: Depths | None) -> Int32[Array, "d"]:
         """Slots of nodes that look too different by now; their rows are forgotten, so that they come again as new ones."""
-        slots = self.slots
-        now = dilations_at(self._means[slots], self._limits[slots], view) if self._shown.follows else None
-        if now is None:
+        if depths is None:
             return np.zeros(0, np.int32)
-        drifts = has_drifted(now, self._dilations[slots])
-        self._slot_after[self.rows[drifts]] = 0
-        self.rows = self.rows[~drifts]
-        return slots[drifts]
+        places = drifted(self.slots, self._means, self._limits, self._dilations, depths, DRIFT)
+        slots = self.slots[places]
+        self._slot_after[self.rows[places]] = 0
+        self.rows, self.slots = np.delete(self.rows, places), np.delete(self.slots, places)
+        return slots
 
     def _tints(self, eye: Array) -> tuple[Int32[Array, "t"], UInt32[Array, "t"]]:
         """The slots whose colours the eye has left behind, and their new colours."""
         if self._eyes is None or (not self._is_behind and self._eye is not None and np.array_equal(eye, self._eye)):
             return np.zeros(0, np.int32), np.zeros(0, np.uint32)
         self._eye = eye
-        held, view = self.slots, (eye, self._centre, EYE_SHARE)
-        nth = np.arange(len(held), dtype=np.int32)
-        nth, self._is_behind = stale(nth, held + 1, self._means[held], self._eyes, view, TINTS)
-        rows, slots = self.rows[nth], held[nth]
+        view, first = (eye, self._centre, EYE_SHARE), int(np.searchsorted(self.rows, self._first_behind))
+        places, self._is_behind = stale(
+            self.slots, self._means, self._eyes, view, first % max(len(self.rows), 1), TINTS
+        )
+        rows, slots = self.rows[places], self.slots[places]
+        if len(rows):
+            self._first_behind = int(rows[-1]) + 1
         self._eyes[slots] = eye - self._centre
         colors = np.empty(len(rows), np.uint32)
         for part in self._shown.parts(rows):

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from splatree.errors import FormatError, InputError
-from splatree.io.photo_paths import SUFFIXES
+from splatree.io.photo_search import SUFFIXES
 from splatree.scene.cameras import Camera, Cameras
 from splatree.shapes import Array
 

@@ -21,7 +21,7 @@ from splatree.errors import FormatError, InputError
 from splatree.io import untrusted
 from splatree.io.cameras.distortion import lens_of_record
 from splatree.io.images import image_size
-from splatree.io.photo_paths import SUFFIXES
+from splatree.io.photo_search import SUFFIXES
 from splatree.scene.cameras import Camera, Cameras
 from splatree.shapes import Array, Float64
 

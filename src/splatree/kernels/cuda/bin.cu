@@ -5,6 +5,8 @@
 //               looking back at the thread blocks before (scan.h); its pairs. A splat over many tiles is listed by its warp, 32
 //               tiles at a time.
 // start_tiles   a thread a tile, after the pairs were sorted by tile: where its list begins
+// order_tiles   one thread block: the tiles by the length of their lists, the longest first, to half an octave. Which of two
+//               such tiles comes first is left open; no picture depends on it
 #include "cuda/scan.h"
 #include "shared/ellipse.h"
 #include "shared/square.h"
@@ -13,6 +15,7 @@ namespace splatree {
 namespace {
 
 constexpr int FEW_TILES = 16;  // that a thread lists alone
+constexpr int ORDER_THREADS = 1024, NUM_LENGTHS = 64;
 
 struct Cover {
   Ellipse ellipse;
@@ -55,6 +58,15 @@ SPLATREE_FN void store_pair(const FrameJob* job, long long at, int tile, unsigne
     job->keys_a[at] = (unsigned)tile;
   job->values_a[at] = splat;
 }
+
+// The class of a list's length, 0 for the longest: half an octave each.
+SPLATREE_FN int length_class(unsigned length) {
+  int octave = 0;
+  for (unsigned left = length; left > 1; left >>= 1) ++octave;
+  return NUM_LENGTHS - 1 - (length > 1 ? 2 * octave + int(length >> (octave - 1) & 1) : int(length));
+}
+
+SPLATREE_FN unsigned length_of(const FrameJob* job, int tile) { return job->tile_start[tile + 1] - job->tile_start[tile]; }
 
 }  // namespace
 }  // namespace splatree
@@ -127,4 +139,23 @@ SPLATREE_KERNEL(256, 1) start_tiles(const FrameJob* job, int packed) {
   const long long place = in_16_bits ? place_of_key(from_b ? job->tile_keys_b : job->tile_keys_a, count, tile)
                                      : place_of_key(from_b ? job->keys_b : job->keys_a, count, tile);
   job->tile_start[tile] = (unsigned)place;
+}
+
+SPLATREE_KERNEL(1024, 1) order_tiles(const FrameJob* job, int) {
+  SPLATREE_SHARED(unsigned, places, NUM_LENGTHS);
+  const int num_tiles = job->numbers.num_tiles_x * job->numbers.num_tiles_y;
+  if (threadIdx.x < NUM_LENGTHS) places[threadIdx.x] = 0;
+  __syncthreads();
+  for (int tile = threadIdx.x; tile < num_tiles; tile += ORDER_THREADS)
+    atomicAdd(&places[length_class(length_of(job, tile))], 1u);
+  __syncthreads();
+  if (warp_of() == 0) {
+    unsigned total;
+    const unsigned first = places[2 * lane_of()], both = first + places[2 * lane_of() + 1], before = sum_before(both, total);
+    places[2 * lane_of()] = before;
+    places[2 * lane_of() + 1] = before + first;
+  }
+  __syncthreads();
+  for (int tile = threadIdx.x; tile < num_tiles; tile += ORDER_THREADS)
+    job->tile_order[atomicAdd(&places[length_class(length_of(job, tile))], 1u)] = (unsigned)tile;
 }

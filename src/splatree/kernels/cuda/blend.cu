@@ -1,13 +1,16 @@
 // Blending of the tiles' lists front to back; kernels/reference/blend.py is the definition.
 //
-// All three kernels draw the same picture, a thread a pixel; which is faster depends on the device and the view
-// (kernels/cuda/renderer.py measures):
+// All three kernels draw the same picture, a thread a pixel, and so do all orders of the tiles; which is faster depends on the
+// device and the view (kernels/cuda/renderer.py measures):
 //
 // blend_16    256 threads a tile of 16 × 16 px. A warp has 8 × 4 px.
 // blend_8     64 threads a quarter of a tile, 8 × 8 px: more, smaller thread blocks that end sooner; a splat of the list that
 //             misses the quarter is left out while it is loaded.
 // blend_8x4   a warp an eighth of a tile: nobody waits for another warp, and a long list is split over most multiprocessors, but
 //             is read eight times. Splitting it by its splats instead would change the order in which light is multiplied.
+//
+// Thread blocks take the tiles row by row, or those with the longest lists first (bin.cu): a device is then not left with a few
+// long lists when all others are done.
 //
 // Each is there once more for splats that are tapered off, and blend_16 for what is wanted beside the picture: pixels_16 for
 // outputs of pixels, pairs_16 for the sums of what each pair contributes, both_16 for both.
@@ -65,7 +68,7 @@ SPLATREE_FN float draw(Pixel& pixel, Kept& kept, int entry, float log2_alpha, fl
 
 // WIDTH × HEIGHT px a thread block: a tile or an equal part of it.
 template <int WIDTH, int HEIGHT, class Ends, class Keeps>
-SPLATREE_FN void blend(const FrameJob* job, int from_b) {
+SPLATREE_FN void blend(const FrameJob* job, int packed) {
   constexpr int THREADS = WIDTH * HEIGHT, ACROSS = int(TILE_PX) / WIDTH, PARTS = ACROSS * (int(TILE_PX) / HEIGHT);
   constexpr bool TAPER = Ends::TAPERS, CONTRIBUTIONS = Keeps::OF_PAIRS;
   static_assert(PARTS == 1 || !(Keeps::OF_PIXELS || Keeps::OF_PAIRS),
@@ -78,8 +81,10 @@ SPLATREE_FN void blend(const FrameJob* job, int from_b) {
   SPLATREE_SHARED(float, sums, CONTRIBUTIONS ? THREADS*(THREADS / WARP) : 1);  // of each warp and splat
 
   const FrameNumbers& n = job->numbers;
+  const bool from_b = packed & 1, longest_first = packed >> 1;
   const Global<const unsigned> pairs = from_b ? job->values_b : job->values_a;
-  const int tile = blockIdx.x / PARTS, part = blockIdx.x % PARTS;
+  const int nth = blockIdx.x / PARTS, part = blockIdx.x % PARTS;
+  const int tile = longest_first ? int(job->tile_order[nth]) : nth;
   const float part_x = TILE_PX * (tile % n.num_tiles_x) + WIDTH * (part % ACROSS);
   const float part_y = TILE_PX * (tile / n.num_tiles_x) + HEIGHT * (part / ACROSS);
   const float warp_x = part_x + WARP_WIDTH * (warp_of() % (WIDTH / WARP_WIDTH));
@@ -132,7 +137,7 @@ SPLATREE_FN void blend(const FrameJob* job, int from_b) {
       if (!__any_sync(ALL_LANES, pixel.transmittance > 0.f)) break;
       const int mine = first + lane_of();
       bool touches = mine < loaded;
-      if (touches)
+      if (touches && THREADS > WARP)  // a warp alone has tested them while it loaded them
         touches = may_touch_warp(geometry[mine], appearance[mine], warp_x, warp_y, TAPER ? log2_of(floors[mine]) : threshold);
       for (unsigned left = __ballot_sync(ALL_LANES, touches); left; left &= left - 1) {
         const int splat = first + __ffs(left) - 1;
@@ -191,15 +196,16 @@ SPLATREE_FN void blend(const FrameJob* job, int from_b) {
 
 using namespace splatree;
 
-SPLATREE_KERNEL(256, 1) blend_16(const FrameJob* job, int from_b) { blend<16, 16, Hard, PictureAlone>(job, from_b); }
-SPLATREE_KERNEL(64, 1) blend_8(const FrameJob* job, int from_b) { blend<8, 8, Hard, PictureAlone>(job, from_b); }
-SPLATREE_KERNEL(32, 1) blend_8x4(const FrameJob* job, int from_b) { blend<8, 4, Hard, PictureAlone>(job, from_b); }
-SPLATREE_KERNEL(256, 1) taper_16(const FrameJob* job, int from_b) { blend<16, 16, Taper, PictureAlone>(job, from_b); }
-SPLATREE_KERNEL(64, 1) taper_8(const FrameJob* job, int from_b) { blend<8, 8, Taper, PictureAlone>(job, from_b); }
-SPLATREE_KERNEL(32, 1) taper_8x4(const FrameJob* job, int from_b) { blend<8, 4, Taper, PictureAlone>(job, from_b); }
-SPLATREE_KERNEL(256, 1) pixels_16(const FrameJob* job, int from_b) { blend<16, 16, Hard, AndPixels>(job, from_b); }
-SPLATREE_KERNEL(256, 1) pixels_taper_16(const FrameJob* job, int from_b) { blend<16, 16, Taper, AndPixels>(job, from_b); }
-SPLATREE_KERNEL(256, 1) pairs_16(const FrameJob* job, int from_b) { blend<16, 16, Hard, AndPairs>(job, from_b); }
-SPLATREE_KERNEL(256, 1) pairs_taper_16(const FrameJob* job, int from_b) { blend<16, 16, Taper, AndPairs>(job, from_b); }
-SPLATREE_KERNEL(256, 1) both_16(const FrameJob* job, int from_b) { blend<16, 16, Hard, AndBoth>(job, from_b); }
-SPLATREE_KERNEL(256, 1) both_taper_16(const FrameJob* job, int from_b) { blend<16, 16, Taper, AndBoth>(job, from_b); }
+// Packed: the side on which the sort of the pairs ended; whether tiles with long lists come first.
+SPLATREE_KERNEL(256, 1) blend_16(const FrameJob* job, int packed) { blend<16, 16, Hard, PictureAlone>(job, packed); }
+SPLATREE_KERNEL(64, 1) blend_8(const FrameJob* job, int packed) { blend<8, 8, Hard, PictureAlone>(job, packed); }
+SPLATREE_KERNEL(32, 1) blend_8x4(const FrameJob* job, int packed) { blend<8, 4, Hard, PictureAlone>(job, packed); }
+SPLATREE_KERNEL(256, 1) taper_16(const FrameJob* job, int packed) { blend<16, 16, Taper, PictureAlone>(job, packed); }
+SPLATREE_KERNEL(64, 1) taper_8(const FrameJob* job, int packed) { blend<8, 8, Taper, PictureAlone>(job, packed); }
+SPLATREE_KERNEL(32, 1) taper_8x4(const FrameJob* job, int packed) { blend<8, 4, Taper, PictureAlone>(job, packed); }
+SPLATREE_KERNEL(256, 1) pixels_16(const FrameJob* job, int packed) { blend<16, 16, Hard, AndPixels>(job, packed); }
+SPLATREE_KERNEL(256, 1) pixels_taper_16(const FrameJob* job, int packed) { blend<16, 16, Taper, AndPixels>(job, packed); }
+SPLATREE_KERNEL(256, 1) pairs_16(const FrameJob* job, int packed) { blend<16, 16, Hard, AndPairs>(job, packed); }
+SPLATREE_KERNEL(256, 1) pairs_taper_16(const FrameJob* job, int packed) { blend<16, 16, Taper, AndPairs>(job, packed); }
+SPLATREE_KERNEL(256, 1) both_16(const FrameJob* job, int packed) { blend<16, 16, Hard, AndBoth>(job, packed); }
+SPLATREE_KERNEL(256, 1) both_taper_16(const FrameJob* job, int packed) { blend<16, 16, Taper, AndBoth>(job, packed); }

@@ -79,6 +79,7 @@ struct FrameJob {
   Global<unsigned> values_a;  // max(v, m)
   Global<unsigned> values_b;
   Global<unsigned> tile_start;  // t + 1
+  Global<unsigned> tile_order;  // t: tiles in the order in which thread blocks take them
   Global<float> contributions;  // m
   // Picture.
   Global<float> image;                   // h w 3

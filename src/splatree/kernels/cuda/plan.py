@@ -14,8 +14,8 @@ __all__ = [
     *("bin_pairs", "blend", "blend_backward", "order", "project", "project_backward", "select", "splat_bits"),
 ]
 
-Blend = Literal["blend_16", "blend_8", "blend_8x4"]
-"""The kernels that blend (blend.cu)."""
+Blend = Literal["blend_16", "blend_8", "blend_8x4", "longest_16", "longest_8", "longest_8x4"]
+"""The kernels that blend (blend.cu), each also with the longest lists of tiles first."""
 
 SORT_TILE = SCAN_CHUNK = 4096
 """Keys of a tile of the sort, values of a chunk of a scan (order.cu, scan.h)."""
@@ -124,12 +124,15 @@ def bin_pairs(sizes: Sizes) -> list[Launch]:
 
 def blend(sizes: Sizes, kernel: Blend, wanted: Wanted = NOTHING) -> list[Launch]:
     """The picture; with what else is wanted by kernels of a thread block a tile."""
-    blocks_per_tile = {"blend_16": 1, "blend_8": 4, "blend_8x4": 8}[kernel]
-    name = kernel.replace("blend", "taper") if sizes.tapers else kernel
+    order, part = kernel.split("_")
+    blocks_per_tile = {"16": 1, "8": 4, "8x4": 8}[part]
+    name = f"taper_{part}" if sizes.tapers else f"blend_{part}"
     if wanted != NOTHING:
         kept = "pixels" if not wanted.contributions else "both" if wanted.of_pixels else "pairs"
         blocks_per_tile, name = 1, f"{kept}_taper_16" if sizes.tapers else f"{kept}_16"
-    return [Launch(name, sizes.num_tiles * blocks_per_tile, pair_side(sizes))]
+    longest_first = order == "longest"
+    drawing = Launch(name, sizes.num_tiles * blocks_per_tile, pair_side(sizes) | longest_first << 1)
+    return [Launch("order_tiles", 1), drawing] if longest_first else [drawing]
 
 
 def blend_backward(sizes: Sizes) -> list[Launch]:

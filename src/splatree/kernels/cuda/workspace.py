@@ -113,6 +113,7 @@ class Workspace:
             **dict.fromkeys(("tile_keys_a", "tile_keys_b"), sizes.pairs if sizes.has_short_keys else 0),
             "floors": sizes.rows if sizes.tapers else 0,
             "tile_start": sizes.num_tiles + 1,
+            "tile_order": sizes.num_tiles,
             "tile_work": 3 * sizes.num_tiles,
             "counters": len(COUNTERS) + 2,
             "tickets": NUM_SCANS + NUM_PASSES,

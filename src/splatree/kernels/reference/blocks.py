@@ -22,6 +22,9 @@ def index_blocks(
     counts = tree.is_leaf | (log_scales[:, 2] > log_thirds + 1e-5)
     largest = np.where(counts, np.exp(log_scales[:, 2]), 0.0)
     size_classes = np.clip(np.floor(np.minimum(log_scales[:, 1], log_thirds) * (8 / np.log(2))) + 128, 0, 254)
+    size_classes[np.isnan(gaussians.means).any(axis=1)] = (
+        254  # boxes pass over these rows, so bounds say nothing of them
+    )
     lists = [np.flatnonzero(tree.subtree_end[:first] > first) for first in starts]
 
     def bound(values: np.ndarray, reduce: np.ufunc, rows: int) -> np.ndarray:

@@ -23,7 +23,7 @@ from splatree.maths.rotations import quats_from_matrices
 from splatree.scene.gaussians import Gaussians
 from splatree.shapes import Array, Float32, Int32
 
-__all__ = ["fit_curves"]
+__all__ = ["LARGEST", "LEAST_OPACITY", "LEAST_VARIANCE", "LEAST_WEIGHT", "WIDENING", "areas", "fit_curves"]
 
 LEAST_VARIANCE = 1e-24
 """Variances below this, world units², are taken for it: a logarithm is taken of them."""
@@ -33,6 +33,9 @@ LEAST_WEIGHT = 1e-12
 
 LEAST_OPACITY = 1e-6
 """Opacities of nodes below this are taken for it: a logarithm is taken of them."""
+
+WIDENING = 0.3
+"""Mass beyond one Gaussian widens the splat with this power."""
 
 LARGEST = 1e15
 """Areas beyond this, world units², are no longer told apart in float32, whose squares end at 1e38: all numbers of a curve are 0
@@ -71,8 +74,8 @@ def fit_curves(
         variances = np.exp(2 * log_scales)
 
         def shown(h: float, variances: Array = variances, alphas: Array = alphas, weights: Array = weights) -> float:
-            areas = _areas(variances, h)
-            return float(np.sqrt((alphas @ areas) * (weights @ areas)))
+            shows = areas(variances, h)
+            return float(np.sqrt((alphas @ shows) * (weights @ shows)))
 
         scale = 1.0
         if extents is not None and extents[row] <= kept_extent:
@@ -81,15 +84,15 @@ def fit_curves(
                 np.exp(2 * np.minimum(node.log_scales[0].astype(np.float64), MERGED_LOG_SCALE_MAX)), LEAST_VARIANCE
             )
             alpha = min(float(node.opacities()[0]), ALPHA_MAX)
-            scale = alpha * _areas(own[None], kept_dilation)[0] / shown(kept_dilation)
+            scale = alpha * areas(own[None], kept_dilation)[0] / shown(kept_dilation)
         else:
             columns["means"][row] = mean
             columns["quats"][row] = quats_from_matrices((axes * [1, 1, np.sign(np.linalg.det(axes))])[None])[0]
         size2 = float(own[0] if extents is None else np.float64(extents[row]) ** 2)
         h = max(dilation_share * size2, least_dilation, 1e-30)
         curve = scale * np.array([shown(0.0), np.sqrt(alphas.sum() * weights.sum())])
-        mass = scale * shown(h) / _areas(own[None], h)[0]
-        wide = max(mass / ALPHA_MAX, 1.0) ** 0.3
+        mass = scale * shown(h) / areas(own[None], h)[0]
+        wide = max(mass / ALPHA_MAX, 1.0) ** WIDENING
         opacity = np.clip(mass, LEAST_OPACITY, ALPHA_MAX)
         columns["log_scales"][row] = np.minimum(np.log(wide * own + (wide - 1) * h) / 2, MERGED_LOG_SCALE_MAX)
         columns["logit_opacities"][row] = np.log(opacity) - np.log1p(-opacity)
@@ -98,6 +101,7 @@ def fit_curves(
     return Gaussians(**columns, sh=gaussians.sh), curves
 
 
-def _areas(variances: Array, h: float) -> Array:
-    a, b, c = np.sqrt(variances.T + h)
+def areas(variances: Array, h: float | Array) -> Array:
+    """A(h) of each row of variances (n 3)."""
+    a, b, c = np.sqrt(variances + h).T
     return np.asarray((a * b + b * c + a * c) / 3)

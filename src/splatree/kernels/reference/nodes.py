@@ -15,10 +15,11 @@ pixels across, the rotation turns it by less than a twentieth of a pixel.
 
 import numpy as np
 
+from splatree.kernels.reference.project import follow
 from splatree.maths.harmonics import colors_from_harmonics
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.tree import GaussianTree
-from splatree.shapes import Array, Float64, Int32, UInt8, UInt32
+from splatree.shapes import Array, Float32, Float64, Int32, UInt8, UInt32
 
 __all__ = ["COLOR_MAX", "LOG_SCALE_MAX", "NODE_WORDS", "pack_colors", "pack_nodes", "unpack_nodes", "with_depths"]
 
@@ -41,8 +42,13 @@ def pack_nodes(
     rows: Int32[Array, "v"],
     eye: Float64[Array, "3"],
     centre: Float64[Array, "3"],
+    dilations: Float32[Array, "v"] | None = None,
 ) -> UInt32[Array, "v 8"]:
-    """The rows as words; colours are seen from ``eye``, means relative to ``centre``, world units."""
+    """The rows as words; colours are seen from ``eye``, means relative to ``centre``, world units.
+
+    With ``dilations``, world units², merged rows have the scales and the opacity with which they are drawn at these
+    (lod/follow.py); without, as they are stored.
+    """
     g = gaussians.take(rows)
     words = np.empty((len(rows), NODE_WORDS), np.uint32)
     words[:, 0:3] = (g.means - centre).astype(np.float32).view(np.uint32)
@@ -53,7 +59,15 @@ def pack_nodes(
     sign = np.where(np.take_along_axis(quats, largest[:, None], 1) < 0, -1.0, 1.0)  # q and −q turn alike
     kept = sign * np.take_along_axis(quats, _OTHERS[largest], 1)
     small = np.rint(kept * (32767 * np.sqrt(2))).astype(np.int64) & 0xFFFF
-    shares = np.clip(g.log_scales.astype(np.float64) / LOG_SCALE_MAX, -1, 1)
+    log_scales, opacities = (
+        g.log_scales.astype(np.float64),
+        0.5 * (1 + np.tanh(0.5 * g.logit_opacities.astype(np.float64))),
+    )
+    if dilations is not None and tree.curves is not None:
+        curves = tree.curves[rows].astype(np.float64)
+        drawn, opacities = follow(curves, dilations.astype(np.float64), np.exp(log_scales), opacities)
+        log_scales = np.where(curves[:, 2:3] > 0, np.log(np.maximum(drawn, 1e-30)), log_scales)
+    shares = np.clip(log_scales / LOG_SCALE_MAX, -1, 1)
     scales = np.rint((shares + 1) * 32767.5).astype(np.int64)
     words[:, 5] = small[:, 0] | small[:, 1] << 16
     words[:, 6] = small[:, 2] | scales[:, 0] << 16
@@ -61,7 +75,7 @@ def pack_nodes(
 
     depth = np.minimum(tree.depth[rows], 127).astype(np.int64)
     leaf = (tree.subtree_end[rows] == rows + 1).astype(np.int64)
-    opacity = np.rint(65535 * 0.5 * (1 + np.tanh(0.5 * g.logit_opacities.astype(np.float64)))).astype(np.int64)
+    opacity = np.rint(65535 * opacities).astype(np.int64)
     words[:, 3] = largest | depth << 8 | leaf << 15 | opacity << 16
     words[:, 4] = pack_colors(gaussians, rows, eye)
     return words

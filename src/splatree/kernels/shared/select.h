@@ -21,7 +21,8 @@ enum ViewTest { FOOTPRINT, CENTRE, UNSEEN_TOO };
 
 // The class of an inner row is the whole part of 8 log2 σ_mid + 128, held in 0 to 254. By interlacing, the larger eigenvalue of
 // its splat is at least (σ_mid f / z)²: with M = J W = f/z (I | -u) in camera axes, M Mᵀ is at least (f/z)².
-constexpr int LEAF_CLASS = 255, CLASS_OF_UNIT = 128, CLASSES_PER_OCTAVE = 8;
+// The largest class also holds rows without a place: boxes pass over them, so no bound of a block says anything of them.
+constexpr int LEAF_CLASS = 255, UNBOUNDED_CLASS = 254, CLASS_OF_UNIT = 128, CLASSES_PER_OCTAVE = 8;
 
 // The view as planes in the world: the value of each at p is x p.x + y p.y + z p.z + d. The sides are the image's borders and
 // the near plane. A splat of standard deviation s is out of view if the value of OUTSIDE + i at its mean is above reach[i] s for
@@ -87,6 +88,9 @@ SPLATREE_FN int meets_image(const View& view, const Point& p, float reach_x, flo
   return (x + slack_x >= 0.5f) & (x - slack_x <= view.width - 0.5f) & (y + slack_y >= 0.5f) & (y - slack_y <= view.height - 0.5f);
 }
 
+// Whether the centre is at or inside of the outermost pixel centres, and beyond the near plane.
+SPLATREE_FN int is_inside(const View& view, const Point& p) { return (p.z > view.near) & meets_image(view, p, 0.f, 0.f); }
+
 // Whether the footprint is in view, from centre, opacity and largest scale, where they tell.
 SPLATREE_FN int is_visible_bound(const View& view, const SelectRule& rule, const Point& p, Vector log_scale, float logit) {
   const float largest = exp_of(greatest(greatest(log_scale.x, log_scale.y), log_scale.z));
@@ -124,6 +128,18 @@ SPLATREE_FN int largest_small_class(const SelectRule& rule, bool all_small, doub
   const double size_class = CLASSES_PER_OCTAVE * __builtin_log2(scale * MARGIN) + CLASS_OF_UNIT;
   // Class 0 holds everything smaller too, so it can always be small; NaN and infinity exclude nothing.
   return size_class < 0 ? 0 : size_class < LEAF_CLASS - 1 ? int(size_class) : LEAF_CLASS - 1;
+}
+
+// The largest extent with which every row of a run is small by a limit, px: f e / (distance - ball e) <= limit from the nearest
+// distance on. NEVER_SMALL where float32 may say otherwise of a row: distances whose squares it cannot hold, limits at which the
+// distance is hardly more than the extent.
+constexpr float NEVER_SMALL = -1.f;
+constexpr double DISTANCE_LEAST = 1e-15, DISTANCE_MOST = 1e15, LIMIT_MOST = 16;  // of the focal length
+
+SPLATREE_FN float surely_small_extent(const SelectRule& rule, float limit, double distance_min, double distance_max) {
+  const bool is_certain =
+      rule.sphere && distance_min > DISTANCE_LEAST && distance_max < DISTANCE_MOST && limit < LIMIT_MOST * rule.focal_max;
+  return is_certain ? float(limit * distance_min / ((double(rule.focal_max) + double(rule.ball) * limit) * MARGIN)) : NEVER_SMALL;
 }
 
 }  // namespace

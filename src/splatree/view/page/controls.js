@@ -7,7 +7,7 @@ const KEYS = { KeyW: [0, 0, 1], KeyS: [0, 0, -1], KeyA: [-1, 0, 0], KeyD: [1, 0,
 const ARROWS = { ArrowLeft: [1, 0], ArrowRight: [-1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
 
 export class Controls {
-  /** `on` has functions: pivot(x, y) for a double click, reset(). `mode` is 'orbit' or 'fly'. */
+  /** `on` has functions: pivot(x, y) for a double click, key(code) of other keys, taken() when a hand moves. `mode` is 'orbit' or 'fly'. */
   constructor(canvas, camera, on) {
     this.canvas = canvas;
     this.camera = camera;
@@ -28,6 +28,7 @@ export class Controls {
   }
 
   down(event) {
+    this.on.taken();
     this.canvas.focus({ preventScroll: true });
     this.canvas.setPointerCapture(event.pointerId);
     this.pointers.set(event.pointerId, [event.clientX, event.clientY]);
@@ -65,6 +66,7 @@ export class Controls {
 
   wheel(event) {
     event.preventDefault();
+    this.on.taken();
     const unit = event.deltaMode === 1 ? 33 : 1;
     const factor = Math.exp(Math.max(-120, Math.min(120, event.deltaY * unit)) * 0.0016);
     if (this.mode === 'fly') this.camera.move(0, 0, (1 - factor) * this.camera.distance());
@@ -79,6 +81,7 @@ export class Controls {
   key(event, isDown) {
     if (event.target.closest?.('input, select, textarea, dialog') || event.ctrlKey || event.metaKey || event.altKey) return;
     if (event.code in KEYS || event.code in ARROWS) {
+      if (isDown) this.on.taken();
       if (isDown) this.keys.add(event.code);
       else this.keys.delete(event.code);
       event.preventDefault();

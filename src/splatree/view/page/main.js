@@ -50,6 +50,7 @@ class App {
     this.controls = new Controls(canvas, this.camera, {
       pivot: (x, y) => this.askPoint(x, y),
       key: (code) => this.page.key(code),
+      taken: () => this.stopMotion(),
     });
     const on = {
       scene: (layer, isFirst) => this.sceneCame(layer, isFirst),
@@ -204,7 +205,7 @@ class App {
     this.factor = Math.min(1, Math.max(0.25, (this.factor ?? 0.5) * (took > 140 ? 0.8 : took < 70 ? 1.15 : 1)));
     if (this.painter) {
       layer.fade = 1;
-      this.painter.draw(this.view(), this.parts().map((part) => ({ ...part, isPicture: true })), Object.values(this.lines));
+      this.painter.draw(this.view(), this.parts().map((part) => ({ ...part, isPicture: true })), this.page.linesDrawn());
     } else this.drawPicture(layer);
     this.stats.frames++;
     this.countFrame(performance.now());
@@ -228,6 +229,12 @@ class App {
     const ratio = canvas.width / canvas.clientWidth;
     const layer = this.layers.at(x / canvas.clientWidth > this.state.split ? -1 : 0);
     layer.link.want({ ...this.request(layer), want: 'point', at: [x * ratio, y * ratio], box: this.state.box });
+  }
+
+  /** A hand takes the camera: a glide or a flight ends where it is. */
+  stopMotion() {
+    this.motion = null;
+    this.page.views.stop();
   }
 
   reset() {
@@ -272,7 +279,7 @@ class App {
 
   tickFrames(now) {
     if (this.isDirty && this.painter && this.layers.every((layer) => layer.room.picture)) {
-      this.painter.draw(this.view(), this.parts().map((part) => ({ ...part, fade: 1, isPicture: true })), Object.values(this.lines));
+      this.painter.draw(this.view(), this.parts().map((part) => ({ ...part, fade: 1, isPicture: true })), this.page.linesDrawn());
     }
     for (const layer of this.layers) {
       if (layer.isStale && !layer.isWaiting && layer.facts) {
@@ -311,7 +318,7 @@ class App {
       this.stats.psnr = this.page.compare(this.painter.read(), this.layers);
       this.page.showStatus();
     }
-    this.painter.draw(view, this.parts(), Object.values(this.lines));
+    this.painter.draw(view, this.parts(), this.page.linesDrawn());
     this.stats.frames++;
   }
 

@@ -9,6 +9,10 @@ import { Views } from './views.js';
 const at = (id) => document.getElementById(id);
 const UPS = { '−y': [0, -1, 0], '+y': [0, 1, 0], '+z': [0, 0, 1], '−z': [0, 0, -1], '+x': [1, 0, 0], '−x': [-1, 0, 0] };
 const BACKGROUNDS = { dark: [0.043, 0.051, 0.063], light: [0.957, 0.961, 0.949], black: [0, 0, 0], white: [1, 1, 1] };
+const LINES = {
+  dark: { boxes: [0.55, 0.9, 0.65], clip: [0.95, 0.76, 0.3], cameras: [0.45, 0.7, 1], chosen: [1, 0.75, 0.3] },
+  light: { boxes: [0, 0.4, 0.2], clip: [0.7, 0.42, 0], cameras: [0.1, 0.3, 0.85], chosen: [0.85, 0.35, 0] },
+};
 const ICONS = {
   orbit: 'M20 12a8 8 0 1 1-2.6-5.9M20 3.5v4h-4M12 10.5a1.5 1.5 0 1 0 .01 0', fly: 'M3.5 11.5 20.5 4l-6 16.5-3-6.5zM11.5 14l4-4.5',
   home: 'M4 11.5 12 4l8 7.5M6 10v9.5h4.5V14h3v5.5H18V10', shot: 'M4 8h4l1.8-2.5h4.4L16 8h4v11H4zM12 10a3.3 3.3 0 1 0 .01 0',
@@ -78,7 +82,7 @@ export class Page {
     this.db = slider('Quality', { low: 25, high: 50, value: state.db ?? 40, show: (v) => `${v} dB`, hint: 'How near the cut shall be to all leaves: PSNR, measured where the camera has moved' }, set('db'));
     this.by = choice('Detail by', [['tau', 'τ', 'By the size of a node on the screen'], ['db', 'Quality', 'By the PSNR against all leaves']], state.db ? 'db' : 'tau', (kind) => this.setDetail(kind));
     this.detail = named('Detail by', this.by);
-    this.layers = choice('Show', [['color', 'Colour'], ['levels', 'Levels', 'Depth in the tree: violet is coarse, yellow is fine'], ['cut', 'Cut', 'Green: leaves. Orange: merged nodes'], ['depth', 'Depth'], ['alpha', 'Alpha']].filter(([key]) => this.app.painter || !['levels', 'cut'].includes(key)), 'color', set('layer'));
+    this.layers = choice('Show', [['color', 'Colour'], ['levels', 'Levels', 'Depth in the tree: violet is coarse, yellow is fine'], ['cut', 'Cut', 'Green: leaves. Orange: merged nodes'], ['depth', 'Depth', 'Near is bright'], ['alpha', 'Alpha', 'How much of the background is covered']].filter(([key]) => this.app.painter || !['levels', 'cut'].includes(key)), 'color', set('layer'));
     this.drawer = choice('Drawn by', [['browser', 'Browser', 'WebGL2 draws the nodes'], ['server', 'Server', 'Pictures come from the server: smaller ones while moving']], this.app.frames ? 'server' : 'browser', (name) => {
       this.app.setDrawer(name);
       document.body.classList.toggle('server', name === 'server');
@@ -146,13 +150,15 @@ export class Page {
   }
 
   showStatus() {
-    const { app } = this, layer = app.layers[0], header = app.frames ? layer.frameHeader : layer.header;
-    if (!header) return;
+    const { app } = this, headers = app.layers.map((layer) => (app.frames ? layer.frameHeader : layer.header)), [header] = headers;
+    if (!headers.every(Boolean)) return;
+    const each = (show) => headers.map(show).join(' | '); // of two scenes side by side
     const total = app.layers.reduce((sum, l) => sum + l.link.bytes, 0);
     const isExact = app.layers.every((l) => l.isExact);
     const parts = [
-      ['nodes', count(header.rows)], ['visited', count(header.visited)], ['τ', header.tau == null ? '∞' : `${header.tau.toPrecision(3)} px`],
-      ['loaded', bytes(total)], ['server', `${Math.round(app.frames ? header.draw_ms + header.encode_ms : header.select_ms + header.pack_ms)} ms`],
+      ['nodes', each((h) => count(h.rows))], ['visited', each((h) => count(h.visited))],
+      ['τ', `${each((h) => (h.tau == null ? '∞' : h.tau.toPrecision(3)))} px`], ['loaded', bytes(total)],
+      ['server', `${each((h) => Math.round(app.frames ? h.draw_ms + h.encode_ms : h.select_ms + h.pack_ms))} ms`],
       ['fps', app.stats.fps ? app.stats.fps.toFixed(app.stats.fps < 10 ? 1 : 0) : '–'],
     ];
     at('status').replaceChildren(
@@ -177,6 +183,13 @@ export class Page {
   background() {
     const name = this.app.state.background;
     return BACKGROUNDS[name === 'theme' ? document.documentElement.dataset.theme : name];
+  }
+
+  /** The lines in colours that stand out from the background. */
+  linesDrawn() {
+    const [r, g, b] = ['depth', 'alpha'].includes(this.app.state.layer) ? BACKGROUNDS.black : this.background();
+    const colors = LINES[r + g + b > 1.5 ? 'light' : 'dark'];
+    return Object.entries(this.app.lines).map(([name, line]) => Object.assign(line, { color: [...colors[name], line.alpha] }));
   }
 
   toggleTheme() {
@@ -206,7 +219,7 @@ export class Page {
   boxesCame(header, boxes) {
     if (header.of !== this.boxes) return;
     if (!header.count) this.notice(`This scene has no ${this.boxes}.`, 3000);
-    this.app.lines.boxes = { points: boxLines(boxes), color: [0.55, 0.9, 0.65, header.count > 300 ? 0.16 : 0.5] };
+    this.app.lines.boxes = { points: boxLines(boxes), alpha: Math.min(0.8, Math.max(0.25, 20 / Math.sqrt(header.count))) };
     this.app.isDirty = true;
   }
 
@@ -217,7 +230,7 @@ export class Page {
       const low = [0, 0, 0], high = [1, 1, 1];
       const put = () => {
         state.box = [...low.map((v) => -r + 2 * r * v), ...high.map((v) => -r + 2 * r * v)];
-        this.app.lines.clip = { points: boxLines(new Float32Array(state.box)), color: [0.95, 0.76, 0.3, 0.9] };
+        this.app.lines.clip = { points: boxLines(new Float32Array(state.box)), alpha: 0.9 };
         this.app.changed();
       };
       this.clipRows.replaceChildren(...['x', 'y', 'z'].flatMap((axis, i) => [
@@ -266,25 +279,26 @@ export class Page {
   }
 
   async copy(text, said) {
-    try {
-      await navigator.clipboard.writeText(text);
-      this.notice(said, 2500);
-    } catch {
-      this.notice('This browser does not permit copying; the text is in the console.', 4000);
-      console.info(text);
-    }
+    const copied = await navigator.clipboard?.writeText(text).then(() => true, () => false);
+    if (copied || copyBySelection(text)) return this.notice(said, 2500);
+    this.notice('This browser does not permit copying; the text is in the console.', 4000);
+    console.info(text);
   }
 
   help() {
-    const hands = [
-      ['drag', 'turn about the scene, or look round while flying'], ['right drag, shift drag, two fingers', 'move across'],
-      ['wheel, pinch', 'come nearer to what is under the pointer'], ['double click, double tap', 'turn about this point'],
+    const fingers = [
+      ['one finger', 'turn about the scene, or look round while flying'], ['two fingers', 'move across'], ['pinch', 'come nearer to what lies between the fingers'],
+      ['double tap', 'turn about this point'],
+    ];
+    const mouse = [
+      ['drag', 'turn about the scene, or look round while flying'], ['right drag, shift drag', 'move across'], ['wheel', 'come nearer to what is under the pointer'],
+      ['double click', 'turn about this point'],
     ];
     const keys = [
       ['W A S D, Q E', 'fly; with shift three times as fast'], ['arrows', 'turn'], ['R', 'first view'], ['1, 2', 'orbit, fly'], ['K', 'add this camera to the list'],
-      ['C', 'record a path'], ['P', 'save the picture'], ['L', 'copy the address of this view'], ['T', 'dark or light'], ['O', 'settings'],
+      ['C', 'record a path'], ['P', 'save the picture'], ['L', 'copy the address of this view'], ['T', 'dark or light'], ['O', 'settings'], ['H', 'this list'],
     ];
-    const rows = matchMedia('(pointer: coarse)').matches ? hands : [...hands, ...keys]; // a phone has no keys
+    const rows = matchMedia('(pointer: coarse)').matches ? fingers : [...mouse, ...keys]; // a phone has no keys
     const close = button('Close', 'Close', () => at('help').close());
     at('help').replaceChildren(make('h2', {}, 'Moving about'), make('dl', {}, ...rows.flatMap(([key, text]) => [make('dt', {}, key), make('dd', {}, text)])), close);
     at('help').showModal();
@@ -303,11 +317,21 @@ export class Page {
     delete this.app.lines.chosen;
     if (cameras.length) {
       const size = this.app.facts.radius * 0.06;
-      this.app.lines.cameras = { points: frusta(cameras.filter((camera) => camera !== chosen), size), color: [0.45, 0.7, 1, 0.7] };
-      if (chosen) this.app.lines.chosen = { points: frusta([chosen], size), color: [1, 0.75, 0.3, 1] };
+      this.app.lines.cameras = { points: frusta(cameras.filter((camera) => camera !== chosen), size), alpha: 0.8 };
+      if (chosen) this.app.lines.chosen = { points: frusta([chosen], size), alpha: 1 };
     }
     this.app.isDirty = true;
   }
+}
+
+/** The older way to copy: pages that came without TLS from another machine have no other. */
+function copyBySelection(text) {
+  const field = make('textarea', { readonly: true, style: 'position: fixed; opacity: 0' }, text);
+  document.body.append(field);
+  field.select();
+  const copied = document.execCommand('copy');
+  field.remove();
+  return copied;
 }
 
 function dotOf(a, b) {

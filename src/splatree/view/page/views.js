@@ -25,7 +25,7 @@ export class Views {
         button('Copy', 'Copy as cameras.json of the 3DGS code', () => this.page.copy(JSON.stringify(this.inria(), null, 1), 'Copied as cameras.json (3DGS).')),
         button('cameras.json', 'Save for splatree render --cameras', () => save(JSON.stringify(this.inria(), null, 1), 'cameras.json')),
         button('transforms.json', 'Save for nerfstudio', () => save(JSON.stringify(this.nerfstudio(), null, 1), 'transforms.json'))),
-      make('div', { class: 'buttons' }, button('Play', 'Fly along the cameras that were kept or recorded', () => this.play(false)),
+      make('div', { class: 'buttons' }, button('Play', 'Fly along the cameras that were kept or recorded; again, or any movement: stop', () => this.play(false)),
         button('Video', 'Fly along them and save a video', () => this.play(true)), button('Clear', 'Forget them', () => this.clear())),
     ];
   }
@@ -117,6 +117,7 @@ export class Views {
   }
 
   play(isVideo) {
+    if (this.flight) return this.stop();
     const views = this.kept.length > 1 ? this.kept : this.given;
     if (views.length < 2) {
       this.page.notice('Keep two cameras or record a path first.', 3000);
@@ -143,11 +144,14 @@ export class Views {
     const eased = views.length > 20 ? t : t * t * (3 - 2 * t), blend = (a, b) => a.map((x, k) => (1 - eased) * x + eased * b[k]);
     const m = blend(views[i].c2w, views[i + 1].c2w), fovOf = (v) => (2 * Math.atan((0.5 * v.h) / v.f) * 180) / Math.PI;
     this.app.camera.setPose(orthonormal(m), (1 - eased) * fovOf(views[i]) + eased * fovOf(views[i + 1]));
-    if (place >= views.length - 1) {
-      const { recorder } = this.flight;
-      setTimeout(() => recorder?.stop(), LAST_MS); // the last picture stays for a moment
-      this.flight = null;
-    }
+    if (place >= views.length - 1) this.stop();
+  }
+
+  /** End the flight, and its video with the picture that it ends on. */
+  stop() {
+    const recorder = this.flight?.recorder;
+    this.flight = null;
+    if (recorder) setTimeout(() => recorder.stop(), LAST_MS); // the last picture stays for a moment
   }
 
   savePicture() {

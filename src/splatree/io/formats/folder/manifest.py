@@ -12,6 +12,7 @@ from pathlib import Path
 
 from splatree.errors import FormatError
 from splatree.io import untrusted
+from splatree.io.objects import ObjectPath, at_once
 
 __all__ = [
     "MANIFEST",
@@ -121,6 +122,8 @@ def read_manifest(folder: Path) -> Manifest:
     parts = untrusted.as_list(untrusted.field(fields, "parts", where), f"{where}: parts")
     if not 1 <= len(parts) <= FILES_MAX:
         raise FormatError(f"{where}: found {len(parts)} parts, wanted 1 to {FILES_MAX}")
+    if isinstance(folder, ObjectPath):
+        _look_up(folder, parts)
     files = [_file(folder, part, f"{where}: parts[{i}]") for i, part in enumerate(parts)]
     if len({file.name for file in files}) < len(files):
         raise FormatError(f"{where}: found a part that is named twice")
@@ -146,6 +149,12 @@ def checked_path(folder: Path, file: StoredFile) -> Path:
             "build the scene again"
         )
     return path
+
+
+def _look_up(folder: ObjectPath, parts: Sequence[object]) -> None:
+    """Ask for the sizes of all parts at the same time; what is wrong with one is said where each is looked at."""
+    names = [part["name"] for part in parts if isinstance(part, dict) and isinstance(part.get("name"), str)]
+    at_once(ObjectPath.info, [folder / untrusted.inner_path(name, str(folder / MANIFEST)) for name in names])
 
 
 def _file(folder: Path, value: object, where: str) -> StoredFile:

@@ -7,10 +7,8 @@ held against the size of the file before a column is looked at.
 import json
 import math
 import mmap
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +16,7 @@ import numpy as np
 
 from splatree.errors import FormatError
 from splatree.io import untrusted
-from splatree.io.objects import ObjectPath
+from splatree.io.objects import MOST_BYTES, ObjectPath, at_once
 from splatree.shapes import Array
 
 __all__ = ["COMPACT_VERSION", "VERSION", "Column", "Container", "header_bytes", "open_container", "placed"]
@@ -34,6 +32,9 @@ _HEADER_MAX = 100_000_000
 
 _ALIGNMENT = 64
 """The first column starts at a multiple of this, so that mapped columns are aligned as kernels like them."""
+
+NEAR_BYTES = 1 << 16
+"""A gap that is fetched along with what lies around it: a request takes longer."""
 
 _DTYPES = {
     "BOOL": "bool",
@@ -72,6 +73,12 @@ class Column:
         """Bytes of one row."""
         return math.prod(self.shape[1:]) * self.dtype.itemsize
 
+    def rows(self, begin: int, end: int | None) -> "Column":
+        """Where some of its rows lie; None: to its end."""
+        begin, end, _ = slice(begin, end).indices(self.shape[0] if self.shape else 1)
+        shape = (max(end - begin, 0), *self.shape[1:])
+        return Column(self.dtype, shape, self.start + begin * self.bytes_per_row)
+
 
 @dataclass(frozen=True, eq=False)
 class Container:
@@ -91,20 +98,21 @@ class Container:
         """Whether the columns are quantised (compact.py)."""
         return bool(self.values["version"] == str(COMPACT_VERSION))
 
+    @property
+    def is_elsewhere(self) -> bool:
+        """Whether it is an object of a store, each row of which is fetched when it is asked for."""
+        return isinstance(self.bytes, Ranged)
+
     def rows(self, name: str, begin: int = 0, end: int | None = None) -> Array:
         """Rows of a column, as a view of the mapped file; a copy where they are not aligned."""
-        column = self.columns[name]
-        num_rows = column.shape[0] if column.shape else 1
-        begin, end, _ = slice(begin, end).indices(num_rows)
-        shape = (max(end - begin, 0), *column.shape[1:])
-        if not math.prod(shape):
-            return np.empty(shape, column.dtype)
-        rows = self.bytes.array(column.dtype, shape, column.start + begin * column.bytes_per_row)
-        return rows if rows.flags.aligned else rows.copy()
+        return self.rows_of([name], begin, end)[0]
 
-    def rows_of(self, names: Sequence[str], begin: int, end: int) -> list[Array]:
-        """Rows of several columns, which are asked for together."""
-        return self.bytes.together([partial(self.rows, name, begin, end) for name in names])
+    def rows_of(self, names: Sequence[str], begin: int = 0, end: int | None = None) -> list[Array]:
+        """Rows of several columns, as `rows`; of an object of a store, they are asked for at the same time."""
+        return [
+            rows if rows.flags.aligned else rows.copy()
+            for rows in self.bytes.arrays([self.columns[name].rows(begin, end) for name in names])
+        ]
 
     def forget(self, name: str, begin: int, end: int) -> None:
         """Let the system take back the memory of rows of a column; they are read again when they are used again."""
@@ -118,13 +126,14 @@ class Mapped:
 
     memory: mmap.mmap
 
-    def array(self, dtype: np.dtype[Any], shape: tuple[int, ...], start: int) -> Array:
-        """Values from byte ``start`` on, as a view."""
-        return np.ndarray(shape, dtype, self.memory, start)
-
-    def together(self, each: Sequence[Callable[[], Array]]) -> list[Array]:
-        """Several arrays: nothing is read yet."""
-        return [one() for one in each]
+    def arrays(self, wanted: Sequence[Column]) -> list[Array]:
+        """Columns as views: nothing is read yet."""
+        return [
+            np.ndarray(each.shape, each.dtype, self.memory, each.start)
+            if each.num_bytes
+            else np.empty(each.shape, each.dtype)
+            for each in wanted
+        ]
 
     def forget(self, start: int, end: int) -> None:
         """Let the system take back the memory of the bytes."""
@@ -139,18 +148,38 @@ class Ranged:
 
     path: ObjectPath
 
-    def array(self, dtype: np.dtype[Any], shape: tuple[int, ...], start: int) -> Array:
-        """Values from byte ``start`` on, read now."""
-        num_bytes = math.prod(shape) * dtype.itemsize
-        return np.frombuffer(self.path.read_range(start, start + num_bytes), dtype).reshape(shape)
-
-    def together(self, each: Sequence[Callable[[], Array]]) -> list[Array]:
-        """Several arrays, by requests at the same time."""
-        with ThreadPoolExecutor(len(each)) as pool:
-            return [done.result() for done in [pool.submit(one) for one in each]]
+    def arrays(self, wanted: Sequence[Column]) -> list[Array]:
+        """Columns, read now: near ones by one request, others by requests at the same time."""
+        runs = list(_near(wanted))
+        blocks = at_once(lambda run: self.path.read_range(*run), runs)
+        found = []
+        for each in wanted:
+            block, (begin, _) = next(
+                (block, run)
+                for block, run in zip(blocks, runs, strict=True)
+                if run[0] <= each.start and each.start + each.num_bytes <= run[1]
+            )
+            values = np.frombuffer(block, each.dtype, math.prod(each.shape), each.start - begin)
+            found.append(values.reshape(each.shape))
+        return found
 
     def forget(self, start: int, end: int) -> None:
         """Nothing is kept."""
+
+
+def _near(columns: Sequence[Column]) -> Iterator[tuple[int, int]]:
+    """Runs of bytes that hold the columns, of which those with small gaps between them are in one."""
+    begin = end = -1
+    for column in sorted(columns, key=lambda column: column.start):
+        stop = column.start + column.num_bytes
+        if end >= 0 and column.start <= end + NEAR_BYTES and stop <= begin + MOST_BYTES:
+            end = max(end, stop)
+            continue
+        if end >= 0:
+            yield begin, end
+        begin, end = column.start, stop
+    if end >= 0:
+        yield begin, end
 
 
 def open_container(path: Path) -> Container:

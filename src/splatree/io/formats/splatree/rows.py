@@ -65,6 +65,26 @@ class SceneRows:
         tree = scene.tree
         return SceneRows(0, scene.gaussians, tree.subtree_end, tree.depth, tree.extents, scene.ids, tree.curves)
 
+    def part(self, begin: int, end: int) -> "SceneRows":
+        """Some of the rows, counted in the scene, as copies; all of them as they are.
+
+        Example:
+            >>> len(st.SceneRows.of(scene).part(3, 5))
+            2
+        """
+        if (begin, end) == (self.begin, self.begin + len(self)):
+            return self
+        first, last = begin - self.begin, end - self.begin
+        return SceneRows(
+            begin,
+            self.gaussians.take(np.arange(first, last)),
+            self.subtree_end[first:last].copy(),
+            self.depth[first:last].copy(),
+            self.extents[first:last].copy(),
+            None if self.ids is None else self.ids[first:last].copy(),
+            None if self.curves is None else self.curves[first:last].copy(),
+        )
+
     def scene(self, head: SceneHead) -> Scene:
         """The rows as a scene of their own, drawn as ``head`` says.
 
@@ -104,13 +124,14 @@ class StoredScene:
     def __len__(self) -> int:
         return self.head.num_rows
 
-    def rows(self, begin: int, end: int, *, harmonics: bool = True) -> SceneRows:
+    def rows(self, begin: int, end: int, *, harmonics: bool | None = True) -> SceneRows:
         """Map the rows ``begin`` to ``end`` and check their values; no other row is read.
 
         Args:
             begin: first row, 0 or more.
             end: one past the last row, at most the number of rows.
-            harmonics: check the harmonics too; without, they are mapped, but not read.
+            harmonics: check the harmonics too. False: they are mapped, but not read; of an object of a store they are fetched,
+                but not checked. None: they are zeros, which take no memory, and those of the file are not asked for.
 
         Returns:
             The rows, read-only, as views of the file. They stay valid when the handle is gone.
@@ -123,11 +144,13 @@ class StoredScene:
             raise InputError(
                 f"{self.file.path}: found rows {begin} to {end}, wanted some of the {len(self)} rows there are"
             )
-        where, file = str(self.file.path), self.file
-        wanted = [f"gaussians.{f.name}" for f in fields(Gaussians)]
+        where, file, sh = str(self.file.path), self.file, "gaussians.sh"
+        wanted = [f"gaussians.{f.name}" for f in fields(Gaussians) if harmonics is not None or f.name != "sh"]
         wanted += [f"tree.{name}" for name in ("subtree_end", "depth", "extents")]
         wanted += ["ids"] * self.head.has_ids + ["tree.curves"] * self.head.has_curves
         columns = dict(zip(wanted, file.rows_of(wanted, begin, end), strict=True))
+        if harmonics is None:
+            columns[sh] = np.zeros((end - begin, *file.columns[sh].shape[1:]), np.float32)
         mapped = Gaussians(*(columns[f"gaussians.{f.name}"] for f in fields(Gaussians)))
         magnitudes = None if harmonics else magnitudes_of(mapped, sh=0.0)
         gaussians, _ = checked_rows(mapped, where, repair=False, magnitudes=magnitudes, first_row=begin)
@@ -191,7 +214,8 @@ def open_scene(path: str | os.PathLike[str]) -> StoredScene:
 
 
 def _roots_of(file: Container, where: str) -> Roots | None:
-    columns = {name: file.rows(name) for name in file.columns if name.startswith("tree.roots.")}
+    names = [name for name in file.columns if name.startswith("tree.roots.")]
+    columns = dict(zip(names, file.rows_of(names), strict=True))
     return struct_from(Roots, "tree.roots.", columns, file.values, where) if columns else None
 
 

@@ -1,6 +1,10 @@
+#include <nanobind/stl/optional.h>
+
 #include <cmath>
+#include <optional>
 
 #include "cpu/codec/nodes.h"
+#include "cpu/codec/slots.h"
 #include "cpu/runtime/structs.h"
 
 namespace splatree {
@@ -16,13 +20,15 @@ NodeColumns columns_of(nb::handle gaussians) {
           column<float>(gaussians, "sh"),         static_cast<int>(std::lround(std::sqrt(k))) - 1};
 }
 
-void bind_pack_nodes(nb::handle gaussians, nb::handle tree, const In<int32_t>& rows, const In<double>& eye,
-                     const In<double>& centre, const Out<uint32_t>& out, int threads) {
+void bind_pack_nodes(nb::handle gaussians, nb::handle tree, const std::optional<In<float>>& curves, const In<int32_t>& rows,
+                     const std::optional<In<float>>& dilations, const In<double>& eye, const In<double>& centre,
+                     const Out<uint32_t>& out, int threads) {
   const NodeColumns columns = columns_of(gaussians);
-  const int32_t* subtree_end = column<int32_t>(tree, "subtree_end");
-  const uint8_t* depth = column<uint8_t>(tree, "depth");
+  const NodeTree of_tree = {column<int32_t>(tree, "subtree_end"), column<uint8_t>(tree, "depth"),
+                            curves ? curves->data() : nullptr};
+  const float* at = dilations ? dilations->data() : nullptr;
   nb::gil_scoped_release released;
-  pack_nodes(columns, subtree_end, depth, rows.data(), static_cast<int64_t>(rows.size()), eye.data(), centre.data(), out.data(),
+  pack_nodes(columns, of_tree, rows.data(), at, static_cast<int64_t>(rows.size()), eye.data(), centre.data(), out.data(),
              threads);
 }
 
@@ -34,32 +40,44 @@ void bind_pack_colors(nb::handle gaussians, const In<int32_t>& rows, const In<do
 }
 
 int64_t bind_keep(const In<int32_t>& rows, const In<int32_t>& slot_after, const Out<int32_t>& stamps, int32_t step,
-                  const Out<int32_t>& out) {
+                  const Out<int32_t>& slots, const Out<int32_t>& out) {
   nb::gil_scoped_release released;
-  return keep_slots(rows.data(), static_cast<int64_t>(rows.size()), slot_after.data(), stamps.data(), step, out.data());
+  return keep_slots(rows.data(), static_cast<int64_t>(rows.size()), slot_after.data(), stamps.data(), step, slots.data(),
+                    out.data());
 }
 
-int64_t bind_release(const In<int32_t>& held, const Out<int32_t>& slot_after, const In<int32_t>& stamps, int32_t step,
-                     const Out<int32_t>& out) {
+int64_t bind_release(const In<int32_t>& held, const In<int32_t>& slots, const Out<int32_t>& slot_after, const In<int32_t>& stamps,
+                     int32_t step, const Out<int32_t>& out) {
   nb::gil_scoped_release released;
-  return release_slots(held.data(), static_cast<int64_t>(held.size()), slot_after.data(), stamps.data(), step, out.data());
+  return release_slots(held.data(), slots.data(), static_cast<int64_t>(held.size()), slot_after.data(), stamps.data(), step,
+                       out.data());
 }
 
-int64_t bind_stale(const In<int32_t>& rows, const In<int32_t>& slot_after, const In<float>& means, const In<float>& eyes,
-                   const In<double>& eye, const In<double>& centre, double share, int64_t limit, const Out<int32_t>& out) {
+int64_t bind_stale(const In<int32_t>& slots, const In<float>& means, const In<float>& eyes, const In<double>& eye,
+                   const In<double>& centre, double share, int64_t first, int64_t limit, const Out<int32_t>& out) {
   nb::gil_scoped_release released;
-  return stale_slots(rows.data(), static_cast<int64_t>(rows.size()), slot_after.data(), means.data(), eyes.data(), eye.data(),
-                     centre.data(), share, limit, out.data());
+  return stale_slots(slots.data(), static_cast<int64_t>(slots.size()), {means.data(), eyes.data(), nullptr, nullptr}, eye.data(),
+                     centre.data(), share, first, limit, out.data());
+}
+
+int64_t bind_drifted(const In<int32_t>& slots, const In<float>& means, const In<float>& limits, const In<float>& dilations,
+                     const In<double>& plane, double unit, double factor, const Out<int32_t>& out) {
+  nb::gil_scoped_release released;
+  return drifted_slots(slots.data(), static_cast<int64_t>(slots.size()), {means.data(), nullptr, limits.data(), dilations.data()},
+                       plane.data(), unit, factor, out.data());
 }
 
 }  // namespace
 
 void bind_nodes(nb::module_& m) {
-  m.def("pack_nodes", &bind_pack_nodes, "gaussians"_a, "tree"_a, "rows"_a, "eye"_a, "centre"_a, "out"_a, "threads"_a = 0);
+  m.def("pack_nodes", &bind_pack_nodes, "gaussians"_a, "tree"_a, "curves"_a.none(), "rows"_a, "dilations"_a.none(), "eye"_a,
+        "centre"_a, "out"_a, "threads"_a = 0);
   m.def("pack_colors", &bind_pack_colors, "gaussians"_a, "rows"_a, "eye"_a, "out"_a, "threads"_a = 0);
-  m.def("keep_slots", &bind_keep, "rows"_a, "slot_after"_a, "stamps"_a, "step"_a, "out"_a);
-  m.def("release_slots", &bind_release, "held"_a, "slot_after"_a, "stamps"_a, "step"_a, "out"_a);
-  m.def("stale_slots", &bind_stale, "rows"_a, "slot_after"_a, "means"_a, "eyes"_a, "eye"_a, "centre"_a, "share"_a, "limit"_a,
+  m.def("keep_slots", &bind_keep, "rows"_a, "slot_after"_a, "stamps"_a, "step"_a, "slots"_a, "out"_a);
+  m.def("release_slots", &bind_release, "held"_a, "slots"_a, "slot_after"_a, "stamps"_a, "step"_a, "out"_a);
+  m.def("stale_slots", &bind_stale, "slots"_a, "means"_a, "eyes"_a, "eye"_a, "centre"_a, "share"_a, "first"_a, "limit"_a,
+        "out"_a);
+  m.def("drifted_slots", &bind_drifted, "slots"_a, "means"_a, "limits"_a, "dilations"_a, "plane"_a, "unit"_a, "factor"_a,
         "out"_a);
 }
 

@@ -5,11 +5,12 @@
 
 #include "cpu/runtime/pool.h"
 #include "shared/harmonics.h"
+#include "shared/project.h"
 
 namespace splatree {
 namespace {
 
-constexpr int64_t ROWS_PER_CHUNK = 2048;
+constexpr int64_t ROWS_PER_CHUNK = 2048, AHEAD = 8;  // rows, the second is how far ahead columns are fetched
 constexpr float COLOR_MAX = 2.f, LOG_SCALE_MAX = 20.f;
 
 float held(float x, float low, float high) { return x < low ? low : x > high ? high : x; }
@@ -56,24 +57,56 @@ int smallest_three(const float* quat, uint32_t (&small)[3]) {
   return largest;
 }
 
+struct Shape {
+  float log_scales[3], opacity;
+};
+
+// A merged row as it is drawn at a dilation.
+Shape drawn_at(float dilation, const float* curve, const Shape& stored) {
+  const float* s = stored.log_scales;
+  const Followed drawn = followed_of({curve[0], curve[1], curve[2], curve[3]}, dilation,
+                                     {std::exp(s[0]), std::exp(s[1]), std::exp(s[2])}, stored.opacity);
+  const auto log_of = [](float scale) { return std::log(scale > 1e-30f ? scale : 1e-30f); };
+  return {{log_of(drawn.scale.x), log_of(drawn.scale.y), log_of(drawn.scale.z)}, drawn.opacity};
+}
+
+void fetch_color(const NodeColumns& columns, int64_t row) {
+  const int64_t size = 3 * (columns.degree + 1) * (columns.degree + 1);
+  __builtin_prefetch(columns.means + 3 * row);
+  for (int64_t i = 0; i < size; i += 16) __builtin_prefetch(columns.sh + size * row + i);
+  __builtin_prefetch(columns.sh + size * row + size - 1);
+}
+
+void fetch_shape(const NodeColumns& columns, const NodeTree& tree, int64_t row) {
+  __builtin_prefetch(columns.quats + 4 * row);
+  __builtin_prefetch(columns.log_scales + 3 * row);
+  __builtin_prefetch(columns.logit_opacities + row);
+  __builtin_prefetch(tree.subtree_end + row);
+  __builtin_prefetch(tree.depth + row);
+  if (tree.curves) __builtin_prefetch(tree.curves + 4 * row);
+}
+
 }  // namespace
 
-void pack_nodes(const NodeColumns& columns, const int32_t* subtree_end, const uint8_t* depth, const int32_t* rows,
-                int64_t num_rows, const double* eye, const double* centre, uint32_t* out, int threads) {
+void pack_nodes(const NodeColumns& columns, const NodeTree& tree, const int32_t* rows, const float* dilations, int64_t num_rows,
+                const double* eye, const double* centre, uint32_t* out, int threads) {
   parallel_ranges(num_rows, ROWS_PER_CHUNK, threads, [&](int64_t begin, int64_t end) {
     for (int64_t i = begin; i < end; ++i) {
+      if (i + AHEAD < end) fetch_shape(columns, tree, rows[i + AHEAD]), fetch_color(columns, rows[i + AHEAD]);
       const int64_t row = rows[i];
       uint32_t* words = out + 8 * i;
       for (int axis = 0; axis < 3; ++axis) words[axis] = bits(static_cast<float>(columns.means[3 * row + axis] - centre[axis]));
       uint32_t small[3], scale[3];
       const int largest = smallest_three(columns.quats + 4 * row, small);
+      const float* given = columns.log_scales + 3 * row;
+      Shape shape = {{given[0], given[1], given[2]}, 1.f / (1.f + std::exp(-columns.logit_opacities[row]))};
+      if (tree.curves && tree.curves[4 * row + 2] > 0) shape = drawn_at(dilations[i], tree.curves + 4 * row, shape);
       for (int axis = 0; axis < 3; ++axis) {
-        const float share = held(columns.log_scales[3 * row + axis] * (1 / LOG_SCALE_MAX), -1.f, 1.f);
+        const float share = held(shape.log_scales[axis] * (1 / LOG_SCALE_MAX), -1.f, 1.f);
         scale[axis] = rounded((share + 1.f) * 32767.5f);
       }
-      const float opacity = 1.f / (1.f + std::exp(-columns.logit_opacities[row]));
-      const uint32_t level = (depth[row] < 127 ? depth[row] : 127) | (subtree_end[row] == row + 1) << 7;
-      words[3] = largest | level << 8 | rounded(65535 * opacity) << 16;
+      const uint32_t level = (tree.depth[row] < 127 ? tree.depth[row] : 127) | (tree.subtree_end[row] == row + 1) << 7;
+      words[3] = largest | level << 8 | rounded(65535 * shape.opacity) << 16;
       words[4] = color_of(columns, row, eye);
       words[5] = small[0] | small[1] << 16;
       words[6] = small[2] | scale[0] << 16;
@@ -85,55 +118,11 @@ void pack_nodes(const NodeColumns& columns, const int32_t* subtree_end, const ui
 void pack_colors(const NodeColumns& columns, const int32_t* rows, int64_t num_rows, const double* eye, uint32_t* out,
                  int threads) {
   parallel_ranges(num_rows, ROWS_PER_CHUNK, threads, [&](int64_t begin, int64_t end) {
-    for (int64_t i = begin; i < end; ++i) out[i] = color_of(columns, rows[i], eye);
-  });
-}
-
-int64_t keep_slots(const int32_t* rows, int64_t num_rows, const int32_t* slot_after, int32_t* stamps, int32_t step,
-                   int32_t* out) {
-  int64_t count = 0;
-  for (int64_t i = 0; i < num_rows; ++i) {
-    const int32_t after = slot_after[rows[i]];
-    if (after)
-      stamps[after - 1] = step;
-    else
-      out[count++] = rows[i];
-  }
-  return count;
-}
-
-int64_t release_slots(const int32_t* held, int64_t num_held, int32_t* slot_after, const int32_t* stamps, int32_t step,
-                      int32_t* out) {
-  int64_t count = 0;
-  for (int64_t i = 0; i < num_held; ++i) {
-    const int32_t slot = slot_after[held[i]] - 1;
-    if (stamps[slot] == step) continue;
-    slot_after[held[i]] = 0;
-    out[count++] = slot;
-  }
-  return count;
-}
-
-int64_t stale_slots(const int32_t* rows, int64_t num_rows, const int32_t* slot_after, const float* means, const float* eyes,
-                    const double* eye, const double* centre, double share, int64_t limit, int32_t* out) {
-  float at[3], here[3];
-  for (int axis = 0; axis < 3; ++axis) {
-    at[axis] = static_cast<float>(eye[axis]);
-    here[axis] = static_cast<float>(eye[axis] - centre[axis]);
-  }
-  const float allowed = static_cast<float>(share * share);
-  int64_t count = 0;
-  for (int64_t i = 0; i < num_rows && count <= limit; ++i) {
-    const float* from = eyes + 3 * int64_t(slot_after[rows[i]] - 1);
-    const float* mean = means + 3 * int64_t(rows[i]);
-    float moved = 0, distance = 0;
-    for (int axis = 0; axis < 3; ++axis) {
-      moved += (from[axis] - here[axis]) * (from[axis] - here[axis]);
-      distance += (mean[axis] - at[axis]) * (mean[axis] - at[axis]);
+    for (int64_t i = begin; i < end; ++i) {
+      if (i + AHEAD < end) fetch_color(columns, rows[i + AHEAD]);
+      out[i] = color_of(columns, rows[i], eye);
     }
-    if (moved > allowed * distance) out[count++] = rows[i];
-  }
-  return count;
+  });
 }
 
 }  // namespace splatree

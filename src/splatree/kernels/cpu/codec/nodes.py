@@ -6,7 +6,7 @@ from splatree.kernels.cpu import _core
 from splatree.kernels.reference.nodes import NODE_WORDS
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.tree import GaussianTree
-from splatree.shapes import Array, Float64, Int32, UInt32
+from splatree.shapes import Array, Float32, Float64, Int32, UInt32
 
 __all__ = ["pack_colors", "pack_nodes"]
 
@@ -17,10 +17,13 @@ def pack_nodes(
     rows: Int32[Array, "v"],
     eye: Float64[Array, "3"],
     centre: Float64[Array, "3"],
+    dilations: Float32[Array, "v"] | None = None,
 ) -> UInt32[Array, "v 8"]:
-    """The rows as words; colours are seen from ``eye``, means relative to ``centre``, world units."""
+    """The rows as words; colours are seen from ``eye``, means relative to ``centre``, world units; merged rows as they are
+    drawn at ``dilations``, world units², or as they are stored."""
     out = np.empty((len(rows), NODE_WORDS), np.uint32)
-    _core.pack_nodes(gaussians, tree, np.ascontiguousarray(rows), eye, centre, out)
+    curves = None if dilations is None else tree.curves
+    _core.pack_nodes(gaussians, tree, curves, np.ascontiguousarray(rows), dilations, eye, centre, out)
     return out
 
 

@@ -89,6 +89,14 @@ void answer_visible(const SelectJob& job, const int32_t* rows, Planes& p) {
   }
 }
 
+// Rows whose mean is in the image are seen if they are not too transparent: of these nothing but the mean is read.
+void answer_inside(const SelectJob& job, const int32_t* rows, Planes& p) {
+  gather<3>(job.means, rows, p.mean);
+#pragma omp simd
+  for (int l = 0; l < LANES; ++l)
+    p.answer[l] = is_inside(job.view, point_of(job.view, p.mean[0][l], p.mean[1][l], p.mean[2][l])) ? YES : OPEN;
+}
+
 using Answers = void (*)(const SelectJob&, const int32_t*, Planes&);
 
 // The answers to `ask` for a padded list.
@@ -100,49 +108,31 @@ void ask_all(const SelectJob& job, Answers ask, const Rows& rows, uint8_t* answe
   }
 }
 
-// Whether each row of a padded list can be seen: 0 or 1.
-void ask_visible(const SelectJob& job, const Rows& rows, uint8_t* answers) {
-  ask_all(job, answer_visible_bounds, rows, answers);
+// Asks again for the rows of a padded list whose answer is OPEN.
+void ask_open(const SelectJob& job, Answers ask, const Rows& rows, uint8_t* answers) {
   Rows open;
   int32_t place[MAX_BLOCK_ROWS + LANES];
-  int size = 0;
   for (int i = 0; i < rows.size; ++i) {
-    open.row[size] = rows.row[i];
-    place[size] = i;
-    size += answers[i] == OPEN;
+    open.row[open.size] = rows.row[i];
+    place[open.size] = i;
+    open.size += answers[i] == OPEN;
   }
-  if (!size) return;
-  open.size = size;
+  if (!open.size) return;
   open.pad();
-  uint8_t full[MAX_BLOCK_ROWS + LANES];
-  ask_all(job, answer_visible, open, full);
-  for (int i = 0; i < size; ++i) answers[place[i]] = full[i];
+  uint8_t found[MAX_BLOCK_ROWS + LANES];
+  ask_all(job, ask, open, found);
+  for (int i = 0; i < open.size; ++i) answers[place[i]] = found[i];
 }
 
-// For each byte of eight flags, the places of those that are set.
-struct PlacesOfByte {
-  uint8_t place[256][8] = {};
-
-  constexpr PlacesOfByte() {
-    for (int byte = 0; byte < 256; ++byte)
-      for (int bit = 0, size = 0; bit < 8; ++bit)
-        if (byte >> bit & 1) place[byte][size++] = uint8_t(bit);
+// Whether each row of a padded list can be seen: 0 or 1. If all of them are opaque enough, most are known by their means.
+void ask_visible(const SelectJob& job, const Rows& rows, bool all_opaque, uint8_t* answers) {
+  if (all_opaque && job.view_test == FOOTPRINT) {
+    ask_all(job, answer_inside, rows, answers);
+    ask_open(job, answer_visible_bounds, rows, answers);
+  } else {
+    ask_all(job, answer_visible_bounds, rows, answers);
   }
-};
-
-constexpr PlacesOfByte PLACES;
-
-// first + i for each i < count with flags[i] = 1; flags end with zeros up to a multiple of 8, out has room for 8 more.
-int compact(const uint8_t* flags, int count, int32_t first, int32_t* out) {
-  int size = 0;
-  for (int i = 0; i < count; i += 8) {
-    uint64_t bytes;
-    __builtin_memcpy(&bytes, flags + i, 8);
-    const unsigned byte = unsigned(bytes * 0x0102040810204080u >> 56);  // gathers the lowest bits of the eight
-    for (int l = 0; l < 8; ++l) out[size + l] = first + i + PLACES.place[byte][l];
-    size += __builtin_popcount(byte);
-  }
-  return size;
+  ask_open(job, answer_visible, rows, answers);
 }
 
 }  // namespace

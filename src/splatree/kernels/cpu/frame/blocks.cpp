@@ -55,7 +55,9 @@ void bound_block(const BoundsJob& job, int64_t block, int64_t begin, int64_t end
     }
     const float log_third = std::log(job.extents[i] / 3.f);
     if (largest > log_third + 1e-5f) leaf = greater(largest, leaf);  // an extent that is 3σ may have been rounded
-    job.size_classes[i] = class_of(s, log_third);
+    const float* mean = job.means + 3 * i;
+    const bool has_place = !(std::isnan(mean[0]) || std::isnan(mean[1]) || std::isnan(mean[2]));
+    job.size_classes[i] = has_place ? class_of(s, log_third) : uint8_t(UNBOUNDED_CLASS);
   }
   box.store(job.lower + 3 * block, job.upper + 3 * block);
   // A reserve for the rounding of any exponential in float32.

@@ -7,13 +7,15 @@
 // In a block, only what is needed is computed, and in this order:
 //   1. nothing, if its clusters were left out, its bound is out of the image or it lies in a shadow;
 //   2. from one byte a row, its size class: which rows are leaves, and which inner rows could be small at all;
-//   3. for these few, in order and outside of shadows, the radius;
+//   3. for these few, in order and outside of shadows, the radius; where it is that of the extent, the nearest and the farthest
+//      point of the block tell for most rows, and of these nothing but the extent is read;
 //   4. for rows kept, the view test: nothing if the block is well inside the image, else from bounds, else from the covariance.
 // 3 and 4 run in full vectors of 16 gathered rows, so a row's answer does not depend on its place, and bounds never contradict
 // the full computation: the result is the same for any size of block.
 #include "cpu/frame/select.h"
 
 #include "cpu/frame/asked.h"
+#include "cpu/frame/flags.h"
 #include "cpu/runtime/isa.h"
 
 namespace splatree::SPLATREE_ISA {
@@ -22,7 +24,7 @@ namespace {
 // How a run of rows lies to the image.
 struct Placement {
   bool outside, inside;
-  double depth_max, distance_max;  // the distance for the radius of balls only
+  double depth_max, distance_min, distance_max;  // the distances for the radius of extents only
 };
 
 Placement place(const SelectJob& job, const RunBounds& bounds, int64_t run) {
@@ -41,14 +43,16 @@ Placement place(const SelectJob& job, const RunBounds& bounds, int64_t run) {
     low[i] = middle - width;
     high[i] = middle + width;
   }
-  Placement found = {false, true, high[DEPTH_PLANE], 0};
+  Placement found = {false, true, high[DEPTH_PLANE], 0, 0};
   if (job.rule.sphere) {
-    double squared = 0;
+    double nearest = 0, farthest = 0;
     for (int i = 0; i < 3; ++i) {
-      const double far = __builtin_fabs(job.eye[i] - center[i]) + half[i];
-      squared += far * far;
+      const double middle = __builtin_fabs(job.eye[i] - center[i]), far = middle + half[i], near = middle - half[i];
+      nearest += near > 0 ? near * near : 0;
+      farthest += far * far;
     }
-    found.distance_max = __builtin_sqrt(squared);
+    found.distance_min = __builtin_sqrt(nearest);
+    found.distance_max = __builtin_sqrt(farthest);
   }
   if (!job.cull) {
     found.inside = job.view_test == UNSEEN_TOO;
@@ -88,40 +92,51 @@ struct Walk {
   }
 };
 
-// Asks in order for the rows of a list that are not shadowed. Calls stop(row) for each that is small for all limits, and
-// fade(row, size) for each that is small from a limit on at which no ancestor stops; the walk moves on.
-template <class Stop, class Fade>
-void each_stop(const SelectJob& job, const int32_t* rows, int size, Walk& walk, const Stop& stop, const Fade& fade) {
+// Asks in order for rows that are not shadowed. next(row) is the first of those to ask for at or behind a row, −1 if there is
+// none. Calls stop(row) for each that is small for all limits, and fade(row, size) for each that is small from a limit on at
+// which no ancestor stops; the walk moves on. Rows whose extent is at most `surely_small` are small for all limits.
+template <class Next, class Stop, class Fade>
+void each_stop(const SelectJob& job, const Next& next, float surely_small, Walk& walk, const Stop& stop, const Fade& fade) {
   Planes planes;
   int32_t batch[LANES];
-  for (int i = 0; i < size;) {
-    int used = 0;
-    for (; i < size && used < LANES; ++i) {
-      batch[used] = rows[i];
-      used += rows[i] >= walk.shadow;
+  int64_t row = next(walk.shadow);
+  const auto ends = [&](int64_t at) {
+    walk.shadow = job.subtree_end[at];
+    stop(at);
+  };
+  while (row >= 0) {
+    if (job.extents[row] <= surely_small && job.index.size_classes[row] < UNBOUNDED_CLASS) {
+      ends(row);
+      row = next(walk.shadow);
+      continue;
     }
-    if (!used) return;
+    int used = 0;
+    for (; row >= 0 && used < LANES; row = next(row + 1)) batch[used++] = int32_t(row);
     for (int l = used; l < LANES; ++l) batch[l] = batch[used - 1];
     if (!job.all_small) measure(job, batch, planes);
     for (int l = 0; l < used; ++l) {
-      const int32_t row = batch[l];
-      if (row < walk.shadow) continue;
+      if (batch[l] < walk.shadow) continue;
       if (job.all_small || planes.size[l] <= job.fine_limit) {
-        walk.shadow = job.subtree_end[row];
-        stop(row);
-      } else if (planes.size[l] <= job.rule.limit && planes.size[l] < walk.leave(row)) {
-        walk.shades[walk.num_shades++] = {job.subtree_end[row], planes.size[l]};
-        fade(row, planes.size[l]);
+        ends(batch[l]);
+      } else if (planes.size[l] <= job.rule.limit && planes.size[l] < walk.leave(batch[l])) {
+        walk.shades[walk.num_shades++] = {job.subtree_end[batch[l]], planes.size[l]};
+        fade(batch[l], planes.size[l]);
       }
     }
+    if (row >= 0 && row < walk.shadow) row = next(walk.shadow);
   }
 }
 
 // Begins a walk at the first row of a block.
 void begin_walk(const SelectJob& job, int64_t block, Walk& walk) {
   walk.restart();
-  const int32_t* start = job.index.ancestor_start + block;
-  each_stop(job, job.index.ancestors + start[0], start[1] - start[0], walk, [](int64_t) {}, [](int64_t, float) {});
+  const int32_t* row = job.index.ancestors + job.index.ancestor_start[block];
+  const int32_t* const end = job.index.ancestors + job.index.ancestor_start[block + 1];
+  const auto next = [&](int64_t from) {
+    while (row < end && *row < from) ++row;
+    return row < end ? int64_t(*row) : -1;
+  };
+  each_stop(job, next, NEVER_SMALL, walk, [](int64_t) {}, [](int64_t, float) {});
 }
 
 // The first run that ends behind a row, num_runs if there is none.
@@ -138,10 +153,11 @@ int64_t run_behind(const SelectJob& job, int64_t row) {
 }
 
 // Clears the flags of the rows of [begin, end) that are in no run; `run` is the first that ends behind begin.
-void keep_runs(const SelectJob& job, int64_t run, int64_t begin, int64_t end, uint8_t* kept) {
+void keep_runs(const SelectJob& job, int64_t run, int64_t begin, int64_t end, Flags& kept) {
   for (int64_t row = begin; row < end; ++run) {
     const int64_t next = run < job.num_runs && job.runs[2 * run] < end ? job.runs[2 * run] : end;
-    for (; row < next; ++row) kept[row - begin] = 0;
+    kept.clear(row - begin, next - begin);
+    row = next;
     if (next < end && job.runs[2 * run + 1] > row) row = job.runs[2 * run + 1];
   }
 }
@@ -164,34 +180,41 @@ struct Limits {
   }
 };
 
+// Fetches what a walk by extents reads of the next block. It goes from a row to the end of its subtree, so the processor cannot
+// foresee what it reads next.
+void prefetch(const SelectJob& job, int64_t begin) {
+  for (int64_t row = begin; row < begin + job.index.rows_per_block; row += 16) {
+    __builtin_prefetch(job.extents + row);
+    __builtin_prefetch(job.subtree_end + row);
+  }
+}
+
 // The rows drawn of [begin, end), a part of a block that starts outside of any shadow; moves the walk on. With runs of rows,
 // `run` is the first that ends behind the block's first row.
 int select_rows(const SelectJob& job, int64_t block, const Placement& placement, int64_t begin, int64_t end, int64_t run,
                 Walk& walk, const CutRows& out) {
   const int count = int(end - begin);
   const uint8_t* size_class = job.index.size_classes + begin;
-  alignas(64) uint8_t kept[MAX_BLOCK_ROWS + LANES];
-  for (int i = 0; i < count; ++i) kept[i] = size_class[i] == LEAF_CLASS;
-  for (int i = count; i < count + 8; ++i) kept[i] = 0;
+  Flags kept(count, [&](int i) { return size_class[i] == LEAF_CLASS; });
   Limits limits;
   if (out.enters) limits.start(walk, begin, end);
 
   const int largest = largest_small_class(job.rule, job.all_small, placement.depth_max, placement.distance_max);
   if (largest >= 0) {
-    alignas(64) uint8_t maybe[MAX_BLOCK_ROWS + LANES];
-    for (int i = 0; i < count; ++i) maybe[i] = size_class[i] <= uint8_t(largest);
-    for (int i = count; i < count + 8; ++i) maybe[i] = 0;
-    int32_t inner[MAX_BLOCK_ROWS + LANES];
-    const int size = compact(maybe, count, int32_t(begin), inner);
+    const Flags inner(count, [&](int i) { return size_class[i] <= uint8_t(largest); });
+    const auto next = [&](int64_t from) {
+      const int place = inner.next(from > begin ? from - begin : 0);
+      return place < count ? begin + place : -1;
+    };
     const auto end_of = [&](int64_t row) { return job.subtree_end[row] < end ? job.subtree_end[row] : end; };
     each_stop(
-        job, inner, size, walk,
+        job, next, surely_small_extent(job.rule, job.fine_limit, placement.distance_min, placement.distance_max), walk,
         [&](int64_t row) {
-          kept[row - begin] = 1;
-          for (int64_t r = row + 1; r < end_of(row); ++r) kept[r - begin] = 0;
+          kept.set(row - begin);
+          kept.clear(row + 1 - begin, end_of(row) - begin);
         },
         [&](int64_t row, float limit) {
-          kept[row - begin] = 1;
+          kept.set(row - begin);
           limits.enter[row - begin] = limit;
           limits.shade(begin, row + 1, end_of(row), limit);
         });
@@ -203,18 +226,19 @@ int select_rows(const SelectJob& job, int64_t block, const Placement& placement,
   }
 
   int size = 0;
+  const bool all_opaque = job.index.min_logits[block] >= job.rule.logit_min;
   if (placement.inside) {
-    if (job.view_test == FOOTPRINT && job.index.min_logits[block] < job.rule.logit_min) {
+    if (job.view_test == FOOTPRINT && !all_opaque) {
       const float* logits = job.logit_opacities + begin;
-      for (int i = 0; i < count; ++i) kept[i] &= logits[i] >= job.rule.logit_min;
+      kept.keep(Flags(count, [&](int i) { return logits[i] >= job.rule.logit_min; }));
     }
-    size = compact(kept, count, int32_t(begin), out.rows);
+    size = kept.list(int32_t(begin), out.rows);
   } else {
     Rows drawn;
-    drawn.size = compact(kept, count, int32_t(begin), drawn.row);
+    drawn.size = kept.list(int32_t(begin), drawn.row);
     drawn.pad();
     uint8_t visible[MAX_BLOCK_ROWS + LANES];
-    ask_visible(job, drawn, visible);
+    ask_visible(job, drawn, all_opaque, visible);
     for (int i = 0; i < drawn.size; ++i) {
       out.rows[size] = drawn.row[i];
       size += visible[i];
@@ -271,6 +295,7 @@ RunResult select_group(const SelectJob& job, int64_t group, const CutRows& out) 
     if (walk.shadow < 0) begin_walk(job, block, walk);
     if (walk.shadow > begin) begin = walk.shadow < end ? walk.shadow : end;
     if (begin < end) {
+      if (job.rule.sphere && block + 1 < last) prefetch(job, end);
       result.num_selected += select_rows(job, block, placement, begin, end, run, walk, out.behind(result.num_selected));
       result.num_visited += end - begin;
     }
@@ -299,7 +324,7 @@ void visible_rows(const SelectJob& job, const int32_t* rows, int64_t count, uint
     list.size = count - begin < MAX_BLOCK_ROWS ? int(count - begin) : MAX_BLOCK_ROWS;
     for (int i = 0; i < list.size; ++i) list.row[i] = rows[begin + i];
     list.pad();
-    ask_visible(job, list, answers);
+    ask_visible(job, list, false, answers);
     for (int i = 0; i < list.size; ++i) visible[begin + i] = answers[i];
   }
 }

@@ -1,0 +1,140 @@
+"""Ranges of files on servers of HTTP, over connections that stay open.
+
+A new connection of https takes two to three round trips before its first request; a request over one that is there takes one.
+So a connection is kept when its answer has been read to the end, and the next request to the same server takes it, from whichever
+thread. As many are open as requests were under way at the same time.
+
+Redirections and proxies are left to the standard library, which by itself closes a connection after each request.
+"""
+
+import atexit
+import io
+import os
+import threading
+import time
+from collections import defaultdict
+from collections.abc import Hashable
+from functools import cache
+from http.client import HTTPConnection, HTTPException, HTTPResponse
+from typing import Any
+from urllib.request import HTTPHandler, HTTPSHandler, OpenerDirector, Request, build_opener
+from urllib.response import addinfourl
+
+__all__ = ["TIMEOUT_S", "close_connections", "open_range"]
+
+TIMEOUT_S = 30.0
+"""A server that sends nothing for so long is given up."""
+
+IDLE_S = 20.0
+"""A connection that has waited for so long is closed: routers on the way forget it and tell nobody."""
+
+MOST_IDLE = 16
+"""Connections to one server that wait for the next request."""
+
+_LEAST_BYTES = 1 << 16
+"""What is read of an answer at least, so that the connection is kept after the page of an error, too."""
+
+
+def open_range(url: str, begin: int, end: int) -> addinfourl:
+    """Ask for the bytes ``begin`` to ``end`` of a file; the answer has its status, its headers, and the bytes that came.
+
+    Raises:
+        HTTPError: the server refuses; the error is an answer, too.
+        URLError: the server cannot be reached.
+        HTTPException, OSError, ValueError: the connection broke off, or the address is none.
+    """
+    headers = {"User-Agent": "splatree", "Range": f"bytes={begin}-{end - 1}"}
+    answer: addinfourl = _opener().open(Request(url, headers=headers), timeout=TIMEOUT_S)
+    return answer
+
+
+def close_connections() -> None:
+    """Close the connections that wait, and look up proxies anew."""
+    _keeping.close_idle()
+    _opener.cache_clear()
+
+
+@cache
+def _opener() -> OpenerDirector:
+    return build_opener(_keeping)
+
+
+class _Keeping(HTTPHandler, HTTPSHandler):
+    """Opens addresses over connections that it keeps."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._lock = threading.Lock()
+        self._idle: dict[Hashable, list[tuple[float, HTTPConnection]]] = defaultdict(list)
+
+    def do_open(self, http_class: Any, req: Request, **given: Any) -> addinfourl:  # type: ignore[override]
+        """The answer to a request, with as many bytes as its range has, or those of an error."""
+        behind: str | None = req._tunnel_host  # type: ignore[attr-defined]  # the server that a proxy leads to
+        place = (os.getpid(), http_class, req.host, behind)  # a child that was forked has connections of its own
+        headers = {name.title(): value for name, value in req.header_items()}
+        to_proxy = {"Proxy-Authorization": headers.pop("Proxy-Authorization", "")} if behind else {}
+        connection = self._take(place)
+        answer = None if connection is None else _answer_if_open(connection, req.selector, headers)
+        if connection is None or answer is None:
+            connection = http_class(req.host, timeout=req.timeout, **given)
+            if behind:
+                connection.set_tunnel(behind, headers={name: value for name, value in to_proxy.items() if value})
+            answer = _answer(connection, req.selector, headers)
+        first, last = map(int, headers["Range"].removeprefix("bytes=").split("-"))
+        try:
+            data = answer.read(max(last - first + 2, _LEAST_BYTES))
+        finally:
+            if answer.isclosed() and not answer.will_close:
+                self._keep(place, connection)
+            else:
+                connection.close()
+        whole = addinfourl(io.BytesIO(data), answer.headers, req.full_url, answer.status)
+        whole.msg = answer.reason  # type: ignore[attr-defined]  # which the other handlers look at
+        return whole
+
+    def _take(self, place: Hashable) -> HTTPConnection | None:
+        """A connection that waits, the last that was used; None: there is none."""
+        with self._lock:
+            idle, now = self._idle[place], time.monotonic()
+            while idle:
+                since, connection = idle.pop()
+                if now - since < IDLE_S:
+                    return connection
+                connection.close()
+        return None
+
+    def close_idle(self) -> None:
+        """Close the connections that wait."""
+        with self._lock:
+            for idle in self._idle.values():
+                while idle:
+                    idle.pop()[1].close()
+
+    def _keep(self, place: Hashable, connection: HTTPConnection) -> None:
+        with self._lock:
+            self._idle[place].append((time.monotonic(), connection))
+            if len(self._idle[place]) > MOST_IDLE:
+                self._idle[place].pop(0)[1].close()
+
+
+_keeping = _Keeping()
+atexit.register(_keeping.close_idle)
+
+
+def _answer(connection: HTTPConnection, selector: str, headers: dict[str, str]) -> HTTPResponse:
+    try:
+        connection.request("GET", selector, headers=headers)
+        return connection.getresponse()
+    except BaseException:
+        connection.close()
+        raise
+
+
+def _answer_if_open(connection: HTTPConnection, selector: str, headers: dict[str, str]) -> HTTPResponse | None:
+    """The answer over a connection that was kept; None: the server has closed it meanwhile."""
+    try:
+        return _answer(connection, selector, headers)
+    except TimeoutError:
+        raise
+    except (OSError, HTTPException):
+        return None
