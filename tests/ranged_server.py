@@ -21,6 +21,8 @@ class Ranges(SimpleHTTPRequestHandler):
     opened: list[object]
     cut = False
     """Whether it gives fewer bytes than it was asked for, as of an object that has been replaced."""
+    range_says = "bytes {first}-{last}/{size}"
+    """What it says of a range."""
 
     def setup(self) -> None:
         super().setup()
@@ -39,7 +41,7 @@ class Ranges(SimpleHTTPRequestHandler):
             self.send_error(416)
             return
         self.send_response(206)
-        self.send_header("Content-Range", f"bytes {first}-{last}/{len(data)}")
+        self.send_header("Content-Range", self.range_says.format(first=first, last=last, size=len(data)))
         self.send_header("Content-Length", str(len(part)))
         self.end_headers()
         self.wfile.write(part)
@@ -53,6 +55,18 @@ class Cutting(Ranges):
     """Gives a byte less than it is asked for."""
 
     cut = True
+
+
+class Unsaid(Ranges):
+    """Does not say how large a file is."""
+
+    range_says = "bytes {first}-{last}/*"
+
+
+class Shifted(Ranges):
+    """Says that it gives another range than it was asked for."""
+
+    range_says = "bytes 7{first}-7{last}/{size}"
 
 
 class Closing(Ranges):

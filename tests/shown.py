@@ -32,6 +32,8 @@ def shown_files(tmp_path_factory):
         st.write_cameras(cameras, folder / name)
     for camera in cameras:
         st.write_image(st.render(scene, camera).image, folder / "photographs" / f"{camera.name}.png")
+    st.write(tree, folder / "site.splatree")
+    shutil.copytree(folder / "photographs", folder / "site")
     streamed = folder / "playbot"
     streamed.mkdir()
     levels = [scene, st.thin(scene, st.ThinOptions(keep=0.2)).scene]

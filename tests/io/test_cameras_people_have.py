@@ -245,3 +245,10 @@ def test_a_photograph_in_the_place_of_cameras_is_told(tmp_path, content):
         InputError, match=r"found a file that is no text; wanted cameras.json, transforms.json, or a folder"
     ):
         st.read_cameras(tmp_path / "0000.png")
+
+
+def test_a_pose_without_its_last_row(tmp_path):
+    frames = [{"file_path": "0.png", "transform_matrix": opengl(VIEW)[:3].tolist()}]
+    lens = {"fl_x": VIEW.K[0, 0], "w": 640, "h": 480}
+    (tmp_path / "transforms.json").write_text(json.dumps({**lens, "frames": frames}))
+    same_view(st.read_cameras(tmp_path)[0], VIEW)

@@ -12,9 +12,10 @@ import splatree as st
 from splatree.errors import FormatError, InputError, MissingExtraError, OutputError
 from splatree.io import http, objects, sources
 from splatree.io.objects import ObjectPath, located
+from splatree.io.registry import stored_bytes
 from splatree.scene.scene import Source
 
-from ..ranged_server import Closing, Cutting, Leading, Proxy, Refusing, served
+from ..ranged_server import Closing, Cutting, Leading, Proxy, Refusing, Shifted, Unsaid, served
 from ..scenes import random_gaussians
 
 SUFFIXES = (".ply", ".compressed.ply", ".spz", ".splat", ".sog", ".ksplat", ".glb", ".rad", ".splatree", ".hier")
@@ -162,6 +163,28 @@ def test_folders_of_a_server_are_read_by_ranges(scene, tmp_path):
     with served(tmp_path) as server:
         check_are_equal(st.read(f"{server.address}/sog/meta.json"), st.read(tmp_path / "sog"))
         assert len(server.sent) > 5 and len(server.opened) == 1
+
+
+@pytest.mark.parametrize(
+    ("handler", "message"),
+    [
+        (Unsaid, r"found '\*' as its size, wanted a number"),
+        (Shifted, r"answers with the range 'bytes 70-7\d+/\d+', wanted"),
+    ],
+)
+def test_servers_that_do_not_say_what_they_give_are_refused_where_ranges_are_needed(scene, tmp_path, handler, message):
+    st.write(scene, tmp_path / "sog" / "meta.json")
+    st.write(scene, tmp_path / "a.ply")
+    with served(tmp_path, handler) as server:
+        with pytest.raises(InputError, match=rf"^{server.address}/sog/meta.json: .*{message}"):
+            st.read(f"{server.address}/sog/meta.json")
+        check_are_equal(st.read(f"{server.address}/a.ply"), st.read(tmp_path / "a.ply"))
+        assert stored_bytes(Path(f"{server.address}/a.ply")) == 0  # it does not say
+
+
+def test_what_is_no_address_is_told():
+    with pytest.raises(InputError, match=r"https://\[::1/a.ply: found an address that is none"):
+        st.read("https://[::1/a.ply")
 
 
 @pytest.mark.parametrize("handler, place", [(Closing, ""), (Leading, "/old"), (Proxy, "")])

@@ -252,3 +252,16 @@ def test_what_is_not_a_scene_is_named(tmp_path):
     (tmp_path / "a.png").write_bytes(pointer)
     with pytest.raises(InputError, match="Git LFS pointer"):
         st.read_image(tmp_path / "a.png")
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"), [("opacity", "uint8"), ("rot_2", "int32"), ("scale_0", "uint16"), ("f_dc_1", "uint8")]
+)
+def test_codes_of_whole_numbers_are_not_taken_for_values(tmp_path, name, kind):
+    """As logits and logarithms they would give a wrong picture; colours of bytes have a meaning, and so have coordinates."""
+    columns = columns_of(GAUSSIANS)
+    columns[name] = np.arange(len(columns[name])).astype(kind)
+    with pytest.raises(st.FormatError, match=f"found {name} as whole numbers"):
+        st.read(save(tmp_path / "a.ply", columns))
+    columns = columns_of(GAUSSIANS) | {"x": np.arange(len(columns["x"])).astype(np.int32)}
+    np.testing.assert_array_equal(st.read(save(tmp_path / "b.ply", columns)).gaussians.means[:, 0], columns["x"])

@@ -28,6 +28,7 @@ from urllib.parse import unquote, urlsplit
 from splatree.errors import FormatError, InputError
 from splatree.io.formats.folder.manifest import MANIFEST, is_manifest
 from splatree.io.objects import ObjectPath, located
+from splatree.io.sources import parts_of
 from splatree.io.untrusted import inner_path
 from splatree.progress import task
 
@@ -149,7 +150,7 @@ def _download(address: str, folder: Path) -> Path:
 
     from splatree.io.http import TIMEOUT_S
 
-    name = Path(unquote(urlsplit(address).path)).name or "scene"
+    name = Path(unquote(parts_of(address).path)).name or "scene"
     target = folder / re.sub(r"[^\w.-]", "_", name)
     try:
         with urlopen(Request(address, headers={"User-Agent": "splatree"}), timeout=TIMEOUT_S) as answer:

@@ -325,8 +325,13 @@ def detect(path: Path) -> Format | None:
 def stored_bytes(path: Path) -> int:
     """Bytes of the files that a path of a known format stands for: of a folder or its meta.json, all that it names."""
     path = located(path)
-    if not path.exists():  # it was fetched from elsewhere
-        return 0
+    try:
+        if not path.exists():  # it was fetched from elsewhere
+            return 0
+    except InputError:
+        if is_fetched_whole(path):  # whose server does not say
+            return 0
+        raise
     return sum(file.stat().st_size for file in files_of(path))
 
 

@@ -4,15 +4,16 @@
 them: s3fs for ``s3://``, gcsfs for ``gs://``, adlfs for ``az://``. `splatree.io.objects` makes paths of them.
 """
 
+import re
 import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
-from urllib.parse import urlsplit
+from urllib.parse import SplitResult, urlsplit
 
 from splatree.errors import InputError, MissingExtraError, OutputError
 
-__all__ = ["HEAD_BYTES", "Info", "Source", "source_of"]
+__all__ = ["HEAD_BYTES", "Info", "Source", "parts_of", "source_of"]
 
 HEAD_BYTES = 1 << 14
 """What a server is asked for to learn the size of a file: as long as the heads of most files, for no more waiting."""
@@ -63,7 +64,19 @@ def source_of(url: str) -> Source:
         InputError: no package that is installed knows it.
         MissingExtraError: fsspec is not installed.
     """
-    return _Http() if urlsplit(url).scheme in ("http", "https") else _Fsspec.of(url)
+    return _Http() if parts_of(url).scheme in ("http", "https") else _Fsspec.of(url)
+
+
+def parts_of(url: str) -> SplitResult:
+    """The parts of an address.
+
+    Raises:
+        InputError: it is none.
+    """
+    try:
+        return urlsplit(url)
+    except ValueError as error:
+        raise InputError(f"{url}: found an address that is none ({error})") from error
 
 
 class _Http:
@@ -73,9 +86,13 @@ class _Http:
         status, headers, head = self._get(url, 0, HEAD_BYTES, missing_ok=True)
         if status == 404:
             return None
-        whole = headers.get("Content-Range", "").rpartition("/")[2] if status == 206 else headers.get("Content-Length")
+        whole = (
+            headers.get("Content-Range", "").rpartition("/")[2] if status == 206 else headers.get("Content-Length", "0")
+        )
         version = zlib.crc32((headers.get("ETag") or headers.get("Last-Modified") or "").encode())
-        num_bytes = int(whole or 0) if status != 416 else 0
+        if status != 416 and not (whole.isascii() and whole.isdigit()):
+            raise InputError(f"{url}: found {whole!r} as its size, wanted a number of bytes; fetch the file yourself")
+        num_bytes = int(whole) if status != 416 else 0
         return Info(num_bytes, version=version, head=head if len(head) == min(HEAD_BYTES, num_bytes) else b"")
 
     def read(self, url: str, begin: int, end: int) -> bytes:
@@ -108,12 +125,20 @@ class _Http:
 
         try:
             with open_range(url, begin, end) as answer:
-                return answer.status or 0, answer.headers, answer.read() if answer.status == 206 else b""
+                status, said = answer.status or 0, answer.headers.get("Content-Range", "")
+                if status == 206 and not re.match(rf"bytes {begin}-", said):
+                    raise InputError(
+                        f"{url}: found a server that answers with the range {said!r}, wanted the bytes from {begin} on; fetch "
+                        "the file yourself"
+                    )
+                return status, answer.headers, answer.read() if status == 206 else b""
         except HTTPError as error:
             with error:
                 if error.code == 416 or (error.code == 404 and missing_ok):  # 416: of no bytes at all
                     return error.code, error.headers, b""
                 raise InputError(f"{url}: cannot be fetched (status {error.code}, {error.reason})") from error
+        except InputError:
+            raise
         except (URLError, HTTPException, OSError, ValueError) as error:
             raise InputError(f"{url}: cannot be fetched ({getattr(error, 'reason', None) or error})") from error
 
@@ -127,7 +152,7 @@ class _Fsspec:
 
     @staticmethod
     def of(url: str) -> "_Fsspec":
-        scheme = urlsplit(url).scheme
+        scheme = parts_of(url).scheme
         try:
             import fsspec
         except ImportError as error:

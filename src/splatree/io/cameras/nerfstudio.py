@@ -134,7 +134,9 @@ def _view(value: Any, content: dict[str, Any], sizes: _Sizes, where: str) -> Cam
     cy = untrusted.number(lens, "cy", where) if "cy" in lens else height / 2
     K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64)
 
-    world_from_camera = untrusted.numbers(frame, "transform_matrix", where, (4, 4)) @ np.diag([1.0, -1.0, -1.0, 1.0])
+    rows = frame.get("transform_matrix")
+    shape = (3, 4) if isinstance(rows, list) and len(rows) == 3 else (4, 4)  # some leave the row 0 0 0 1 out
+    world_from_camera = untrusted.numbers(frame, "transform_matrix", where, shape) @ np.diag([1.0, -1.0, -1.0, 1.0])
     rotation = world_from_camera[:3, :3].T
     pose = np.eye(4)
     pose[:3, :3] = rotation

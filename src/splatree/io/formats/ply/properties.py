@@ -112,6 +112,17 @@ def fields_of(path: Path, header: Header, *, ignore: bool) -> Fields:
     if has_filter:
         columns.append([FILTER])
     columns = [[names[n] for n in group] for group in columns]
+    coded = [
+        n
+        for group in columns[1:]
+        for n in group
+        if header.dtype[n].kind != "f" and n not in (names.get(c) for c in RGB)
+    ]
+    if coded:
+        raise FormatError(
+            f"{path}: found {_listed(coded)} as whole numbers, which are codes of a program of its own; wanted floats: save the "
+            "scene without quantisation"
+        )
     used = {name for group in columns for name in group}
     understood = used | {names[n] for n in (*NORMALS, *RGB, "alpha") if n in names and (n in NORMALS or color == DC)}
     understood |= {full for bare, full in names.items() if re.fullmatch(r"f_rest_\d+", bare)}
