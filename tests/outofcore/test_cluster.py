@@ -177,7 +177,7 @@ def test_cells_are_cut_to_what_a_worker_holds():
     options = st.FolderOptions(max_memory="64G")
     assert Room.of(options, 16).part_rows == 1_000_000
     room = Room.of(options, 16, 600e6)
-    assert (room.part_rows, room.piece_bytes) == (500_000, 600e6)
+    assert (room.part_rows, room.piece_bytes) == (522_222, 600e6)
     with pytest.raises(st.InputError, match="found a worker with 100 MB for each of its threads, wanted at least"):
         Room.of(options, 16, 100e6)
     assert SMALLEST_MEMORY > 100e6
