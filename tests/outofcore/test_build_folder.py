@@ -142,8 +142,9 @@ def test_ctrl_c_is_left_to_the_program_and_its_workers_end_without_a_word():
         raise KeyboardInterrupt
     for process in started:
         process.join(60)
-        while process.exitcode is None:  # the pool's own thread has taken its end, and is about to say so
-            time.sleep(0.01)
+        for _ in range(1000):  # the pool's own thread has taken its end, and is about to say so
+            if process.exitcode is None:
+                time.sleep(0.01)
         assert process.exitcode == -signal.SIGTERM
     assert all(future.cancelled() or future.exception(60) for future in (busy, *waiting))
 
