@@ -116,7 +116,7 @@ class Gauge:
     def _pictures(self, pixel_error: float) -> list[Array]:
         """What a screen shows of the sample."""
         assert self._asked is not None
-        view, select = self._asked
+        _, select = self._asked
         at = replace(select, pixel_error=pixel_error)
         return [np.clip(self._draw(strip, at), 0, 1) for strip in self._sample.views]
 
