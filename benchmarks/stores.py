@@ -1,10 +1,10 @@
 """What each verb takes of a scene on disk, a folder of parts or one .splatree: memory that no file backs, and processor time.
 
 ``python benchmarks/stores.py [--chunks 1 3] [--only "to .splatree"] [--folder /tmp]`` needs the shared city. Each verb runs on
-fewer and on more chunks of it, as a command of its own. `render` draws the near view of the made views, 1280 × 720, which includes
-the start of the program and the writing of the picture. Memory is measured as in `scale.py`; what it grows by for a Gaussian more
-says whether a scene may be larger than memory. With ``--store`` and ``--file``, the first picture is also measured on a folder and
-a file that are there.
+fewer and on more chunks of it, as a command of its own. `render` draws the near view of the made views, 1280 × 720; the start of
+the program and the writing of the picture are included. Memory is measured as in `scale.py`; what it grows by for a Gaussian more
+says whether a scene may be larger than memory. With ``--store`` and ``--file``, the first picture is also measured on a folder
+and a file that are there.
 """
 
 import argparse

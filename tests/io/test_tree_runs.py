@@ -60,6 +60,19 @@ def test_an_edited_tree_has_the_bytes_of_the_edit_in_memory(trees, tmp_path, mon
         assert "merged nodes: Gaussians below them were dropped" in done.lost[0]
 
 
+@pytest.mark.parametrize("suffix", [".ply", ".spz", ".sog", ".glb"])
+@pytest.mark.parametrize(("name", "edit"), [("parts", "kept"), ("pairs", "moved"), ("file", "all")])
+def test_a_cut_at_a_depth_has_the_bytes_of_the_cut_in_memory(trees, tmp_path, name, edit, suffix):
+    options, path = st.EditOptions(**EDITS[edit]), trees / f"{name}.splatree"
+    for depth in (0, 2):
+        found = st.convert(path, tmp_path / f"a{suffix}", st.ConvertOptions(edit=options, depth=depth), force=True)
+        wanted = st.edit(st.read(path), options)
+        lost = st.write(wanted, tmp_path / f"b{suffix}", depth=depth, force=True)
+        assert found.in_chunks and found.lost[-len(lost) or len(found.lost) :] == lost
+        assert (tmp_path / f"a{suffix}").read_bytes() == (tmp_path / f"b{suffix}").read_bytes()
+    assert len(st.read(tmp_path / f"a{suffix}")) < wanted.tree.num_leaves
+
+
 @pytest.mark.parametrize("name", ["parts", "pairs"])
 def test_a_cleaned_tree_has_the_bytes_of_cleaning_in_memory(trees, tmp_path, name):
     options, path = st.CleanOptions(max_distance=1.2, floaters=True, cell=0.1), trees / f"{name}.splatree"

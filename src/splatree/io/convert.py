@@ -1,9 +1,9 @@
 """From files to a file of another format, edited on the way, in chunks wherever that can be: then memory is a few chunks.
 
 A conversion goes in chunks if every input is of a format that is read so, the output of one that is written so, and nothing is
-asked that needs the whole scene (a level, a cut of a tree). A tree that stays one goes in runs of its rows (io/tree_runs.py). The
-file has the same bytes either way: a format that is written in chunks has no other writer, and edits work row by row. Where rows
-may be dropped, the inputs are read twice, first to count what is left.
+asked that needs the whole scene, as a level does. A tree that stays one, or is cut, goes in runs of its rows (io/tree_runs.py).
+The file has the same bytes either way: a format that is written in chunks has no other writer, and edits work row by row. Where
+rows may be dropped, the inputs are read twice, first to count what is left.
 """
 
 import json
@@ -30,7 +30,7 @@ from splatree.io.reading import read_one
 from splatree.io.registry import detect, format_to_write
 from splatree.io.replacing import check_target
 from splatree.io.sorting import along_curve
-from splatree.io.tree_runs import TreeRuns, kept_runs, moved_runs, open_runs, write_runs
+from splatree.io.tree_runs import TreeRuns, cut_chunks, kept_runs, moved_runs, open_runs, write_runs
 from splatree.io.writing import write, write_chunks
 from splatree.progress import track
 from splatree.scene.literals import check_literals
@@ -132,9 +132,12 @@ def convert(
 
 def _converted_from(found: Sequence[Path], target: Path, options: ConvertOptions, force: bool) -> Converted:
     chosen = format_to_write(target)
-    by_rows = options.read.level is None and options.depth is None and not options.write.compact
+    by_runs = options.read.level is None and not options.write.compact
+    by_rows = by_runs and options.depth is None
     keeps_rows = options.edit.order == "kept" and not options.read.repair
-    if by_rows and keeps_rows and chosen.name == "splatree" and len(found) == 1 and (tree := open_runs(found[0])):
+    cuts = options.depth is not None and chosen.holds.levels != "tree" and chosen.write_chunks is not None
+    takes_runs = cuts or (chosen.name == "splatree" and options.depth is None)
+    if by_runs and keeps_rows and takes_runs and len(found) == 1 and (tree := open_runs(found[0])):
         return _in_runs(tree, target, options, force)
     leaves = chosen.holds.levels != "tree"
     if chosen.write_chunks is not None and by_rows and (parts := opened_chunks(found, options.read, leaves=leaves)):
@@ -142,9 +145,9 @@ def _converted_from(found: Sequence[Path], target: Path, options: ConvertOptions
 
     if options.write.max_memory is not None:
         raise InputError(
-            f"max_memory: found {options.write.max_memory} for {target}, but this conversion holds the whole scene: a level or "
-            "a depth is asked for, the output is compact or keeps levels, or an input is not read in chunks (see `splatree "
-            "formats`); wanted --max-memory for conversions in chunks alone"
+            f"max_memory: found {options.write.max_memory} for {target}, but this conversion holds the whole scene: a level is "
+            "asked for, or a depth of several inputs, the output is compact or keeps levels, or an input is not read in chunks "
+            "(see `splatree formats`); wanted --max-memory for conversions in chunks alone"
         )
     scene = joined(read_one(path, options.read) for path in found)
     if options.mode is not None:
@@ -156,7 +159,7 @@ def _converted_from(found: Sequence[Path], target: Path, options: ConvertOptions
 
 
 def _in_runs(tree: TreeRuns, target: Path, options: ConvertOptions, force: bool) -> Converted:
-    """A tree as one file, edited on the way, in runs of rows."""
+    """A tree as one file, or a cut of it, edited on the way, in runs of rows."""
     source, scratch = tree.head.source, Scratch.beside(check_target(target), options.write.max_memory)
     move = move_from_options(options.edit, source.origin)
     kept = tree
@@ -168,8 +171,13 @@ def _in_runs(tree: TreeRuns, target: Path, options: ConvertOptions, force: bool)
     edited = moved_runs(kept, move.similarity, min(options.edit.sh_degree, tree.head.sh_degree))
     source = replace(source, metadata=move.similarity.metadata(source.metadata), origin=move.origin)
     head = replace(edited.head, mode=options.mode or edited.head.mode, source=source)
-    write_runs(replace(edited, head=head), target, force=force)
-    converted = _converted(tree.num_leaves, edited.num_leaves, source.metadata, (), source.origin)
+    edited = replace(edited, head=head)
+    lost: tuple[str, ...] = ()
+    if options.depth is None:
+        write_runs(edited, target, force=force)
+    else:
+        lost = write_chunks(cut_chunks(edited, options.depth), target, force=force, options=options.write)
+    converted = _converted(tree.num_leaves, edited.num_leaves, source.metadata, lost, source.origin)
     return replace(converted, in_chunks=True)
 
 

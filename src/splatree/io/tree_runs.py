@@ -15,7 +15,7 @@ import numpy as np
 
 from splatree.edit.similarity import Similarity
 from splatree.errors import FormatError, ShapeError
-from splatree.io.chunks import ROWS_PER_CHUNK
+from splatree.io.chunks import ROWS_PER_CHUNK, Chunks
 from splatree.io.formats.folder.manifest import MANIFEST, folder_of, is_manifest
 from splatree.io.formats.folder.whole import open_whole
 from splatree.io.formats.splatree.fields import column_types
@@ -31,7 +31,7 @@ from splatree.scene.scene import Scene
 from splatree.scene.tree import GaussianTree
 from splatree.shapes import Array, Bool
 
-__all__ = ["TreeRuns", "has_rows_alone", "kept_runs", "moved_runs", "open_runs", "write_runs"]
+__all__ = ["TreeRuns", "cut_chunks", "has_rows_alone", "kept_runs", "moved_runs", "open_runs", "write_runs"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,6 +149,27 @@ def moved_runs(tree: TreeRuns, similarity: Similarity, sh_degree: int) -> TreeRu
 
     record = None if tree.head.record is None else tree.head.record.scaled(similarity.scale)
     return TreeRuns(replace(tree.head, sh_degree=sh_degree, record=record, roots=None), tree.num_leaves, runs)
+
+
+def cut_chunks(tree: TreeRuns, depth: int) -> Chunks:
+    """The nodes at a depth and the leaves above it, as a flat scene in chunks; as `cut_at`."""
+
+    def drawn(run: SceneRows) -> Bool[Array, "n"]:
+        is_leaf = run.subtree_end == np.arange(run.begin + 1, run.begin + len(run) + 1)
+        return np.asarray((run.depth == depth) | (is_leaf & (run.depth < depth)))
+
+    def make() -> Iterator[Gaussians]:
+        return (run.gaussians.take(drawn(run)) for run in tree.runs("go through the tree"))
+
+    head, count = tree.head, sum(int(drawn(run).sum()) for run in tree.runs("count the nodes of the cut"))
+    source = head.source
+    return Chunks(
+        *(count, head.sh_degree, head.mode, make, source.metadata),
+        origin=source.origin,
+        paths=source.paths,
+        format=source.format,
+        threshold=head.threshold,
+    )
 
 
 def write_runs(tree: TreeRuns, target: Path, *, force: bool) -> None:
