@@ -8,6 +8,7 @@ and a file that are there.
 """
 
 import argparse
+import re
 import tempfile
 from pathlib import Path
 
@@ -87,7 +88,7 @@ def main() -> None:
                 rows.append(row)
     print(table(rows))
     save(
-        "stores" if arguments.only is None else f"stores_{arguments.only.replace(' ', '_')}",
+        "_".join(["stores", *re.findall(r"\w+", arguments.only or "")]),
         rows,
         about="What each verb takes of a scene on disk, on chunks of the real city",
     )
