@@ -146,7 +146,8 @@ SPLATREE_KERNEL(1024, 1) order_tiles(const FrameJob* job, int) {
   const int num_tiles = job->numbers.num_tiles_x * job->numbers.num_tiles_y;
   if (threadIdx.x < NUM_LENGTHS) places[threadIdx.x] = 0;
   __syncthreads();
-  for (int tile = threadIdx.x; tile < num_tiles; tile += ORDER_THREADS) atomicAdd(&places[length_class(length_of(job, tile))], 1u);
+  for (int tile = threadIdx.x; tile < num_tiles; tile += ORDER_THREADS)
+    atomicAdd(&places[length_class(length_of(job, tile))], 1u);
   __syncthreads();
   if (warp_of() == 0) {
     unsigned total;

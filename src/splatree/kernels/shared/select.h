@@ -137,8 +137,8 @@ constexpr float NEVER_SMALL = -1.f;
 constexpr double DISTANCE_LEAST = 1e-15, DISTANCE_MOST = 1e15, LIMIT_MOST = 16;  // of the focal length
 
 SPLATREE_FN float surely_small_extent(const SelectRule& rule, float limit, double distance_min, double distance_max) {
-  const bool is_certain = rule.sphere && distance_min > DISTANCE_LEAST && distance_max < DISTANCE_MOST &&
-                          limit < LIMIT_MOST * rule.focal_max;
+  const bool is_certain =
+      rule.sphere && distance_min > DISTANCE_LEAST && distance_max < DISTANCE_MOST && limit < LIMIT_MOST * rule.focal_max;
   return is_certain ? float(limit * distance_min / ((double(rule.focal_max) + double(rule.ball) * limit) * MARGIN)) : NEVER_SMALL;
 }
 

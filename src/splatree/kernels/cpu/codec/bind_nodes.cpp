@@ -28,7 +28,8 @@ void bind_pack_nodes(nb::handle gaussians, nb::handle tree, const std::optional<
                             curves ? curves->data() : nullptr};
   const float* at = dilations ? dilations->data() : nullptr;
   nb::gil_scoped_release released;
-  pack_nodes(columns, of_tree, rows.data(), at, static_cast<int64_t>(rows.size()), eye.data(), centre.data(), out.data(), threads);
+  pack_nodes(columns, of_tree, rows.data(), at, static_cast<int64_t>(rows.size()), eye.data(), centre.data(), out.data(),
+             threads);
 }
 
 void bind_pack_colors(nb::handle gaussians, const In<int32_t>& rows, const In<double>& eye, const Out<uint32_t>& out,
@@ -74,8 +75,10 @@ void bind_nodes(nb::module_& m) {
   m.def("pack_colors", &bind_pack_colors, "gaussians"_a, "rows"_a, "eye"_a, "out"_a, "threads"_a = 0);
   m.def("keep_slots", &bind_keep, "rows"_a, "slot_after"_a, "stamps"_a, "step"_a, "slots"_a, "out"_a);
   m.def("release_slots", &bind_release, "held"_a, "slots"_a, "slot_after"_a, "stamps"_a, "step"_a, "out"_a);
-  m.def("stale_slots", &bind_stale, "slots"_a, "means"_a, "eyes"_a, "eye"_a, "centre"_a, "share"_a, "first"_a, "limit"_a, "out"_a);
-  m.def("drifted_slots", &bind_drifted, "slots"_a, "means"_a, "limits"_a, "dilations"_a, "plane"_a, "unit"_a, "factor"_a, "out"_a);
+  m.def("stale_slots", &bind_stale, "slots"_a, "means"_a, "eyes"_a, "eye"_a, "centre"_a, "share"_a, "first"_a, "limit"_a,
+        "out"_a);
+  m.def("drifted_slots", &bind_drifted, "slots"_a, "means"_a, "limits"_a, "dilations"_a, "plane"_a, "unit"_a, "factor"_a,
+        "out"_a);
 }
 
 }  // namespace splatree

@@ -1,5 +1,5 @@
-// A flag for each row of a block, a bit each: what is set is found and ranges are cleared 64 rows at a time. For select.cpp alone,
-// which is compiled for each instruction set.
+// A flag for each row of a block, a bit each: what is set is found and ranges are cleared 64 rows at a time. For select.cpp
+// alone, which is compiled for each instruction set.
 #pragma once
 #include "cpu/frame/select.h"
 #include "cpu/runtime/isa.h"

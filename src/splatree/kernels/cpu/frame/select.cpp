@@ -92,9 +92,9 @@ struct Walk {
   }
 };
 
-// Asks in order for rows that are not shadowed. next(row) is the first of those to ask for at or behind a row, −1 if there is none.
-// Calls stop(row) for each that is small for all limits, and fade(row, size) for each that is small from a limit on at which no
-// ancestor stops; the walk moves on. Rows whose extent is at most `surely_small` are small for all limits.
+// Asks in order for rows that are not shadowed. next(row) is the first of those to ask for at or behind a row, −1 if there is
+// none. Calls stop(row) for each that is small for all limits, and fade(row, size) for each that is small from a limit on at
+// which no ancestor stops; the walk moves on. Rows whose extent is at most `surely_small` are small for all limits.
 template <class Next, class Stop, class Fade>
 void each_stop(const SelectJob& job, const Next& next, float surely_small, Walk& walk, const Stop& stop, const Fade& fade) {
   Planes planes;
