@@ -99,7 +99,7 @@ def test_what_is_clamped_is_told(tmp_path):
     g.log_scales[3, 1] = -25
     g.sh[8:10, 5] = -5
     lost = " ".join(splatree.write(Scene.flat(g), tmp_path / "a.compressed.ply"))
-    assert "log-scales beyond ±20: clamped in 1 Gaussians" in lost and "harmonics beyond ±4: clamped in 2" in lost
+    assert "log-scales beyond ±20: clamped in 1 Gaussian" in lost and "harmonics beyond ±4: clamped in 2" in lost
 
 
 def test_older_files_have_colors_from_0_to_1(tmp_path):

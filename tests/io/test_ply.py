@@ -172,12 +172,12 @@ def test_text_and_big_endian_files_give_the_same_bits(tmp_path):
         (lambda t: t[: len(t) // 2], "lines of vertices, wanted 9; the file is cut off"),
         (lambda t: t.replace("vertex 9", "vertex 999999999999"), "found 9 lines of vertices, wanted 999999999999"),
         (lambda t: t.replace("vertex 9", "vertex 10"), "found 9 lines of vertices, wanted 10; .* the 9 whole ones"),
-        (lambda t: t.replace("vertex 9", "vertex 8"), "found 1 lines more than its header announces"),
+        (lambda t: t.replace("vertex 9", "vertex 8"), "found 1 line more than its header announces"),
         (
             lambda t: t.replace("vertex 9", "vertex 8").replace(
                 "end_header", "element face 2\nproperty int i\nend_header"
             ),
-            "found 1 lines less than its header announces",
+            "found 1 line less than its header announces",
         ),
         (lambda t: t[: t.rindex(" ")] + " 1,5\n", "vertex 8: found rot_3 '1,5', wanted a number"),
         (lambda t: t[:-1] + "1" * 3_000_000, "found a line of more than"),

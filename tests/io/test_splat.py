@@ -42,6 +42,8 @@ def test_clipped_colours_are_counted(tmp_path):
     g.sh[:] = 0
     g.sh[[1, 3], 0, 2] = (3, -2)
     g.sh[4, 0, 0] = 0.5 / SH_C0  # a colour of 1
+    one = splatree.write(Scene.flat(g.take(np.arange(2))), tmp_path / "one.splat")
+    assert "the colours of 1 Gaussian: splat clips them to 0 to 1" in one
     lost = splatree.write(Scene.flat(g), tmp_path / "a.splat")
     assert "the colours of 2 Gaussians: splat clips them to 0 to 1" in lost
     assert not any(

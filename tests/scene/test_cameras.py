@@ -35,6 +35,7 @@ def test_a_camera_that_cannot_be_is_refused():
     mirrored[0] *= -1
     for wrong in (
         {"width": 0},
+        {"height": 36.5},
         {"near": 0.0},
         {"near": np.nan},
         {"K": -camera.K},
@@ -46,3 +47,6 @@ def test_a_camera_that_cannot_be_is_refused():
             replace(camera, **wrong)
     with pytest.raises(InputError, match="same point"):
         Camera.look_at([1.0, 1.0, 1.0], [1.0, 1.0, 1.0])
+    for wrong in ([np.nan, 1.0, 1.0], [1.0, 1.0], [np.inf, 0.0, 0.0]):
+        with pytest.raises(InputError, match=r"found position .* wanted x y z of each, finite"):
+            Camera.look_at(wrong, [0.0, 0.0, 0.0])

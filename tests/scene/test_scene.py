@@ -73,3 +73,19 @@ def test_extents_of_a_flat_scene_hold_three_standard_deviations():
     assert (extents >= wanted).all()
     # The margin of 2⁻²⁰, and what float32's exponential is off at 80, 80 × 2⁻²⁴.
     np.testing.assert_allclose(extents, wanted, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "use",
+    [
+        lambda scene: st.render(scene, st.Camera.look_at([0, 0, -5], [0, 0, 0], width=8, height=8)),
+        lambda scene: st.write(scene, "never.ply"),
+        st.build_lod,
+        lambda scene: st.thin(scene, st.ThinOptions(keep=0.5)),
+    ],
+)
+def test_what_is_no_scene_is_told_with_the_way_to_one(use):
+    with pytest.raises(InputError, match=r"found Gaussians, wanted a Scene; make one with Scene\.flat"):
+        use(st.Gaussians.empty())
+    with pytest.raises(InputError, match=r"found str, wanted a Scene; read one with splatree\.read"):
+        use("city.ply")

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from tyro.conf import arg
 
-from splatree.cli.console import Console, size
+from splatree.cli.console import Console, counted, size
 from splatree.cli.files import Files, inputs_and_output, lost_and_noted, read_scene, repairs_of, told
 from splatree.errors import InputError
 from splatree.io.cameras.files import read_cameras
@@ -115,6 +115,6 @@ def show(result: Result) -> str:
     )
     wrote = (
         f"wrote {result.output}: {result.num_learned:,} of {result.num_inner:,} merged nodes learned, "
-        f"{result.iterations:,} steps, {result.cpu_seconds:.0f} s of processor time, {size(result.bytes)}"
+        f"{counted(result.iterations, 'step')}, {result.cpu_seconds:.0f} s of processor time, {size(result.bytes)}"
     )
     return "\n".join([gained, wrote, *told(result.repairs, result.lost, result.notes)])

@@ -49,7 +49,9 @@ class EditOptions:
         if not 1e-12 <= self.scale <= 1e12:
             raise InputError(f"scale: found {self.scale}, wanted 1e-12 to 1e12")
         for name in ("rotate", "translate", "crop_box", "crop_sphere"):
-            numbers = getattr(self, name) or ()
+            numbers, wanted = getattr(self, name) or (), {"crop_box": 6, "crop_sphere": 4}.get(name, 3)
+            if len(numbers) not in (0, wanted):
+                raise InputError(f"{name}: found {numbers}, wanted {wanted} numbers")
             if not all(math.isfinite(number) for number in numbers):
                 raise InputError(f"{name}: found {numbers}, wanted finite numbers")
         if self.crop_box is not None and any(

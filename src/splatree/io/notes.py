@@ -7,7 +7,12 @@ from dataclasses import replace
 from splatree.scene.origin import NO_ORIGIN, Origin
 from splatree.scene.scene import Source
 
-__all__ = ["notes_in", "origin_in_words", "origin_note", "sentences_in", "with_notes"]
+__all__ = ["gaussians_in_words", "notes_in", "origin_in_words", "origin_note", "sentences_in", "with_notes"]
+
+
+def gaussians_in_words(count: int) -> str:
+    """How many: 1 Gaussian, 2,000 Gaussians."""
+    return f"{count:,} Gaussian{'s' * (count != 1)}"
 
 
 def origin_note(origin: Origin) -> str:

@@ -13,7 +13,7 @@ from splatree.io.objects import ObjectPath, located
 from splatree.io.options import WriteOptions
 from splatree.io.registry import FOLDER_FILE, Format, format_to_write
 from splatree.io.replacing import replacing
-from splatree.scene.scene import Scene
+from splatree.scene.scene import Scene, check_is_scene
 
 
 def write(
@@ -47,6 +47,7 @@ def write(
         >>> st.write(scene, "copy.splatree", force=True)
         ()
     """
+    check_is_scene(scene, "write")
     target, options = located(path), options or WriteOptions()
     chosen = format_to_write(target)
     options.check_taken(chosen.options, f"{target} ({chosen.name})")

@@ -37,7 +37,7 @@ from splatree.scene.cameras import Camera
 from splatree.scene.frame import Frame, RenderResult, Selection
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.options import RenderOptions, SelectOptions
-from splatree.scene.scene import Scene
+from splatree.scene.scene import Scene, check_is_scene
 from splatree.scene.view import View, Wanted, view_of
 from splatree.shapes import Array
 
@@ -86,6 +86,7 @@ def open_session(
         device, columns, scene = device or scene.device, scene.columns, scene.scene
     if isinstance(scene, Store):
         return Session(PagedEngine(scene, device or "cpu", threads=threads), device or "cpu", (options, select))
+    check_is_scene(scene, "open_session")
     engine = Engine(scene, device or "cpu", columns, threads=threads)
     return Session(engine, device or "cpu", (options, select))
 

@@ -44,6 +44,10 @@ class Camera:
 
     def __post_init__(self) -> None:
         check_fields(self)
+        if not all(isinstance(size, int | np.integer) for size in (self.width, self.height)):
+            raise InputError(
+                f"camera {self.name!r}: found size {self.width} × {self.height}, wanted whole numbers of pixels"
+            )
         if not (self.width > 0 and self.height > 0):
             raise InputError(f"camera {self.name!r}: found size {self.width} × {self.height}, wanted at least 1 × 1 px")
         if not (np.isfinite(self.camera_from_world).all() and np.isfinite(self.K).all()):
@@ -103,9 +107,13 @@ class Camera:
             The camera.
 
         Raises:
-            InputError: position and target are the same point.
+            InputError: position and target are the same point, or no points.
         """
         position, target, up = (np.asarray(v, np.float64) for v in (position, target, up))
+        if not all(vector.shape == (3,) and np.isfinite(vector).all() for vector in (position, target, up)):
+            raise InputError(
+                f"look_at: found position {position}, target {target} and up {up}, wanted x y z of each, finite"
+            )
         forward = target - position
         if not np.linalg.norm(forward) > 0:
             raise InputError("look_at: position and target are the same point")

@@ -123,3 +123,17 @@ class Scene:
             extents=reach,
         )
         return Scene(gaussians, tree, mode=mode, source=source or Source())
+
+
+def check_is_scene(scene: object, where: str) -> None:
+    """Say how to come by a scene, where something else is given.
+
+    Raises:
+        InputError: ``scene`` is none.
+    """
+    if isinstance(scene, Gaussians):
+        raise InputError(
+            f"{where}: found Gaussians, wanted a Scene; make one with Scene.flat(gaussians, mode='classic')"
+        )
+    if not isinstance(scene, Scene):
+        raise InputError(f"{where}: found {type(scene).__name__}, wanted a Scene; read one with splatree.read(path)")

@@ -17,7 +17,7 @@ from splatree.errors import InputError
 from splatree.kernels.cpu.build import thin as kernel
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
-from splatree.scene.scene import Scene
+from splatree.scene.scene import Scene, check_is_scene
 from splatree.scene.thinning import Groups, ThinOptions
 from splatree.shapes import Array, Float32, Int32
 from splatree.simplify.merge import check_finite, importance_of, merge
@@ -80,10 +80,7 @@ def thin(scene: Scene, options: ThinOptions | None = None, *, threads: int = 0) 
         >>> len(thinned.scene)
         100
     """
-    if not isinstance(scene, Scene):
-        raise InputError(
-            f"thin: found {type(scene).__name__}, wanted a Scene; make one with Scene.flat(gaussians, mode='classic')"
-        )
+    check_is_scene(scene, "thin")
     options = options or ThinOptions()
     gaussians = _leaves_of(scene)
     check_finite(gaussians)

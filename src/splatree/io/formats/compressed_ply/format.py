@@ -27,6 +27,7 @@ from splatree.io.check import LOGIT_FROM_BYTE, refuse_unusable
 from splatree.io.chunks import Chunks
 from splatree.io.formats.ply.header import HEADER_MAX, Element, Text, parse_text
 from splatree.io.memory import Scratch
+from splatree.io.notes import gaussians_in_words
 from splatree.io.options import ReadOptions, WriteOptions
 from splatree.io.rows import FileRows, Fill, records_of
 from splatree.io.sorting import along_curve
@@ -114,7 +115,7 @@ def write_chunks(chunks: Chunks, path: Path, options: WriteOptions) -> tuple[str
             write_at(file, rest_at + begin * num_rest, rest)
             begin += len(g)
             advance(len(g))
-    return tuple(f"{what}: clamped in {count:,} Gaussians" for what, count in clamped.items() if count)
+    return tuple(f"{what}: clamped in {gaussians_in_words(count)}" for what, count in clamped.items() if count)
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from splatree.io.chunks import Chunks
 from splatree.io.colors import num_clipped
 from splatree.io.formats.ksplat.layout import CODE_RANGE, HALF_MAX, HALF_MIN, HEADER, SECTION, record_of, rest_order
 from splatree.io.memory import Scratch
+from splatree.io.notes import gaussians_in_words
 from splatree.io.opacities import opacities_from_logits
 from splatree.io.options import WriteOptions
 from splatree.io.sorting import Sorter
@@ -53,7 +54,7 @@ def write_chunks(chunks: Chunks, path: Path, options: WriteOptions) -> tuple[str
                 at = _write_next(file, at, codes.records(g, g.means, np.exp(g.log_scales)))
                 advance(len(g))
     count = codes.num_clipped
-    return (f"the colours of {count:,} Gaussians: ksplat clips them to 0 to 1",) if count else ()
+    return (f"the colours of {gaussians_in_words(count)}: ksplat clips them to 0 to 1",) if count else ()
 
 
 def _write_next(file: BinaryIO, at: int, *parts: Array) -> int:

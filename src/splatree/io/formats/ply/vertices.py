@@ -277,7 +277,7 @@ def _check_lines(file: BinaryIO, path: Path, header: Header, *, repair: bool) ->
     excess = found - header.count - header.lines_after
     if excess and not repair:
         raise FormatError(
-            f"{path}: found {abs(excess)} lines {'more' if excess > 0 else 'less'} than its header announces "
-            f"({header.count} vertices); read it with repair to take these vertices alone"
+            f"{path}: found {abs(excess)} line{'s' * (abs(excess) != 1)} {'more' if excess > 0 else 'less'} than its header "
+            f"announces ({header.count} vertices); read it with repair to take these vertices alone"
         )
     return header.count, {"unexpected_lines": abs(excess)} if excess else {}

@@ -28,6 +28,7 @@ from splatree.errors import FormatError
 from splatree.io.check import are_within, magnitudes_of, refuse_unusable
 from splatree.io.chunks import ROWS_PER_CHUNK, Chunks
 from splatree.io.colors import num_clipped
+from splatree.io.notes import gaussians_in_words
 from splatree.io.options import ReadOptions, WriteOptions
 from splatree.io.rows import FileRows, Fill
 from splatree.kernels.cpu.codec import splat
@@ -85,7 +86,7 @@ def write_chunks(chunks: Chunks, path: Path, options: WriteOptions) -> tuple[str
             for records, ranks in rows.all():
                 splat.place(records, ranks, places, file)
                 advance(len(ranks))
-    return (f"the colours of {clipped:,} Gaussians: splat clips them to 0 to 1",) if clipped else ()
+    return (f"the colours of {gaussians_in_words(clipped)}: splat clips them to 0 to 1",) if clipped else ()
 
 
 class _Rows:

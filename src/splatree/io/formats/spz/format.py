@@ -35,6 +35,7 @@ from splatree.io.formats.spz.container import GZIP_MAGIC, MAGIC, Header, Planes
 from splatree.io.formats.spz.plane_writer import PlaneWriter
 from splatree.io.formats.spz.versions import DEFAULT_VERSION, VERSIONS
 from splatree.io.mirror import mirror
+from splatree.io.notes import gaussians_in_words
 from splatree.io.options import ReadOptions, WriteOptions
 from splatree.io.rows import FileRows, Fill, columns_to_fill
 from splatree.kernels.cpu.codec import quantize
@@ -281,7 +282,7 @@ class _Encoder:
         """What does not fit, a sentence each."""
         ranges = {"scales": "e^-10 to e^5.94", "colours": "−0.44 to 1.44 (dc ± 3.33)", "harmonics": "±1"}
         lost = [
-            f"{what} outside of {ranges[what]}: clamped in {count:,} Gaussians"
+            f"{what} outside of {ranges[what]}: clamped in {gaussians_in_words(count)}"
             for what, count in self._clamped.items()
             if count
         ]
