@@ -130,7 +130,7 @@ class Gauge:
         K[:2] /= TILE_PX
         thumbnail = replace(view, camera=replace(camera, K=K, width=num_columns, height=num_rows))
         shown = self._draw(thumbnail, replace(select, pixel_error=FIRST_PX))
-        is_shown = np.pad((shown != np.float32(view.background)).any(axis=(1, 2)), 1)
+        is_shown = np.pad((shown != np.asarray(view.background, np.float32)).any(axis=(1, 2)), 1)
         return np.asarray(is_shown[:-2] | is_shown[1:-1] | is_shown[2:])
 
 
