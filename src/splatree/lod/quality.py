@@ -116,7 +116,7 @@ class Gauge:
     def _pictures(self, pixel_error: float) -> list[Array]:
         """What a screen shows of the sample."""
         assert self._asked is not None
-        view, select = self._asked
+        _, select = self._asked
         at = replace(select, pixel_error=pixel_error)
         return [np.clip(self._draw(strip, at), 0, 1) for strip in self._sample.views]
 
@@ -130,7 +130,7 @@ class Gauge:
         K[:2] /= TILE_PX
         thumbnail = replace(view, camera=replace(camera, K=K, width=num_columns, height=num_rows))
         shown = self._draw(thumbnail, replace(select, pixel_error=FIRST_PX))
-        is_shown = np.pad((shown != np.float32(view.background)).any(axis=(1, 2)), 1)
+        is_shown = np.pad((shown != np.asarray(view.background, np.float32)).any(axis=(1, 2)), 1)
         return np.asarray(is_shown[:-2] | is_shown[1:-1] | is_shown[2:])
 
 

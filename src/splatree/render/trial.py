@@ -110,7 +110,9 @@ def try_both(sample: Scene, options: BuildOptions, *, threads: int = 0) -> Tried
         pairs_db=means["pairs"],
         num_gaussians=len(sample),
         num_pictures=len(psnrs["pairs"]),
-        radius_loss_db=max((pairs - radius for radius, pairs in zip(psnrs["radius"], psnrs["pairs"], strict=True)), default=0.0),
+        radius_loss_db=max(
+            (pairs - radius for radius, pairs in zip(psnrs["radius"], psnrs["pairs"], strict=True)), default=0.0
+        ),
     )
     return Tried(trial, trees)
 
@@ -178,7 +180,7 @@ def _psnrs(trees: Mapping[Method, Scene], views: list[Camera], threads: int) -> 
 
 
 def _made(sample: Scene) -> list[Camera]:
-    """Views from outside: two from above, to far away, and one along the ground. The order of the rows counts: they are as read."""
+    """Views from outside: two from above, to far away, and one along the ground. The order of the rows counts: it is as read."""
     few = Scene.flat(sample.gaussians.take(np.arange(0, len(sample), len(sample) // FOR_UP + 1)))
     x, y, z = (float(part) for part in guess_up(survey_of(few), sample.source).up)
     flight, low = (
