@@ -43,8 +43,8 @@ STORED_SIZE = 24.0
 generous budgets demand: a city at 20 to 40 % gains 1 to 2 dB."""
 
 FINER_GROWTH = ((8.0, 2**0.5), (32.0, 2**0.25))
-"""`pairs`: from so many p_0 on, a level is at most so many times as large as the one before. These levels hold few nodes, each
-of many leaves: steps of 2 lost 0.2 to 0.7 dB on five scenes, and one frame of an object far away popped by 44.8 dB, not 55."""
+"""`pairs`: from so many p_0 on, a level is at most so many times as large as the one before. These levels hold few nodes, each of
+many leaves: steps of 2 lost 0.2 to 0.7 dB on five scenes, and a frame of an object far away popped by 44.8 dB in place of 55."""
 
 WIDEST_PIXEL = 16.0
 """`pairs` ends with pixels so many times as wide as the scene: no change of the picture can be as large as one of them."""

@@ -180,7 +180,7 @@ def _psnrs(trees: Mapping[Method, Scene], views: list[Camera], threads: int) -> 
 
 
 def _made(sample: Scene) -> list[Camera]:
-    """Views from outside: two from above, to far away, and one along the ground. The rows' order counts: they are as read."""
+    """Views from outside: two from above, to far away, and one along the ground. The order of the rows counts: it is as read."""
     few = Scene.flat(sample.gaussians.take(np.arange(0, len(sample), len(sample) // FOR_UP + 1)))
     x, y, z = (float(part) for part in guess_up(survey_of(few), sample.source).up)
     flight, low = (
