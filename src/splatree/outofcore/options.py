@@ -11,6 +11,9 @@ __all__ = ["FolderOptions", "Room"]
 ROW_BYTES = 420
 """What growing a cell takes for each of its rows without harmonics, with the space around it: benchmarks/scale.py."""
 
+ROOT_ROW_BYTES = 650
+"""What growing a cell of roots of parts takes for each of its rows: they carry weights, ranks and balls."""
+
 HARMONIC_BYTES = 32
 """What it takes besides for each coefficient of harmonics above degree 0, three floats."""
 
@@ -147,6 +150,11 @@ def cell_bytes(num_rows: int, num_coefficients: int, *, by_pairs: bool = False) 
 def row_bytes_of(num_coefficients: int, *, by_pairs: bool = False) -> int:
     """What growing a cell takes for each of its rows."""
     return (PAIR_ROW_BYTES if by_pairs else ROW_BYTES) + HARMONIC_BYTES * (num_coefficients - 1)
+
+
+def rows_above(part_rows: int) -> int:
+    """Rows of a cell of roots that takes no more memory than one of so many leaves."""
+    return max(1, part_rows * ROW_BYTES // ROOT_ROW_BYTES)
 
 
 def top_bytes(num_roots: int, num_coefficients: int, *, follows: bool) -> int:
