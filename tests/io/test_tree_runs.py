@@ -60,6 +60,17 @@ def test_an_edited_tree_has_the_bytes_of_the_edit_in_memory(trees, tmp_path, mon
         assert "merged nodes: Gaussians below them were dropped" in done.lost[0]
 
 
+def test_a_tree_of_a_store_is_edited_too(bucket, trees, tmp_path):
+    options = st.ConvertOptions(edit=st.EditOptions(**EDITS["all"]))
+    st.write(st.read(trees / "pairs.splatree"), f"{bucket}/pairs.splatree")
+    done = st.convert(f"{bucket}/pairs.splatree", f"{bucket}/edited.splatree", options)
+    st.convert(trees / "pairs.splatree", tmp_path / "edited.splatree", options)
+    wanted, found = st.read(tmp_path / "edited.splatree"), st.read(f"{bucket}/edited.splatree")
+    assert done.in_chunks and len(found) == len(wanted) > 0
+    assert found.gaussians.sh.tobytes() == wanted.gaussians.sh.tobytes()
+    assert found.tree.subtree_end.tobytes() == wanted.tree.subtree_end.tobytes()
+
+
 @pytest.mark.parametrize("suffix", [".ply", ".spz", ".sog", ".glb"])
 @pytest.mark.parametrize(("name", "edit"), [("parts", "kept"), ("pairs", "moved"), ("file", "all")])
 def test_a_cut_at_a_depth_has_the_bytes_of_the_cut_in_memory(trees, tmp_path, name, edit, suffix):
