@@ -11,6 +11,7 @@ import re
 import stat
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any, Self, TypeVar
 from urllib.parse import unquote
@@ -56,9 +57,10 @@ class ObjectPath(type(Path())):  # type: ignore[misc]  # PosixPath or WindowsPat
             InputError: the store cannot be asked.
         """
         url = str(self)
-        if url not in _known:
-            _known[url] = source_of(url).info(url)
-        return _known[url]
+        with suppress(KeyError):  # another thread may name an address at any time, which empties it
+            return _known[url]
+        found = _known[url] = source_of(url).info(url)
+        return found
 
     def read_range(self, begin: int, end: int) -> bytes:
         """The bytes ``begin`` to ``end``.
