@@ -88,9 +88,6 @@ SPLATREE_FN int meets_image(const View& view, const Point& p, float reach_x, flo
   return (x + slack_x >= 0.5f) & (x - slack_x <= view.width - 0.5f) & (y + slack_y >= 0.5f) & (y - slack_y <= view.height - 0.5f);
 }
 
-// Whether the centre is at or inside of the outermost pixel centres, and beyond the near plane.
-SPLATREE_FN int is_inside(const View& view, const Point& p) { return (p.z > view.near) & meets_image(view, p, 0.f, 0.f); }
-
 // Whether the footprint is in view, from centre, opacity and largest scale, where they tell.
 SPLATREE_FN int is_visible_bound(const View& view, const SelectRule& rule, const Point& p, Vector log_scale, float logit) {
   const float largest = exp_of(greatest(greatest(log_scale.x, log_scale.y), log_scale.z));

@@ -89,14 +89,6 @@ void answer_visible(const SelectJob& job, const int32_t* rows, Planes& p) {
   }
 }
 
-// Rows whose mean is in the image are seen if they are not too transparent: of these nothing but the mean is read.
-void answer_inside(const SelectJob& job, const int32_t* rows, Planes& p) {
-  gather<3>(job.means, rows, p.mean);
-#pragma omp simd
-  for (int l = 0; l < LANES; ++l)
-    p.answer[l] = is_inside(job.view, point_of(job.view, p.mean[0][l], p.mean[1][l], p.mean[2][l])) ? YES : OPEN;
-}
-
 using Answers = void (*)(const SelectJob&, const int32_t*, Planes&);
 
 // The answers to `ask` for a padded list.
@@ -108,31 +100,23 @@ void ask_all(const SelectJob& job, Answers ask, const Rows& rows, uint8_t* answe
   }
 }
 
-// Asks again for the rows of a padded list whose answer is OPEN.
-void ask_open(const SelectJob& job, Answers ask, const Rows& rows, uint8_t* answers) {
+// Whether each row of a padded list can be seen: 0 or 1.
+void ask_visible(const SelectJob& job, const Rows& rows, uint8_t* answers) {
+  ask_all(job, answer_visible_bounds, rows, answers);
   Rows open;
   int32_t place[MAX_BLOCK_ROWS + LANES];
+  int size = 0;
   for (int i = 0; i < rows.size; ++i) {
-    open.row[open.size] = rows.row[i];
-    place[open.size] = i;
-    open.size += answers[i] == OPEN;
+    open.row[size] = rows.row[i];
+    place[size] = i;
+    size += answers[i] == OPEN;
   }
-  if (!open.size) return;
+  if (!size) return;
+  open.size = size;
   open.pad();
-  uint8_t found[MAX_BLOCK_ROWS + LANES];
-  ask_all(job, ask, open, found);
-  for (int i = 0; i < open.size; ++i) answers[place[i]] = found[i];
-}
-
-// Whether each row of a padded list can be seen: 0 or 1. If all of them are opaque enough, most are known by their means.
-void ask_visible(const SelectJob& job, const Rows& rows, bool all_opaque, uint8_t* answers) {
-  if (all_opaque && job.view_test == FOOTPRINT) {
-    ask_all(job, answer_inside, rows, answers);
-    ask_open(job, answer_visible_bounds, rows, answers);
-  } else {
-    ask_all(job, answer_visible_bounds, rows, answers);
-  }
-  ask_open(job, answer_visible, rows, answers);
+  uint8_t full[MAX_BLOCK_ROWS + LANES];
+  ask_all(job, answer_visible, open, full);
+  for (int i = 0; i < size; ++i) answers[place[i]] = full[i];
 }
 
 }  // namespace

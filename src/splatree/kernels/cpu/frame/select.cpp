@@ -226,9 +226,8 @@ int select_rows(const SelectJob& job, int64_t block, const Placement& placement,
   }
 
   int size = 0;
-  const bool all_opaque = job.index.min_logits[block] >= job.rule.logit_min;
   if (placement.inside) {
-    if (job.view_test == FOOTPRINT && !all_opaque) {
+    if (job.view_test == FOOTPRINT && job.index.min_logits[block] < job.rule.logit_min) {
       const float* logits = job.logit_opacities + begin;
       kept.keep(Flags(count, [&](int i) { return logits[i] >= job.rule.logit_min; }));
     }
@@ -238,7 +237,7 @@ int select_rows(const SelectJob& job, int64_t block, const Placement& placement,
     drawn.size = kept.list(int32_t(begin), drawn.row);
     drawn.pad();
     uint8_t visible[MAX_BLOCK_ROWS + LANES];
-    ask_visible(job, drawn, all_opaque, visible);
+    ask_visible(job, drawn, visible);
     for (int i = 0; i < drawn.size; ++i) {
       out.rows[size] = drawn.row[i];
       size += visible[i];
@@ -267,6 +266,7 @@ RunResult select_group(const SelectJob& job, int64_t group, const CutRows& out) 
   const int64_t first = group * BLOCKS_PER_GROUP;
   const int64_t last = first + BLOCKS_PER_GROUP < num_blocks ? first + BLOCKS_PER_GROUP : num_blocks;
   Walk walk;
+  bool walks = job.rule.sphere;  // whether rows of the block before stopped, so that those of the next probably do
   // The next block of those that are looked at. Behind one that is not, the shadow is not known.
   const auto behind = [&](int64_t next) {
     const int64_t looked = (next + job.every - 1) / job.every * job.every;
@@ -295,9 +295,10 @@ RunResult select_group(const SelectJob& job, int64_t group, const CutRows& out) 
     if (walk.shadow < 0) begin_walk(job, block, walk);
     if (walk.shadow > begin) begin = walk.shadow < end ? walk.shadow : end;
     if (begin < end) {
-      if (job.rule.sphere && block + 1 < last) prefetch(job, end);
+      if (walks && block + 1 < last) prefetch(job, end);
       result.num_selected += select_rows(job, block, placement, begin, end, run, walk, out.behind(result.num_selected));
       result.num_visited += end - begin;
+      walks = job.rule.sphere && walk.shadow > begin;
     }
     const int64_t next = walk.shadow / rows_per_block;
     block = behind(next > block ? next : block + 1);
@@ -324,7 +325,7 @@ void visible_rows(const SelectJob& job, const int32_t* rows, int64_t count, uint
     list.size = count - begin < MAX_BLOCK_ROWS ? int(count - begin) : MAX_BLOCK_ROWS;
     for (int i = 0; i < list.size; ++i) list.row[i] = rows[begin + i];
     list.pad();
-    ask_visible(job, list, false, answers);
+    ask_visible(job, list, answers);
     for (int i = 0; i < list.size; ++i) visible[begin + i] = answers[i];
   }
 }
