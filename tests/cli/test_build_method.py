@@ -49,13 +49,13 @@ def test_fast_is_refused_beside_what_contradicts_it(city, tmp_path, capsys, word
     assert "found --fast with" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("words", [["--fast"], ["--method", "radius"]])
+@pytest.mark.parametrize("words", [["--fast"], ["--method", "radius"], ["--method", "radius", "--max-memory", "1G"]])
 @pytest.mark.parametrize(("loss_db", "warns"), [(6.5, True), (5.5, False)])
 def test_levels_by_a_radius_that_are_far_worse_are_not_written_without_a_word(
     city, tmp_path, capsys, monkeypatch, words, loss_db, warns
 ):
     trial = st.MethodTrial(radius_db=41.0, pairs_db=42.0, num_gaussians=5000, num_pictures=9, radius_loss_db=loss_db)
-    monkeypatch.setattr("splatree.cli.build.try_methods", lambda scene, most: trial)
+    monkeypatch.setattr("splatree.cli.radius_check.try_methods", lambda scene, most: trial)
     notes = built(city, tmp_path, capsys, *words)["notes"]
     assert (
         any("show this scene badly" in note and "in one picture -6.5 dB by a radius" in note for note in notes) == warns

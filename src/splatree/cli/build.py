@@ -16,6 +16,7 @@ from splatree.cli.console import Console, UsageError, counted, size, table
 from splatree.cli.files import Files, inputs_and_output, lost_and_noted, read_options, read_scene, repairs_of, told
 from splatree.cli.folders import in_words as folder_in_words
 from splatree.cli.folders import run_through_files
+from splatree.cli.radius_check import CHECKED_FAST, are_usual, warnings_of
 from splatree.clusters.build import ClusterOptions, build_clusters
 from splatree.io.estimate import estimated_compact_bytes
 from splatree.io.options import WriteOptions
@@ -23,6 +24,7 @@ from splatree.io.photos import PhotosUsed
 from splatree.io.reading import read_levels
 from splatree.io.registry import stored_bytes
 from splatree.io.writing import write
+from splatree.lod.build import leaves_of
 from splatree.lod.link import link_levels
 from splatree.lod.options import BuildOptions
 from splatree.lod.report import report_levels
@@ -33,19 +35,12 @@ from splatree.render.build import build_lod
 from splatree.render.calibrate import calibrate
 from splatree.render.calibration import CalibrateOptions, Calibration, calibrated
 from splatree.render.compare_page import Comparison
-from splatree.render.trial import FEWEST, SAMPLE, try_methods
+from splatree.render.trial import SAMPLE, middle_of
 from splatree.scene.names import Mode
 from splatree.scene.scene import Scene
 from splatree.scene.trial import MethodTrial
 from splatree.train.refine import refine
 from splatree.train.refine_options import RefineOptions
-
-CHECKED_FAST = 15_000
-"""Gaussians on which levels by a radius are checked with --fast, in 0.6 CPU-seconds in place of 1.4. Of five scenes that lose 9
-dB and more, one goes without a word."""
-
-WORTH_A_WORD_DB = 6.0
-"""Levels by a radius that lose so much to pairs, at equal nodes in one picture, are not written without a word."""
 
 WORTH_A_WORD_BYTES = 1 << 16
 """Of smaller files nobody asks why they are larger than the input: heads and names are then a part of it, too."""
@@ -256,19 +251,9 @@ def _with_levels(command: Command, inputs: Sequence[Path]) -> tuple[Scene, tuple
         return scene, ()
     options = replace(command.options, method="radius", visibility=False) if command.fast else command.options
     built = build_lod(scene, options)
-    if options.only_method != "radius":
+    if not are_usual(options):
         return built, ()
-    return built, _checked(built, options, CHECKED_FAST if command.fast else SAMPLE)
-
-
-def _checked(scene: Scene, options: BuildOptions, most: int) -> tuple[str, ...]:
-    """A warning if levels by a radius are much worse than levels by pairs would be."""
-    if scene.tree.num_leaves < FEWEST or replace(options, visibility=True) != BuildOptions(method="radius"):
-        return ()  # other rules than the usual ones were asked for: the user compares
-    trial = try_methods(scene, most=most)
-    if trial.radius_loss_db is None or trial.radius_loss_db < WORTH_A_WORD_DB:
-        return ()
-    return (f"levels by a radius show this scene badly: {trial.in_words()}; wanted --method pairs, or no --method",)
+    return built, warnings_of(middle_of(leaves_of(scene), CHECKED_FAST if command.fast else SAMPLE))
 
 
 def _linked(command: Command, inputs: Sequence[Path]) -> Scene:

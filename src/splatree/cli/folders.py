@@ -1,13 +1,16 @@
 """``splatree build`` through files: a folder of parts, for scenes larger than memory."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from splatree.cli.console import counted, size
 from splatree.cli.files import Files, inputs_and_folder, read_options, told
+from splatree.cli.radius_check import are_usual, warnings_of
 from splatree.lod.options import BuildOptions
 from splatree.outofcore.build import BuiltFolder
+from splatree.outofcore.cut import opened_inputs
 from splatree.outofcore.options import FolderOptions
 from splatree.render.folder import build_folder
+from splatree.render.trial import middle_of_chunks
 from splatree.scene.names import Mode
 
 __all__ = ["Memory", "in_words", "run_through_files"]
@@ -33,17 +36,23 @@ class Memory:
 
 
 def run_through_files(files: Files, options: BuildOptions, running: FolderOptions, mode: Mode | None) -> BuiltFolder:
-    """Build the levels of the inputs through files."""
+    """Build the levels of the inputs through files, and say where levels by a radius show them badly."""
     inputs, output = inputs_and_folder(files)
-    return build_folder(
+    reading = read_options(files.reading)
+    built = build_folder(
         inputs,
         output,
         options,
         running,
-        reading=read_options(files.reading),
+        reading=reading,
         mode=mode,
         force=files.force,
     )
+    if not are_usual(options):
+        return built
+    with opened_inputs(inputs, reading, mode) as opened:
+        sample = middle_of_chunks(opened.chunks)
+    return replace(built, notes=(*built.notes, *warnings_of(sample)))
 
 
 def in_words(built: BuiltFolder) -> str:
