@@ -26,6 +26,7 @@ from splatree.scene.thinning import Method
 SCENES: dict[str, Path] = {
     "city 5_9": DATA / "trained" / "semarang_city" / "5_9",
     "city 5_1": DATA / "trained" / "semarang_city" / "5_1",
+    "city 5_3": DATA / "trained" / "semarang_city" / "5_3",
     "biker": DATA / "formats" / "biker.compressed.ply",
     "playbot": DATA / "trained" / "playbot",
     "logo": DATA / "trained" / "playcanvas_logo",

@@ -1,13 +1,14 @@
 """What each verb takes of a scene on disk, a folder of parts or one .splatree: memory that no file backs, and processor time.
 
-``python benchmarks/stores.py [--chunks 1 3] [--folder /tmp]`` needs the shared city. Each verb runs on fewer and on more chunks
-of it, as a command of its own. `render` draws the near view of the made views, 1280 × 720, which includes the start of the
-program and the writing of the picture. Memory is measured as in `scale.py`; what it grows by for a Gaussian more says whether a
-scene may be larger than memory. With ``--store`` and ``--file``, the first picture is also measured on a folder and a file that
-are there.
+``python benchmarks/stores.py [--chunks 1 3] [--only "to .splatree"] [--folder /tmp]`` needs the shared city. Each verb runs on
+fewer and on more chunks of it, as a command of its own. `render` draws the near view of the made views, 1280 × 720; the start of
+the program and the writing of the picture are included. Memory is measured as in `scale.py`; what it grows by for a Gaussian more
+says whether a scene may be larger than memory. With ``--store`` and ``--file``, the first picture is also measured on a folder
+and a file that are there.
 """
 
 import argparse
+import re
 import tempfile
 from pathlib import Path
 
@@ -24,6 +25,9 @@ VERBS = {
     "convert to .splatree": ("convert", "-o", "one.splatree"),
     "convert to .ply": ("convert", "-o", "leaves.ply"),
     "convert to .spz": ("convert", "-o", "leaves.spz"),
+    "convert to .splatree, moved": ("convert", "-o", "moved.splatree", "--translate", "1", "2", "3"),
+    "convert to .splatree, cropped": ("convert", "-o", "cropped.splatree", "--crop-sphere", "0", "0", "0", "100"),
+    "clean to .splatree": ("clean", "-o", "clean.splatree", "--floaters"),
     "stream": ("stream", "-o", "web"),
 }
 """Words of each verb; outputs lie in the folder."""
@@ -43,6 +47,7 @@ def words_of(verb: str, scene: Path, folder: Path) -> list[object]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--chunks", type=int, nargs=2, default=[1, 3], help="chunks of the city, fewer and more")
+    parser.add_argument("--only", help="only verbs that have this in their line, kept in a file of their own")
     parser.add_argument("--store", type=Path, help="a folder of parts of the whole city")
     parser.add_argument("--file", type=Path, help="the same as one .splatree")
     parser.add_argument("--folder", type=Path, default=Path(tempfile.gettempdir()))
@@ -60,9 +65,8 @@ def main() -> None:
             st.convert(parts, file)
             scenes.append((parts, file))
         for kind, pair in zip(("folder", "file"), zip(*scenes, strict=True), strict=True):
-            for verb in (
-                VERBS if kind == "folder" else ("info", "check", "render, near view", "render, near view, 100M")
-            ):
+            verbs = VERBS if kind == "folder" else ("info", "check", "render, near view", "render, near view, 100M")
+            for verb in (verb for verb in verbs if arguments.only is None or arguments.only in verb):
                 less, more = (run(*words_of(verb, scene, folder)) for scene in pair)
                 rows.append(
                     {
@@ -83,7 +87,11 @@ def main() -> None:
                 row |= {"peak MB": best.peak_bytes / 1e6, "bytes for each Gaussian more": "", "CPU s": best.cpu_s}
                 rows.append(row)
     print(table(rows))
-    save("stores", rows, about="What each verb takes of a scene on disk, on chunks of the real city")
+    save(
+        "_".join(["stores", *re.findall(r"\w+", arguments.only or "")]),
+        rows,
+        about="What each verb takes of a scene on disk, on chunks of the real city",
+    )
 
 
 if __name__ == "__main__":

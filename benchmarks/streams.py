@@ -1,13 +1,13 @@
 """Streams: the quality of the picture against the bytes that viewers load, and what writing them takes.
 
-``python benchmarks/streams.py [--chunk 5_1] [--peer "npx splat-transform"]`` needs the shared city; ``--city`` adds the chunks of
-a `.rad` of all of it. The scene is one chunk of the city without harmonics, which the peer's processor path cannot write.
-The peer, splat-transform, makes each level by halving the one before and writes them as its streamed SOG. Both streams are read
-as PlayCanvas reads them (`splatree.stream.readers.playcanvas`), drawn by the library at 960 × 540, and compared with that of
-all Gaussians: PSNR, dB, with MB of whole files. The exact cut is that of the tree for as many nodes as our stream draws.
+``python benchmarks/streams.py [--chunks 5_1 5_9] [--peer "npx splat-transform"]`` needs the shared city; ``--city`` adds all of
+it, without the peer. Scenes have no harmonics, which the peer's processor path cannot write. The peer, splat-transform, makes
+each level by halving the one before and writes them as its streamed SOG. Both streams are read as PlayCanvas reads them
+(`splatree.stream.readers.playcanvas`), drawn by the library at 960 × 540, and compared with that of all Gaussians: PSNR, dB, with
+MB of whole files. The exact cut is that of the tree for as many nodes as our stream draws.
 
 What Spark draws of a `.rad` is compared likewise, with the nodes as the tree stores them and as `stream` writes them. The last
-table counts the chunks of 65,536 nodes that Spark loads, of what `stream` writes and of the tree in two orders.
+table counts the chunks of 65,536 nodes that Spark loads in three orders.
 """
 
 import argparse
@@ -16,7 +16,7 @@ import shlex
 import subprocess
 import tempfile
 import time
-from dataclasses import replace
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,8 @@ import numpy as np
 
 import splatree
 from harness import DATA, Cost, measure, save, table
-from splatree.io.formats.rad.nodes import Nodes, nodes_of
+from splatree.io.formats.rad.nodes import Nodes, log_sizes, nodes_of
+from splatree.kernels.reference.paging import PAGE_ROWS, page_order
 from splatree.maths.forests import links_from_preorder
 from splatree.stream.rad import as_written
 from splatree.stream.readers.playcanvas import select_playcanvas
@@ -36,6 +37,9 @@ from splatree.stream.report import views_of
 CITY = DATA / "trained" / "semarang_city"
 PLAYBOT = DATA / "trained" / "playbot"
 LEVELS = 7
+BUDGETS = (25_000, 50_000, 100_000, 200_000, 300_000, 1_000_000)
+SPARKS_BUDGET = 2_500_000
+"""Nodes that Spark draws on desktops unless a page says otherwise."""
 EVERY_ROW = splatree.SelectOptions(pixel_error=0)
 
 
@@ -78,23 +82,50 @@ def seen(stream: SogStream, camera: splatree.Camera, budget: int, truth: np.ndar
     return {"nodes": len(gaussians), "MB": megabytes, "dB": splatree.psnr(np.clip(image, 0, 1), truth)}
 
 
-def spark_chunks(name: str, tree: splatree.Scene) -> list[dict[str, Any]]:
-    """Chunks of a .rad that a view needs: of the nodes that `stream` writes, and of those that the tree stores."""
+def spark_chunks(name: str, tree: splatree.Scene, made: Sequence[splatree.Camera]) -> list[dict[str, Any]]:
+    """Chunks of a .rad that a view needs: in the order that `stream` writes, in that of Spark's own tool, and breadth-first."""
     drawn = as_written(tree, splatree.StreamOptions())
-    stored = replace(tree, tree=replace(tree.tree, curves=None), clusters=None, blocks=None)
-    orders = {"ours": (drawn, nodes_of(drawn, Path("a.rad")))}
-    orders["as stored"] = (stored, nodes_of(stored, Path("a.rad")))
-    orders["as stored, breadth-first"] = (stored, breadth_first(stored))
+    ours = nodes_of(drawn, Path("a.rad"))
+    orders = {"ours": ours, "Spark's order": of_spark(drawn, ours), "breadth-first": breadth_first(drawn)}
+    views = [*views_of(tree), *((f"made {i}", camera) for i, camera in enumerate(made))]
     rows = []
-    for view, camera in views_of(tree):
+    for view, camera in views:
         for budget in (100_000, 300_000, 1_000_000):
             if budget < tree.tree.num_leaves:
-                row: dict[str, Any] = {"scene": name, "view": view, "budget": budget}
-                for what, (scene, nodes) in orders.items():
-                    loaded = chunks_loaded(nodes, select_spark(scene, camera, budget))
-                    row |= {what: len(loaded), f"{what}, of": -(-len(nodes) // 65536)}
-                rows.append(row)
+                chosen = select_spark(drawn, camera, budget)
+                row: dict[str, Any] = {"scene": name, "view": view, "budget": budget, "of": -(-len(ours) // PAGE_ROWS)}
+                rows.append(row | {what: len(chunks_loaded(nodes, chosen)) for what, nodes in orders.items()})
     return rows
+
+
+def of_spark(tree: splatree.Scene, ours: Nodes) -> Nodes:
+    """The nodes of a tree in the order of Spark's tool: batches are divided at the middle of their boxes."""
+    g, above = tree.gaussians, len(ours.joined_root)
+    rows = page_order(g.means, log_sizes(g), tree.tree.subtree_end, above, divide=at_the_middle)
+    place = np.argsort(ours.rows)[rows] + above  # of each row among ours
+    num_children = np.concatenate([ours.num_children[:above], ours.num_children[place]])
+    number = np.empty(len(rows) + 1, np.int64)
+    number[rows] = np.arange(above, above + len(rows))
+    first = np.where(num_children[above:] > 0, number[rows + 1], 0)
+    first = np.concatenate([ours.first_child[:above], first]).astype(np.uint32)
+    return Nodes(rows, num_children, first, ours.joined_root, None)
+
+
+def at_the_middle(means: np.ndarray, rows: list[int]) -> list[list[int]]:
+    """Spark's parts of a batch: two along the longest side of its box if that is three times the shortest, else octants."""
+    if not rows:
+        return []
+    members = np.array(rows)
+    centers = means[members]
+    low, high = centers.min(axis=0), centers.max(axis=0)
+    is_high, sides = centers >= (low + high) * np.float32(0.5), high - low
+    if float(sides.max()) >= 3 * float(sides.min()):
+        is_high = is_high[:, int(sides.argmax())]
+        parts = sorted((members[is_high == side].tolist() for side in (False, True)), key=lambda part: -len(part))
+    else:
+        octants = is_high @ np.array([1, 2, 4])
+        parts = [members[octants == octant].tolist() for octant in (0, 1, 3, 2, 6, 7, 5, 4)]
+    return [part for part in parts if part]
 
 
 def breadth_first(tree: splatree.Scene) -> Nodes:
@@ -115,7 +146,7 @@ def spark_quality(name: str, tree: splatree.Scene) -> list[dict[str, Any]]:
     rows = []
     for view, camera in views_of(tree):
         truth = np.clip(splatree.render(tree, camera, select=EVERY_ROW).image, 0, 1)
-        for budget in (100_000, 300_000):
+        for budget in (100_000, 300_000, SPARKS_BUDGET):
             row: dict[str, Any] = {"scene": name, "view": view, "budget": budget}
             for what, options in scenes.items():
                 scene = as_written(tree, options)
@@ -126,77 +157,95 @@ def spark_quality(name: str, tree: splatree.Scene) -> list[dict[str, Any]]:
     return rows
 
 
-def in_playcanvas(scene: splatree.Scene, build: Cost, command: str | None) -> None:
+def in_playcanvas(
+    name: str, scene: splatree.Scene, build: Cost, command: str | None
+) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """What PlayCanvas draws and loads of our stream and the peer's, and what writing them takes."""
     tree = build.value
     with tempfile.TemporaryDirectory() as folder:
         write = measure(lambda: splatree.stream(tree, Path(folder) / "ours"))
         streams = {"ours": open_sog_stream(Path(folder) / "ours")}
         millions = len(scene) / 1e6
-        costs = [cost_row("splatree, levels", build, millions), cost_row("splatree, stream", write, millions)]
+        costs = [
+            cost_row(name, "splatree, levels", build, millions),
+            cost_row(name, "splatree, stream", write, millions),
+        ]
         costs[1] |= {"MB": write.value.bytes / 1e6, "levels": len(write.value.levels)}
+        costs[1] |= {"MB a million": write.value.bytes / 1e6 / millions}
         if command:
             peer, cost = peers_stream(shlex.split(command), scene, Path(folder))
             streams["peer"] = open_sog_stream(peer)
-            size = sum(path.stat().st_size for path in peer.rglob("*") if path.is_file())
-            costs.append(
-                cost_row("splat-transform, levels and stream", cost, millions) | {"MB": size / 1e6, "levels": LEVELS}
-            )
+            size = sum(path.stat().st_size for path in peer.rglob("*") if path.is_file()) / 1e6
+            row = cost_row(name, "splat-transform, levels and stream", cost, millions)
+            costs.append(row | {"MB": size, "levels": LEVELS, "MB a million": size / millions})
         print(table(costs))
         rows: list[dict[str, Any]] = []
         for view, camera in views_of(tree):
             truth = np.clip(splatree.render(tree, camera, select=EVERY_ROW).image, 0, 1)
-            for budget in (50_000, 100_000, 200_000):
-                row: dict[str, Any] = {"view": view, "budget": budget}
-                for name, stream in streams.items():
-                    row |= {f"{name}, {key}": value for key, value in seen(stream, camera, budget, truth).items()}
+            for budget in BUDGETS:
+                if not len(scene) / 25 < budget < len(scene):
+                    continue
+                row: dict[str, Any] = {"scene": name, "view": view, "budget": budget}
+                for what, stream in streams.items():
+                    row |= {f"{what}, {key}": value for key, value in seen(stream, camera, budget, truth).items()}
                 select = splatree.SelectOptions(pixel_error=0, budget=row["ours, nodes"])
                 exact = splatree.render(tree, camera, select=select).image
                 rows.append(row | {"exact cut, dB": splatree.psnr(np.clip(exact, 0, 1), truth)})
         print(table(rows))
-    about = (
-        f"One chunk of the city ({len(scene):,} Gaussians, degree 0): PSNR of what PlayCanvas draws of a streamed SOG within a "
-        "budget, with the MB of the files that it loads. Levels by pairs; the peer is splat-transform on the processor."
-    )
-    save("streams", rows, about=about)
-    save(
-        "streams_cost", costs, about="What making the levels and writing the stream takes, and the bytes of all levels."
-    )
+    return rows, costs
 
 
 def main() -> None:
     """Write, read, compare."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--chunk", default="5_1")
+    parser.add_argument("--chunks", nargs="+", default=["5_1", "5_9"])
     parser.add_argument("--peer", help="the command of splat-transform; without it our stream stands alone")
     parser.add_argument("--spark", action="store_true", help="only what Spark draws and loads")
-    parser.add_argument("--city", action="store_true", help="count Spark's chunks of the whole city too")
+    parser.add_argument("--city", action="store_true", help="the whole city too")
     arguments = parser.parse_args()
-    scene = splatree.edit(splatree.read(CITY / arguments.chunk), splatree.EditOptions(sh_degree=0))
-    build = measure(lambda: splatree.build_lod(scene, splatree.BuildOptions(method="pairs")))
-    tree = build.value
-    if not arguments.spark:
-        in_playcanvas(scene, build, arguments.peer)
-    playbot = splatree.build_lod(splatree.read(PLAYBOT), splatree.BuildOptions(method="pairs"))
-    quality = spark_quality(arguments.chunk, tree) + spark_quality("playbot", playbot)
-    print(table(quality))
-    chunks = spark_chunks(arguments.chunk, tree)
+    seen_rows, costs, quality, chunks = [], [], [], []
+    made = list(splatree.read_cameras(DATA / "cameras" / "semarang_city_made_views.json"))[::4]
+    scenes: list[tuple[str, list[Path], str | None]] = [
+        (name, [CITY / name], arguments.peer) for name in arguments.chunks
+    ]
     if arguments.city:
-        city = splatree.edit(splatree.read(sorted(CITY.glob("5_*"))), splatree.EditOptions(sh_degree=0))
-        chunks += spark_chunks("city", splatree.build_lod(city, splatree.BuildOptions(method="pairs")))
-    print(table(chunks))
+        scenes.append(("city", sorted(CITY.glob("5_*")), None))
+    for name, files, peer in scenes:
+        scene = splatree.edit(splatree.read(files), splatree.EditOptions(sh_degree=0))
+        build = measure(lambda scene=scene: splatree.build_lod(scene, splatree.BuildOptions(method="pairs")))
+        if not arguments.spark:
+            rows, cost = in_playcanvas(name, scene, build, peer)
+            seen_rows, costs = seen_rows + rows, costs + cost
+        chunks += spark_chunks(name, build.value, made if name == "city" else ())
+        quality += spark_quality(name, build.value)
+        print(table(chunks), table(quality), sep="\n")
+    quality += spark_quality(
+        "playbot", splatree.build_lod(splatree.read(PLAYBOT), splatree.BuildOptions(method="pairs"))
+    )
+    print(table(quality))
+    if not arguments.spark:
+        about = (
+            "PSNR of what PlayCanvas draws of a streamed SOG within a budget, with the MB of the files that it loads. Chunks of "
+            "the city (5_1: 524,320 Gaussians, 5_9: 252,828) and all of it (4,972,767), degree 0. Levels by pairs; the peer is "
+            "splat-transform on the processor."
+        )
+        save("streams", seen_rows, about=about)
+        about = "What making the levels and writing the stream takes, and the bytes of all levels."
+        save("streams_cost", costs, about=about)
     about = "PSNR of what Spark draws of a .rad within a budget, with nodes as the tree stores them and as `stream` writes them."
     save("streams_spark", quality, about=about)
     about = (
-        "Chunks of 65,536 nodes of a .rad that Spark loads within a budget: of what `stream` writes, and of the nodes that the "
-        "tree stores in the same order and breadth-first."
+        "Chunks of 65,536 nodes of a .rad that Spark loads within a budget: in the order that `stream` writes, in that of "
+        "Spark's own tool, and breadth-first. Made views are every fourth of the shared ones of the city: a flight, round a "
+        "stadium, from afar."
     )
     save("streams_rad", chunks, about=about)
 
 
-def cost_row(what: str, cost: Cost, millions: float) -> dict[str, Any]:
+def cost_row(scene: str, what: str, cost: Cost, millions: float) -> dict[str, Any]:
     """One line of the costs."""
     return {
+        "scene": scene,
         "what": what,
         "cpu_s": cost.cpu_s,
         "cpu_s a million": cost.cpu_s / millions,

@@ -6,7 +6,9 @@ of 960 × 540 px.
 
 - *step*: the selection of at most ``--budget`` nodes, begun at the τ_R of the step before, and what takes the page there: new
   nodes, those that look otherwise by now, and colours.
-- *step, alone*: the same where each budget is searched anew, as for a view alone.
+- *step, exact*: the same where each budget is met to the node, looked for near the τ_R of the step before.
+- *step, alone*: the same where each budget is met as for a view alone.
+- *cut*: one selection by the τ_R that met the budget exactly.
 - *picture*: drawn on the server as for ``--frames``, at the sizes that a page asks for while it moves, and made a JPEG; the mean
   of all steps, since the cut is chosen anew in some of them only.
 - *picture, exact*: the same by itself, each budget searched from the last τ_R.
@@ -63,20 +65,39 @@ def main() -> None:
 def steps(
     shown: Exhibit, cameras: list[splatree.Camera], options: splatree.SelectOptions
 ) -> Iterator[dict[str, object]]:
-    """A step of a page that draws, with the search begun at the last step's τ_R and anew."""
-    for name, is_alone in (("step", False), ("step, alone", True)):
+    """A step of a page that draws, with the budget met in three ways, and one cut."""
+
+    def begun_at_last(camera: splatree.Camera, last: float) -> splatree.Selection:
+        return shown.cut(camera, options, last)
+
+    def near_last(camera: splatree.Camera, last: float) -> splatree.Selection:
+        return shown.cut(camera, options, None)
+
+    def alone(camera: splatree.Camera, last: float) -> splatree.Selection:
+        return splatree.select(shown.scene, camera, options)
+
+    def one_cut(camera: splatree.Camera, pixel_error: float) -> splatree.Selection:
+        return splatree.select(shown.scene, camera, splatree.SelectOptions(pixel_error=pixel_error))
+
+    found: list[float] = []
+    for name, choose in (("step", begun_at_last), ("step, alone", alone), ("step, exact", near_last)):
         slots = Slots(shown.shown, shown.centre, 1 << 21)
-        last, costs = FIRST_TAU_PX, []
+        found, costs = [FIRST_TAU_PX], []
         for camera in cameras:
-            begin = None if is_alone else last
-            chosen = measure(partial(shown.cut, guarded_by(camera, GUARD), options, begin))
+            chosen = measure(partial(choose, guarded_by(camera, GUARD), found[-1]))
             change = measure(partial(slots.move, chosen.value.rows, camera.position, shown.session.view(camera)))
-            last = chosen.value.pixel_error
+            found.append(chosen.value.pixel_error)
             new, kilobytes = len(change.value.add), len(change.value.payload) / 1e3
             costs.append((1e3 * chosen.cpu_s, 1e3 * change.cpu_s, len(chosen.value), new, kilobytes))
         select_ms, pack_ms, nodes, new, kilobytes = np.median(costs[1:], axis=0)
         both = {"ms": select_ms + pack_ms, "select ms": select_ms, "pack ms": pack_ms}
         yield {"what": name, **both, "nodes": int(nodes), "new": int(new), "kB": kilobytes}
+    cuts = [
+        measure(partial(one_cut, guarded_by(camera, GUARD), pixel_error))
+        for camera, pixel_error in zip(cameras[1:], found[2:], strict=True)
+    ]
+    cut_ms, nodes = np.median([(1e3 * cut.cpu_s, len(cut.value)) for cut in cuts], axis=0)
+    yield {"what": "cut", "ms": cut_ms, "select ms": cut_ms, "nodes": int(nodes)}
 
 
 def pictures(

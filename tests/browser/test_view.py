@@ -361,6 +361,10 @@ def test_touch_turns_and_pinches(browser, viewer):
     assert page.evaluate("document.documentElement.scrollWidth") <= 360  # nothing sticks out …
     boxes = "['title', 'status'].map((id) => document.getElementById(id).getBoundingClientRect())"
     assert page.evaluate(f"{boxes}.reduce((a, b) => a.right <= b.left || a.bottom <= b.top)")  # … or overlaps
+    page.evaluate("document.getElementById('name').textContent = 'the long name of a scene.splatree'")
+    page.call("Emulation.setDeviceMetricsOverride", width=320, height=568, deviceScaleFactor=1, mobile=True)
+    settled(page)
+    assert page.evaluate(f"{boxes}.reduce((a, b) => a.right <= b.left || a.bottom <= b.top)")
 
 
 def test_two_pages_at_once_show_views_of_their_own(browser, viewer):
@@ -421,3 +425,18 @@ def test_lines_stand_out_from_the_background(browser, viewer):
         ground = 1.0 if (layer, background) == ("color", "white") else 0.0
         for red, green, blue, alpha in page.evaluate("splatree.page.linesDrawn().map((line) => line.color)"):
             assert abs(alpha * (0.3 * red + 0.6 * green + 0.1 * blue - ground)) > 0.33
+
+
+def test_keys_fly_after_a_slider_was_moved(browser, viewer):
+    page = browser.new_page()
+    page.open(f"{viewer.url}?renderer=webgl&exact=0", size=SIZE)
+    page.wait_for("window.splatree?.isReady")
+    page.evaluate("document.body.classList.add('open')")
+    focus = "(slider => (slider.focus(), document.activeElement === slider))(document.querySelector('#panel input'))"
+    page.wait_for(focus)  # the panel slides in first
+    eye = page.evaluate("splatree.camera.eye")
+    page.call("Input.dispatchKeyEvent", type="keyDown", code="ArrowLeft", key="ArrowLeft")  # moves the slider alone
+    settled(page)
+    assert page.evaluate("splatree.camera.eye") == eye
+    page.call("Input.dispatchKeyEvent", type="keyDown", code="KeyW", key="w")
+    page.wait_for(f"splatree.camera.eye.join() !== '{','.join(map(str, eye))}'")

@@ -56,19 +56,21 @@ def test_all_inputs_are_one_scene_and_columns_may_lie_in_a_file(scene, tmp_path,
     assert st.read(tmp_path / "out.ply").gaussians.means.tobytes() == cleaned.scene.gaussians.means.tobytes()
 
 
-def test_leaves_of_a_tree_are_cleaned_in_chunks_and_trees_in_memory(scene, tmp_path):
+def test_leaves_of_a_tree_and_the_tree_are_cleaned_in_chunks(scene, tmp_path):
     tree = st.build_lod(scene, st.BuildOptions(method="radius"))
     st.write(tree, tmp_path / "tree.splatree")
     leaves = st.clean_file(tmp_path / "tree.splatree", tmp_path / "leaves.ply", ALL)
     kept = st.clean_file(tmp_path / "tree.splatree", tmp_path / "kept.splatree", ALL)
-    assert leaves.in_chunks and not kept.in_chunks
+    assert leaves.in_chunks and kept.in_chunks
     assert leaves.dropped == kept.dropped and leaves.num_written == kept.num_written
     assert any("merged nodes" in sentence for sentence in leaves.lost)
     st.write(st.clean(tree, ALL).scene, tmp_path / "wanted.ply")
     assert (tmp_path / "leaves.ply").read_bytes() == (tmp_path / "wanted.ply").read_bytes()
     assert st.read(tmp_path / "kept.splatree").tree.num_levels > 1
+    in_memory = st.clean_file(tmp_path / "tree.splatree", tmp_path / "kept.hier", ALL)
+    assert not in_memory.in_chunks and in_memory.dropped == leaves.dropped
     with pytest.raises(InputError, match="max_memory: found 1G, but this needs the whole scene in memory"):
-        st.clean_file(tmp_path / "tree.splatree", tmp_path / "b.splatree", ALL, max_memory="1G")
+        st.clean_file(tmp_path / "tree.splatree", tmp_path / "b.hier", ALL, max_memory="1G")
 
 
 def test_nothing_is_written_where_that_is_asked_or_nothing_would_be_left(scene, tmp_path):

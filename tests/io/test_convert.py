@@ -90,7 +90,7 @@ def test_a_scene_with_levels_is_gone_through_leaf_by_leaf(tmp_path, small_chunks
         assert done.in_chunks and done.lost == lost and "merged nodes: ply gets the leaves" in lost[0]
         assert (done.num_read, done.num_written) == (1500, 1500)
         assert (tmp_path / "b.ply").read_bytes() == (tmp_path / "c.ply").read_bytes()
-    assert not convert(tmp_path / "one.splatree", tmp_path / "d.splatree").in_chunks  # which keeps the levels
+    assert not convert(tmp_path / "one.splatree", tmp_path / "d.splatree").in_chunks  # which keeps the clusters
 
 
 def test_memory_that_is_not_kept_to_is_refused(tmp_path):

@@ -88,3 +88,12 @@ def test_a_region_that_is_too_small_is_told():
     with pytest.raises(st.InputError, match="found method 'pairs'"):
         pairs = resolved_for(scene, st.BuildOptions(follow=False, method="pairs"))
         grow_region(forest_of_leaves(scene, pairs), pairs, Region(EVERYWHERE, np.inf), num_levels=1)
+
+
+@given(hs.integers(1, 2000), hs.integers(1, 300), hs.integers(0, 10**6))
+def test_cells_are_as_few_as_can_be_and_equally_large(num_points, most, seed):
+    points = np.random.default_rng(seed).permutation(3 * num_points).reshape(-1, 3).astype(np.float32)  # all apart
+    cells = halve(points, most)
+    sizes = np.bincount(cells.of(points), minlength=len(cells))
+    assert len(cells) == -(-num_points // most) and sizes.max() <= most
+    assert np.ptp(sizes) <= np.log2(len(cells)) + 1  # each cut rounds to whole rows

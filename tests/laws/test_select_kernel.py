@@ -335,6 +335,23 @@ def test_rows_that_are_not_finite_are_never_drawn():
     assert rows.tolist() == wanted.tolist()
 
 
+@pytest.mark.parametrize("profile", EXTENT_PROFILES)
+def test_a_merged_row_without_a_place_is_refined(profile):
+    scene = city(12)
+    camera = Camera.look_at(np.array([6.0, 6.0, -9.0]), np.array([6.0, 6.0, 0.0]), width=4000, height=4000)
+    coarse = SelectOptions(pixel_error=1e4, profile=profile)
+    whole = select(scene, camera, coarse).rows
+    root = int(whole[len(whole) // 2])
+    means = scene.gaussians.means.copy()
+    means[root, 1] = np.nan
+    broken = replace(scene, gaussians=replace(scene.gaussians, means=means), blocks=None)
+    wanted = np.sort(np.concatenate([np.setdiff1d(whole, root), np.arange(root + 1, root + 5)]))
+    assert select(broken, camera, coarse).rows.tolist() == wanted.tolist()
+    classes = index_blocks(broken.gaussians, broken.tree).size_classes
+    assert classes[root] == 254 > classes[whole[0]]
+    np.testing.assert_array_equal(classes, reference_blocks.index_blocks(broken.gaussians, broken.tree).size_classes)
+
+
 def test_a_scene_without_one_finite_mean_has_nothing_to_draw():
     gaussians = city(3).gaussians
     lost = replace(gaussians, means=np.full_like(gaussians.means, np.nan))

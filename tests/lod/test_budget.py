@@ -123,6 +123,29 @@ def test_the_finest_cut_within_a_budget_does_not_depend_on_the_guess(seed, budge
         np.testing.assert_array_equal(enters.ravel()[rows], enters.ravel()[found[0][0]])
 
 
+@given(
+    seed=st.integers(0, 99),
+    budget=st.integers(400, 1700),
+    finest=st.sampled_from([0.0, 1.0, 30.0]),
+    aside=st.floats(0.2, 5) | st.floats(0.9, 1.1),
+)
+def test_where_a_budget_is_looked_for_first_changes_nothing(seed, budget, finest, aside):
+    options = SelectOptions(budget=budget, profile="exact")
+    wanted, _, tau = fill_budget(range_of(*forest(seed)), None, options, finest, CAMERA, every=4)
+    rows, _, found = fill_budget(range_of(*forest(seed)), None, options, finest, CAMERA, every=4, near=aside * tau)
+    assert found == tau
+    np.testing.assert_array_equal(rows, wanted)
+
+
+def test_a_budget_is_met_in_one_pass_near_the_last():
+    range_at, options = range_of(*forest(1)), SelectOptions(budget=1000, profile="exact")
+    tau = fill_budget(range_at, None, options, 0.0, CAMERA, every=4)[2]
+    assert len(range_at.asked) > 1
+    range_at.asked.clear()
+    assert fill_budget(range_at, None, options, 0.0, CAMERA, every=4, near=1.005 * tau)[2] == tau
+    assert [every for *_, every in range_at.asked] == [1]
+
+
 @pytest.mark.parametrize("num_roots", [390, 400])
 def test_what_no_finite_limit_draws_is_left_to_the_roots(num_roots):
     enters, leaves = forest(1)

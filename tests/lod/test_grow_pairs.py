@@ -34,6 +34,20 @@ from splatree.simplify.merge import weights_of
 PAIRS = BuildOptions("pairs")
 
 
+@pytest.mark.parametrize("growth", [1.1, 2.0, 3.0])
+def test_coarse_levels_are_closer_together(growth):
+    """By √2 from 8 p_0 on and by 2^¼ from 32 p_0 on, unless they are closer together already."""
+    options = BuildOptions("pairs", pixel_size=0.25, growth=growth)
+    leaves = surface(50)
+    resolved = resolve(options, measure(leaves, options, "classic"), "classic")
+    sizes = np.array(list(resolved.sizes()))
+    assert sizes[0] == 0.25 and resolved.judged_size == 1
+    assert sizes[-2] <= resolved.last_size < sizes[-1] and resolved.last_size > 64
+    for size, factor in zip(sizes[:-1], sizes[1:] / sizes[:-1], strict=True):
+        most = 3.0 if size < 7.9 else 2**0.5 if size < 31.9 else 2**0.25
+        assert factor == pytest.approx(min(growth, most))
+
+
 @given(
     st.builds(surface, st.integers(0, 120), st.integers(0, 1000), st.sampled_from([0, 2])),
     st.sampled_from(["classic", "antialiased"]),

@@ -113,7 +113,7 @@ def test_the_sample_is_rows_of_tiles_of_the_picture():
     at the border (FRUSTUM_CLAMP)."""
     scene = levels(num=4000)
     large = CAMERA.scaled(4)
-    strips = sample_of(View(large))
+    strips = sample_of(View(large), np.ones(40, bool)).views
     assert -(-large.height // 16) >= WHOLE_BELOW
     assert len(strips) == 8
     picture = st.render(scene, large).image
@@ -122,7 +122,33 @@ def test_the_sample_is_rows_of_tiles_of_the_picture():
         assert top % 16 == 0
         part = st.render(scene, strip.camera).image
         assert st.psnr(part, picture[top : top + 16]) > 45
-    assert sample_of(View(CAMERA))[0].camera is CAMERA
+    assert sample_of(View(CAMERA), np.ones(10, bool)).views[0].camera is CAMERA
+    is_shown = np.zeros(40, bool)
+    is_shown[[7, 8, 30]] = True
+    few = sample_of(View(large), is_shown)
+    assert [round(large.K[1, 2] - strip.camera.K[1, 2]) // 16 for strip in few.views] == [7, 8, 30]
+    assert few.share == 3 / 40
+
+
+@pytest.mark.parametrize("background", [0.0, 0.25])
+@pytest.mark.parametrize("first", [352, 600, 1040])
+def test_a_thing_between_the_rows_of_an_even_sample_is_measured(first, background):
+    """40 rows of pixels of 1088 show a thing whose colours are wrong by τ_R / 1000; the rest is empty."""
+    whole = st.Camera.look_at([0, 0, -6], [0, 0, 0], width=1920, height=1088)
+    drawn = []
+
+    def draw(view, select):
+        factor = whole.K[1, 1] / view.camera.K[1, 1]
+        rows = (np.arange(view.camera.height) + 0.5 - view.camera.K[1, 2]) * factor + whole.K[1, 2]
+        picture = np.full((view.camera.height, view.camera.width, 3), background, np.float32)
+        picture[(rows >= first) & (rows < first + 40)] = 0.5 + select.pixel_error / 1000
+        drawn.append(view.camera.height)
+        return picture
+
+    wanted, view = st.SelectOptions(quality=60), View(whole, background=(background,) * 3)
+    found = Gauge(draw).settled(wanted, view, point_px=0.0).pixel_error
+    assert -10 * math.log10((found / 1000) ** 2 * 40 / 1088) == pytest.approx(60, abs=0.2)
+    assert set(drawn) == {68, 16}  # the thumbnail and strips, never the whole picture
 
 
 def test_a_session_and_select_choose_the_same_cut():

@@ -35,7 +35,7 @@ SMALL = st.FolderOptions(part_rows=200)
 
 def room_for(num_roots):
     """Memory for so many roots of parts together, as long as the context lasts."""
-    return mock.patch.object(build, "top_bytes", lambda roots, k: 10**18 if roots > num_roots else 0)
+    return mock.patch.object(build, "top_bytes", lambda roots, k, follows: 10**18 if roots > num_roots else 0)
 
 
 def check_is_tree_of(folder, path, options=None, mode=None):
@@ -142,6 +142,9 @@ def test_ctrl_c_is_left_to_the_program_and_its_workers_end_without_a_word():
         raise KeyboardInterrupt
     for process in started:
         process.join(60)
+        for _ in range(1000):  # the pool's own thread has taken its end, and is about to say so
+            if process.exitcode is None:
+                time.sleep(0.01)
         assert process.exitcode == -signal.SIGTERM
     assert all(future.cancelled() or future.exception(60) for future in (busy, *waiting))
 
@@ -177,7 +180,7 @@ def test_a_killed_build_goes_on(tmp_path, ply):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGKILL")
-@pytest.mark.parametrize("pieces", [30, 45])  # of 24 in the first tier, 12, 8 and 1 in those above, and the crown
+@pytest.mark.parametrize("pieces", [30, 55])  # of 24 in the first tier, 19, 12 and 2 in those above, and the crown
 def test_a_build_that_is_killed_above_its_parts_goes_on(tmp_path, ply, pieces):
     running, target = st.FolderOptions(part_rows=60, part_levels=2), tmp_path / "out.splatree"
     with room_for(20):
@@ -349,7 +352,7 @@ def test_what_does_not_fit_above_the_parts_is_grown_in_cells_of_its_own(tmp_path
     tiers = folders_of_tiers(tmp_path / "out.splatree.work")
     assert len(tiers) == num_tiers
     cells = [len(json.loads((tier / "plan.json").read_text())["cells"]) + 1 for tier in tiers]
-    assert cells[-1] == 1 and all(below >= above for below, above in pairwise(cells))
+    assert cells[-1] == 1 and all(below >= above for below, above in pairwise(cells[1:]))  # of roots
 
 
 def test_a_crown_of_many_tiers_is_drawn_from_disk_as_the_whole_tree(tmp_path, ply):

@@ -151,7 +151,7 @@ def test_cells_do_not_follow_the_memory():
 
 
 def test_what_does_not_fit_is_refused(tmp_path, ply, monkeypatch):
-    monkeypatch.setattr(build, "top_bytes", lambda roots, k: 10**18)
+    monkeypatch.setattr(build, "top_bytes", lambda roots, k, follows: 10**18)
     with pytest.raises(st.InputError, match="left when all cells have grown, which do not fit"):
         st.build_folder(ply, tmp_path / "out.splatree", PAIRS, SMALL)
     monkeypatch.setattr(sight, "plane_bytes", lambda plane: 10**18)

@@ -52,7 +52,7 @@ def test_leaves_are_edited_on_the_way(folder, scene, tmp_path, short_runs):
     assert (tmp_path / "by_runs.ply").read_bytes() == (tmp_path / "whole.ply").read_bytes()
 
 
-@pytest.mark.parametrize(("name", "edits"), [("moved.splatree", {"translate": (1, 0, 0)}), ("tree.rad", {})])
+@pytest.mark.parametrize(("name", "edits"), [("tree.hier", {"translate": (1, 0, 0)}), ("tree.rad", {})])
 def test_what_needs_the_tree_in_memory_gives_the_same_file(folder, scene, tmp_path, name, edits):
     edits = st.EditOptions(**edits)
     done = st.convert(folder, tmp_path / name, st.ConvertOptions(edit=edits))

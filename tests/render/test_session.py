@@ -42,6 +42,19 @@ def test_views_drawn_in_turn_are_those_drawn_alone(scene: st.Scene, device: Devi
             assert same_picture(session.draw(VIEWS[i]), wanted[i])
 
 
+@pytest.mark.parametrize("budget", [60, 150])
+def test_budgets_met_one_after_the_other_are_those_met_alone(scene: st.Scene, budget: int) -> None:
+    select = st.SelectOptions(pixel_error=0.5, budget=budget)
+    path = [camera(shift_x=0.1 * i) for i in range(4)] + [VIEWS[1], VIEWS[0]]
+    with st.open_session(scene, select=select) as session:
+        for view in path:
+            alone = st.select(scene, view, select)
+            found = session.select(view)
+            assert found.pixel_error == alone.pixel_error > 0.5
+            np.testing.assert_array_equal(found.rows, alone.rows)
+            assert same_picture(session.draw(view), st.render(scene, view, select=select))
+
+
 def test_a_trace_is_not_overwritten_by_the_pictures_after_it(scene: st.Scene) -> None:
     with st.open_session(scene) as session:
         session.draw(VIEWS[0])

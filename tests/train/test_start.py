@@ -117,6 +117,23 @@ def inner_cells(gaussians, camera):
     return int(((cells < 0) | (cells >= 16)).any(axis=1).sum())
 
 
+def test_a_slanted_plane_goes_on_and_a_heap_does_not():
+    camera, plane = facing(), plane_of(200)
+    plane.means[:, :2] *= 1.2
+    plane.means[:, 2] = 0.5 * plane.means[:, 0]
+    pixel = pixels_of(plane.means.astype(np.float64), camera)
+    plane = plane.take(((pixel >= 0) & (pixel < 64)).all(axis=1))
+    photo = np.full((64, 64, 3), 90, np.uint8)
+    apron = add_apron(plane, [camera], lambda i: photo, room=10**4).means[len(plane) :]
+    assert len(apron) > 200
+    # A cell has the median depth of its points, not the depth of its middle: a tenth of a cell's width of 0.2 units, and more
+    # where four cells beyond the border are reached by a slope.
+    assert np.abs(apron[:, 2] - 0.5 * apron[:, 0]).max() < 0.2
+    heap = plane.take(slice(None))
+    heap.means[:] += np.random.default_rng(0).normal(0, 0.5, heap.means.shape).astype(np.float32)
+    assert len(add_apron(heap, [camera], lambda i: photo, room=10**4)) - len(heap) < 0.1 * len(apron)
+
+
 def test_no_view_shows_the_middle_of_what_lies_beyond_the_borders():
     cameras, start = [facing(x) for x in (-0.7, 0, 0.7)], plane_of(200)
     apron = add_apron(start, cameras, lambda i: np.full((64, 64, 3), 90, np.uint8), room=10**4)

@@ -11,14 +11,14 @@ import numpy as np
 
 from splatree.edit.options import EditOptions
 from splatree.edit.rows import in_morton_order, keep_leaves
-from splatree.edit.similarity import Move, Similarity, move_from_options
+from splatree.edit.similarity import Move, move_from_options
 from splatree.kernels.cpu.frame.blocks import index_blocks
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.origin import Origin
-from splatree.scene.scene import Scene
+from splatree.scene.scene import Scene, Source
 from splatree.shapes import Array, Bool, Float32
 
-__all__ = ["edit", "edit_rows", "move_from_options"]
+__all__ = ["edit", "edit_rows", "kept_rows", "merged_lost", "move_from_options", "with_loss"]
 
 
 def edit(scene: Scene, options: EditOptions) -> Scene:
@@ -44,25 +44,24 @@ def edit(scene: Scene, options: EditOptions) -> Scene:
     move = move_from_options(options, scene.source.origin)
     similarity = move.similarity
     clusters = scene.clusters
-    moved = _moved(scene.gaussians, similarity)
+    moved = similarity.moved(scene.gaussians)
     if options.may_drop_rows:
         is_kept = kept_rows(scene.gaussians, moved, options, move.origin)
         num_merged = len(scene) - scene.tree.num_leaves
         kept = keep_leaves(scene, is_kept)
-        moved = _moved(kept.gaussians, similarity) if len(kept) < len(scene) else moved
+        moved = similarity.moved(kept.gaussians) if len(kept) < len(scene) else moved
         lost_merged = num_merged - (len(kept) - kept.tree.num_leaves)
         scene = kept
         if lost_merged:
-            scene = _with_loss(
-                scene, f"{lost_merged:,} of {num_merged:,} merged nodes: Gaussians below them were dropped"
-            )
+            scene = replace(scene, source=with_loss(scene.source, merged_lost(lost_merged, num_merged)))
     gaussians = scene.gaussians.with_sh_degree(min(options.sh_degree, scene.gaussians.sh_degree))
     if not similarity.is_identity:
         gaussians = similarity.gaussians(gaussians, moved)
     if gaussians is not scene.gaussians:
         # Balls around leaves alone follow from what they are, and no rounding has to be covered.
         is_flat = bool(scene.tree.is_leaf.all())
-        extents = Scene.flat(gaussians).tree.extents if is_flat else similarity.extents(scene.tree.extents, moved)
+        reach = similarity.reach(moved)
+        extents = Scene.flat(gaussians).tree.extents if is_flat else similarity.extents(scene.tree.extents, reach)
         record = None if scene.tree.record is None else scene.tree.record.scaled(similarity.scale)
         kept_clusters = scene.clusters if similarity.is_identity else None  # harmonics alone move nothing
         tree = replace(
@@ -75,7 +74,8 @@ def edit(scene: Scene, options: EditOptions) -> Scene:
     if options.order == "morton":
         scene = in_morton_order(scene)
     if clusters is not None and scene.clusters is None:
-        scene = _with_loss(scene, f"the {len(clusters):,} clusters: they held the scene before the edit; make new ones")
+        said = f"the {len(clusters):,} clusters: they held the scene before the edit; make new ones"
+        scene = replace(scene, source=with_loss(scene.source, said))
     return scene
 
 
@@ -83,17 +83,12 @@ def edit_rows(gaussians: Gaussians, options: EditOptions, move: Move) -> Gaussia
     """As `edit`, of a chunk of a flat scene, by the ``move`` of the options and its origin; the order is not looked at."""
     similarity = move.similarity
     g = gaussians.with_sh_degree(min(options.sh_degree, gaussians.sh_degree))
-    moved = _moved(g, similarity)
+    moved = similarity.moved(g)
     if options.may_drop_rows:
         is_kept = kept_rows(g, moved, options, move.origin)
         if not is_kept.all():
             g, moved = g.take(is_kept), moved[is_kept]
     return g if similarity.is_identity else similarity.gaussians(g, moved)
-
-
-def _moved(g: Gaussians, similarity: Similarity) -> Float32[Array, "n 3"]:
-    """The means where they will lie."""
-    return g.means if similarity.is_identity else similarity.points(g.means)
 
 
 def kept_rows(g: Gaussians, moved: Float32[Array, "n 3"], options: EditOptions, origin: Origin) -> Bool[Array, "n"]:
@@ -110,7 +105,12 @@ def kept_rows(g: Gaussians, moved: Float32[Array, "n 3"], options: EditOptions, 
     return kept
 
 
-def _with_loss(scene: Scene, sentence: str) -> Scene:
-    metadata = scene.source.metadata
-    lost = [*json.loads(metadata.get("lost", "[]")), sentence]
-    return replace(scene, source=replace(scene.source, metadata={**metadata, "lost": json.dumps(lost)}))
+def merged_lost(num_lost: int, num_merged: int) -> str:
+    """That so many merged nodes went with leaves below them, as a sentence."""
+    return f"{num_lost:,} of {num_merged:,} merged nodes: Gaussians below them were dropped"
+
+
+def with_loss(source: Source, sentence: str) -> Source:
+    """The source with one more sentence on what was lost."""
+    lost = [*json.loads(source.metadata.get("lost", "[]")), sentence]
+    return replace(source, metadata={**source.metadata, "lost": json.dumps(lost)})

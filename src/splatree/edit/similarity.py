@@ -52,6 +52,10 @@ class Similarity:
                 moved[:, axis] = a * x + b * y + c * z + self.translation[axis]
         return moved
 
+    def moved(self, g: Gaussians) -> Float32[Array, "n 3"]:
+        """Where the means go; the means themselves if nothing moves."""
+        return g.means if self.is_identity else self.points(g.means)
+
     def gaussians(self, g: Gaussians, means: Float32[Array, "n 3"] | None = None) -> Gaussians:
         """Gaussians moved with space; ``means`` if they were moved already."""
         means = self.points(g.means) if means is None else means
@@ -70,11 +74,15 @@ class Similarity:
             return curves
         return np.asarray(curves * np.array([self.scale**2, 1, 1, self.scale**2], np.float32))
 
-    def extents(self, extents: Float32[Array, "n"], means: Float32[Array, "n 3"]) -> Float32[Array, "n"]:
-        """Radii of the balls around the moved ``means``, raised by what their rounding may have moved a descendant away."""
+    @staticmethod
+    def reach(means: Float32[Array, "n 3"]) -> np.float32:
+        """The largest coordinate of moved means, whose rounding `extents` covers."""
+        return np.float32(np.abs(means).max(initial=0))
+
+    def extents(self, extents: Float32[Array, "n"], reach: np.float32) -> Float32[Array, "n"]:
+        """Radii of the balls around moved means, raised by what the rounding of any of them may have moved a descendant away."""
         # Two means, each rounded by at most half an ulp a coordinate, and the product: 2⁻²⁴ of the coordinates and 2⁻²³ of the
         # radius, taken four times as large.
-        reach = np.abs(means).max(initial=0)
         return np.asarray(extents * np.float32(self.scale * (1 + 2**-21)) + np.float32(reach * 2**-21), np.float32)
 
     def metadata(self, metadata: Mapping[str, str]) -> Mapping[str, str]:

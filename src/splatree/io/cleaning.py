@@ -3,7 +3,9 @@
 The leaves are gone through two times: first for three columns of theirs, in which the middle, the radius and the pieces of the
 scene are found (`splatree.edit.clean.survey`), then to write what stays. The file is that of `clean` and `write`, byte for byte.
 
-Memory: 20 bytes a Gaussian between the two passes, in a file where there is no room.
+A tree that stays one goes in runs of its rows (io/tree_runs.py).
+
+Memory: 20 bytes a Gaussian between the passes, and 12 bytes a row of a tree; in a file where there is no room.
 """
 
 import json
@@ -29,10 +31,11 @@ from splatree.io.objects import located
 from splatree.io.options import ReadOptions, WriteOptions
 from splatree.io.reading import read_one
 from splatree.io.registry import detect, format_to_write
+from splatree.io.tree_runs import TreeRuns, kept_runs, open_runs, write_runs
 from splatree.io.writing import write, write_chunks
 from splatree.progress import track
 from splatree.scene.gaussians import Gaussians
-from splatree.shapes import Array, Float32, Float64
+from splatree.shapes import Array, Bool, Float32, Float64
 
 __all__ = ["CleanedFile", "clean_file"]
 
@@ -79,8 +82,9 @@ def clean_file(
 ) -> CleanedFile:
     """Drop what does not belong to a scene, from files to a file, which is that of `clean` and `write`, byte for byte.
 
-    Where both formats allow it, rows go through in chunks, so that files may be larger than memory. An output with levels, and
-    inputs that are not read in chunks, need the scene in memory.
+    Where both formats allow it, rows go through in chunks, so that files may be larger than memory. So do the rows of one tree, a
+    folder of parts or an exact ``.splatree``, which is written as a ``.splatree`` with its levels. All else needs the scene in
+    memory.
 
     Args:
         inputs: one path or several, which are read as one scene, as `read` reads them.
@@ -110,12 +114,15 @@ def clean_file(
     writing = WriteOptions(max_memory=max_memory)
     with local_inputs([Path(path) for path in paths]) as local:
         found = find_inputs(local.paths, lambda path: detect(path) is not None)
-        parts = None
-        if target is None or (chosen := format_to_write(target)).write_chunks is not None:
-            leaves = target is None or chosen.holds.levels != "tree"
+        parts, tree, chosen = None, None, None if target is None else format_to_write(target)
+        if chosen is not None and chosen.name == "splatree" and len(found.paths) == 1 and not reading.repair:
+            tree = open_runs(found.paths[0])
+        if tree is not None or chosen is None or chosen.write_chunks is not None:
+            leaves = tree is not None or chosen is None or chosen.holds.levels != "tree"
             parts = opened_chunks(found.paths, reading, leaves=leaves)
         if parts is not None:
-            done = _in_chunks(joined_chunks(parts, found.paths), parts, target, options, cameras, writing, force)
+            chunks = joined_chunks(parts, found.paths)
+            done = _in_chunks(chunks, parts, tree, target, options, cameras, writing, force)
         elif max_memory is not None:
             raise InputError(
                 f"max_memory: found {max_memory}, but this needs the whole scene in memory: the output keeps levels, or an input "
@@ -152,13 +159,15 @@ def _in_memory(
 def _in_chunks(
     chunks: Chunks,
     parts: Sequence[Chunks],
+    tree: TreeRuns | None,
     target: Path | None,
     options: CleanOptions,
     cameras: Array | None,
     writing: WriteOptions,
     force: bool,
 ) -> CleanedFile:
-    columns = _columns_of(chunks, _scratch(target, writing.max_memory))
+    scratch = _scratch(target, writing.max_memory)
+    columns = _columns_of(chunks, scratch)
 
     def begin() -> Iterator[Leaves]:
         for first in range(0, len(columns), ROWS_AT_ONCE):
@@ -173,15 +182,17 @@ def _in_chunks(
     check_left(counts, num_dropped, len(chunks))
     del columns  # before the writer takes memory of its own
 
-    def left() -> Iterator[Gaussians]:
-        for g in chunks:
-            dropped = found.decide(Leaves.of(g))[1]
-            yield g.take(~dropped) if dropped.any() else g
+    def goes(g: Gaussians) -> Bool[Array, "n"]:
+        return found.decide(Leaves.of(g))[1]
 
-    cleaned = replace(chunks, num_gaussians=len(chunks) - num_dropped, make=left)
-    lost: tuple[str, ...] = ()
-    if target is not None:
-        lost = (*sentences_in(chunks.metadata, "lost"), *write_chunks(cleaned, target, force=force, options=writing))
+    def left() -> Iterator[Gaussians]:
+        return (g.take(~dropped) if (dropped := goes(g)).any() else g for g in chunks)
+
+    cleaned, lost = replace(chunks, num_gaussians=len(chunks) - num_dropped, make=left), list[str]()
+    if tree is not None and target is not None:
+        write_runs(kept_runs(tree, goes, scratch), target, force=force)
+    elif target is not None:
+        lost = [*sentences_in(chunks.metadata, "lost"), *write_chunks(cleaned, target, force=force, options=writing)]
     repairs: Counter[str] = Counter(json.loads(chunks.metadata.get("repairs", "{}")))
     for part in parts:
         repairs.update(part.repairs)

@@ -1,9 +1,9 @@
 """From files to a file of another format, edited on the way, in chunks wherever that can be: then memory is a few chunks.
 
 A conversion goes in chunks if every input is of a format that is read so, the output of one that is written so, and nothing is
-asked that needs the whole scene (a level, a cut of a tree). The file has the same bytes either way: a
-format that is written in chunks has no other writer, and edits work row by row. Where rows may be dropped, the inputs are read
-twice, first to count what is left.
+asked that needs the whole scene, as a level does. A tree that stays one, or is cut, goes in runs of its rows (io/tree_runs.py).
+The file has the same bytes either way: a format that is written in chunks has no other writer, and edits work row by row. Where
+rows may be dropped, the inputs are read twice, first to count what is left.
 """
 
 import json
@@ -14,14 +14,11 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from splatree.edit.edit import edit, edit_rows, move_from_options
+from splatree.edit.edit import edit, edit_rows, kept_rows, merged_lost, move_from_options, with_loss
 from splatree.edit.options import EditOptions
 from splatree.errors import InputError
 from splatree.io.check import refuse_unusable
 from splatree.io.chunks import Chunks
-from splatree.io.formats.folder.manifest import folder_of, holds_parts
-from splatree.io.formats.folder.whole import open_whole
-from splatree.io.formats.splatree.writer import create_scene
 from splatree.io.inputs import find_inputs
 from splatree.io.joined import joined
 from splatree.io.joined_chunks import joined_chunks, opened_chunks
@@ -34,6 +31,7 @@ from splatree.io.reading import read_one
 from splatree.io.registry import detect, format_to_write
 from splatree.io.replacing import check_target
 from splatree.io.sorting import along_curve
+from splatree.io.tree_runs import TreeRuns, cut_chunks, kept_runs, moved_runs, open_runs, write_runs
 from splatree.io.writing import write, write_chunks
 from splatree.progress import track
 from splatree.scene.gaussians import Gaussians
@@ -136,18 +134,22 @@ def convert(
 
 def _converted_from(found: Sequence[Path], target: Path, options: ConvertOptions, force: bool) -> Converted:
     chosen = format_to_write(target)
-    by_rows = options.read.level is None and options.depth is None and not options.write.compact
-    if by_rows and chosen.name == "splatree" and len(found) == 1 and _is_kept_folder(found[0], options):
-        return _put_together(folder_of(found[0]), target, force)
+    by_runs = options.read.level is None and not options.write.compact
+    by_rows = by_runs and options.depth is None
+    keeps_rows = options.edit.order == "kept" and not options.read.repair
+    cuts = options.depth is not None and chosen.holds.levels != "tree" and chosen.write_chunks is not None
+    takes_runs = cuts or (chosen.name == "splatree" and options.depth is None)
+    if by_runs and keeps_rows and takes_runs and len(found) == 1 and (tree := open_runs(found[0])):
+        return _in_runs(tree, target, options, force)
     leaves = chosen.holds.levels != "tree"
     if chosen.write_chunks is not None and by_rows and (parts := opened_chunks(found, options.read, leaves=leaves)):
         return _in_chunks(found, parts, target, options, force)
 
     if options.write.max_memory is not None:
         raise InputError(
-            f"max_memory: found {options.write.max_memory} for {target}, but this conversion holds the whole scene: a level or "
-            "a depth is asked for, the output is compact or keeps levels, or an input is not read in chunks (see `splatree "
-            "formats`); wanted --max-memory for conversions in chunks alone"
+            f"max_memory: found {options.write.max_memory} for {target}, but this conversion holds the whole scene: a level is "
+            "asked for, or a depth of several inputs, the output is compact or keeps levels, or an input is not read in chunks "
+            "(see `splatree formats`); wanted --max-memory for conversions in chunks alone"
         )
     scene = joined(read_one(path, options.read) for path in found)
     if options.mode is not None:
@@ -160,22 +162,26 @@ def _converted_from(found: Sequence[Path], target: Path, options: ConvertOptions
     return _converted(num_read, scene.tree.num_leaves, scene.source.metadata, lost, scene.source.origin)
 
 
-def _is_kept_folder(path: Path, options: ConvertOptions) -> bool:
-    """Whether a path is a folder of parts whose tree is kept as it is."""
-    folder = folder_of(path)
-    if options.edit != EditOptions() or not holds_parts(folder):
-        return False
-    return options.mode in (None, open_whole(folder, checked=False).head.mode)
-
-
-def _put_together(folder: Path, target: Path, force: bool) -> Converted:
-    """A folder of parts as one file, in runs of rows."""
-    tree = open_whole(folder)
-    source = replace(tree.head.source, paths=(str(folder),), format="splatree-folder")
-    with create_scene(target, replace(tree.head, source=source), force=force) as writer:
-        for run in tree.runs(f"write {target.name}"):
-            writer.append(run)
-    converted = _converted(tree.num_leaves, tree.num_leaves, source.metadata, (), source.origin)
+def _in_runs(tree: TreeRuns, target: Path, options: ConvertOptions, force: bool) -> Converted:
+    """A tree as one file, or a cut of it, edited on the way, in runs of rows."""
+    source, scratch = tree.head.source, Scratch.beside(check_target(target), options.write.max_memory)
+    move = move_from_options(options.edit, source.origin)
+    kept = tree
+    if options.edit.may_drop_rows:
+        kept = kept_runs(tree, lambda g: ~kept_rows(g, move.similarity.moved(g), options.edit, move.origin), scratch)
+        num_merged, num_left = len(tree) - tree.num_leaves, len(kept) - kept.num_leaves
+        if num_left < num_merged:
+            source = with_loss(source, merged_lost(num_merged - num_left, num_merged))
+    edited = moved_runs(kept, move.similarity, min(options.edit.sh_degree, tree.head.sh_degree))
+    source = replace(source, metadata=move.similarity.metadata(source.metadata), origin=move.origin)
+    head = replace(edited.head, mode=options.mode or edited.head.mode, source=source)
+    edited = replace(edited, head=head)
+    lost: tuple[str, ...] = ()
+    if options.depth is None:
+        write_runs(edited, target, force=force)
+    else:
+        lost = write_chunks(cut_chunks(edited, options.depth), target, force=force, options=options.write)
+    converted = _converted(tree.num_leaves, edited.num_leaves, source.metadata, lost, source.origin)
     return replace(converted, in_chunks=True)
 
 

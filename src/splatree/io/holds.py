@@ -74,7 +74,10 @@ def losses(
             "it, and what reads the file has to choose"
         )
     if has_curves and not holds.curves:
-        yield f"how merged nodes look nearer than their level was made for: {name} holds them as they are at their level"
+        yield (
+            f"how merged nodes look nearer than their level was made for: {name} holds them as they are at their level; "
+            "`splatree stream` writes them as viewers with a budget draw them"
+        )
     if sh_degree > holds.sh_degree:
         above = (
             f"degree {sh_degree}"

@@ -6,7 +6,8 @@ image), about as 1/τ_R² on surfaces: interpolation between the logarithms of t
 Where the back end finds the cuts of many τ_R at once, a view alone needs no search. One block of 32 guesses τ_R; one
 pass over the cuts nearby finds, for each node, the limits that draw it; the events of these limits, sorted, say how many
 nodes each limit draws. The finest of those from which on the budget is kept is taken: it misses the budget by a node or two, for
-little more than one cut, and is the same whatever was guessed.
+little more than one cut, and is the same whatever was guessed. The next view of a session is looked for near the τ_R of the last,
+without a guess.
 
 Elsewhere a view alone is searched from its finest τ_R, until the cut holds 98 % of the budget or τ_R is known to half a percent:
 6 to 8 cuts. The next view of a moving camera begins at the τ_R of the last and is content with 90 %: 1 or 2 cuts.
@@ -30,6 +31,10 @@ __all__ = ["RangeAt", "fill_budget", "least_limit", "meet_budget", "meet_budget_
 LEAST_SPREAD, NOISE = 1.04, 4.0
 """A guess of τ_R from s sampled nodes is taken to be within a factor of 1 + 4 / √s, and the first pass looks there. What was seen
 is half of that; beyond it one more pass is made, over a wider range."""
+
+NEAR_SPREAD: Final = 1.02
+"""The factor within which τ_R is looked for near that of a view nearby: a camera that moves by 1 % changes it by about as much.
+What is found is not taken in the last quarter before the coarsest limit: just beyond, cuts might exceed the budget again."""
 
 LEAST_PX: Final = 0.05
 """Least τ_R that is stepped to; a finer one that is wanted is taken at once."""
@@ -76,6 +81,7 @@ def fill_budget(
     camera: Camera,
     *,
     every: int,
+    near: float | None = None,
 ) -> tuple[Int32[Array, "v"], int, float]:
     """The rows of the finest τ_R from which on the budget is kept, how many were looked at, and this τ_R, px.
 
@@ -86,12 +92,15 @@ def fill_budget(
         finest: finest τ_R that is wanted, px.
         camera: the view, named in the error.
         every: of so many blocks one is looked at for a guess; 1: all of them at once, they are few.
+        near: where τ_R is looked for first, px; None: guessed. It changes what is looked at, and not what is found.
 
     Raises:
         InputError: not even the roots in view meet the budget.
     """
     budget, profile = options.budget or 1, options.resolved_profile
     fine, coarse = finest, max(finest, FIRST_COARSEST_PX)
+    if near is not None and (found_near := _filled_near(range_at, options, finest, near)) is not None:
+        return found_near
     spread = max(LEAST_SPREAD, 1 + NOISE * math.sqrt(every / budget))
     if every > 1:
         guess = least_limit(range_at(fine, coarse, every), budget / every)
@@ -115,6 +124,25 @@ def fill_budget(
             return found.at(0), found.num_visited, finest
         else:
             return found.at(limit), found.num_visited, pixel_error_of(limit, profile)
+
+
+def _filled_near(
+    range_at: RangeAt, options: SelectOptions, finest: float, near: float
+) -> tuple[Int32[Array, "v"], int, float] | None:
+    """What `fill_budget` finds, if it lies near a τ_R, px."""
+    budget = options.budget or 1
+    spread = max(NEAR_SPREAD, 1 + NOISE / math.sqrt(budget))
+    fine, coarse = max(finest, near / spread), max(finest, near) * spread
+    if not math.isfinite(coarse) or near < LEAST_PX:
+        return None
+    found = range_at(fine, coarse)
+    limit = least_limit(found, budget)
+    if limit is None or (limit == 0 and fine > finest):
+        return None
+    pixel_error = finest if limit == 0 else pixel_error_of(limit, options.resolved_profile)
+    if pixel_error * (1 + (spread - 1) / 4) > coarse:
+        return None
+    return found.at(limit), found.num_visited, pixel_error
 
 
 def least_limit(found: CutRange, budget: float) -> float | None:

@@ -43,7 +43,7 @@ class BuildOptions:
     """For scenes of mode `classic`: merged Gaussians follow the pixel that they are drawn at. Nearer than their level was made
     for, they become smaller and more transparent, as their leaves are there."""
     growth: float = 2.0
-    """g: factor from the radius, or the pixel width, of one level to that of the next."""
+    """g: factor from the radius, or the pixel width, of one level to that of the next. Coarse levels by pairs are closer."""
     max_roots: int = 64
     """Construction ends when at most this many nodes are left."""
     importance: Importance = "opacity-scale"

@@ -42,6 +42,10 @@ STORED_SIZE = 24.0
 """`pairs`: the finest pixel that nodes are stored for, in p_0: eight median Gaussians. Far views draw fine levels there, as
 generous budgets demand: a city at 20 to 40 % gains 1 to 2 dB."""
 
+FINER_GROWTH = ((8.0, 2**0.5), (32.0, 2**0.25))
+"""`pairs`: from so many p_0 on, a level is at most so many times as large as the one before. These levels hold few nodes, each of
+many leaves: steps of 2 lost 0.2 to 0.7 dB on five scenes, and a frame of an object far away popped by 44.8 dB in place of 55."""
+
 WIDEST_PIXEL = 16.0
 """`pairs` ends with pixels so many times as wide as the scene: no change of the picture can be as large as one of them."""
 
@@ -77,7 +81,7 @@ class ResolvedBuild:
     last_size: float
     """Growth ends with the first level that is larger than this, world units."""
     growth: float
-    """Each level's size is so many times that of the one before."""
+    """Each level's size is so many times that of the one before; `pairs`: at most, coarse levels are closer together."""
     max_roots: int
     """Growth ends when at most this many nodes are left."""
     importance: Importance
@@ -108,15 +112,18 @@ class ResolvedBuild:
 
     def sizes(self) -> Iterator[float]:
         """The size of each level, from the finest on."""
-        if self.method == "pairs":
-            num_sizes = math.ceil(math.log(max(1.0, self.last_size / self.first_size), self.growth)) + 1
-            yield from (self.first_size * self.growth**step for step in range(num_sizes))
-            return
         size = self.first_size
         yield size
         while 0 < size <= self.last_size:
-            size *= self.growth
+            size *= self._growth_at(size)
             yield size
+
+    def _growth_at(self, size: float) -> float:
+        """Factor from a level of that size to the next."""
+        if self.method == "radius":
+            return self.growth
+        finer = (growth for start, growth in FINER_GROWTH if size > 0.99 * start * self.judged_size)
+        return min([self.growth, *finer])
 
     def sizes_from(self, first: int, count: int | None = None) -> Iterator[float]:
         """``count`` sizes after the ``first`` ones; None: all that there are."""

@@ -51,7 +51,7 @@ class Shown:
     def __post_init__(self) -> None:
         check_fields(self)
 
-    def take(self, rows: Array) -> "Shown":
+    def take(self, rows: Array | slice) -> "Shown":
         """Those of some of the nodes."""
         return Shown(*(getattr(self, f.name)[rows] for f in fields(self)))
 
@@ -122,11 +122,14 @@ def shown_of_leaves(
 
 def shown_above(base: Shown, families: Sequence[Families]) -> Shown:
     """What the leaves of new nodes show, from the finest level up, given that of the nodes which growth began with."""
-    levels, all_nodes = list[Shown](), base
+    num_base, num_new = len(base.alphas), sum(len(level.start) for level in families)
+    columns = {f.name: getattr(base, f.name) for f in fields(Shown)}
+    nodes = Shown(*(np.concatenate([column, np.empty((num_new, *column.shape[1:]))]) for column in columns.values()))
     for level in families:
-        levels.append(all_nodes.take(level.children).added(level.start))
-        all_nodes = Shown.concatenate([all_nodes, levels[-1]])
-    return all_nodes.take(np.arange(len(base.alphas), len(all_nodes.alphas)))
+        added = nodes.take(level.children).added(level.start)
+        for name in columns:
+            getattr(nodes, name)[level.parents] = getattr(added, name)
+    return nodes.take(slice(num_base, None))
 
 
 def fit_shown(

@@ -153,7 +153,8 @@ def _num_sizes(tier: Tier) -> int:
 
 def _fits(tier: Tier, room: Room) -> bool:
     """Whether all roots of a tier can be grown together."""
-    return top_bytes(sum(tier.roots), (tier.plan.sh_degree + 1) ** 2) <= room.max_bytes
+    plan = tier.plan
+    return top_bytes(sum(tier.roots), (plan.sh_degree + 1) ** 2, follows=plan.follows) <= room.max_bytes
 
 
 def _crown_above(tier: Tier, num_sizes: int) -> Tier:

@@ -14,7 +14,6 @@ import numpy as np
 from splatree.errors import FormatError
 from splatree.io.formats.folder.manifest import MANIFEST, holds_parts, read_manifest
 from splatree.io.formats.folder.whole import open_whole
-from splatree.io.formats.splatree.fields import column_types
 from splatree.io.formats.splatree.format import is_compact
 from splatree.io.formats.splatree.rows import StoredScene, open_scene
 from splatree.io.inputs import find_inputs
@@ -23,6 +22,7 @@ from splatree.io.local import local_inputs
 from splatree.io.options import ReadOptions
 from splatree.io.reading import read_levels, read_one
 from splatree.io.registry import detect, stored_bytes
+from splatree.io.tree_runs import has_rows_alone
 from splatree.outofcore.index import index_of_folder
 from splatree.outofcore.index_file import read_index
 from splatree.outofcore.page import Page
@@ -91,7 +91,7 @@ def _checked(path: Path, options: ReadOptions) -> Checked:
     name, num_bytes = "" if found is None else found.name, stored_bytes(path)
     if holds_parts(path):
         return Checked(str(path), name, *_folder(path), num_bytes, True)
-    if name == "splatree" and not is_compact(path) and _has_rows_alone(stored := open_scene(path)):
+    if name == "splatree" and not is_compact(path) and has_rows_alone(stored := open_scene(path)):
         pages = _pages(stored)
         return Checked(str(path), name, pages.num_leaves, len(stored), num_bytes, True)
     if found is not None and found.holds.levels == "one of" and options.level is None:
@@ -103,13 +103,6 @@ def _checked(path: Path, options: ReadOptions) -> Checked:
         return Checked(str(path), name, count, count, num_bytes, True)
     scene = read_one(path, options)
     return Checked(str(path), name, scene.tree.num_leaves, len(scene), num_bytes, False)
-
-
-def _has_rows_alone(stored: StoredScene) -> bool:
-    """Whether a file has nothing but columns of rows and the state of its roots; clusters are checked by reading all."""
-    head = stored.head
-    known = column_types(len(stored), 1, has_ids=head.has_ids, has_curves=head.has_curves)
-    return all(name in known or name.startswith("tree.roots.") for name in stored.file.columns)
 
 
 def _pages(stored: StoredScene, *, checksums: bool = False) -> FilePages:

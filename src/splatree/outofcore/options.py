@@ -8,8 +8,11 @@ from splatree.io.memory import PROCESS_BYTES, SMALLEST_MEMORY, bytes_of, free_by
 
 __all__ = ["FolderOptions", "Room"]
 
-ROW_BYTES = 350
+ROW_BYTES = 420
 """What growing a cell takes for each of its rows without harmonics, with the space around it: benchmarks/scale.py."""
+
+ROOT_ROW_BYTES = 650
+"""What growing a cell of roots of parts takes for each of its rows: they carry weights, ranks and balls."""
 
 HARMONIC_BYTES = 32
 """What it takes besides for each coefficient of harmonics above degree 0, three floats."""
@@ -19,6 +22,9 @@ ROOT_BYTES = 450
 
 ROOT_HARMONIC_BYTES = 45
 """What they take besides for each coefficient of harmonics above degree 0."""
+
+ROOT_SHOWN_BYTES = 1000
+"""What it takes besides where nodes follow the pixel: what leaves show at the pixel of each level."""
 
 MOST_LEVELS = 16
 """Levels that a user may let cells grow: what has to be loaded around a cell doubles with each."""
@@ -146,6 +152,12 @@ def row_bytes_of(num_coefficients: int, *, by_pairs: bool = False) -> int:
     return (PAIR_ROW_BYTES if by_pairs else ROW_BYTES) + HARMONIC_BYTES * (num_coefficients - 1)
 
 
-def top_bytes(num_roots: int, num_coefficients: int) -> int:
+def rows_above(part_rows: int) -> int:
+    """Rows of a cell of roots that takes no more memory than one of so many leaves."""
+    return max(1, part_rows * ROW_BYTES // ROOT_ROW_BYTES)
+
+
+def top_bytes(num_roots: int, num_coefficients: int, *, follows: bool) -> int:
     """Memory of a process that grows roots of parts together."""
-    return PROCESS_BYTES + num_roots * (ROOT_BYTES + ROOT_HARMONIC_BYTES * (num_coefficients - 1))
+    root_bytes = ROOT_BYTES + ROOT_HARMONIC_BYTES * (num_coefficients - 1) + ROOT_SHOWN_BYTES * follows
+    return PROCESS_BYTES + num_roots * root_bytes

@@ -23,7 +23,7 @@ from splatree.lod.options import BuildOptions
 from splatree.lod.resolve import Measures, ResolvedBuild, first_pixel, merge_rules, resolve
 from splatree.maths.morton import morton_frame
 from splatree.outofcore.fingerprint import fingerprint
-from splatree.outofcore.options import FolderOptions, Room
+from splatree.outofcore.options import FolderOptions, Room, rows_above
 from splatree.outofcore.work import Work, write_text
 from splatree.progress import task
 from splatree.scene.names import Mode
@@ -206,7 +206,7 @@ def plan_above(work: Work, plan: Plan, roots: Sequence[int], num_sizes: int, *, 
     above, first = work.above, np.cumsum([0, *roots]).tolist()
     step, files = first[-1] // SAMPLE_ROWS + 1, [number for number, count in enumerate(roots) if count]
     sample = np.concatenate([open_scene(above.cell(file)).file.rows("gaussians.means")[::step] for file in files])
-    cells = Cells.of_halvings(()) if whole else halve(sample, plan.part_rows * len(sample) / first[-1])
+    cells = Cells.of_halvings(()) if whole else halve(sample, rows_above(plan.part_rows) * len(sample) / first[-1])
     found = replace(plan, num_rows=first[-1], cells=cells, first_roots=tuple(first[:-1]), num_sizes=num_sizes)
     found = replace(found, run=hashlib.blake2b(found.to_json().encode(), digest_size=8).hexdigest())
     above.begin()

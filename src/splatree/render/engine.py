@@ -43,6 +43,7 @@ class Engine:
         self.reusing: FrameStages = self.stages if reusing is None else reusing()
         self.held: HeldScene | None = None
         self.threads = threads
+        self._met: tuple[SelectOptions, float] | None = None  # the last budget, and the τ_R that met it, px
         self._gauge = Gauge(lambda part, by_size: self.draw(part, by_size).image)
         hold = feature_of(device, "hold")
         if hold is not None:
@@ -131,13 +132,17 @@ class Engine:
             with clock.timed("cull"):
                 culling = cull_scene(self.scene, view, select, threads=self.threads)
         with clock.timed("select"):
+            near = self._met[1] if self._met is not None and self._met[0] == select else None
             selection = select_rows(
                 *(self.scene, view, select),
                 culling=culling,
                 last=last,
+                near=near,
                 stages=self.stages,
                 threads=self.threads,
             )
+        if select.budget is not None:
+            self._met = select, selection.pixel_error
         return culling, selection
 
     def update(self, columns: Gaussians | Mapping[str, Array], *, keep_index: bool) -> None:

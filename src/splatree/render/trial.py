@@ -102,7 +102,7 @@ def try_both(sample: Scene, options: BuildOptions, *, threads: int = 0) -> Tried
         for method in get_args(Method):
             trees[method] = build_levels(sample, replace(options, method=method), threads=threads)
             advance(1.0)
-        psnrs = _psnrs(trees, threads)
+        psnrs = _psnrs(trees, _made(sample), threads)
         advance(1.0)
     means = {method: float(np.mean(found)) if found else 0.0 for method, found in psnrs.items()}
     trial = MethodTrial(
@@ -155,11 +155,9 @@ def nearest_to(centre: Array, chunks: Iterable[Gaussians], most: int) -> tuple[G
     return kept[0], rows
 
 
-def _psnrs(trees: Mapping[Method, Scene], threads: int) -> dict[Method, list[float]]:
+def _psnrs(trees: Mapping[Method, Scene], views: list[Camera], threads: int) -> dict[Method, list[float]]:
     """PSNR of the cuts of each method, over views and shares."""
     found: dict[Method, list[float]] = {method: [] for method in trees}
-    some = next(iter(trees.values()))
-    views = _made(some)
     sessions = {method: open_session(tree, threads=threads) for method, tree in trees.items()}
     try:
         for view in views:
@@ -181,16 +179,15 @@ def _psnrs(trees: Mapping[Method, Scene], threads: int) -> dict[Method, list[flo
     return found
 
 
-def _made(scene: Scene) -> list[Camera]:
-    """Views from outside: two from above, to far away, and one along the ground."""
-    leaves = leaves_of(scene)
-    few = Scene.flat(leaves.gaussians.take(np.arange(0, len(leaves), len(leaves) // FOR_UP + 1)))
-    x, y, z = (float(part) for part in guess_up(survey_of(few), scene.source).up)
+def _made(sample: Scene) -> list[Camera]:
+    """Views from outside: two from above, to far away, and one along the ground. The order of the rows counts: it is as read."""
+    few = Scene.flat(sample.gaussians.take(np.arange(0, len(sample), len(sample) // FOR_UP + 1)))
+    x, y, z = (float(part) for part in guess_up(survey_of(few), sample.source).up)
     flight, low = (
         PathOptions(views=views, up=(x, y, z), width=320, height=180, elevation_deg=height)
         for views, height in ((2, 30), (1, 5))
     )
-    return [*flyout(scene, flight, nearest=2.2, farthest=5.0), *flyout(scene, low, nearest=1.0, farthest=1.0)]
+    return [*flyout(sample, flight, nearest=2.2, farthest=5.0), *flyout(sample, low, nearest=1.0, farthest=1.0)]
 
 
 def _cut(session: Session, view: Camera, budget: int) -> Array:

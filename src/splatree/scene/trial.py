@@ -27,8 +27,8 @@ class MethodTrial:
     num_pictures: int
     """Pictures that each mean is taken over; 0: no picture told the methods apart."""
     radius_loss_db: float | None = None
-    """By how much the cut by a radius is worse than that by pairs in the picture where it loses most, dB; negative: it is
-    better in each. None: a file from before this was kept."""
+    """By how much the cut by a radius is worse than that by pairs in the picture where it loses most, dB; negative: it is better
+    in each. None: a file from before this was kept."""
 
     def __post_init__(self) -> None:
         for field in fields(self):

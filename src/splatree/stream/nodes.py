@@ -12,10 +12,10 @@ views in windows of 1600 × 900 pixels (0.6 and 0.3 dB nearer); in small windows
 fainter nodes lose 0.3 dB there. One pixel size for all levels loses 2 dB where few nodes are drawn, and one dilation for all of
 them loses 2 dB from afar.
 
-Spark chooses single nodes by their size, so they are drawn smaller. At 4 px, near and middle views of 100,000 and 300,000
-nodes of two scenes come up to 5.6 dB nearer than with nodes as stored, and lose 0.3 dB at most. Far views, at 34 dB and
-above, come from 2.5 dB nearer (an object) to 4.5 dB less near (a piece of a city). At 3 px far views gain and near ones lose
-a decibel (benchmarks/streams.py).
+Spark chooses single nodes by their size, so they are drawn smaller. At 4 px, views of 100,000 nodes of two scenes come 8 to 15 dB
+nearer than with nodes as stored. A node that is right at 4 px is too transparent at 1 px, at which Spark draws all nodes if its
+budget is not used up: a far view of a piece of a city then loses 10 dB, at 35 dB. At 3 px far views gain and near ones lose
+a decibel (benchmarks/streams.py, docs/how-to/publish-a-stream.md).
 """
 
 import dataclasses

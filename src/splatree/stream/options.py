@@ -36,7 +36,7 @@ class StreamOptions:
     """For `sog` and `rad`: extent, px, at which merged nodes are expected to be drawn in a cut of half as many nodes as leaves;
     in smaller cuts they are √2 larger for each halving of the nodes. A viewer with a budget draws nodes larger than they are
     stored for, and shapes and opacities follow from that. None: 12 for `sog`, 4 for `rad`, whose nodes are chosen one by one.
-    0 keeps those of the tree, for scenes that are only seen from afar."""
+    0 keeps those of the tree, for scenes that the viewer's budget holds whole."""
     errors: bool = False
     """For `sog`: write how far each level of a chunk is from its finest one, by pictures from six sides. PlayCanvas 2.22 chooses
     levels by it in the mode `error`; other versions do not read it."""

@@ -3,7 +3,8 @@
 A point becomes a sphere of σ = the root mean square distance to its three nearest neighbours, held to [mean / 6, 4 mean]. Corners
 that no point reaches would stay empty, because births come only from what is there. So each photograph is divided into cells of
 its plane; a cell in which no Gaussian lies gets one, at the median depth of its surroundings and of the photograph's own colour.
-Without any points, `RANDOM_POINTS` lie in the box of the cameras.
+Beyond the borders of all photographs, planes go on for a few cells: the apron. Without any points, `RANDOM_POINTS` lie in the box
+of the cameras.
 
 Cost: once a run; a fraction of a second for 100,000 points.
 """
@@ -19,7 +20,7 @@ from splatree.io.cameras.points import Points
 from splatree.maths.morton import MortonFrame, morton_codes, morton_frame
 from splatree.scene.cameras import Camera
 from splatree.scene.gaussians import Gaussians
-from splatree.shapes import Array, Bool, Float64, UInt8
+from splatree.shapes import Array, Bool, Float64, Int64, UInt8
 
 __all__ = [
     "EXTENT_MARGIN",
@@ -48,6 +49,15 @@ CELLS = 16
 
 APRON_CELLS = 4
 """So many cells beyond the border of a photograph get one too, where no photograph shows anything."""
+
+PLANE_CELLS = 16
+"""Cells around an empty one, to which a plane is fitted that it goes on with."""
+
+PLANE_ERROR = 0.05
+"""Root mean square error of the plane, as a share of their depth, up to which they lie on it."""
+
+FARTHEST = 1.5
+"""A plane is continued up to so many times the depth, or the nearness, of what is known."""
 
 BEFORE = 0.8
 """What lies nearer than this share of a depth would hide what is there."""
@@ -168,8 +178,8 @@ def add_apron(
 ) -> Gaussians:
     """The Gaussians, and one in each empty cell beyond the borders that no view shows, at most ``room`` of them.
 
-    It lies at the depth of the nearest cell that has one, and is of the mean colour of the nearest cell of the photograph.
-    There is none where it would hide from another view what that view has there.
+    It lies on the plane of the cells around, and is of the mean colour of the nearest cell of the photograph. There is none
+    where the cells around lie on no plane, or where it would hide from another view what that view has there.
 
     Args:
         gaussians: what there is.
@@ -190,8 +200,8 @@ def add_apron(
         )
         if not len(empty) or not len(filled):
             continue
-        nearest = np.argmin(np.sum((empty[:, None] - filled) ** 2, axis=2), axis=1)
-        z = depths[tuple(filled[nearest].T)]
+        z = _continued_depths(empty, filled, depths[tuple(filled.T)])
+        empty, z = empty[z > view.near], z[z > view.near]
         places = _placed((empty[:, ::-1] + 0.5) * (view.width / across, view.height / down), z, view)
         refused = np.logical_or.reduce([_shown(places, other) for other in cameras])
         for (other, _), known_depths in zip(wide, depths_of, strict=True):
@@ -232,6 +242,24 @@ def _placed(pixel: Array, depth: Array, camera: Camera) -> Float64[Array, "n 3"]
     seen = np.concatenate([slopes, np.ones((len(depth), 1))], axis=1) * depth[:, None]
     pose = camera.camera_from_world
     return np.asarray((seen - pose[:3, 3]) @ pose[:3, :3])
+
+
+def _continued_depths(
+    empty: Int64[Array, "n 2"], filled: Int64[Array, "m 2"], depths: Float64[Array, "m"]
+) -> Float64[Array, "n"]:
+    """Depths of empty cells on the plane through those around; 0 where these lie on none, or it leaves their depths behind.
+
+    The inverse depth of a plane is linear in the pixels of a pinhole.
+    """
+    near = np.argsort(np.sum((empty[:, None] - filled) ** 2, axis=2), axis=1, kind="stable")[:, :PLANE_CELLS]
+    offsets = (filled[near] - empty[:, None]).astype(np.float64)
+    A = np.concatenate([np.ones((*near.shape, 1)), offsets], axis=2)  # [n k 3]
+    inverse = 1 / depths[near]
+    found = np.einsum("nik,nk->ni", np.linalg.pinv(A), inverse)
+    left = np.sqrt(np.square(np.einsum("nki,ni->nk", A, found) - inverse).mean(axis=1))
+    ratio = found[:, 0] / inverse.mean(axis=1)
+    fits = (left < PLANE_ERROR * inverse.mean(axis=1)) & (ratio > 1 / FARTHEST) & (ratio < FARTHEST)
+    return np.where(fits, 1 / np.where(fits, found[:, 0], 1), 0)
 
 
 def _seen(places: Array, camera: Camera) -> tuple[Float64[Array, "n 2"], Float64[Array, "n"], Bool[Array, "n"]]:

@@ -7,7 +7,7 @@ graph, later ones replay it.
 Arrays have fixed sizes. If a view selects more rows or makes more pairs than they hold, the counters say how many: then
 `Pending.finish` makes room and draws the view again. A picture that lacks something is never handed out.
 
-Of the blend kernels and the orders of their tiles that is taken which is fastest on this device at this size, measured once on
+Of the blend kernels and the orders of their tiles, those are taken that are fastest on this device at this size, measured once on
 the first view.
 """
 

@@ -1,29 +1,44 @@
 """The order of a tree's nodes in which a viewer that loads pages needs few of them: the definition.
 
-A page is ``page_rows`` consecutive nodes, and the children of a node follow each other. Spark (`chunk_tree.rs`) fills pages
-batch by batch. A batch is a set of nodes that have their numbers already; the first is the roots. The largest node of the batch
-gets its children numbered, they join the batch, and so on, until the next family would pass the first border between pages that
-lies at least an eighth of a page beyond the start of the batch. The nodes that are left are split by the place of their centres,
-into halves along an axis when their box is long, else into octants, and each part is a later batch.
+A page is ``page_rows`` consecutive nodes, and the children of a node follow each other. Pages are filled batch by batch, as in
+Spark (`chunk_tree.rs`). A batch is a set of nodes that have their numbers already; the first is the roots. The largest node of a
+batch gets its children numbered, they join the batch, and so on, until the next family would pass the first border between pages
+that lies at least an eighth of a page beyond the start of the batch. The nodes that are left are halved by the place of their
+centres, along the axis on which the middle nine tenths of them reach farthest, and each half is a later batch.
 
-So a page holds the large nodes of one region: a view that refines some regions loads the pages of these regions alone.
+So a page holds the large nodes of one region. Spark divides a batch at the middle of its box, which a few far nodes move: of a
+city with surroundings most nodes then stay together, and a view loads pages of more than it sees. With halves of equally many
+nodes it loads fewer (docs/how-to/publish-a-stream.md).
 """
 
 import heapq
+from collections.abc import Callable
 
 import numpy as np
 
 from splatree.shapes import Array, Float32, Int32
 
-__all__ = ["PAGE_ROWS", "page_order"]
+__all__ = ["PAGE_ROWS", "halves", "page_order"]
 
 PAGE_ROWS = 1 << 16
 """Nodes of a page of a ``.rad``."""
 
-_LONG = 3.0
-"""A box is cut along its longest side alone if that is so many times its shortest."""
-_OCTANTS = (0, 1, 3, 2, 6, 7, 5, 4)
-"""Order of the octants: each shares a face with the next."""
+_FAR_OUT = 20
+"""One in so many nodes at either end of an axis does not count for how far a batch reaches."""
+
+
+def halves(means: Array, rows: list[int]) -> list[list[int]]:
+    """The rows of a batch in two parts that lie together."""
+    if len(rows) < 2:
+        return [rows] if rows else []
+    centers = means[rows]
+    edge = len(rows) // _FAR_OUT
+    places = np.sort(centers, axis=0)
+    axis = int((places[-1 - edge] - places[edge]).argmax())
+    order = np.argsort(centers[:, axis], kind="stable")  # of equal places the smaller row is first
+    by_place = [rows[i] for i in order]
+    middle = len(rows) // 2
+    return [by_place[:middle], by_place[middle:]]
 
 
 def page_order(
@@ -33,10 +48,11 @@ def page_order(
     first_number: int,
     *,
     page_rows: int = PAGE_ROWS,
+    divide: Callable[[Array, list[int]], list[list[int]]] = halves,
 ) -> Int32[Array, "n"]:
     """The rows of a preorder tree in the order of their numbers; row ``page_order[i]`` has the number ``first_number + i``.
 
-    Larger ``sizes`` come first, and of equal ones the smaller row.
+    Larger ``sizes`` come first, and of equal ones the smaller row. ``divide`` makes parts of the rows that a batch leaves.
     """
     n = len(sizes)
     roots: list[int] = []
@@ -63,24 +79,5 @@ def page_order(
                 if children[child]:
                     heapq.heappush(heap, (-sizes[child], child))
             is_first = False
-        batches += _parts(means, [row for _, row in heap])
+        batches += divide(means, sorted(row for _, row in heap))
     return np.array(order, np.int32)
-
-
-def _parts(means: Array, rows: list[int]) -> list[list[int]]:
-    """Rows that lie together; empty parts are left out."""
-    if not rows:
-        return []
-    centers = means[rows]
-    low, high = centers.min(axis=0), centers.max(axis=0)
-    middle, extents = (low + high) * np.float32(0.5), high - low
-    if float(extents.max()) >= _LONG * float(extents.min()):
-        is_high = (centers >= middle)[:, int(extents.argmax())]
-        parts = sorted(
-            ([row for row, high in zip(rows, is_high, strict=True) if high == side] for side in (False, True)),
-            key=lambda part: -len(part),
-        )
-    else:
-        octants = (centers >= middle) @ np.array([1, 2, 4])
-        parts = [[row for row, o in zip(rows, octants, strict=True) if o == octant] for octant in _OCTANTS]
-    return [part for part in parts if part]

@@ -79,7 +79,9 @@ export class Controls {
   }
 
   key(event, isDown) {
-    if (event.target.closest?.('input, select, textarea, dialog') || event.ctrlKey || event.metaKey || event.altKey) return;
+    const isTyped = event.target.closest?.('dialog, select, textarea, input:not([type=range], [type=checkbox])');
+    const isSlid = event.code in ARROWS && event.target.closest?.('input'); // a slider that was moved last keeps its arrows only
+    if (isTyped || isSlid || event.ctrlKey || event.metaKey || event.altKey) return;
     if (event.code in KEYS || event.code in ARROWS) {
       if (isDown) this.on.taken();
       if (isDown) this.keys.add(event.code);

@@ -1,9 +1,8 @@
 """The nodes of a ``.rad`` with levels: their order, and the links between them.
 
-Node 0 is the root; several roots get a node above them. The order decides how many chunks a viewer loads for a picture, and is
-Spark's own (`splatree.kernels.reference.paging`): the children of a node follow each other, and a chunk holds the large nodes of
-one region. Seen from near, the first 100,000 nodes of a scene of millions are in a seventh of the chunks that they would be in
-if the nodes stood breadth-first.
+Node 0 is the root; several roots get a node above them. The order decides how many chunks a viewer loads for a picture
+(`splatree.kernels.reference.paging`): the children of a node follow each other, and a chunk holds the large nodes of one region.
+Views of 100,000 nodes of a scene of millions need a third of the chunks that they would need if the nodes stood breadth-first.
 """
 
 from dataclasses import dataclass
