@@ -366,3 +366,23 @@ def test_chunks_that_do_not_keep_their_promise_are_refused():
         list(Chunks(4, 1, "classic", lambda: iter(parts)))
     with pytest.raises(InputError, match="degree 1, wanted 0"):
         list(Chunks(3, 0, "classic", lambda: iter(parts)))
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("a.jpg", b"\xff\xd8\xff\xe0", "is a picture, not a scene; train a scene from photographs"),
+        ("a", b"\x89PNG\r\n\x1a\n", "is a picture, not a scene"),
+        ("a.LAS", b"LASF", "is a point cloud or a mesh, which holds no Gaussians; train a scene"),
+        ("a.obj", b"v 0 0 0\n", "is a point cloud or a mesh"),
+        ("photos/a.JPG", b"\xff\xd8\xff", "photos: holds photographs or their cameras, not a scene; train a scene"),
+        ("set/images/a.txt", b"", "set: holds photographs or their cameras"),
+        ("set/transforms.json", b"{}", "set: holds photographs or their cameras"),
+        ("set/notes.txt", b"x", "set: found no scene in this folder"),
+    ],
+)
+def test_what_a_scene_is_trained_from_is_told_from_a_scene(tmp_path, name, content, message):
+    (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(InputError, match=message):
+        splatree.read(tmp_path / name.split("/")[0])

@@ -3,10 +3,17 @@
 import re
 from pathlib import Path
 
-__all__ = ["advice", "not_content"]
+__all__ = ["advice", "advice_for_folder", "not_content"]
 
 _PICKLES = (".pth", ".pt", ".ckpt", ".pkl", ".pickle")
 _PICKLE_PROTOCOLS = tuple(bytes([0x80, protocol]) for protocol in range(2, 6))
+
+
+_PICTURES = (b"\x89PNG\r\n", b"\xff\xd8\xff", b"II*\0", b"MM\0*")
+_PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".heic")
+_SURVEYED = (".las", ".laz", ".e57", ".xyz", ".pts", ".obj", ".stl", ".fbx", ".dae", ".usdz")
+_OF_PHOTOGRAPHS = {"images", "sparse", "transforms.json", "images.bin", "images.txt"}
+_TRAIN = "train a scene from photographs whose cameras are known: splatree train FOLDER -o scene.splatree"
 
 
 def not_content(head: bytes) -> str | None:
@@ -35,6 +42,18 @@ def advice(path: Path, head: bytes) -> str | None:
             "is never opened here; export a .ply with the program that trained it (3DGS has one beside it, in point_cloud/), or "
             "load it where you trust it and hand its tensors to splatree.Gaussians"
         )
+    if head.startswith(_PICTURES):
+        return f"is a picture, not a scene; {_TRAIN}"
+    if path.suffix.lower() in _SURVEYED:
+        return f"is a point cloud or a mesh, which holds no Gaussians; {_TRAIN}"
+    return None
+
+
+def advice_for_folder(folder: Path) -> str | None:
+    """What a folder without a scene is, if it is one of photographs or their cameras; None for other folders."""
+    names = [entry.name.lower() for entry in folder.iterdir()]
+    if any(name.endswith(_PICTURE_SUFFIXES) for name in names) or _OF_PHOTOGRAPHS & set(names):
+        return f"holds photographs or their cameras, not a scene; {_TRAIN}"
     return None
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from splatree.errors import InputError
-from splatree.io.foreign import advice
+from splatree.io.foreign import advice, advice_for_folder
 
 _HEAD_BYTES = 1024
 
@@ -88,6 +88,8 @@ def _find(path: Path, is_scene: Callable[[Path], bool], notes: list[str]) -> lis
         return [newest]
     found = [child for child in sorted(path.iterdir(), key=_natural) if is_scene(child)]
     if not found:
+        if known := advice_for_folder(path):
+            raise InputError(f"{path}: {known}")
         raise InputError(
             f"{path}: found no scene in this folder; wanted scene files, folders with meta.json or lod-meta.json, "
             "or point_cloud/iteration_*/point_cloud.ply"
