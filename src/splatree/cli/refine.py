@@ -111,7 +111,7 @@ def show(result: Result) -> str:
     """The result in words."""
     gained = (
         f"{result.judges} views kept to judge by: {result.before_db:.2f} to {result.after_db:.2f} dB in the mean, the least "
-        f"{result.worst_gain_db:+.2f} dB"
+        f"{result.worst_gain_db:+z.2f} dB"
     )
     wrote = (
         f"wrote {result.output}: {result.num_learned:,} of {result.num_inner:,} merged nodes learned, "

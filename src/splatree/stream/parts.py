@@ -74,6 +74,8 @@ class Folder:
                 (temporary / file).write_bytes(data)
             temporary.rename(self.path / name)
         except OSError as error:
+            if self.has(name):  # another process that writes the same stream was first
+                return
             raise OutputError(f"{self.path / name}: could not be written ({error.strerror or error})") from error
         finally:
             shutil.rmtree(temporary, ignore_errors=True)
