@@ -29,7 +29,7 @@ def test_a_tree_gets_better_pictures(splatree, tree, tmp_path):
 def test_cameras_of_ones_own(splatree, tree, tmp_path):
     cameras = tmp_path / "cameras.json"
     st.write_cameras(st.orbit(st.read(tree), st.PathOptions(views=24, width=200, height=150)), cameras)
-    code, _, err = splatree("refine", tree, tmp_path / "a.splatree", "--cameras", cameras, "--iterations", "60")
+    code, _, err = splatree("refine", tree, tmp_path / "a.splatree", "--cameras", cameras, "--iterations", "30")
     assert code == 0, err
 
 
