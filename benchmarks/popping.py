@@ -1,10 +1,10 @@
 """Pops of each frame at a quality, and what hysteresis would change: refine a node at 1.25 τ, merge its children at τ.
 
-``python benchmarks/popping.py [--scenes ...] [--quality 40]`` needs the shared scenes. τ_R is measured in the first frame and
-kept. From three views the camera moves ahead and back by a hundredth of the distance a frame, and to and fro between two frames.
-Each frame is drawn by its own cut and by the one before (render/popping.py). With hysteresis a frame's cut is the one before,
-held between the cut of τ and that of 1.25 τ on every path from a root to a leaf, which is an exact cut again. *after a
-quarter*: nodes and PSNR against all leaves after the camera has moved by a quarter of the distance.
+``python benchmarks/popping.py [--scenes ...] [--method pairs] [--quality 40]`` needs the shared scenes. τ_R is measured in
+the first frame and kept. From three views the camera moves ahead and back by a hundredth of the distance a frame, and to and
+fro between two frames. Each frame is drawn by its own cut and by the one before (render/popping.py). With hysteresis a
+frame's cut is the one before, held between the cut of τ and that of 1.25 τ on every path from a root to a leaf, which is an
+exact cut again. *after a quarter*: nodes and PSNR against all leaves after the camera has moved by a quarter of the distance.
 """
 
 import argparse
@@ -39,6 +39,7 @@ class Fixed:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scenes", nargs="+", choices=SCENES, default=["city 5_9", "logo", "biker"])
+    parser.add_argument("--method", nargs="+", choices=get_args(Method), default=get_args(Method))
     parser.add_argument("--quality", type=float, default=40.0)
     arguments = parser.parse_args()
     rows: list[dict[str, object]] = []
@@ -46,7 +47,7 @@ def main() -> None:
         read = st.read(SCENES[name])
         flat = st.Scene.flat(read.gaussians.take(read.tree.is_leaf), mode=read.mode)
         views = st.flyout(flat, st.PathOptions(views=3, width=480, height=270))
-        for method in get_args(Method):
+        for method in arguments.method:
             with st.open_session(st.build_lod(flat, st.BuildOptions(method))) as session:
                 for key, view in zip(("near", "middle", "far"), views, strict=True):
                     for row in of_view(session, flat, view, arguments.quality):
