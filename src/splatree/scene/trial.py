@@ -51,8 +51,9 @@ class MethodTrial:
         """Both figures, and where they are from."""
         if not self.num_pictures:
             return f"no picture of {self.num_gaussians:,} Gaussians told the methods apart"
-        worst = "" if self.radius_loss_db is None else f", in one picture {-self.radius_loss_db:+.1f} dB by a radius"
+        loss = self.radius_loss_db or 0.0
+        worst = f" (in one picture {loss:.1f} dB less)" if loss > 0 else ""
         return (
-            f"at equal nodes, pairs {self.pairs_db:.1f} dB, radius {self.radius_db:.1f} dB against all leaves{worst} "
+            f"at equal nodes, pairs {self.pairs_db:.1f} dB, radius {self.radius_db:.1f} dB{worst} against all leaves "
             f"({self.num_pictures} pictures each of {self.num_gaussians:,} Gaussians)"
         )
