@@ -57,9 +57,7 @@ def test_levels_by_a_radius_that_are_far_worse_are_not_written_without_a_word(
     trial = st.MethodTrial(radius_db=41.0, pairs_db=42.0, num_gaussians=5000, num_pictures=9, radius_loss_db=loss_db)
     monkeypatch.setattr("splatree.cli.radius_check.try_methods", lambda scene, most: trial)
     notes = built(city, tmp_path, capsys, *words)["notes"]
-    assert (
-        any("show this scene badly" in note and "in one picture 6.5 dB less" in note for note in notes) == warns
-    )
+    assert any("show this scene badly" in note and "in one picture 6.5 dB less" in note for note in notes) == warns
 
 
 def test_a_build_through_files_says_which_method_and_both_figures(city, tmp_path, capsys):

@@ -166,7 +166,10 @@ def test_the_better_method_is_that_of_more_decibels():
     assert trial.better == "pairs"
     assert replace(trial, radius_db=25.0).better == "radius"
     assert "pairs 24.0 dB, radius 20.5 dB against all leaves (4" in trial.in_words()
-    assert "radius 20.5 dB (in one picture 7.2 dB less) against all leaves (4" in replace(trial, radius_loss_db=7.21).in_words()
+    assert (
+        "radius 20.5 dB (in one picture 7.2 dB less) against all leaves (4"
+        in replace(trial, radius_loss_db=7.21).in_words()
+    )
 
 
 def test_where_no_picture_tells_the_methods_apart_levels_are_by_a_radius():
