@@ -216,7 +216,7 @@ def _build_and_die_at_rename(ply, output, number):
 
 @pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGKILL")
-@pytest.mark.parametrize("number", [7, 8, 9])  # a piece has at most four files, the end of this build six: each run gets on
+@pytest.mark.parametrize("number", [7, 8, 9])  # a piece has at most four files, the end of this build six
 def test_a_build_that_is_killed_again_and_again_ends_with_the_same_files(tmp_path, ply, number):
     context = multiprocessing.get_context("fork")
     exit_codes = []
