@@ -1,5 +1,7 @@
 """A file and a folder of parts with many pages, which tests of this folder share."""
 
+from itertools import product
+from pathlib import Path
 from unittest import mock
 
 import pytest
@@ -21,6 +23,17 @@ def ply(tmp_path_factory):
 def small_pages(rows):
     """Pages of so many rows, or a few more, as long as the context lasts."""
     return mock.patch.object(pages, "PAGE_BYTES", rows * 100)  # a row of degree 0 has about as much
+
+
+def check_is_drawn_as_the_whole_tree(path: Path):
+    """Pictures of a folder that is drawn from disk are those of its tree in memory, bit for bit."""
+    tree = st.read(path)
+    views = st.orbit(tree, st.PathOptions(views=2, width=64, height=48))
+    with st.open_store(path) as store, st.open_session(store) as session:
+        for view, pixel_error in product(views, (1.0, 8.0)):
+            select = st.SelectOptions(pixel_error=pixel_error)
+            found, wanted = session.draw(view, select=select), st.render(tree, view, select=select)
+            assert found.image.tobytes() == wanted.image.tobytes()
 
 
 @pytest.fixture(scope="session")

@@ -10,7 +10,7 @@ import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from itertools import pairwise, product
+from itertools import pairwise
 from pathlib import Path
 from unittest import mock
 
@@ -28,7 +28,7 @@ from splatree.progress import listen
 
 from ..laws.hard_scenes import hard_scene, hard_scenes
 from ..laws.test_parts import check_same_tree
-from .conftest import small_pages
+from .conftest import check_is_drawn_as_the_whole_tree, small_pages
 
 SMALL = st.FolderOptions(part_rows=200)
 
@@ -359,13 +359,7 @@ def test_a_crown_of_many_tiers_is_drawn_from_disk_as_the_whole_tree(tmp_path, pl
     with room_for(20), small_pages(60):
         built = st.build_folder(ply, tmp_path / "out.splatree", LITTLE, st.FolderOptions(part_rows=60, part_levels=2))
         st.check(built.path)
-    tree = st.read(built.path)
-    views = st.orbit(tree, st.PathOptions(views=2, width=64, height=48))
-    with st.open_store(built.path) as store, st.open_session(store) as session:
-        for view, pixel_error in product(views, (1.0, 8.0)):
-            select = st.SelectOptions(pixel_error=pixel_error)
-            found, wanted = session.draw(view, select=select), st.render(tree, view, select=select)
-            assert found.image.tobytes() == wanted.image.tobytes()
+    check_is_drawn_as_the_whole_tree(built.path)
 
 
 def test_an_end_that_does_not_fit_is_told(tmp_path, ply):

@@ -6,7 +6,7 @@ import os
 import signal
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from itertools import pairwise, product
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -21,6 +21,7 @@ from splatree.outofcore.options import PAIR_CELL_ROWS, Room, cell_bytes
 from splatree.simplify.visibility import visibilities_in
 
 from ..laws.hard_scenes import hard_scenes
+from .conftest import check_is_drawn_as_the_whole_tree
 from .test_build_folder import SMALL, _build_and_die, check_is_tree_of, files_in
 
 PAIRS = st.BuildOptions("pairs", follow=False)
@@ -110,13 +111,7 @@ def test_one_cell_follows_the_pixel_as_in_memory(tmp_path, ply):
 
 def test_pictures_from_disk_are_those_of_the_whole_tree(tmp_path, ply):
     built = st.build_folder(ply, tmp_path / "out.splatree", FOLLOWING, SMALL)
-    tree = st.read(built.path)
-    views = st.orbit(tree, st.PathOptions(views=2, width=64, height=48))
-    with st.open_store(built.path) as store, st.open_session(store) as session:
-        for view, pixel_error in product(views, (1.0, 8.0)):
-            select = st.SelectOptions(pixel_error=pixel_error)
-            found, wanted = session.draw(view, select=select), st.render(tree, view, select=select)
-            assert found.image.tobytes() == wanted.image.tobytes()
+    check_is_drawn_as_the_whole_tree(built.path)
 
 
 def test_the_record_names_the_cells(tmp_path, ply):

@@ -27,7 +27,7 @@ from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Scene
 from splatree.shapes import Array, Bool, Float32, Float64, Int64, check_fields
 
-__all__ = ["CleanOptions", "Cleaned", "Leaves", "Survey", "check_left", "clean", "survey", "would_drop"]
+__all__ = ["ROWS_AT_ONCE", "CleanOptions", "Cleaned", "Leaves", "Survey", "check_left", "clean", "survey", "would_drop"]
 
 LEAST_RADIUS = 1e-12
 """World units: of a scene at one point."""
@@ -38,9 +38,8 @@ OCCUPIED = 0.1
 REACH = 1 << 20
 """Cubes along each axis, each way from the middle: three times 21 bits make a key; what lies farther shares the last ones."""
 
-
 ROWS_AT_ONCE = 1 << 17
-"""Leaves of a scene in memory that are looked at together."""
+"""Leaves that are looked at together."""
 
 
 @dataclass(frozen=True)

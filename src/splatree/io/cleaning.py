@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from splatree.edit.clean import CleanOptions, Leaves, check_left, clean, survey
+from splatree.edit.clean import ROWS_AT_ONCE, CleanOptions, Leaves, check_left, clean, survey
 from splatree.errors import InputError
 from splatree.io.chunks import Chunks
 from splatree.io.inputs import find_inputs
@@ -38,9 +38,6 @@ from splatree.scene.gaussians import Gaussians
 from splatree.shapes import Array, Bool, Float32, Float64
 
 __all__ = ["CleanedFile", "clean_file"]
-
-ROWS_AT_ONCE = 1 << 17
-"""Gaussians whose columns are looked at together."""
 
 
 @dataclass(frozen=True)
