@@ -95,6 +95,25 @@ def test_a_cleaned_tree_has_the_bytes_of_cleaning_in_memory(trees, tmp_path, nam
     assert cleaned.scene.tree.num_levels > 1
 
 
+def test_a_tree_is_not_put_into_another_order(trees, tmp_path):
+    with pytest.raises(st.InputError, match="order morton: found a scene with levels"):
+        st.convert(
+            trees / "parts.splatree", tmp_path / "a.splatree", st.ConvertOptions(edit=st.EditOptions(order="morton"))
+        )
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["parts", "file"])
+@pytest.mark.parametrize("suffix", [".ply", ".splat", ".compressed.ply"])
+def test_a_cut_that_is_moved_beyond_what_is_read_is_not_written(trees, tmp_path, name, suffix):
+    options = st.ConvertOptions(edit=st.EditOptions(scale=1e12), depth=2)
+    with pytest.raises(
+        FormatError, match=r"^the scene after the edits: row \d+, log_scales\[0\]: found .*, wanted between −30 and 30"
+    ):
+        st.convert(trees / f"{name}.splatree", tmp_path / f"a{suffix}", options)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_files_that_are_no_tree_or_have_more_than_one_are_not_taken_for_one(trees, tmp_path):
     scene = st.read(trees / "pairs.splatree")
     st.write(st.build_clusters(scene, 8), tmp_path / "clusters.splatree")

@@ -79,14 +79,19 @@ def test_select_begins_at_the_last_view():
     np.testing.assert_array_equal(unchanged.rows, alone.rows)
 
 
-def forest(seed, num_trees=400):
-    """Sizes of nodes that enter and leave as those of a tree: a root above two inner nodes above two leaves each."""
+def forest(seed, num_trees=400, num_alone=0):
+    """Sizes of nodes that enter and leave as those of a tree: a root above two inner nodes above two leaves each.
+
+    Of `num_alone` further trees a root alone is in view: it comes, and nothing goes for it.
+    """
     rng = np.random.default_rng(seed)
     root = rng.lognormal(4, 1, num_trees)
     inner = root[:, None] * rng.uniform(0.05, 0.9, (num_trees, 2))
     enters = np.column_stack([root, inner, np.zeros((num_trees, 4))]).astype(np.float32)
     leaves = np.column_stack([np.full(num_trees, 3e38), root, root, inner.repeat(2, axis=1)]).astype(np.float32)
-    return enters, leaves
+    alone = np.full((num_alone, 7), 3e38, np.float32)  # never, but for the first of each
+    alone[:, 0] = rng.lognormal(3, 1, num_alone)
+    return np.concatenate([enters, alone]), np.concatenate([leaves, np.full_like(alone, 3e38)])
 
 
 def range_of(enters, leaves):
@@ -135,6 +140,18 @@ def test_where_a_budget_is_looked_for_first_changes_nothing(seed, budget, finest
     rows, _, found = fill_budget(range_of(*forest(seed)), None, options, finest, CAMERA, every=4, near=aside * tau)
     assert found == tau
     np.testing.assert_array_equal(rows, wanted)
+
+
+@pytest.mark.parametrize("budget", [800, 1000, 1300])
+def test_what_comes_into_view_just_beyond_is_not_overlooked(budget):
+    """Where roots come that nothing goes for, a coarser cut may have more nodes: the budget is then exceeded again."""
+    options = SelectOptions(budget=budget, profile="exact")
+    for seed in range(12):
+        trees = forest(seed, num_alone=300)
+        wanted = fill_budget(range_of(*trees), None, options, 0.0, CAMERA, every=4)[2]
+        for aside in np.linspace(0.85, 0.91, 25):
+            found = fill_budget(range_of(*trees), None, options, 0.0, CAMERA, every=4, near=aside * wanted)[2]
+            assert found == wanted
 
 
 def test_a_budget_is_met_in_one_pass_near_the_last():
