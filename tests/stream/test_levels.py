@@ -76,6 +76,8 @@ def test_any_mix_of_levels_over_chunks_is_a_cut(scene, chunk_leaves, ratio, rand
 def test_levels_shrink_by_the_ratio_to_a_sixty_fourth(city_tree):
     chunks = chunks_of_tree(city_tree)
     counts = [len(level) for level in levels_of_tree(city_tree.tree, chunks)]
+    np.testing.assert_allclose(counts, counts[0] / np.array([1, 2.5, 2.5**2, 2.5**3, 2.5**4, 64]), rtol=0.01)
+    counts = [len(level) for level in levels_of_tree(city_tree.tree, chunks, ratio=2)]
     np.testing.assert_allclose(counts, counts[0] / 2.0 ** np.arange(7), rtol=0.01)
     counts = [len(level) for level in levels_of_tree(city_tree.tree, chunks, ratio=4, num_levels=3)]
     np.testing.assert_allclose(counts, counts[0] / 4.0 ** np.arange(3), rtol=0.01)

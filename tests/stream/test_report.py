@@ -67,7 +67,7 @@ def test_levels_are_judged_from_the_finest_down(scene, cameras, tmp_path):
 
 def test_a_chunk_is_judged_by_its_own_pictures(scene, tmp_path):
     """PSNR of the pictures of one chunk, drawn here by themselves; nearest of all is the level next to the finest."""
-    written = stream(scene, tmp_path / "out", options=st.StreamOptions(chunk_leaves=60, levels=4))
+    written = stream(scene, tmp_path / "out", options=st.StreamOptions(ratio=2, chunk_leaves=60, levels=4))
     opened = open_sog_stream(written.output)
     found = quality_of_chunks(opened)
     assert [chunk.chunk for chunk in found] == list(range(written.num_chunks))

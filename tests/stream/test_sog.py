@@ -20,7 +20,7 @@ from splatree.stream.stream import stream
 
 from .conftest import forest
 
-OPTIONS = st.StreamOptions(chunk_leaves=40, unit_rows=150, levels=4)
+OPTIONS = st.StreamOptions(ratio=2, chunk_leaves=40, unit_rows=150, levels=4)
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +50,7 @@ def bytes_of(folder):
 def test_each_range_holds_the_rows_of_its_chunk_and_level_in_order(scene, folder):
     manifest = manifest_of(folder)
     chunks = chunks_of_tree(scene, OPTIONS.chunk_leaves)
-    levels = levels_of_tree(scene.tree, chunks, num_levels=OPTIONS.levels)
+    levels = levels_of_tree(scene.tree, chunks, ratio=OPTIONS.ratio, num_levels=OPTIONS.levels)
     units = [sog.read_unchecked(folder / name, ReadOptions()).gaussians for name in manifest["filenames"]]
     leaves = leaves_of(manifest["tree"])
     assert len(leaves) == len(chunks) and manifest["lodLevels"] == len(levels) == 4
@@ -81,7 +81,7 @@ def test_level_0_is_the_leaves_and_every_level_reads_back(scene, folder):
 
 def test_boxes_hold_the_ellipsoids_of_all_levels(scene, folder):
     chunks = chunks_of_tree(scene, OPTIONS.chunk_leaves)
-    levels = levels_of_tree(scene.tree, chunks, num_levels=OPTIONS.levels)
+    levels = levels_of_tree(scene.tree, chunks, ratio=OPTIONS.ratio, num_levels=OPTIONS.levels)
     manifest = manifest_of(folder)
     covariances = covariances_from_gaussians(scene.gaussians.quats, scene.gaussians.log_scales)
     reach = np.sqrt(np.einsum("nii->ni", covariances))
@@ -139,7 +139,7 @@ def test_a_new_stream_replaces_the_old_one_and_nothing_else(scene, tmp_path):
         stream(scene, out, options=OPTIONS)
     (out / "licence.txt").write_text("mine")
     (out / "photo").mkdir()
-    again = stream(scene, out, options=st.StreamOptions(chunk_leaves=40, unit_rows=150, levels=2), force=True)
+    again = stream(scene, out, options=st.StreamOptions(ratio=2, chunk_leaves=40, unit_rows=150, levels=2), force=True)
     assert again.num_parts_kept == again.num_parts == 5  # levels 0 and 1 are as they were
     names = {name.split("/")[0] for name in manifest_of(out)["filenames"]}
     assert {path.name for path in out.iterdir()} == names | {"lod-meta.json", "licence.txt", "photo"}
@@ -192,7 +192,7 @@ def test_the_mode_of_the_scene_is_named(tmp_path):
 
 def test_units_have_whole_chunks_of_one_level():
     scene = forest(900, seed=5)
-    levels = levels_of_tree(scene.tree, chunks_of_tree(scene, 40), num_levels=4)
+    levels = levels_of_tree(scene.tree, chunks_of_tree(scene, 40), ratio=OPTIONS.ratio, num_levels=4)
     units = list(module._units(levels, 150))
     for index, level in enumerate(levels):
         own = [unit for unit in units if unit.level == index]

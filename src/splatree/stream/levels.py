@@ -8,9 +8,10 @@ at every e.
 The spine above the chunks is in no level. So the nodes of one chunk never stand for leaves of another: whatever level a viewer
 takes for each chunk, every leaf is drawn once, by itself or by one node above it.
 
-A tree by pairs has few different extents, each twice the one before, and so few cuts. They could be divided further, by the
-smaller nodes of one extent first; near views then lose up to 0.8 dB, because readers' bands of distance triple
-(docs/how-to/publish-a-stream.md). So the ladder takes the cuts that the tree has.
+A viewer's bands of distance triple, so levels that differ little spend a budget far away: levels of 1/2.5 of the nodes are nearer
+to all Gaussians from close by than halves, by up to 3 dB, and fewer bytes (docs/how-to/publish-a-stream.md). A tree by pairs has
+some thirty different extents, and so as many cuts. They could be divided further, by the smaller nodes of one extent first, which
+gains nothing. So the ladder takes the cuts that the tree has.
 
 Cost: a pass over the tree and two sorts, about a second for 7 M nodes.
 """
@@ -27,6 +28,7 @@ from splatree.stream.chunks import TreeChunks
 
 __all__ = [
     "COARSEST_SHARE",
+    "RATIO",
     "Intervals",
     "Level",
     "cuts_of",
@@ -34,6 +36,9 @@ __all__ = [
     "intervals_of",
     "levels_of_tree",
 ]
+
+RATIO = 2.5
+"""Nodes of a level for each node of the next coarser one."""
 
 COARSEST_SHARE = 1 / 64
 """Nodes of the coarsest level for each leaf: viewers show it first, and all of it. A coarser one is a blur that stays on the
@@ -102,7 +107,7 @@ def intervals_from(from_size: Float32[Array, "n"], depth: Array) -> Intervals:
 
 
 def levels_of_tree(
-    tree: GaussianTree, chunks: TreeChunks, *, ratio: float = 2.0, num_levels: int | None = None
+    tree: GaussianTree, chunks: TreeChunks, *, ratio: float = RATIO, num_levels: int | None = None
 ) -> tuple[Level, ...]:
     """The leaves, and coarser levels that each have about ``1 / ratio`` of the nodes of the level before.
 
@@ -119,14 +124,22 @@ def levels_of_tree(
     intervals = intervals_of(tree, chunks)
     sizes, counts = cuts_of(intervals)
     levels = [_level(intervals, chunks, 0.0)]
-    fewest = max(COARSEST_SHARE * len(levels[0]) * 0.99, _NODES_PER_CHUNK_MIN * len(chunks))
-    target = len(levels[0]) / ratio
-    while len(sizes) and (target >= fewest if num_levels is None else len(levels) < num_levels and target >= 1):
+    for target in _targets(len(levels[0]), len(chunks), ratio, num_levels) if len(sizes) else ():
         nearest = int(np.argmin(np.abs(np.log(counts / target))))
+        if len(levels) == num_levels:
+            break
         if counts[nearest] <= _SMALLER_MIN * len(levels[-1]):
             levels.append(_level(intervals, chunks, float(sizes[nearest])))
-        target /= ratio
     return tuple(levels)
+
+
+def _targets(num_leaves: int, num_chunks: int, ratio: float, num_levels: int | None) -> list[float]:
+    """Nodes that the levels above the finest should have: down to the coarsest share, or to one node if levels are counted."""
+    fewest = 1.0 if num_levels is not None else max(COARSEST_SHARE * num_leaves, _NODES_PER_CHUNK_MIN * num_chunks)
+    targets = [num_leaves / ratio]
+    while targets[-1] > fewest:
+        targets.append(max(targets[-1] / ratio, fewest))
+    return targets if targets[-1] >= fewest else []
 
 
 def cuts_of(intervals: Intervals) -> tuple[Array, Array]:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, fields
 from typing import Literal
 
 from splatree.errors import InputError
+from splatree.stream.levels import RATIO
 
 __all__ = ["StreamFormat", "StreamOptions"]
 
@@ -23,7 +24,7 @@ class StreamOptions:
         2
     """
 
-    ratio: float = 2.0
+    ratio: float = RATIO
     """For `sog`: nodes of a level for each node of the next coarser one."""
     levels: int | None = None
     """For `sog`: number of levels; None: as many as it takes until a level has 1/64 of the Gaussians."""
