@@ -203,6 +203,8 @@ def test_what_needs_all_rows_is_refused(folder):
             store.select(CAMERAS[0], st.SelectOptions(cull="exact"))
         with pytest.raises(st.InputError, match="quality: found 40 dB for a store"):
             store.select(CAMERAS[0], st.SelectOptions(quality=40))
+        with pytest.raises(st.InputError, match="occlusion: found it asked of a store, wanted a scene in memory"):
+            store.select(CAMERAS[0], st.SelectOptions(occlusion=True))
 
 
 def test_any_rows_are_drawn_as_from_the_whole_tree(folder, scene):

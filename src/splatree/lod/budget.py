@@ -26,7 +26,7 @@ from splatree.scene.frame import CutRange
 from splatree.scene.options import SelectOptions
 from splatree.shapes import Array, Int32
 
-__all__ = ["RangeAt", "fill_budget", "least_limit", "meet_budget", "meet_budget_from"]
+__all__ = ["RangeAt", "fill_budget", "least_limit", "meet_budget", "meet_budget_from", "spread_of"]
 
 LEAST_SPREAD, NOISE = 1.04, 4.0
 """A guess of τ_R from s sampled nodes is taken to be within a factor of 1 + 4 / √s, and the first pass looks there. What was seen
@@ -101,7 +101,7 @@ def fill_budget(
     fine, coarse = finest, max(finest, FIRST_COARSEST_PX)
     if near is not None and (found_near := _filled_near(range_at, options, finest, near)) is not None:
         return found_near
-    spread = max(LEAST_SPREAD, 1 + NOISE * math.sqrt(every / budget))
+    spread = spread_of(budget, every)
     if every > 1:
         guess = least_limit(range_at(fine, coarse, every), budget / every)
         if guess is not None:
@@ -124,6 +124,11 @@ def fill_budget(
             return found.at(0), found.num_visited, finest
         else:
             return found.at(limit), found.num_visited, pixel_error_of(limit, profile)
+
+
+def spread_of(budget: int, every: int) -> float:
+    """The factor within which the τ_R of a budget is taken to be, if it was guessed from one of ``every`` blocks."""
+    return max(LEAST_SPREAD, 1 + NOISE * math.sqrt(every / budget))
 
 
 def _filled_near(

@@ -25,6 +25,7 @@ from splatree.kernels.cpu.frame import stages as cpu_stages
 from splatree.kernels.cpu.frame.blocks import index_blocks
 from splatree.kernels.reference import select as reference
 from splatree.lod.budget import fill_budget, meet_budget, meet_budget_from
+from splatree.lod.occlusion import Cover, cover_of, first_look, select_eased
 from splatree.lod.quality import Gauge
 from splatree.lod.serial import select_serial
 from splatree.scene.cameras import Camera
@@ -33,7 +34,7 @@ from splatree.scene.frame import CutRange, Selection
 from splatree.scene.names import EXTENT_PROFILES, Profile
 from splatree.scene.options import Cull, SelectOptions
 from splatree.scene.scene import Scene
-from splatree.scene.tree import GaussianTree
+from splatree.scene.tree import BlockIndex, GaussianTree
 from splatree.scene.view import View, view_of
 from splatree.shapes import Array
 
@@ -128,15 +129,19 @@ def select(
         return rows, visited
 
     find_range = getattr(cpu if stages is None else stages, "select_range", None)
-    if options.budget is None or last is not None or find_range is None or options.rule != "cut":
-        rows, visited, pixel_error = within_budget(rows_at, view, options, options.pixel_error, last=last)
-    else:
+
+    def plain(options: SelectOptions) -> tuple[Array, int, float]:
+        if options.budget is None or last is not None or find_range is None or options.rule != "cut":
+            return within_budget(rows_at, view, options, options.pixel_error, last=last)
         find = partial(find_range, scene.gaussians, scene.tree, blocks, view, runs=runs, threads=threads)
-        every = 1 if blocks is None else min(LEAST_SHARE, max(1, len(blocks) // SAMPLE_BLOCKS))
+        every = _sampled(blocks)
         range_at = partial(_range_at, find, scene, view, options, threads)
-        rows, visited, pixel_error = fill_budget(
-            range_at, rows_at, options, options.pixel_error, view.camera, every=every, near=near
-        )
+        return fill_budget(range_at, rows_at, options, options.pixel_error, view.camera, every=every, near=near)
+
+    if options.occlusion:
+        rows, visited, pixel_error = _eased(scene, view, options, plain, runs, threads)
+    else:
+        rows, visited, pixel_error = plain(options)
     notes = notes_on(scene, options, pixel_error, view)
     return Selection(rows, options.rule, options.resolved_profile, pixel_error, visited, notes)
 
@@ -158,6 +163,35 @@ def _range_at(
     largest = replace(options, pixel_error=options.max_radius)
     is_left = cpu.small(scene.gaussians, scene.tree, found.rows, view, largest, threads=threads)
     return CutRange(found.rows[is_left], found.enters[is_left], found.leaves[is_left], found.num_visited)
+
+
+def _eased(
+    scene: Scene,
+    view: View,
+    options: SelectOptions,
+    plain: Callable[[SelectOptions], tuple[Array, int, float]],
+    runs: Array | None,
+    threads: int,
+) -> tuple[Array, int, float]:
+    """The rows of a cut that draws what is hidden more coarsely (lod/occlusion.py), on the processor."""
+    blocks = scene.blocks or index_blocks(scene.gaussians, scene.tree, threads=threads)
+    find = partial(cpu.select_range, scene.gaussians, scene.tree, blocks, view, runs=runs, threads=threads)
+
+    def look(rows: Array) -> Cover:
+        small = first_look(view)
+        splats = cpu_stages.project(scene.gaussians, scene.ids, rows, small, curves=scene.tree.curves, threads=threads)
+        bins = cpu_stages.bin(splats, small, threads=threads)
+        contributions = cpu_stages.blend(splats, bins, small, threads=threads).contributions
+        assert contributions is not None
+        return cover_of(splats, bins, contributions, small, scene.tree.subtree_end)
+
+    range_at = partial(_range_at, find, scene, view, options, threads)
+    return select_eased(plain, range_at, look, options, every=_sampled(blocks))
+
+
+def _sampled(blocks: BlockIndex | None) -> int:
+    """Of so many blocks one is looked at to guess the τ_R of a budget."""
+    return 1 if blocks is None else min(LEAST_SHARE, max(1, len(blocks) // SAMPLE_BLOCKS))
 
 
 def _measured(scene: Scene, view: View, options: SelectOptions, last: float | None, *, threads: int) -> SelectOptions:

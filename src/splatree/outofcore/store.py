@@ -116,7 +116,7 @@ class Store:
             threads: threads to use; 0: all.
 
         Raises:
-            InputError: the rule is not `cut`, a rule of culling or a quality is named, or a budget cannot be met.
+            InputError: the rule is not `cut`, a rule of culling, occlusion or a quality is named, or a budget cannot be met.
             FormatError: a page that is needed is damaged.
 
         Example:
@@ -358,6 +358,11 @@ def _check_options(options: SelectOptions) -> None:
     if options.cull not in (None, "none"):
         raise InputError(
             f"cull: found {options.cull!r} for a store, wanted none; pages are left out by their own boxes"
+        )
+    if options.occlusion:
+        raise InputError(
+            "occlusion: found it asked of a store, wanted a scene in memory, of which a first picture is drawn; leave it out, or "
+            "read the scene whole"
         )
     if options.quality is not None:
         raise InputError(

@@ -62,6 +62,7 @@ class Engine:
             and self.scene.blocks is not None
             and isinstance(select, SelectOptions)
             and (select.rule, select.budget, select.quality, select.max_radius) == ("cut", None, None, None)
+            and not select.occlusion
             and cull_rule(self.scene, select) in ("none", "exact")
         )
 

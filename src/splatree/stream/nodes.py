@@ -12,7 +12,7 @@ views in windows of 1600 × 900 pixels (0.6 and 0.3 dB nearer); in small windows
 fainter nodes lose 0.3 dB there. One pixel size for all levels loses 2 dB where few nodes are drawn, and one dilation for all of
 them loses 2 dB from afar.
 
-Spark chooses single nodes by their size, so they are drawn smaller. At 4 px, views of 100,000 nodes of two scenes come 8 to 15 dB
+Spark chooses single nodes by their size, so they are drawn smaller. At 4 px, views of 100,000 nodes of two scenes come 6 to 14 dB
 nearer than with nodes as stored. A node that is right at 4 px is too transparent at 1 px, at which Spark draws all nodes if its
 budget is not used up: a far view of a piece of a city then loses 10 dB, at 35 dB. At 3 px far views gain and near ones lose
 a decibel (benchmarks/streams.py, docs/how-to/publish-a-stream.md).

@@ -1,0 +1,73 @@
+"""What drawing hidden nodes more coarsely is worth: cuts with and without occlusion, at equal nodes.
+
+``python benchmarks/occlusion.py [--scenes ...] [--method pairs] [--shares 2 5 10 20 40]`` needs the shared scenes. Six views of
+each scene (levels.py) at 960 × 540 px. A budget is a share of the leaves in view. Both pictures are compared with that of all leaves;
+better ones than 60 dB count as that. Milliseconds are of the processor, for the selection of a view alone, the cheaper of two.
+"""
+
+import argparse
+import time
+from typing import get_args
+
+import numpy as np
+
+import splatree as st
+from harness import save, table
+from levels import BEST_DB, SCENES, views_of
+from splatree.scene.frame import Selection
+from splatree.scene.thinning import Method
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--scenes", nargs="+", choices=SCENES, default=["city 5_9", "city 5_3", "playbot", "biker"])
+    parser.add_argument("--method", choices=get_args(Method), default="pairs")
+    parser.add_argument("--shares", nargs="+", type=float, default=[2, 5, 10, 20, 40])
+    arguments = parser.parse_args()
+    rows: list[dict[str, object]] = []
+    for name in arguments.scenes:
+        read = st.read(SCENES[name])
+        flat = st.Scene.flat(read.gaussians.take(read.tree.is_leaf).with_sh_degree(0), mode=read.mode)
+        views = {key: view.resized(960, 540) for key, view in views_of(flat).items()}
+        with st.open_session(st.build_lod(flat, st.BuildOptions(arguments.method))) as session:
+            for key, view in views.items():
+                rows += of_view(session, view, arguments.shares, {"scene": name, "view": key})
+    print(table(rows))
+    gains = np.array([row["gain, dB"] for row in rows])
+    print(f"mean {gains.mean():+.2f} dB, worst {gains.min():+.2f}, cells that lose {int((gains < -0.05).sum())} of {len(gains)}")
+    save("occlusion", rows, about="Cuts that draw hidden nodes more coarsely, against cuts of as many nodes that do not")
+
+
+def of_view(
+    session: st.Session, view: st.Camera, shares: list[float], what: dict[str, object]
+) -> list[dict[str, object]]:
+    """A row for each share."""
+    leaves = session.draw(view, select=st.SelectOptions(pixel_error=0))
+    truth, num_leaves = np.clip(leaves.image, 0, 1), leaves.counters.num_selected
+    rows = []
+    for share in shares:
+        row: dict[str, object] = what | {"share, %": share, "nodes": max(1, int(num_leaves * share / 100))}
+        decibels = []
+        for name, occlusion in (("plain", False), ("occlusion", True)):
+            options = st.SelectOptions(pixel_error=0, budget=row["nodes"], occlusion=occlusion)
+            found, milliseconds = selected(session.scene, view, options)
+            picture = session.draw(view, select=lambda view, threads=0, found=found: found).image
+            decibels.append(min(st.psnr(np.clip(picture, 0, 1), truth), BEST_DB))
+            row |= {f"{name}, dB": decibels[-1], f"{name}, CPU ms": milliseconds}
+        rows.append(row | {"gain, dB": decibels[1] - decibels[0]})
+        print(rows[-1], flush=True)
+    return rows
+
+
+def selected(scene: st.Scene, view: st.Camera, options: st.SelectOptions) -> tuple[Selection, float]:
+    """The selection, and what it takes."""
+    costs = []
+    for _ in range(2):
+        start = time.process_time()
+        found = st.select(scene, view, options)
+        costs.append(1e3 * (time.process_time() - start))
+    return found, min(costs)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,175 @@
+"""Cuts that draw what is hidden more coarsely, held to the definition: radii multiplied by factors, and a walk down the tree."""
+
+from functools import partial
+from importlib.resources import as_file, files
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import splatree
+from splatree.errors import InputError
+from splatree.kernels.cpu.frame import select as cpu
+from splatree.kernels.reference.select import cut_by_walk, radii
+from splatree.lod.blocks import with_blocks
+from splatree.lod.occlusion import AS_BEFORE, Cover, cover_of, select_eased, shares_seen
+from splatree.lod.select import count_nested, count_uncovered, select
+from splatree.metrics.psnr import psnr
+from splatree.scene.cameras import Camera
+from splatree.scene.gaussians import Gaussians
+from splatree.scene.options import SelectOptions
+from splatree.scene.scene import Scene
+from splatree.scene.view import Wanted, view_of
+
+CAMERA = Camera.look_at([0, 0, -3], [0, 0, 0], width=64, height=48)
+
+
+def scene_of(means, scale, opacity, colors=0.5) -> Scene:
+    """Round Gaussians without levels."""
+    n = len(means)
+    log_scales = np.broadcast_to(np.log(np.asarray(scale, np.float32)).reshape(-1, 1), (n, 3)).astype(np.float32)
+    logits = np.broadcast_to(np.log(opacity / (1 - np.asarray(opacity))), n).astype(np.float32)
+    sh = np.broadcast_to((np.asarray(colors) - 0.5) / 0.28209479, (n, 3)).astype(np.float32)[:, None]
+    quats = np.tile(np.float32([1, 0, 0, 0]), (n, 1))
+    return Scene.flat(Gaussians(np.asarray(means, np.float32), quats, log_scales.copy(), logits.copy(), sh.copy()))
+
+
+def levels(flat: Scene) -> Scene:
+    return with_blocks(splatree.build_lod(flat, splatree.BuildOptions("pairs")))
+
+
+def cube(seed: int, num_leaves: int = 300) -> Scene:
+    """A tree over random Gaussians in a cube."""
+    rng = np.random.default_rng(seed)
+    return levels(scene_of(rng.uniform(-1, 1, (num_leaves, 3)), rng.uniform(0.01, 0.05, num_leaves), 0.9))
+
+
+def wall(num_behind: int) -> Scene:
+    """An opaque wall before the camera, and small Gaussians far behind it."""
+    rng = np.random.default_rng(1)
+    side = np.linspace(-1.5, 1.5, 81)
+    front = np.stack([*np.meshgrid(side, side), np.zeros((81, 81))], axis=-1).reshape(-1, 3)
+    means = np.concatenate([front, rng.uniform([-1, -1, 2], [1, 1, 4], (num_behind, 3))])
+    scales = np.concatenate([np.full(len(front), 0.04), np.full(num_behind, 0.06)])
+    return scene_of(means, scales, 0.98, 0.5 + 0.3 * np.sin(9 * means))
+
+
+@given(seed=st.integers(0, 20), profile=st.sampled_from(["pixel", "exact", "sphere"]), tau=st.floats(1, 40), data=st.data())
+@settings(max_examples=40, deadline=None)
+def test_the_cut_is_that_of_the_larger_radii(seed, profile, tau, data):
+    scene = cube(seed)
+    options = SelectOptions(pixel_error=tau, profile=profile, view_test="none")
+    view = view_of(scene, CAMERA)
+    tree = scene.tree
+    factors = np.ones(len(tree))
+    rng = np.random.default_rng(data.draw(st.integers(0, 100)))
+
+    def plain(asked):
+        rows, visited = cpu.select(scene.gaussians, tree, scene.blocks, view, asked)
+        return rows, visited, asked.pixel_error
+
+    def range_at(finest, coarsest, every=1):
+        at = SelectOptions(pixel_error=finest, profile=profile, view_test="none")
+        return cpu.select_range(scene.gaussians, tree, scene.blocks, view, at, coarsest=coarsest, every=every)
+
+    def look(rows):
+        some = rows[rng.random(len(rows)) < 0.7]
+        found = rng.uniform(0.06, 1, len(some)).astype(np.float32)
+        for row, factor in zip(some, found, strict=True):
+            factors[row : tree.subtree_end[row]] = factor
+        return Cover(some, tree.subtree_end[some], found)
+
+    rows, _, pixel_error = select_eased(plain, range_at, look, options, every=1)
+    sizes = AS_BEFORE * radii(scene.gaussians, tree.extents, CAMERA, profile, view.dilation_px2) * factors
+    near = np.isclose(sizes, tau, rtol=1e-4)
+    assert pixel_error == tau
+    assert count_nested(tree, rows) == 0 and count_uncovered(tree, rows) == 0
+    if not near.any():
+        # what an ancestor of C' would cover stays finer: radii above C' are not multiplied, and beyond τ' in any case
+        assert rows.tolist() == cut_by_walk(tree, sizes, tau).tolist()
+
+
+@given(seed=st.integers(0, 20), share=st.floats(0.02, 0.9), finest=st.sampled_from([0.0, 2.0]))
+@settings(max_examples=30, deadline=None)
+def test_a_budget_is_kept_and_nearly_filled(seed, share, finest):
+    scene = cube(seed)
+    budget = max(int((scene.tree.depth == 0).sum()), int(share * scene.tree.num_leaves))
+    options = SelectOptions(pixel_error=finest, budget=budget, view_test="none", occlusion=True)
+    found = select(scene, CAMERA, options)
+    assert len(found) <= budget and found.pixel_error >= finest
+    assert count_nested(scene.tree, found.rows) == 0 and count_uncovered(scene.tree, found.rows) == 0
+    if found.pixel_error > finest:
+        assert len(found) >= budget - 12
+    assert all(np.array_equal(found.rows, select(scene, CAMERA, options, threads=n).rows) for n in (1, 2, 3))
+
+
+def test_no_limit_draws_all_leaves():
+    scene = cube(3)
+    every = select(scene, CAMERA, SelectOptions(pixel_error=0, view_test="none", occlusion=True))
+    assert every.rows.tolist() == np.flatnonzero(scene.tree.is_leaf).tolist()
+    within = SelectOptions(pixel_error=0, budget=len(scene), view_test="none", occlusion=True)
+    assert select(scene, CAMERA, within).rows.tolist() == every.rows.tolist()
+
+
+def test_a_budget_below_the_roots_is_refused_as_ever():
+    scene = wall(10)
+    with pytest.raises(InputError, match="budget: found 6571 roots in view"):
+        select(scene, Camera.look_at([0, 0, -9], [0, 0, 0], width=64, height=48), SelectOptions(budget=9, occlusion=True))
+
+
+def test_hidden_rows_are_coarse_and_the_wall_is_fine():
+    scene = levels(wall(4000))
+    camera = Camera.look_at([0, 0, -2], [0, 0, 0], width=320, height=240)
+    budget = 2000
+    plain, eased = (
+        select(scene, camera, SelectOptions(pixel_error=0, budget=budget, occlusion=occlusion)).rows
+        for occlusion in (False, True)
+    )
+    is_behind = scene.gaussians.means[:, 2] > 1
+    assert is_behind[plain].sum() > 2 * is_behind[eased].sum()
+    truth = splatree.render(scene, camera, select=SelectOptions(pixel_error=0)).image
+    before, after = (
+        splatree.render(scene, camera, select=SelectOptions(pixel_error=0, budget=budget, occlusion=occlusion)).image
+        for occlusion in (False, True)
+    )
+    assert psnr(after, truth) > psnr(before, truth) + 2.5
+
+
+def test_the_share_that_is_seen_is_one_for_what_nothing_hides_also_at_the_border():
+    means = [[0, 0, 0], [0, 0, 1], [1.33, 0, 0]]  # one behind the other, and one of which half is outside
+    flat = scene_of(means, 0.2, [0.95, 0.9, 0.9])
+    camera = Camera.look_at([0, 0, -2], [0, 0, 0], width=160, height=120, fov_y_deg=53.0)
+    frame = splatree.trace(flat, camera, wanted=Wanted(contributions=True))
+    shares = shares_seen(frame.splats, frame.bins, frame.contributions, frame.view)
+    assert shares[0] > 0.9 and shares[1] < 0.4 and shares[2] > 0.85
+    cover = cover_of(frame.splats, frame.bins, frame.contributions, frame.view, flat.tree.subtree_end)
+    assert cover.factors.tolist() == pytest.approx((shares.astype(float) ** 0.4).tolist(), rel=1e-5)
+
+
+def test_factors_are_those_of_the_subtree_that_holds_a_row():
+    cover = Cover(np.int32([2, 9]), np.int32([5, 10]), np.float32([0.5, 0.25]))
+    rows = np.int32([0, 2, 3, 4, 5, 8, 9, 10])
+    assert cover.of(rows).tolist() == [1, 0.5, 0.5, 0.5, 1, 1, 0.25, 1]
+    assert cover.of(np.int32([])).tolist() == []
+
+
+def test_near_views_of_a_city_gain_within_a_budget():
+    with as_file(files("splatree") / "data" / "semarang_5_9.sog") as path:
+        city_tree = levels(splatree.edit(splatree.read(path), splatree.EditOptions(sh_degree=0)))
+    views = splatree.flyout(city_tree, splatree.PathOptions(views=3, width=480, height=270))
+    gains = []
+    for camera in views:
+        draw = partial(splatree.render, city_tree, camera)
+        truth = draw(select=SelectOptions(pixel_error=0))
+        budget = truth.counters.num_selected // 4
+        before, after = (
+            draw(select=SelectOptions(pixel_error=0, budget=budget, occlusion=occlusion)).image for occlusion in (False, True)
+        )
+        gains.append(psnr(after, truth.image) - psnr(before, truth.image))
+    assert min(gains) > 0 and gains[0] > 1
+
+
+def test_other_rules_and_stores_are_refused():
+    with pytest.raises(InputError, match="occlusion: found rule 'release', wanted 'cut'"):
+        SelectOptions(rule="release", occlusion=True)
