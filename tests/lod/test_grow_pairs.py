@@ -9,6 +9,7 @@ from tests.lod.test_build import NAMES, check_moments, parents_of
 from tests.scenes import surface
 
 from splatree import BuildOptions, Gaussians, InputError, MergeOptions, Scene, build_lod
+from splatree.kernels.cpu.build.partners import FOUND, STALE
 from splatree.kernels.cpu.build.thin import group
 from splatree.kernels.reference import merge as reference_merge
 from splatree.kernels.reference import pairs as reference
@@ -246,6 +247,25 @@ def test_levels_are_those_of_the_definition(mode):
         firsts = [np.array([np.flatnonzero(went == group)[0] for group in went]) for went in (found, wanted)]
         np.testing.assert_array_equal(*firsts)
     assert len(np.unique(wanted)) < 40
+
+
+@pytest.mark.parametrize("mode", ["classic", "antialiased"])
+def test_partners_kept_from_a_level_of_the_same_pixel_are_those_found_anew(mode):
+    """Costs are those of one pixel: who has the candidates of before has the partner of before."""
+    g = surface(3000, seed=2)
+    options = MergeOptions().resolved(mode, growth=2.0, of_pairs=True)
+    kept, anew = (Present(g, weights_of(g, options.weight), np.ones(3000, np.float32), mode, options) for _ in "12")
+    for size in (0.2, 0.4, 0.8):
+        for present in (kept, anew):
+            present.search(0)
+        if mode == "classic":
+            anew.partners.states[:] = STALE
+            assert (kept.partners.states == FOUND).any() == (size > 0.2)
+        found, wanted = (present.merge_level(size, 0.01, 1, 0) for present in (kept, anew))
+        np.testing.assert_array_equal(found, wanted)
+        for name in NAMES:
+            assert getattr(kept.gaussians, name).tobytes() == getattr(anew.gaussians, name).tobytes()
+    assert len(kept) < 1500
 
 
 def test_gaussians_out_of_reach_of_each_other_stay_roots():

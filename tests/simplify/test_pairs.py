@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from splatree import Gaussians, InputError, MergeOptions, Scene, ThinOptions, thin
 from splatree.kernels.cpu.build import pairs
+from splatree.kernels.cpu.build.partners import Partners
 from splatree.kernels.reference import pairs as reference
 from splatree.simplify.merge import weights_of
 
@@ -37,6 +38,25 @@ def test_partners_agree_with_the_reference(n, dilation, spread, hidden, isa):
     np.testing.assert_array_less(np.abs(costs - found), rounding)
     np.testing.assert_array_less(found - expected[1], 2 * rounding)  # no candidate was cheaper
     np.testing.assert_allclose(opacities, alphas, rtol=1e-4)
+
+
+@pytest.mark.parametrize("order", ["any", "sorted", "few places", "one line"])
+def test_candidates_are_the_nearest_however_the_points_stand(order, isa):
+    n = 1500
+    means = np.random.default_rng(3).normal(size=(n, 3)).astype(np.float32)
+    if order == "sorted":
+        means = means[np.argsort(means[:, 0])]
+    if order == "few places":
+        means = np.round(means)
+    if order == "one line":
+        means[:, 1:] = 0
+    partners = Partners.unknown(n)
+    partners.search(means, threads=2)
+    apart = np.sum((means[:, None] - means[None]) ** 2, axis=2)
+    np.fill_diagonal(apart, np.inf)
+    found = np.take_along_axis(apart, partners.neighbors.astype(np.int64), axis=1)
+    np.testing.assert_allclose(found, np.sort(apart, axis=1)[:, :8], rtol=1e-5)
+    assert all(len(set(row)) == 8 for row in partners.neighbors)
 
 
 @given(st.integers(1, 50), st.integers(0, 2**32 - 1), st.integers(0, 30))

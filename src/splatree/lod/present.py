@@ -1,4 +1,4 @@
-"""The Gaussians that are left while levels grow by pairs, and the rounds that merge them (lod/grow_pairs.py has the rules)."""
+"""The Gaussians that are left while levels grow by pairs, and what a level merges of them (lod/grow_pairs.py has the rules)."""
 
 import dataclasses
 from copy import copy
@@ -6,18 +6,15 @@ from copy import copy
 import numpy as np
 
 from splatree.constants import DILATION_PX2
-from splatree.kernels.cpu.build import merge as merge_kernel
-from splatree.kernels.cpu.build.pairs import match_pairs
+from splatree.kernels.cpu.build.level import LevelLimits, merge_level
 from splatree.kernels.cpu.build.partners import Partners
-from splatree.kernels.cpu.build.thin import group
 from splatree.lod.forest import Forest
 from splatree.lod.region import EVERYWHERE, Box
 from splatree.lod.resolve import ResolvedBuild
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.names import Mode
-from splatree.scene.thinning import Groups, MergeOptions
+from splatree.scene.thinning import MergeOptions
 from splatree.shapes import Array, Bool, Int64
-from splatree.simplify.pairs import means_of_pairs
 
 __all__ = ["Present"]
 
@@ -59,14 +56,12 @@ class Present:
         columns = forest.present.take(rows), forest.root_weights[rows], forest.visibilities[rows]
         return Present(*columns, resolved.mode, resolved.merge)
 
-    def of_rows(self, is_kept: Bool[Array, "n"]) -> "Present":
+    def of_rows(self, is_kept: Bool[Array, "n"], threads: int) -> "Present":
         """Some of them, with what is known of their partners."""
         if is_kept.all():
             return self
         kept = copy(self)
-        kept.gaussians = self.gaussians.take(is_kept)
-        kept.weights, kept.visibilities = self.weights[is_kept], self.visibilities[is_kept]
-        kept.partners = self.partners.of_rows(is_kept)
+        kept._keep(is_kept, threads)
         return kept
 
     def search(self, threads: int) -> None:
@@ -83,47 +78,33 @@ class Present:
 
     def merge_level(self, size: float, pixel_size: float, max_roots: int, threads: int) -> Array:
         """Merge what changes less than a level of that size allows, seen by pixels of that width; returns where each row went."""
-        if self.is_classic:
-            self.partners.is_stale[:] = 1  # costs are those of dilated Gaussians
-        group_from_row = np.arange(len(self), dtype=np.int32)
-        while len(self) > max_roots:
-            pairs = self._match(size, pixel_size, threads)
-            num_merged = len(self) - len(pairs)
-            if num_merged:
-                self._merge(pairs, pixel_size, threads)
-                group_from_row = pairs.group_from_row[group_from_row]
-            if num_merged < LAST_SHARE * len(self):
-                break
-        return group_from_row
-
-    def _match(self, size: float, pixel_size: float, threads: int) -> Groups:
-        dilation = DILATION_PX2 * pixel_size**2 if self.is_classic else 0.0
-        partners = self.partners
-        partners.find(self.gaussians, self.weights, self.visibilities, dilation=dilation, threads=threads)
         width = np.float64(size)  # its square may be beyond float32
-        allowed = (partners.costs <= CHANGE * width**2) & (partners.sigmas <= LARGE * max(size, pixel_size))
+        limits = LevelLimits(
+            cost=CHANGE * width**2,
+            sigma=LARGE * max(size, pixel_size),
+            small_sigma=SMALL * pixel_size if self.is_classic else -1.0,
+            saturated=SATURATED if self.merge.opacity == "fitted" else 0.0,
+            dilation=DILATION_PX2 * pixel_size**2 if self.is_classic else 0.0,
+            round_share=ROUND_SHARE,
+            last_share=LAST_SHARE,
+            num_enough=max_roots,
+        )
         if self.is_classic:
-            allowed |= partners.sigmas <= SMALL * pixel_size
-        rows = np.where(allowed, partners.rows, np.int32(-1))
-        stands = match_pairs(rows, partners.costs, int(ROUND_SHARE * len(self)) + 1, threads=threads)
-        found = np.flatnonzero(stands != np.arange(len(self)))
-        finders = stands[found]
-        first = np.minimum(found, finders).astype(np.int32)
-        stands[found] = stands[finders] = first  # so that groups stand in the order of their first rows
-        partners.opacities[first] = partners.opacities[finders]
-        return group(stands)
-
-    def _merge(self, pairs: Groups, pixel_size: float, threads: int) -> None:
-        opacities = None
-        if self.merge.opacity == "fitted":
-            fitted = self.partners.opacities[pairs.representatives]
-            opacities = np.where(fitted < SATURATED, fitted, np.float32(0))
-        self.gaussians = merge_kernel.merge(
-            *(self.gaussians, pairs, self.weights, self.merge),
+            self.partners.renew(limits.dilation)
+        self.gaussians = Gaussians.concatenate([self.gaussians])  # a copy: others hold these
+        self.weights, self.visibilities = self.weights.copy(), self.visibilities.copy()
+        row_from_row = merge_level(
+            *(self.gaussians, self.weights, self.visibilities, self.partners, self.merge),
             added=self.dilation_px2 * pixel_size**2,
-            opacities=opacities,
+            limits=limits,
             threads=threads,
         )
-        self.visibilities = means_of_pairs(self.visibilities, pairs, self.weights)
-        self.weights = np.add.reduceat(self.weights[pairs.rows], pairs.start[:-1])
-        self.partners = self.partners.carried(pairs, self.gaussians.means, threads=threads)
+        is_left = row_from_row == np.arange(len(self), dtype=np.int32)
+        self._keep(is_left, threads)
+        number = np.cumsum(is_left, dtype=np.int32) - np.int32(1)
+        return number[row_from_row]
+
+    def _keep(self, is_kept: Bool[Array, "n"], threads: int) -> None:
+        self.gaussians = self.gaussians.take(is_kept)
+        self.weights, self.visibilities = self.weights[is_kept], self.visibilities[is_kept]
+        self.partners = self.partners.of_rows(is_kept, threads=threads)

@@ -1,23 +1,31 @@
-// Glue of the partners that are kept while levels grow by pairs: array checks are in partners.py.
+// Glue of growth by pairs: array checks are in partners.py and level.py.
+#include "cpu/build/bind_merge.h"
+#include "cpu/build/level.h"
 #include "cpu/build/partners.h"
-#include "cpu/runtime/arrays.h"
+#include "cpu/runtime/structs.h"
 
 namespace splatree {
 namespace {
 
-template <class T>
-const T* read(nb::handle object, const char* name) {
-  return nb::cast<In<T>>(object.attr(name)).data();
-}
-
-template <class T>
-T* written(nb::handle object, const char* name) {
-  return nb::cast<Out<T>>(object.attr(name)).data();
-}
-
 PartnerColumns columns_of(nb::handle partners) {
-  return {written<int32_t>(partners, "neighbors"), written<int32_t>(partners, "rows"), written<float>(partners, "costs"),
-          written<float>(partners, "opacities"),   written<float>(partners, "sigmas"), written<uint8_t>(partners, "is_stale")};
+  return {out_column<int32_t>(partners, "neighbors"),  out_column<int32_t>(partners, "rows"),
+          out_column<float>(partners, "costs"),        out_column<float>(partners, "opacities"),
+          out_column<float>(partners, "least_sigmas"), out_column<uint8_t>(partners, "states")};
+}
+
+// The structs are those of Python: LevelLimits.
+LevelLimits limits_of(nb::handle limits) {
+  const auto number = [&](const char* field) { return nb::cast<double>(limits.attr(field)); };
+  LevelLimits found{};
+  found.cost = number("cost");
+  found.sigma = static_cast<float>(number("sigma"));
+  found.small_sigma = static_cast<float>(number("small_sigma"));
+  found.saturated = static_cast<float>(number("saturated"));
+  found.dilation = number("dilation");
+  found.round_share = number("round_share");
+  found.last_share = number("last_share");
+  found.num_enough = nb::cast<int64_t>(limits.attr("num_enough"));
+  return found;
 }
 
 }  // namespace
@@ -29,33 +37,31 @@ void bind_partners(nb::module_& m) {
     nb::gil_scoped_release release;
     find_neighbors(n, means.data(), columns, threads);
   });
-  m.def("find_partners",
-        [](nb::handle gaussians, In<float> weights, In<float> visibilities, double dilation, nb::handle partners, int threads) {
-          const auto sh = nb::cast<In<float>>(gaussians.attr("sh"));
-          const PairJob job{static_cast<int64_t>(weights.shape(0)),
-                            read<float>(gaussians, "means"),
-                            read<float>(gaussians, "quats"),
-                            read<float>(gaussians, "log_scales"),
-                            read<float>(gaussians, "logit_opacities"),
-                            sh.data(),
-                            weights.data(),
-                            visibilities.data(),
-                            static_cast<int64_t>(sh.shape(1)),
-                            dilation,
-                            nullptr,
-                            nullptr,
-                            nullptr,
-                            threads};
-          const PartnerColumns columns = columns_of(partners);
-          nb::gil_scoped_release release;
-          find_partners(job, columns);
-        });
-  m.def("carry_partners", [](nb::handle groups, In<float> means, nb::handle from, nb::handle to, int threads) {
-    const PairGroups pairs{static_cast<int64_t>(means.shape(0)), read<int64_t>(groups, "start"), read<int32_t>(groups, "rows"),
-                           read<int32_t>(groups, "representatives"), read<int32_t>(groups, "group_from_row")};
+  m.def("keep_partners", [](In<uint8_t> is_kept, nb::handle from, nb::handle to, int threads) {
     const PartnerColumns before = columns_of(from), after = columns_of(to);
     nb::gil_scoped_release release;
-    carry_partners(pairs, means.data(), before, after, threads);
+    keep_partners(static_cast<int64_t>(is_kept.shape(0)), is_kept.data(), before, after, threads);
+  });
+  m.def("merge_level", [](nb::handle gaussians, Out<float> weights, Out<float> visibilities, nb::handle partners,
+                          nb::handle options, double added, nb::handle limits, Out<int32_t> row_from_row, int threads) {
+    LevelJob job{};
+    job.n = static_cast<int64_t>(weights.shape(0));
+    job.means = out_column<float>(gaussians, "means");
+    job.quats = out_column<float>(gaussians, "quats");
+    job.log_scales = out_column<float>(gaussians, "log_scales");
+    job.logit_opacities = out_column<float>(gaussians, "logit_opacities");
+    job.sh = out_column<float>(gaussians, "sh");
+    job.weights = weights.data();
+    job.visibilities = visibilities.data();
+    job.partners = columns_of(partners);
+    job.rules = merge_job_of(options);
+    job.rules.k = int64_t(nb::cast<In<float>>(gaussians.attr("sh")).shape(1));
+    job.rules.added = added;
+    job.limits = limits_of(limits);
+    job.row_from_row = row_from_row.data();
+    job.threads = threads;
+    nb::gil_scoped_release release;
+    return merge_level(job);
   });
 }
 

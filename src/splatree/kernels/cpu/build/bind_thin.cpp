@@ -6,6 +6,7 @@
 #include <string>
 #include <tuple>
 
+#include "cpu/build/bind_merge.h"
 #include "cpu/build/curves.h"
 #include "cpu/build/merge.h"
 #include "cpu/build/pairs.h"
@@ -71,9 +72,7 @@ VisibilityJob visibility_job(nb::handle gaussians, nb::handle sight, int threads
 // The structs are those of Python: Gaussians, Groups, MergeOptions (resolved), and the Gaussians to fill.
 void merge_groups(nb::handle gaussians, nb::handle groups, In<float> weights, nb::handle options, double added,
                   std::optional<In<float>> opacities, nb::handle out, int threads) {
-  const auto named = [&](const char* field) { return nb::cast<std::string>(options.attr(field)); };
-  const auto number = [&](const char* field) { return nb::cast<double>(options.attr(field)); };
-  MergeJob job{};
+  MergeJob job = merge_job_of(options);
   job.num_groups = int64_t(nb::len(groups));
   job.k = num_coefficients(gaussians);
   job.in = columns_of(gaussians);
@@ -81,13 +80,6 @@ void merge_groups(nb::handle gaussians, nb::handle groups, In<float> weights, nb
   job.start = column<int64_t>(groups, "start");
   job.rows = column<int32_t>(groups, "rows");
   job.representatives = column<int32_t>(groups, "representatives");
-  job.rule = chosen(named("rule"), "rule", MERGE_RULES);
-  job.opacity = chosen(named("opacity"), "opacity", OPACITY_RULES);
-  job.keep_position = chosen(named("position"), "position", KEEPS_POSITION);
-  job.scale_bound = number("bound");
-  job.widening = number("power");
-  job.mass_limit = number("mass_limit");
-  job.dilation = options.attr("dilation").is_none() ? 0.0 : number("dilation");
   job.added = added;
   job.opacities = opacities ? opacities->data() : nullptr;
   job.means = out_column<float>(out, "means");
@@ -121,6 +113,20 @@ void fit_rows(nb::handle gaussians, In<int32_t> subtree_end, In<float> seen, dou
 }
 
 }  // namespace
+
+MergeJob merge_job_of(nb::handle options) {
+  const auto named = [&](const char* field) { return nb::cast<std::string>(options.attr(field)); };
+  const auto number = [&](const char* field) { return nb::cast<double>(options.attr(field)); };
+  MergeJob job{};
+  job.rule = chosen(named("rule"), "rule", MERGE_RULES);
+  job.opacity = chosen(named("opacity"), "opacity", OPACITY_RULES);
+  job.keep_position = chosen(named("position"), "position", KEEPS_POSITION);
+  job.scale_bound = number("bound");
+  job.widening = number("power");
+  job.mass_limit = number("mass_limit");
+  job.dilation = options.attr("dilation").is_none() ? 0.0 : number("dilation");
+  return job;
+}
 
 void bind_thin(nb::module_& m) {
   m.def("thin", &thin_rows, nb::arg("means"), nb::arg("colors"), nb::arg("importance"), nb::arg("radius"),

@@ -1,10 +1,12 @@
 #include "cpu/build/box_tree.h"
 
 #include <algorithm>
+#include <cstring>
 #include <limits>
-#include <numeric>
+#include <utility>
 
 #include "cpu/runtime/pool.h"
+#include "cpu/runtime/quad.h"
 #include "cpu/runtime/scratch.h"
 
 namespace splatree {
@@ -13,9 +15,38 @@ namespace {
 constexpr float INFINITELY_FAR = std::numeric_limits<float>::infinity();
 constexpr int64_t SUBTREES = 16;  // that threads build on their own
 
+// A point, and its row as bits. Points are moved, not their rows alone: a node then reads its points in one run.
+using Point = Quad;
+
+Point point_of(const float* x, int32_t row) {
+  Point point = {x[0], x[1], x[2], 0};
+  std::memcpy(reinterpret_cast<float*>(&point) + 3, &row, sizeof row);
+  return point;
+}
+
+int32_t row_of(const Point& point) {
+  int32_t row;
+  std::memcpy(&row, reinterpret_cast<const float*>(&point) + 3, sizeof row);
+  return row;
+}
+
+// The order along an axis: the same tree wherever equal coordinates stand.
+template <int AXIS>
+bool is_before(const Point& p, const Point& q) {
+  return p[AXIS] != q[AXIS] ? p[AXIS] < q[AXIS] : row_of(p) < row_of(q);
+}
+
+// Moves points so that none before `middle` comes after one from it on.
+template <int AXIS>
+void halve(Point* first, Point* middle, Point* last) {
+  std::nth_element(first, middle, last, is_before<AXIS>);
+}
+
 class Builder {
  public:
-  Builder(BoxTree& tree, const float* points) : tree_(tree), points_(points) {}
+  Builder(BoxTree& tree, const float* points) : tree_(tree), points_(allocate<Point>(tree.num_points)) {
+    for (int64_t i = 0; i < tree.num_points; ++i) points_[i] = point_of(points + 3 * i, static_cast<int32_t>(i));
+  }
 
   void build(int threads) const {
     const int64_t subtrees = std::min(tree_.num_leaves, SUBTREES);
@@ -37,27 +68,21 @@ class Builder {
     for (int axis = 1; axis < 3; ++axis)
       if (box.upper[axis] - box.lower[axis] > box.upper[longest] - box.lower[longest]) longest = axis;
     const auto [begin, end] = range(node);
-    const int64_t middle = range(2 * node + 2).first;
-    const float* x = points_ + longest;
-    std::nth_element(tree_.rows + begin, tree_.rows + middle, tree_.rows + end, [x](int32_t p, int32_t q) {
-      const float a = x[3 * int64_t{p}], b = x[3 * int64_t{q}];
-      return a != b ? a < b : p < q;  // the same tree wherever equal coordinates stand
-    });
+    constexpr decltype(&halve<0>) ALONG[] = {halve<0>, halve<1>, halve<2>};
+    ALONG[longest](&points_[begin], &points_[range(2 * node + 2).first], &points_[end]);
   }
 
   void fill(int64_t node) const {
     tree_.boxes[node] = bounds(node);
     const auto [begin, end] = range(node);
-    std::sort(tree_.rows + begin, tree_.rows + end);
+    std::sort(&points_[begin], &points_[end], [](const Point& p, const Point& q) { return row_of(p) < row_of(q); });
     BoxLeaf& leaf = tree_.leaves[node - (tree_.num_leaves - 1)];
     for (int64_t i = 0; i < LEAF_POINTS; ++i) {
-      const bool used = begin + i < end;
-      const int32_t row = used ? tree_.rows[begin + i] : std::numeric_limits<int32_t>::max();
-      const float* point = points_ + 3 * int64_t{used ? row : 0};
-      leaf.x[i] = used ? point[0] : INFINITELY_FAR;
-      leaf.y[i] = used ? point[1] : INFINITELY_FAR;
-      leaf.z[i] = used ? point[2] : INFINITELY_FAR;
-      leaf.row[i] = row;
+      const bool is_used = begin + i < end;
+      const Point point = is_used ? points_[begin + i] : point_of(NOWHERE, std::numeric_limits<int32_t>::max());
+      leaf.x[i] = point[0], leaf.y[i] = point[1], leaf.z[i] = point[2];
+      leaf.row[i] = row_of(point);
+      if (is_used) tree_.rows[begin + i] = row_of(point);
     }
   }
 
@@ -70,19 +95,23 @@ class Builder {
 
   Box bounds(int64_t node) const {
     const auto [begin, end] = range(node);
-    Box box = {};
-    for (int axis = 0; axis < 3; ++axis) box.lower[axis] = INFINITELY_FAR, box.upper[axis] = -INFINITELY_FAR;
-    for (int64_t i = begin; i < end; ++i)
-      for (int axis = 0; axis < 3; ++axis) {
-        const float value = points_[3 * int64_t{tree_.rows[i]} + axis];
-        box.lower[axis] = std::min(box.lower[axis], value);
-        box.upper[axis] = std::max(box.upper[axis], value);
-      }
+    Quad lower = Quad{} + INFINITELY_FAR, upper = -lower;
+    for (int64_t i = begin; i < end; ++i) {
+      const Point point = points_[i];
+      lower = point < lower ? point : lower;
+      upper = point > upper ? point : upper;
+    }
+    lower[3] = upper[3] = 0;
+    Box box;
+    std::memcpy(box.lower, &lower, sizeof lower);
+    std::memcpy(box.upper, &upper, sizeof upper);
     return box;
   }
 
+  static constexpr float NOWHERE[3] = {INFINITELY_FAR, INFINITELY_FAR, INFINITELY_FAR};
+
   BoxTree& tree_;
-  const float* points_;
+  Scratch<Point> points_;
 };
 
 }  // namespace
@@ -94,7 +123,6 @@ BoxTree::BoxTree(int64_t num_points, const float* points, int threads) : num_poi
   rows = allocate<int32_t>(num_points).release();
   boxes = all_boxes.release();
   leaves = all_leaves.release();
-  std::iota(rows, rows + num_points, 0);
   Builder(*this, points).build(threads);
 }
 

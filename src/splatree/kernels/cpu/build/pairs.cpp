@@ -86,27 +86,39 @@ void best_partners(const PairJob& job) {
   });
 }
 
+KeyRow by_cost(float cost, int64_t row) {
+  uint32_t bits;
+  cost = std::max(cost, 0.0f);  // rounding may leave a little less than nothing
+  std::memcpy(&bits, &cost, sizeof bits);
+  return {bits, static_cast<uint32_t>(row)};
+}
+
+std::vector<FoundPair> cheapest_pairs(Scratch<KeyRow>& listed, int64_t num_listed, const int32_t* partner_from_row,
+                                      int64_t max_pairs, uint8_t* is_taken, int threads) {
+  radix_sort(listed, num_listed, threads);
+  std::vector<FoundPair> pairs;
+  for (int64_t i = 0; i < num_listed && int64_t(pairs.size()) < max_pairs; ++i) {
+    const int32_t row = static_cast<int32_t>(listed[i].row), partner = partner_from_row[row];
+    if (is_taken[row] || is_taken[partner]) continue;
+    is_taken[row] = is_taken[partner] = 1;
+    pairs.push_back({row, partner});
+  }
+  return pairs;
+}
+
 int64_t match_pairs(int64_t n, const int32_t* partner_from_row, const float* costs, int64_t max_pairs,
                     int32_t* representative_from_row, int threads) {
-  Scratch<KeyRow> order = allocate<KeyRow>(n);
+  Scratch<KeyRow> listed = allocate<KeyRow>(n);
+  Scratch<uint8_t> is_taken = allocate<uint8_t>(n);
+  int64_t num_listed = 0;
   for (int64_t i = 0; i < n; ++i) {
-    uint32_t bits;
-    const float cost = std::max(costs[i], 0.0f);  // rounding may leave a little less than nothing
-    std::memcpy(&bits, &cost, sizeof bits);
-    order[i] = {bits, static_cast<uint32_t>(i)};
-    representative_from_row[i] = -1;
+    if (partner_from_row[i] >= 0) listed[num_listed++] = by_cost(costs[i], i);
+    representative_from_row[i] = static_cast<int32_t>(i);
+    is_taken[i] = 0;
   }
-  radix_sort(order, n, threads);
-  int64_t made = 0;
-  for (int64_t i = 0; i < n && made < max_pairs; ++i) {
-    const int32_t row = static_cast<int32_t>(order[i].row), partner = partner_from_row[row];
-    if (partner < 0 || representative_from_row[row] >= 0 || representative_from_row[partner] >= 0) continue;
-    representative_from_row[row] = representative_from_row[partner] = row;
-    ++made;
-  }
-  for (int64_t i = 0; i < n; ++i)
-    if (representative_from_row[i] < 0) representative_from_row[i] = static_cast<int32_t>(i);
-  return made;
+  const std::vector<FoundPair> pairs = cheapest_pairs(listed, num_listed, partner_from_row, max_pairs, is_taken.get(), threads);
+  for (const FoundPair& pair : pairs) representative_from_row[pair.partner] = pair.finder;
+  return int64_t(pairs.size());
 }
 
 }  // namespace splatree

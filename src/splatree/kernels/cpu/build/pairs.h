@@ -2,6 +2,10 @@
 // (reference/pairs.py).
 #pragma once
 #include <cstdint>
+#include <vector>
+
+#include "cpu/runtime/radix.h"
+#include "cpu/runtime/scratch.h"
 
 namespace splatree {
 
@@ -45,8 +49,21 @@ struct PairCost {
   float cost, opacity;
 };
 
-// The pairs (row, its partner) of least cost, ties by row, no row twice, at most `max_pairs`; returns how many. Rows point to
-// the row that stands for them: themselves, or the first of their pair.
+// A row and the partner that it found.
+struct FoundPair {
+  int32_t finder, partner;
+};
+
+// A row that may merge with its partner, as it is sorted.
+KeyRow by_cost(float cost, int64_t row);
+
+// Of the listed rows, the pairs (row, its partner) of least cost, ties by place in the list, at most `max_pairs`; rows that are
+// taken already take no part, and those of the pairs are marked as taken.
+std::vector<FoundPair> cheapest_pairs(Scratch<KeyRow>& listed, int64_t num_listed, const int32_t* partner_from_row,
+                                      int64_t max_pairs, uint8_t* is_taken, int threads);
+
+// The same of all rows that have a partner, ties by row: rows point to the row that stands for them, themselves or the finder of
+// their pair. Returns how many pairs there are.
 int64_t match_pairs(int64_t n, const int32_t* partner_from_row, const float* costs, int64_t max_pairs,
                     int32_t* representative_from_row, int threads);
 

@@ -1,5 +1,5 @@
-// Neighbours are looked for where too few are left; merging carries them on. So a round costs what it changes: about half a
-// microsecond for each row whose partner is to be found among known ones, a quarter for each other row.
+// Neighbours are looked for where too few are left; merging carries them on. So a round costs what it changes: about a third of a
+// microsecond for each row whose partner is to be found among known ones.
 #include "cpu/build/partners.h"
 
 #include <algorithm>
@@ -23,40 +23,23 @@ int count_neighbors(const int32_t* neighbors) {
   return count;
 }
 
-// The longest axis of two merged, less what records add: the largest root of the characteristic polynomial of their covariance
-// (Smith 1961).
-float merged_sigma(const PairRecord& p, const PairRecord& q, double dilation) {
-  const double share = double{q.weight} / (double{p.weight} + q.weight), rest = 1 - share;
-  double m[6];
-  for (int i = 0, k = 0; i < 3; ++i)
-    for (int j = i; j < 3; ++j, ++k)
-      m[k] = rest * p.covariance[k] + share * q.covariance[k] +
-             share * rest * (double{q.mean[i]} - p.mean[i]) * (double{q.mean[j]} - p.mean[j]);
-  const double mean = (m[0] + m[3] + m[5]) / 3;
-  const double xx = m[0] - mean, yy = m[3] - mean, zz = m[5] - mean, xy = m[1], xz = m[2], yz = m[4];
-  const double spread2 = (xx * xx + yy * yy + zz * zz + 2 * (xy * xy + xz * xz + yz * yz)) / 6, spread = std::sqrt(spread2);
-  const double determinant = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz);
-  const double cosine = spread2 > 0 ? determinant / (2 * spread2 * spread) : 1;
-  const double largest = mean + 2 * spread * std::cos(std::acos(std::min(std::max(cosine, -1.0), 1.0)) / 3);
-  return static_cast<float>(std::sqrt(std::max(largest - dilation, 0.0)));
-}
+bool has_few(const PartnerColumns& columns, int64_t row) { return columns.neighbors[PAIR_NEIGHBORS * row + FEW - 1] < 0; }
 
-void find_partner(const PairJob& job, const PairRecord* records, int64_t row, const PartnerColumns& columns) {
-  const int32_t* neighbors = columns.neighbors + PAIR_NEIGHBORS * row;
-  PairCandidates pair{&records[row], {}, count_neighbors(neighbors)};
-  columns.is_stale[row] = 0;
-  if (pair.count == 0) {  // all others are farther than float32 can square
-    columns.rows[row] = -1, columns.opacities[row] = 0;
-    columns.costs[row] = columns.sigmas[row] = HUGE_VALF;
-    return;
+// The covariance of two merged, xx xy xz yy yz zz, and the mean of its diagonal.
+struct MergedCovariance {
+  double m[6], mean;
+
+  MergedCovariance(const PairRecord& p, const PairRecord& q) {
+    const double share = double{q.weight} / (double{p.weight} + q.weight), rest = 1 - share;
+    for (int i = 0, k = 0; i < 3; ++i)
+      for (int j = i; j < 3; ++j, ++k)
+        m[k] = rest * p.covariance[k] + share * q.covariance[k] +
+               share * rest * (double{q.mean[i]} - p.mean[i]) * (double{q.mean[j]} - p.mean[j]);
+    mean = (m[0] + m[3] + m[5]) / 3;
   }
-  for (int k = 0; k < PAIR_NEIGHBORS; ++k) pair.others[k] = &records[neighbors[k < pair.count ? k : 0]];
-  const PairCost cheapest = kernels().cheapest_pair(pair);
-  columns.rows[row] = neighbors[cheapest.best];
-  columns.costs[row] = cheapest.cost;
-  columns.opacities[row] = cheapest.opacity;
-  columns.sigmas[row] = merged_sigma(records[row], *pair.others[cheapest.best], job.dilation);
-}
+};
+
+float sigma_of(double variance, double dilation) { return static_cast<float>(std::sqrt(std::max(variance - dilation, 0.0))); }
 
 // The nearest points of one, by rising distance.
 struct Nearest {
@@ -78,15 +61,15 @@ struct Nearest {
   }
 };
 
-// Neighbours of a group, each once, none of them itself.
+// Candidates of a row, each once, none of them itself.
 struct Candidates {
-  int32_t groups[2 * PAIR_NEIGHBORS];
+  int32_t rows[2 * PAIR_NEIGHBORS];
   int count = 0;
 
-  void add(const int32_t* neighbors, const int32_t* group_from_row, int64_t self) {
+  void add(const int32_t* neighbors, const int32_t* to, int64_t self) {
     for (int k = 0; k < PAIR_NEIGHBORS && neighbors[k] >= 0; ++k) {
-      const int32_t group = group_from_row[neighbors[k]];
-      if (group != self && std::find(groups, groups + count, group) == groups + count) groups[count++] = group;
+      const int32_t row = to[neighbors[k]];
+      if (row != self && std::find(rows, rows + count, row) == rows + count) rows[count++] = row;
     }
   }
 
@@ -96,13 +79,13 @@ struct Candidates {
     for (int c = 0; c < count; ++c) {
       float distance2 = 0;
       for (int a = 0; a < 3; ++a) {
-        const float d = means[3 * int64_t{groups[c]} + a] - means[3 * self + a];
+        const float d = means[3 * int64_t{rows[c]} + a] - means[3 * self + a];
         distance2 += d * d;
       }
-      if (distance2 < nearest.bound()) nearest.offer(distance2, groups[c]);
+      if (distance2 < nearest.bound()) nearest.offer(distance2, rows[c]);
     }
     count = nearest.count;
-    std::copy(nearest.rows, nearest.rows + count, groups);
+    std::copy(nearest.rows, nearest.rows + count, rows);
   }
 };
 
@@ -110,6 +93,9 @@ struct Candidates {
 
 void find_neighbors(int64_t n, const float* means, const PartnerColumns& columns, int threads) {
   if (n < 2) return;
+  int64_t num_wanted = 0;
+  for (int64_t row = 0; row < n; ++row) num_wanted += has_few(columns, row);
+  if (num_wanted == 0) return;
   const BoxTree tree(n, means, threads);
   parallel_ranges(tree.num_leaves, 256, threads, [&](int64_t first, int64_t last) {
     for (int64_t leaf = first; leaf < last; ++leaf) {
@@ -117,8 +103,7 @@ void find_neighbors(int64_t n, const float* means, const PartnerColumns& columns
       LeafNeighbors found;
       uint32_t wanted = 0;
       for (int64_t lane = 0; lane < LEAF_POINTS; ++lane) {
-        const bool is_wanted =
-            begin + lane < end && count_neighbors(columns.neighbors + PAIR_NEIGHBORS * int64_t{tree.rows[begin + lane]}) < FEW;
+        const bool is_wanted = begin + lane < end && has_few(columns, tree.rows[begin + lane]);
         reset_list(found, lane, is_wanted);
         wanted |= uint32_t{is_wanted} << lane;
       }
@@ -130,46 +115,81 @@ void find_neighbors(int64_t n, const float* means, const PartnerColumns& columns
         const int count = size_of_list(found, i - begin);
         for (int k = 0; k < PAIR_NEIGHBORS; ++k)
           columns.neighbors[PAIR_NEIGHBORS * row + k] = k < count ? tree.rows[found.places[k][i - begin]] : -1;
-        columns.is_stale[row] = 1;
+        columns.states[row] = STALE;
       }
     }
   });
 }
 
-void find_partners(const PairJob& job, const PartnerColumns& columns) {
-  Scratch<PairRecord> records = allocate<PairRecord>(job.n);
-  parallel_ranges(job.n, 1 << 13, job.threads, [&](int64_t begin, int64_t end) {
-    for (int64_t row = begin; row < end; ++row) records[row] = record_of(job, row);
-  });
-  parallel_ranges(job.n, 1 << 11, job.threads, [&](int64_t begin, int64_t end) {
-    for (int64_t row = begin; row < end; ++row)
-      if (columns.is_stale[row]) find_partner(job, records.get(), row, columns);
+void keep_partners(int64_t n, const uint8_t* is_kept, const PartnerColumns& from, const PartnerColumns& to, int threads) {
+  Scratch<int32_t> number = allocate<int32_t>(n);
+  int32_t num_kept = 0;
+  for (int64_t row = 0; row < n; ++row) number[row] = is_kept[row] ? num_kept++ : -1;
+  parallel_ranges(n, 1 << 12, threads, [&](int64_t begin, int64_t end) {
+    for (int64_t row = begin; row < end; ++row) {
+      if (!is_kept[row]) continue;
+      const int64_t kept = number[row];
+      const int32_t* neighbors = from.neighbors + PAIR_NEIGHBORS * row;
+      int32_t* list = to.neighbors + PAIR_NEIGHBORS * kept;
+      int count = 0, num_before = 0;
+      for (; num_before < PAIR_NEIGHBORS && neighbors[num_before] >= 0; ++num_before)
+        if (number[neighbors[num_before]] >= 0) list[count++] = number[neighbors[num_before]];
+      const bool has_lost = count < num_before;
+      while (count < PAIR_NEIGHBORS) list[count++] = -1;
+
+      const int32_t partner = from.rows[row] < 0 ? -1 : number[from.rows[row]];
+      to.rows[kept] = partner;
+      to.costs[kept] = from.costs[row];
+      to.opacities[kept] = from.opacities[row];
+      to.least_sigmas[kept] = from.least_sigmas[row];
+      to.states[kept] = partner < 0 ? STALE : std::max(from.states[row], has_lost ? OUTDATED : FOUND);
+    }
   });
 }
 
-void carry_partners(const PairGroups& groups, const float* means, const PartnerColumns& from, const PartnerColumns& to,
-                    int threads) {
-  parallel_ranges(groups.num_groups, 1 << 12, threads, [&](int64_t begin, int64_t end) {
-    for (int64_t g = begin; g < end; ++g) {
-      const int64_t size = groups.start[g + 1] - groups.start[g];
-      Candidates candidates;
-      for (int64_t i = groups.start[g]; i < groups.start[g + 1]; ++i)
-        candidates.add(from.neighbors + PAIR_NEIGHBORS * int64_t{groups.rows[i]}, groups.group_from_row, g);
-      candidates.keep_nearest(means, g);
-      int32_t* neighbors = to.neighbors + PAIR_NEIGHBORS * g;
-      std::fill(neighbors, neighbors + PAIR_NEIGHBORS, -1);
-      std::copy(candidates.groups, candidates.groups + candidates.count, neighbors);
+void find_partner(const PairRecord* records, int64_t row, double dilation, const PartnerColumns& columns) {
+  const int32_t* neighbors = columns.neighbors + PAIR_NEIGHBORS * row;
+  PairCandidates pair{&records[row], {}, count_neighbors(neighbors)};
+  columns.states[row] = FOUND;
+  if (pair.count == 0) {  // all others are farther than float32 can square
+    columns.rows[row] = -1, columns.opacities[row] = 0;
+    columns.costs[row] = columns.least_sigmas[row] = HUGE_VALF;
+    return;
+  }
+  for (int k = 0; k < PAIR_NEIGHBORS; ++k) pair.others[k] = &records[neighbors[k < pair.count ? k : 0]];
+  const PairCost cheapest = kernels().cheapest_pair(pair);
+  columns.rows[row] = neighbors[cheapest.best];
+  columns.costs[row] = cheapest.cost;
+  columns.opacities[row] = cheapest.opacity;
+  columns.least_sigmas[row] = sigma_of(MergedCovariance(records[row], *pair.others[cheapest.best]).mean, dilation);
+}
 
-      const int64_t row = groups.representatives[g];
-      const int32_t partner = from.rows[row] < 0 ? -1 : groups.group_from_row[from.rows[row]];
-      const bool merged = size > 1 || (partner >= 0 && groups.start[partner + 1] - groups.start[partner] > 1);
-      to.rows[g] = partner;
-      to.costs[g] = from.costs[row];
-      to.opacities[g] = from.opacities[row];
-      to.sigmas[g] = from.sigmas[row];
-      to.is_stale[g] = from.is_stale[row] | merged;
-    }
-  });
+// The largest root of the characteristic polynomial of the covariance (Smith 1961). It is no less than the mean of the roots, in
+// floating point, too: the cosine is not below 0.
+float merged_sigma(const PairRecord& p, const PairRecord& q, double dilation) {
+  const MergedCovariance covariance(p, q);
+  const double *m = covariance.m, mean = covariance.mean;
+  const double xx = m[0] - mean, yy = m[3] - mean, zz = m[5] - mean, xy = m[1], xz = m[2], yz = m[4];
+  const double spread2 = (xx * xx + yy * yy + zz * zz + 2 * (xy * xy + xz * xz + yz * yz)) / 6, spread = std::sqrt(spread2);
+  const double determinant = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz);
+  const double cosine = spread2 > 0 ? determinant / (2 * spread2 * spread) : 1;
+  const double largest = mean + 2 * spread * std::cos(std::acos(std::min(std::max(cosine, -1.0), 1.0)) / 3);
+  return sigma_of(largest, dilation);
+}
+
+void follow_moves(const Moves& moves, const float* means, int64_t row, int64_t other, const PartnerColumns& columns) {
+  int32_t* neighbors = columns.neighbors + PAIR_NEIGHBORS * row;
+  bool has_moved = other >= 0;
+  for (int k = 0; k < PAIR_NEIGHBORS && neighbors[k] >= 0; ++k) has_moved |= moves.is_new[neighbors[k]] != 0;
+  if (!has_moved) return;
+  const bool is_merged = other >= 0 || (columns.rows[row] >= 0 && moves.is_new[columns.rows[row]]);
+  columns.states[row] = is_merged ? STALE : std::max(columns.states[row], OUTDATED);
+  Candidates candidates;
+  candidates.add(neighbors, moves.to, row);
+  if (other >= 0) candidates.add(columns.neighbors + PAIR_NEIGHBORS * other, moves.to, row);
+  candidates.keep_nearest(means, row);
+  std::fill(neighbors, neighbors + PAIR_NEIGHBORS, -1);
+  std::copy(candidates.rows, candidates.rows + candidates.count, neighbors);
 }
 
 }  // namespace splatree

@@ -1,4 +1,4 @@
-// Partners that are kept from round to round while levels grow by pairs (lod/grow_pairs.py).
+// Partners that are kept from round to round while levels grow by pairs (lod/present.py).
 #pragma once
 #include <cstdint>
 
@@ -6,31 +6,39 @@
 
 namespace splatree {
 
+// How much of what is known of a row's partner still holds: it is the cheapest of the candidates; it was until others of them
+// were merged; it is to be found.
+constexpr uint8_t FOUND = 0, OUTDATED = 1, STALE = 2;
+
 // What is kept of each row.
 struct PartnerColumns {
   int32_t* neighbors;  // n PAIR_NEIGHBORS: candidates, −1 where there are fewer
   int32_t* rows;       // the cheapest of them, −1 if there is none
   float *costs, *opacities;
-  float* sigmas;      // longest axis of the two merged, without dilation
-  uint8_t* is_stale;  // whether the partner has to be found
+  float* least_sigmas;  // the longest axis of the two merged, without dilation, is no shorter
+  uint8_t* states;      // FOUND, OUTDATED or STALE
 };
 
 // Looks for the nearest rows of all that have lost more than a quarter of their candidates; those are stale, too.
 void find_neighbors(int64_t n, const float* means, const PartnerColumns& columns, int threads);
 
-// Finds the partners of all rows that are stale. The outputs of the job are not used.
-void find_partners(const PairJob& job, const PartnerColumns& columns);
+// What is known of some of n rows, without the others among their candidates.
+void keep_partners(int64_t n, const uint8_t* is_kept, const PartnerColumns& from, const PartnerColumns& to, int threads);
 
-// Groups of one or two of n rows that became one: rows[start[g] : start[g + 1]].
-struct PairGroups {
-  int64_t num_groups;
-  const int64_t* start;
-  const int32_t *rows, *representatives, *group_from_row;
+// Finds the partner of a row among its candidates.
+void find_partner(const PairRecord* records, int64_t row, double dilation, const PartnerColumns& columns);
+
+// The longest axis of two merged, less what records add: standard deviation, world units.
+float merged_sigma(const PairRecord& p, const PairRecord& q, double dilation);
+
+// What a round merged: to[r] is r where it still stands for itself, and is_new[r] says whether r is of one of the pairs.
+struct Moves {
+  const int32_t* to;
+  const uint8_t* is_new;
 };
 
-// What is kept of the groups, with their `means`: neighbours go where they went; two that became one have the nearest of both; a
-// partner is stale once one of the two was merged.
-void carry_partners(const PairGroups& groups, const float* means, const PartnerColumns& from, const PartnerColumns& to,
-                    int threads);
+// Candidates of a row go where they went. That of two has the nearest of both one's candidates, by the new `means`; `other` is
+// the second of the two, −1 for a row that was not merged.
+void follow_moves(const Moves& moves, const float* means, int64_t row, int64_t other, const PartnerColumns& columns);
 
 }  // namespace splatree
