@@ -207,7 +207,7 @@ def _moved_to_free_name(temporary: Path, target: Path) -> bool:
 
 
 def _exists(path: str | os.PathLike[str]) -> str:
-    return f"{path}: exists already; choose another name or replace it with force"
+    return f"{path}: exists already; choose another name or replace it with force (--force)"
 
 
 def check_target(path: str | os.PathLike[str]) -> Path:
