@@ -34,7 +34,11 @@ def test_each_page_is_one_of_four_kinds_and_in_the_navigation():
 def test_commands_of_a_page_can_be_run_one_after_the_other(page):
     """None writes what another one of the page has written, which would be refused."""
     lines = [shlex.split(line, comments=True) for line in re.findall(r"^splatree .*$", (ROOT / page).read_text(), re.M)]
-    writing = [line for line in lines if line[1] in ("convert", "thin", "build", "clean", "refine", "render", "stream", "train")]
+    writing = [
+        line
+        for line in lines
+        if line[1] in ("convert", "thin", "build", "clean", "refine", "render", "stream", "train")
+    ]
     written = []
     for line in writing:
         named = line[line.index("-o") + 1 : line.index("-o") + 2] if "-o" in line else []

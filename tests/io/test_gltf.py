@@ -311,7 +311,9 @@ def test_an_opacity_beyond_1_is_named_by_its_row(tmp_path):
     start = content["bufferViews"][view]["byteOffset"] + 4 * 7
     data = binary[:start] + np.array([128, -0.5], "<f4").tobytes() + binary[start + 8 :]  # 128 of 255, not normalized
     (tmp_path / "b.glb").write_bytes(glb(content, data))
-    with pytest.raises(FormatError, match="row 7: found an opacity of 128, wanted 0 to 1; whole numbers have to be normalized"):
+    with pytest.raises(
+        FormatError, match="row 7: found an opacity of 128, wanted 0 to 1; whole numbers have to be normalized"
+    ):
         splatree.read(tmp_path / "b.glb")
     scene = splatree.read(tmp_path / "b.glb", repair=True)
     assert len(scene) == 38 and json.loads(scene.source.metadata["repairs"]) == {"dropped_rows": 2}

@@ -148,7 +148,9 @@ class GltfFile:
         size = self._path.stat().st_size
         version, length = self._numbers(4)
         if version != 2:
-            raise FormatError(f"{self.where}: found version {version} of glTF, wanted 2; write it again with a newer program")
+            raise FormatError(
+                f"{self.where}: found version {version} of glTF, wanted 2; write it again with a newer program"
+            )
         if length > size:
             raise FormatError(
                 f"{self.where}: found {size} bytes, wanted the {length} that its header announces; it is cut off"
