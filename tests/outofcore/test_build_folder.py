@@ -282,7 +282,8 @@ def test_what_cannot_be_built_is_refused_before_any_work(tmp_path, ply):
     st.write(st.Scene.flat(st.Gaussians.empty()), tmp_path / "empty.ply")
     with pytest.raises(st.InputError, match="found 0 Gaussians"):
         st.build_folder(tmp_path / "empty.ply", tmp_path / "a.splatree")
-    for wrong in ({"workers": 0}, {"part_rows": 0}, {"part_levels": 0}, {"max_memory": "9M"}, {"max_memory": "much"}):
+    numbers = ({"workers": 0}, {"workers": 1025}, {"part_rows": 0}, {"part_levels": 0})
+    for wrong in (*numbers, {"max_memory": "9M"}, {"max_memory": "much"}):
         with pytest.raises(st.InputError, match="wanted"):
             st.FolderOptions(**wrong)
 
