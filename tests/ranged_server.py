@@ -63,6 +63,26 @@ class Unsaid(Ranges):
     range_says = "bytes {first}-{last}/*"
 
 
+class Sizeless(SimpleHTTPRequestHandler):
+    """Gives files in chunks, without their size and without ranges."""
+
+    protocol_version = "HTTP/1.1"
+
+    def do_GET(self) -> None:
+        path = Path(self.translate_path(self.path))
+        if not path.is_file():
+            self.send_error(404)
+            return
+        self.send_response(200)
+        self.send_header("Transfer-Encoding", "chunked")
+        self.end_headers()
+        data = path.read_bytes()
+        self.wfile.write(b"%x\r\n%b\r\n0\r\n\r\n" % (len(data), data))
+
+    def log_message(self, *_: object) -> None:
+        pass
+
+
 class Shifted(Ranges):
     """Says that it gives another range than it was asked for."""
 

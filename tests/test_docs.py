@@ -30,6 +30,24 @@ def test_each_page_is_one_of_four_kinds_and_in_the_navigation():
     assert len(navigation) == len(set(navigation))
 
 
+@pytest.mark.parametrize("page", [page for page in PAGES if {"tutorial", "how-to"} & set(page.parts)], ids=str)
+def test_commands_of_a_page_can_be_run_one_after_the_other(page):
+    """None writes what another one of the page has written, which would be refused."""
+    lines = [shlex.split(line, comments=True) for line in re.findall(r"^splatree .*$", (ROOT / page).read_text(), re.M)]
+    writing = [
+        line
+        for line in lines
+        if line[1] in ("convert", "thin", "build", "clean", "refine", "render", "stream", "train")
+    ]
+    written = []
+    for line in writing:
+        named = line[line.index("-o") + 1 : line.index("-o") + 2] if "-o" in line else []
+        paths = [word for word in line[2:] if re.search(r"\.(ply|spz|sog|splat|ksplat|splatree|glb|rad|hier)$", word)]
+        if not {"--force", "--dry-run", "--cameras"} & set(line):
+            written += named or paths[1:][-1:]
+    assert sorted(written) == sorted(set(written))
+
+
 def test_the_first_page_leads_to_each_page():
     """But for the pages of the reference that an index of their own lists."""
     first = (ROOT / "docs" / "index.md").read_text()

@@ -105,9 +105,11 @@ def check_fields(struct: Any, **sizes: int) -> dict[str, int]:
         if not isinstance(value, np.ndarray):
             raise ShapeError(f"{owner}.{name}: found {type(value).__name__}, wanted a NumPy array")
         if value.dtype != np.dtype(axes.dtype):
+            found = (
+                value.dtype.name if value.dtype.isnative else f"{value.dtype.name} in the byte order of another machine"
+            )
             raise ShapeError(
-                f"{owner}.{name}: found dtype {value.dtype.name}, wanted {axes.dtype}; convert it with "
-                f".astype(np.{axes.dtype})"
+                f"{owner}.{name}: found dtype {found}, wanted {axes.dtype}; convert it with .astype(np.{axes.dtype})"
             )
         wanted = " ".join(axes.names)
         if value.ndim != len(axes.names):

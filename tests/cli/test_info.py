@@ -1,6 +1,7 @@
 """What ``splatree info`` says beyond counts: histograms, the vertical, outliers, other formats, the next step."""
 
 import json
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -75,10 +76,14 @@ def test_histograms_count_their_ends_and_degenerate_values():
     assert in_lines("size", logarithmic(np.zeros(3))) == []
 
 
-def test_the_words_end_with_the_next_command(splatree, small_ply, small_tree):
+def test_the_words_end_with_the_next_command(splatree, small_ply, small_tree, monkeypatch):
     _, out, _ = splatree("info", small_ply)
     assert out.splitlines()[-1] == f"next: splatree build {small_ply} small.splatree"
     assert "estimated .sog" in out and "█" in out
+    with small_ply.open() as stdin:
+        monkeypatch.setattr(sys, "stdin", stdin)
+        _, out, _ = splatree("info", "-")
+    assert out.splitlines()[-1] == "next: splatree build INPUT scene.splatree"  # standard input cannot be read again
     _, out, _ = splatree("info", small_tree)
     assert out.splitlines()[-1] == f"next: splatree render {small_tree} -o pictures"
 

@@ -86,6 +86,18 @@ def test_output_must_be_named(splatree, small_ply, tmp_path):
     assert "wanted an input and an output" in wrong_line(splatree("build", small_ply))
     assert "is a folder" in wrong_line(splatree("build", small_ply, tmp_path))
     assert "is an input too" in wrong_line(splatree("convert", small_ply, small_ply, "--force"))
+    assert "found an empty path" in wrong_line(splatree("info", ""))
+
+
+def test_an_output_in_a_folder_of_inputs_is_not_read_again(splatree, small_ply, tmp_path):
+    for name in ("a.ply", "b.ply"):
+        (tmp_path / name).write_bytes(small_ply.read_bytes())
+    words = ("convert", tmp_path, "-o", tmp_path / "whole.ply")
+    assert splatree(*words)[0] == 0
+    written = (tmp_path / "whole.ply").read_bytes()
+    assert "whole.ply: is an input too" in wrong_line(splatree(*words, "--force"))
+    assert "is an input too" in wrong_line(splatree("convert", tmp_path / "*.ply", tmp_path / "whole.ply", "--force"))
+    assert (tmp_path / "whole.ply").read_bytes() == written
 
 
 def test_unusable_output_is_refused_before_any_work(splatree, tmp_path):

@@ -22,7 +22,7 @@ def test_serve_says_its_address_and_answers_until_it_is_interrupted(splatree, sm
                 assert answer.status == 200
             os.kill(process.pid, signal.SIGINT)
             out, _ = process.communicate(timeout=20)
-            assert process.returncode == 0 and "served 1 streams" in out
+            assert process.returncode == 0 and "served 1 stream at" in out
         finally:
             process.kill()
 
@@ -34,7 +34,7 @@ def test_ctrl_c_while_it_says_its_address_is_the_usual_end_too(splatree, small_t
     assert splatree("stream", small_tree, tmp_path / "out", "--levels", "2")[0] == 0
     monkeypatch.setattr("splatree.cli.serve._announce", interrupt)
     code, out, _ = splatree("serve", tmp_path / "out", "--port", "0")
-    assert code == 0 and "served 1 streams" in out
+    assert code == 0 and "served 1 stream at" in out
 
 
 def test_a_folder_without_a_stream_is_refused(splatree, tmp_path):

@@ -175,6 +175,9 @@ def test_a_tree_is_not_reordered(tree):
         ({"crop_sphere": (0, 0, 0)}, r"crop_sphere: found \(0, 0, 0\), wanted 4 numbers"),
         ({"crop_box": (0, 0, 0)}, r"crop_box: found \(0, 0, 0\), wanted 6 numbers"),
         ({"translate": (1, 2)}, r"translate: found \(1, 2\), wanted 3 numbers"),
+        ({"translate": "abc"}, "translate: found 'abc', wanted 3 numbers"),
+        ({"rotate": 90}, "rotate: found 90, wanted 3 numbers"),
+        ({"rotate": None}, "rotate: found None, wanted 3 numbers"),
         ({"sh_degree": 4}, "found 4, wanted 0 to 3"),
         ({"order": "hilbert"}, "found 'hilbert'"),
     ],
@@ -198,3 +201,9 @@ def test_clusters_go_with_what_they_held(city, options, keeps):
     edited = edit(clustered, options)
     assert (edited.clusters is not None) == keeps
     assert ("the 9 clusters" in edited.source.metadata.get("lost", "")) != keeps
+
+
+def test_numbers_may_come_as_lists_and_arrays():
+    wanted = EditOptions(rotate=(90, 0, 0), crop_box=(0, 0, 0, 1, 1, 1))
+    for kind in (list, np.array):
+        assert EditOptions(rotate=kind([90, 0, 0]), crop_box=kind([0, 0, 0, 1, 1, 1])) == wanted

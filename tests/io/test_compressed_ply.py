@@ -102,6 +102,15 @@ def test_what_is_clamped_is_told(tmp_path):
     assert "log-scales beyond ±20: clamped in 1 Gaussian" in lost and "harmonics beyond ±4: clamped in 2" in lost
 
 
+def test_gaussians_that_a_far_one_moves_are_counted(tmp_path):
+    g = random_gaussians(300)
+    g.log_scales[:] = -1  # half a step is at most 60 / 2046
+    assert not any("places" in line for line in splatree.write(Scene.flat(g), tmp_path / "a.compressed.ply"))
+    g.means[7] = 1e6  # the last along the curve, in a chunk of 44 whose steps become 1e6 / 1023
+    (line,) = (line for line in splatree.write(Scene.flat(g), tmp_path / "b.compressed.ply") if "places" in line)
+    assert "the places of 44 Gaussians: rounded by up to more than their size" in line
+
+
 def test_older_files_have_colors_from_0_to_1(tmp_path):
     words = np.array([[1 << 21 | 1023 << 11, 0x3FF, 0, 255 << 24 | 51]], "<u4")
     bounds = np.array([[0, 10, 0, 2047, 20, 1, -9, -8, -7, -9, -8, -7]], "<f4")

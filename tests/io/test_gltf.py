@@ -303,6 +303,30 @@ def test_what_is_wrong_is_named(tmp_path, change, message):
         splatree.read(path)
 
 
+def test_an_opacity_beyond_1_is_named_by_its_row(tmp_path):
+    g = random_gaussians(40)
+    written(g, tmp_path / "a.glb")
+    content, binary = parts((tmp_path / "a.glb").read_bytes())
+    view = content["accessors"][primitive(content)["attributes"]["KHR_gaussian_splatting:OPACITY"]]["bufferView"]
+    start = content["bufferViews"][view]["byteOffset"] + 4 * 7
+    data = binary[:start] + np.array([128, -0.5], "<f4").tobytes() + binary[start + 8 :]  # 128 of 255, not normalized
+    (tmp_path / "b.glb").write_bytes(glb(content, data))
+    with pytest.raises(
+        FormatError, match="row 7: found an opacity of 128, wanted 0 to 1; whole numbers have to be normalized"
+    ):
+        splatree.read(tmp_path / "b.glb")
+    scene = splatree.read(tmp_path / "b.glb", repair=True)
+    assert len(scene) == 38 and json.loads(scene.source.metadata["repairs"]) == {"dropped_rows": 2}
+
+
+def test_an_old_version_is_not_called_cut_off(tmp_path):
+    written(random_gaussians(4), tmp_path / "a.glb")
+    data = (tmp_path / "a.glb").read_bytes()
+    (tmp_path / "b.glb").write_bytes(data[:4] + bytes([1]) + data[5:])
+    with pytest.raises(FormatError, match="found version 1 of glTF, wanted 2; write it again"):
+        splatree.read(tmp_path / "b.glb")
+
+
 @pytest.mark.parametrize("share", [0.0005, 0.01, 0.5, 0.999])
 def test_a_file_cut_off_anywhere_is_refused(tmp_path, share):
     written(random_gaussians(40), tmp_path / "a.glb")

@@ -46,6 +46,8 @@ def test_what_cannot_be_a_picture_is_refused(tmp_path):
         splatree.write_image(good[:0], tmp_path / "a.png")
     with pytest.raises(ShapeError, match=r"found shape \(2, 2, 2\)"):
         splatree.write_image(good[..., :2], tmp_path / "a.png")
+    with pytest.raises(ShapeError, match="found dtype uint8, wanted floats from 0 to 1; divide bytes by 255"):
+        splatree.write_image(good.astype(np.uint8), tmp_path / "a.png")
     with pytest.raises(InputError, match="NaN"):
         splatree.write_image(good * np.nan, tmp_path / "a.png")
     splatree.write_image(good, tmp_path / "a.png")

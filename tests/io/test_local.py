@@ -1,5 +1,6 @@
 """Inputs from elsewhere: addresses, standard input, compressed files; and their limits."""
 
+import errno
 import gzip
 import io
 import json
@@ -257,3 +258,80 @@ def test_what_may_be_states_or_pieces_is_asked_for(tmp_path, names, message):
     with pytest.raises(InputError, match=message):
         st.read(tmp_path / "out")
     assert len(st.read([tmp_path / "out" / name for name in names])) > len(names)  # named, so meant
+
+
+class _Encoded(SimpleHTTPRequestHandler):
+    """Gives files as gzip, asked or not, as stores do with objects that were put so."""
+
+    encoding = "gzip"
+
+    def do_GET(self):
+        data = gzip.compress(Path(self.translate_path(self.path)).read_bytes())
+        self.send_response(200)
+        self.send_header("Content-Encoding", self.encoding)
+        self.send_header("Content-Length", str(len(data)))
+        self.end_headers()
+        self.wfile.write(data)
+
+    def log_message(self, *_):
+        pass
+
+
+class _Brotli(_Encoded):
+    encoding = "br"
+
+
+def test_what_a_server_packs_on_the_way_is_unpacked(serve, ply, tmp_path):
+    st.write(Scene.flat(GAUSSIANS), tmp_path / "b.splat")
+    address = serve(partial(_Encoded, directory=str(tmp_path)))
+    assert same_bits(st.read(f"{address}/a.ply").gaussians.means, GAUSSIANS.means)
+    assert len(st.read(f"{address}/b.splat")) == 20
+    with pytest.raises(InputError, match=r"a\.ply: found it encoded as br, wanted it plain or as gzip"):
+        st.read(serve(partial(_Brotli, directory=str(tmp_path))) + "/a.ply")
+
+
+@pytest.mark.parametrize(
+    ("name", "what"), [("b.ply", "gzip"), ("b.splat", "gzip"), ("c.ply", "a ZIP"), ("c.spz", "a ZIP")]
+)
+def test_compressed_files_under_another_name_are_told(ply, tmp_path, name, what):
+    if what == "gzip":
+        (tmp_path / name).write_bytes(gzip.compress(ply.read_bytes()))
+    else:
+        with zipfile.ZipFile(tmp_path / name, "w") as bundle:
+            bundle.write(ply, "a.ply")
+    with pytest.raises(FormatError, match=rf"{name}: is (compressed by )?{what}, which its name does not say"):
+        st.read(tmp_path / name)
+
+
+def test_a_full_disk_is_not_a_damaged_input(ply, tmp_path, monkeypatch):
+    (tmp_path / "c.ply.gz").write_bytes(gzip.compress(ply.read_bytes()))
+
+    class Full(io.BytesIO):
+        def write(self, _):
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    opened = Path.open
+    monkeypatch.setattr(
+        Path, "open", lambda self, mode="r", *rest: Full() if mode == "wb" else opened(self, mode, *rest)
+    )
+    with pytest.raises(
+        InputError, match=r"c\.ply\.gz: cannot be kept in .* \(No space left on device\); let TMPDIR name"
+    ):
+        st.read(tmp_path / "c.ply.gz")
+
+
+@pytest.mark.parametrize(
+    ("inputs", "found"),
+    [
+        ("", "an empty path"),
+        (None, "NoneType"),
+        (3, "int"),
+        (b"a.ply", "bytes"),
+        (["a.ply", None], "NoneType"),
+        (io.BytesIO(), "BytesIO"),
+    ],
+)
+def test_what_is_no_path_is_refused_by_its_kind(tmp_path, inputs, found):
+    for use in (st.read, st.check, lambda named: st.convert(named, tmp_path / "b.ply")):
+        with pytest.raises(InputError, match=f"^inputs: found {found}, wanted a path"):
+            use(inputs)

@@ -15,7 +15,7 @@ from splatree.io.objects import ObjectPath, located
 from splatree.io.registry import stored_bytes
 from splatree.scene.scene import Source
 
-from ..ranged_server import Closing, Cutting, Leading, Proxy, Refusing, Shifted, Unsaid, served
+from ..ranged_server import Closing, Cutting, Leading, Proxy, Refusing, Shifted, Sizeless, Unsaid, served
 from ..scenes import random_gaussians
 
 SUFFIXES = (".ply", ".compressed.ply", ".spz", ".splat", ".sog", ".ksplat", ".glb", ".rad", ".splatree", ".hier")
@@ -169,6 +169,7 @@ def test_folders_of_a_server_are_read_by_ranges(scene, tmp_path):
     ("handler", "message"),
     [
         (Unsaid, r"found '\*' as its size, wanted a number"),
+        (Sizeless, "found '' as its size, wanted a number"),
         (Shifted, r"answers with the range 'bytes 70-7\d+/\d+', wanted"),
     ],
 )

@@ -18,7 +18,7 @@ NAMES += ["rot_0", "rot_1", "rot_2", "rot_3"]
 
 def save(path, columns, *, elements_before=(), comments=b"", after=b""):
     """A binary file with the columns given by name, each an array whose type is written."""
-    kinds = {"f4": "float", "f8": "double", "u1": "uchar", "u2": "ushort", "i4": "int"}
+    kinds = {"f4": "float", "f8": "double", "u1": "uchar", "u2": "ushort", "i1": "char", "i2": "short", "i4": "int"}
     n = len(next(iter(columns.values())))
     head = b"ply\nformat binary_little_endian 1.0\n" + comments
     data = b""
@@ -265,3 +265,31 @@ def test_codes_of_whole_numbers_are_not_taken_for_values(tmp_path, name, kind):
         st.read(save(tmp_path / "a.ply", columns))
     columns = columns_of(GAUSSIANS) | {"x": np.arange(len(columns["x"])).astype(np.int32)}
     np.testing.assert_array_equal(st.read(save(tmp_path / "b.ply", columns)).gaussians.means[:, 0], columns["x"])
+
+
+@pytest.mark.parametrize("kind", ["i1", "i2", "i4"])
+def test_colours_below_0_are_refused(tmp_path, kind):
+    columns = {name: values for name, values in columns_of(GAUSSIANS).items() if not name.startswith("f_dc")}
+    columns |= {name: np.full(50, 100, kind) for name in ("red", "green", "blue")}
+    assert len(st.read(save(tmp_path / "a.ply", columns))) == 50
+    columns["green"][7] = -56  # 200 as a byte with a sign
+    with pytest.raises(FormatError, match="found green of -56 as a whole number with a sign, wanted 0 or more"):
+        st.read(save(tmp_path / "b.ply", columns))
+
+
+def test_a_file_of_another_layout_is_not_called_a_mesh(tmp_path):
+    columns = {name: values for name, values in columns_of(GAUSSIANS).items() if not name.startswith("rot_")}
+    with pytest.raises(
+        FormatError, match=r"no properties rot_0 rot_1 rot_2 rot_3 .*: the file is of another layout, wanted"
+    ):
+        st.read(save(tmp_path / "a.ply", columns))
+
+
+def test_bytes_that_miss_behind_the_vertices_are_counted(tmp_path):
+    path = save(tmp_path / "a.ply", columns_of(GAUSSIANS))
+    data = path.read_bytes().replace(b"end_header", b"element camera 3\nproperty float fov\nend_header")
+    path.write_bytes(data + bytes(8))
+    with pytest.raises(FormatError, match=r"bytes, 4 fewer than its header announces .*12 bytes behind them"):
+        st.read(path)
+    scene = st.read(path, repair=True)
+    assert len(scene) == 50 and json.loads(scene.source.metadata["repairs"]) == {"missing_bytes": 4}

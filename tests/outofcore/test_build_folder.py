@@ -282,7 +282,8 @@ def test_what_cannot_be_built_is_refused_before_any_work(tmp_path, ply):
     st.write(st.Scene.flat(st.Gaussians.empty()), tmp_path / "empty.ply")
     with pytest.raises(st.InputError, match="found 0 Gaussians"):
         st.build_folder(tmp_path / "empty.ply", tmp_path / "a.splatree")
-    for wrong in ({"workers": 0}, {"part_rows": 0}, {"part_levels": 0}, {"max_memory": "9M"}, {"max_memory": "much"}):
+    numbers = ({"workers": 0}, {"workers": 1025}, {"part_rows": 0}, {"part_levels": 0})
+    for wrong in (*numbers, {"max_memory": "9M"}, {"max_memory": "much"}):
         with pytest.raises(st.InputError, match="wanted"):
             st.FolderOptions(**wrong)
 
@@ -297,12 +298,12 @@ def test_a_cell_that_cannot_be_cut_and_does_not_fit_is_named(tmp_path, monkeypat
 
 
 def test_memory_is_spent_on_rows_then_on_processes():
-    assert (bytes_of("4G"), bytes_of("1.5 g"), bytes_of("250MB"), bytes_of("9")) == (
-        4 * 10**9,
-        1500 * 10**6,
-        250 * 10**6,
-        9,
-    )
+    said = ("4G", "1.5 g", "250MB", "9", "4GiB", "512 kib", "1Ti")
+    wanted = [4 * 10**9, 1500 * 10**6, 250 * 10**6, 9, 4 << 30, 512 << 10, 1 << 40]
+    assert [bytes_of(text) for text in said] == wanted
+    for wrong in ("4ib", "50%", "G", "-1G"):
+        with pytest.raises(st.InputError, match=rf"memory: found '{wrong}', wanted a number of bytes such as 4G"):
+            bytes_of(wrong)
     for memory in ("250M", "500M", "1G", "4G"):
         for k in (1, 16):
             room = Room.of(st.FolderOptions(max_memory=memory, workers=3), k)
@@ -451,3 +452,11 @@ def test_a_folder_is_drawn_as_the_tree_in_memory(built, ply):
         np.testing.assert_array_equal(st.select(scene, camera, options).rows, st.select(wanted, camera, options).rows)
         pictures = [st.render(each, camera, select=options).image for each in (scene, wanted)]
         assert pictures[0].tobytes() == pictures[1].tobytes()
+
+
+def test_formats_that_are_not_read_in_chunks_are_named_as_the_user_did(tmp_path):
+    st.write(st.Scene.flat(st.Gaussians.empty(0)), tmp_path / "a.glb")
+    with pytest.raises(
+        st.InputError, match=r"^.*a\.glb: found a format that is not read in chunks; convert it to \.ply first"
+    ):
+        st.build_folder(tmp_path / "a.glb", tmp_path / "parts.splatree")

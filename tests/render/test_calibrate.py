@@ -194,3 +194,9 @@ def test_what_cannot_be_calibrated_is_refused() -> None:
     for wrong in ({"loss_db": 0.0}, {"lambda_g": -1.0}, {"scene_psnr": math.inf}, {"max_views": 0}, {"policy": "best"}):
         with pytest.raises(st.InputError, match="found"):
             st.CalibrateOptions(**wrong)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("psnr", [0.0, 201.0, 1e11])
+def test_a_psnr_that_no_picture_has_is_refused(psnr):
+    with pytest.raises(st.InputError, match="scene_psnr: found"):
+        st.CalibrateOptions(scene_psnr=psnr)

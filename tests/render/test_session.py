@@ -3,6 +3,7 @@
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -251,3 +252,12 @@ def test_batches_and_evaluations_open_one_session(scene: st.Scene, monkeypatch: 
         opened.clear()
         work()
         assert len(opened) == 1
+
+
+@pytest.mark.parametrize("wrong", [None, {}, list(VIEWS)])
+def test_what_is_no_camera_is_refused_by_its_kind(scene: st.Scene, wrong: Any) -> None:
+    for use in (st.render, st.select):
+        with pytest.raises(
+            st.InputError, match=rf"^camera: found {type(wrong).__name__}, wanted one Camera; .*render_batch"
+        ):
+            use(scene, wrong)

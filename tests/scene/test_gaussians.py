@@ -23,6 +23,15 @@ def test_wrong_dtype_strided_or_list_is_refused(means):
         Gaussians(means, g.quats, g.log_scales, g.logit_opacities, g.sh)
 
 
+def test_the_byte_order_of_another_machine_is_named():
+    g = make(5)
+    other = g.means.astype(g.means.dtype.newbyteorder())
+    with pytest.raises(
+        ShapeError, match="found dtype float32 in the byte order of another machine, wanted float32; convert it"
+    ):
+        Gaussians(other, g.quats, g.log_scales, g.logit_opacities, g.sh)
+
+
 def test_number_of_harmonics_is_a_square_up_to_16():
     assert [make(2, k).sh_degree for k in (1, 4, 9, 16)] == [0, 1, 2, 3]
     for k in (2, 25):

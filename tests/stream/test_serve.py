@@ -188,3 +188,9 @@ def test_what_cannot_be_served_is_refused(folder, tmp_path, server):
 
 def test_streams_are_found_one_folder_deep(folder):
     assert list(streams_in(folder)) == ["city.rad", "city/lod-meta.json"]
+
+
+@pytest.mark.parametrize("port", [-1, 65536])
+def test_a_port_that_is_none_is_refused(port):
+    with pytest.raises(st.InputError, match=f"port: found {port}, wanted 0 to 65535"):
+        st.ServeOptions(port=port)

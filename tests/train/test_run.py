@@ -40,6 +40,15 @@ def watched():
     return Watched()
 
 
+def test_held_out_photographs_that_are_missing_cost_the_scores_alone(photographs):
+    whole = st.train(photographs, OPTIONS)
+    (photographs / "images" / "photo_0.png").unlink()
+    trained = st.train(photographs, OPTIONS)
+    assert bits(trained) == bits(whole)
+    assert trained.history[-1].score.psnr is None and whole.history[-1].score.psnr is not None
+    assert trained.notes[-1] == "no photograph of 1 of the 1 held-out views, which count in no score: photo_0.png"
+
+
 def test_a_toy_is_learned(photographs):
     """More than 10 dB in 400 steps on the photographs that are trained on: the smallest proof that all derivatives point down."""
     options = st.TrainOptions(iterations=400, max_gaussians=300, held_out=4, exposure="none")

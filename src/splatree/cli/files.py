@@ -10,11 +10,13 @@ from tyro.conf import Positional, arg
 
 from splatree.cli.console import UsageError
 from splatree.errors import InputError, OutputError
+from splatree.io.inputs import find_inputs
+from splatree.io.local import is_brought
 from splatree.io.notes import notes_in, sentences_in
 from splatree.io.objects import located
 from splatree.io.options import ReadOptions, WriteOptions
 from splatree.io.reading import read
-from splatree.io.registry import FOLDER_FILE, format_to_write, formats
+from splatree.io.registry import FOLDER_FILE, detect, format_to_write, formats
 from splatree.io.replacing import check_target
 from splatree.maths.axes import AxesName
 from splatree.scene.names import Mode
@@ -124,7 +126,7 @@ def inputs_and_output(
         raise UsageError(f"{output}: is a folder, wanted a file to write; name the output with -o")
     # A folder of SOG is made, if only it has where to stand.
     check_target(output.parent if output.name == FOLDER_FILE and not output.parent.is_dir() else output)
-    if any(path.exists() and output.exists() and path.samefile(output) for path in inputs):
+    if output.exists() and any(path.samefile(output) for path in _files_read(inputs, deeply=named.force)):
         raise UsageError(f"{output}: is an input too; choose another name for the output")
     try:
         chosen = format_to_write(output)
@@ -137,6 +139,13 @@ def inputs_and_output(
     if output.exists() and not named.force:
         raise OutputError(f"{output}: exists already; choose another name or replace it with --force")
     return inputs, output
+
+
+def _files_read(inputs: Sequence[Path], *, deeply: bool) -> list[Path]:
+    """The inputs that are there, and ``deeply`` the files that folders and patterns among them stand for."""
+    there = [path for path in inputs if path.exists()]
+    at_hand = [path for path in inputs if deeply and str(path) != "-" and not is_brought(path)]
+    return there + (find_inputs(at_hand, lambda path: detect(path) is not None).paths if at_hand else [])
 
 
 def inputs_and_folder(named: Files) -> tuple[tuple[Path, ...], Path]:

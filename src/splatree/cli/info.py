@@ -183,15 +183,16 @@ def _is_compact(source: Source) -> bool:
 
 def _next(scene: Scene, *, has_levels: bool) -> str:
     """The command that a user would want next: levels where there are none and some can be made, else a picture."""
-    paths = " ".join(shlex.quote(path) for path in scene.source.paths) or "INPUT"
+    named = [] if "-" in scene.source.paths else scene.source.paths  # standard input cannot be read again
+    paths = " ".join(shlex.quote(path) for path in named) or "INPUT"
     if has_levels or len(scene) < 2:
         return f"splatree render {paths} -o pictures"
-    stem = scene.source.paths[0].rstrip("/").rsplit("/", 1)[-1].split(".")[0] if scene.source.paths else "scene"
+    stem = named[0].rstrip("/").rsplit("/", 1)[-1].split(".")[0] if named else "scene"
     output = f"{stem or 'scene'}.splatree"
     if Path(output).exists():  # perhaps the scene itself
         output = f"{stem or 'scene'}_levels.splatree"
     output = shlex.quote(output)
-    return f"splatree build {paths} {'-o ' if len(scene.source.paths) > 1 else ''}{output}"
+    return f"splatree build {paths} {'-o ' if len(named) > 1 else ''}{output}"
 
 
 def _point(numbers: np.ndarray) -> tuple[float, ...]:

@@ -8,7 +8,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from splatree.cli.console import Console
+from splatree.cli.console import Console, counted
 from splatree.stream.pages import VIEWERS
 from splatree.stream.serve import ServeOptions, StreamServer
 
@@ -57,4 +57,4 @@ def _announce(server: StreamServer, command: Command) -> None:
 
 def show(result: Result) -> str:
     """The result in words."""
-    return f"served {len(result.streams)} streams at {result.address}"
+    return f"served {counted(len(result.streams), 'stream')} at {result.address}"

@@ -162,6 +162,8 @@ def sorted_words(words: Sequence[str], options: Sequence[Option]) -> list[str]:
 
 def _check_needed(paths: Sequence[str], rest: Sequence[str], options: Sequence[Option]) -> None:
     """Refuse paths that the verb does not take, and a command line without what it needs."""
+    if "" in paths:
+        raise UsageError("found an empty path; is a variable of the shell unset? '.' is this folder")
     places = [option for option in options if option.is_positional]
     most = sum(math.inf if option.num_words is None else 1 for option in places)
     if len(paths) > most:

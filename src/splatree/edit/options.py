@@ -49,11 +49,18 @@ class EditOptions:
         if not 1e-12 <= self.scale <= 1e12:
             raise InputError(f"scale: found {self.scale}, wanted 1e-12 to 1e12")
         for name in ("rotate", "translate", "crop_box", "crop_sphere"):
-            numbers, wanted = getattr(self, name) or (), {"crop_box": 6, "crop_sphere": 4}.get(name, 3)
-            if len(numbers) not in (0, wanted):
-                raise InputError(f"{name}: found {numbers}, wanted {wanted} numbers")
-            if not all(math.isfinite(number) for number in numbers):
-                raise InputError(f"{name}: found {numbers}, wanted finite numbers")
+            found, wanted = getattr(self, name), {"crop_box": 6, "crop_sphere": 4}.get(name, 3)
+            if found is None and name.startswith("crop"):
+                continue
+            try:
+                numbers = tuple(map(float, found))
+            except (TypeError, ValueError) as error:
+                raise InputError(f"{name}: found {found!r}, wanted {wanted} numbers") from error
+            if len(numbers) != wanted:
+                raise InputError(f"{name}: found {found}, wanted {wanted} numbers")
+            if not all(map(math.isfinite, numbers)):
+                raise InputError(f"{name}: found {found}, wanted finite numbers")
+            object.__setattr__(self, name, numbers)  # lists and arrays, too
         if self.crop_box is not None and any(
             low > high for low, high in zip(self.crop_box[:3], self.crop_box[3:], strict=True)
         ):

@@ -107,9 +107,8 @@ def clean_file(
         True
     """
     reading, target = reading or ReadOptions(), None if output is None else located(output)
-    paths = [inputs] if isinstance(inputs, str | os.PathLike) else list(inputs)
     writing = WriteOptions(max_memory=max_memory)
-    with local_inputs([Path(path) for path in paths]) as local:
+    with local_inputs(inputs) as local:
         found = find_inputs(local.paths, lambda path: detect(path) is not None)
         parts, tree, chosen = None, None, None if target is None else format_to_write(target)
         if chosen is not None and chosen.name == "splatree" and len(found.paths) == 1 and not reading.repair:

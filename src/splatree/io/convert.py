@@ -125,8 +125,7 @@ def convert(
         253
     """
     options, target = options or ConvertOptions(), located(output)
-    paths = [inputs] if isinstance(inputs, str | os.PathLike) else list(inputs)
-    with local_inputs([Path(p) for p in paths]) as local:
+    with local_inputs(inputs) as local:
         found = find_inputs(local.paths, lambda p: detect(p) is not None)
         done = _converted_from(found.paths, target, options, force)
     return replace(done, notes=(*found.notes, *done.notes))

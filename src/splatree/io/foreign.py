@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-__all__ = ["advice", "advice_for_folder", "not_content"]
+__all__ = ["advice", "advice_for_folder", "not_content", "packed"]
 
 _PICKLES = (".pth", ".pt", ".ckpt", ".pkl", ".pickle")
 _PICKLE_PROTOCOLS = tuple(bytes([0x80, protocol]) for protocol in range(2, 6))
@@ -29,6 +29,15 @@ def not_content(head: bytes) -> str | None:
         title = re.search(rb"<title>([^<]{1,80})</title>", head, re.IGNORECASE)
         words = f" ({title[1].decode('utf-8', 'replace').strip()!r})" if title else ""
         return f"is a web page{words}: the server answered with it in place of the file; fetch it again"
+    return None
+
+
+def packed(head: bytes) -> str | None:
+    """What a file is that was compressed and kept its name; None for other files. In a .splat such an x is below 1e-19."""
+    if head.startswith(b"\x1f\x8b\x08") and head[3:4] < b"\x20":
+        return "is compressed by gzip, which its name does not say; add .gz to its name, or unpack it with `gunzip`"
+    if head.startswith(b"PK\x03\x04"):
+        return "is a ZIP, which its name does not say; let its name end in .zip, or unpack it"
     return None
 
 

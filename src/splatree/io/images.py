@@ -137,7 +137,7 @@ def write_image(image: Float32[Array, "h w 3"], path: str | os.PathLike[str], *,
 
     Raises:
         InputError: the suffix is not .png, or the picture holds NaN.
-        ShapeError: the picture has another shape, or no pixel.
+        ShapeError: the picture has another shape, no pixel, or no floats.
         OutputError: the file exists and ``force`` is not set, or it cannot be written.
 
     Example:
@@ -149,6 +149,8 @@ def write_image(image: Float32[Array, "h w 3"], path: str | os.PathLike[str], *,
         raise InputError(f"{path}: pictures are written as PNG, wanted the suffix .png")
     if not ((image.ndim == 3 and image.shape[2] == 3) or image.ndim == 2) or 0 in image.shape:
         raise ShapeError(f"write_image: found shape {image.shape}, wanted (h w 3) or (h w) with at least one pixel")
+    if image.dtype.kind != "f":
+        raise ShapeError(f"write_image: found dtype {image.dtype.name}, wanted floats from 0 to 1; divide bytes by 255")
     if np.isnan(image).any():
         raise InputError(f"{path}: found NaN in the picture, wanted numbers")
     pixels = np.rint(np.clip(image, 0, 1) * 255).astype(np.uint8)

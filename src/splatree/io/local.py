@@ -12,17 +12,19 @@ Each has a limit: what a server sends, and what a few compressed bytes may becom
 """
 
 import gzip
+import io
+import os
 import re
 import shutil
 import sys
 import tempfile
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 from urllib.parse import unquote, urlsplit
 
 from splatree.errors import FormatError, InputError
@@ -66,17 +68,17 @@ class LocalInputs:
 
 
 @contextmanager
-def local_inputs(paths: Sequence[Path]) -> Iterator[LocalInputs]:
-    """The inputs as files, for as long as the context lasts.
+def local_inputs(inputs: str | os.PathLike[str] | Sequence[str | os.PathLike[str]]) -> Iterator[LocalInputs]:
+    """One input or several as files, for as long as the context lasts.
 
     Raises:
-        InputError: a server does not give a file, or standard input is no .ply or .spz.
+        InputError: an input is no path, a server does not give a file, or standard input is no .ply or .spz.
         FormatError: a compressed file is damaged, holds several files, or becomes too large.
     """
     folder: Path | None = None
     found, names = list[Path](), dict[str, str]()
     try:
-        for number, named in enumerate(paths):
+        for number, named in enumerate(_paths(inputs)):
             path = place_of(named)
             bring = _how_to_bring(path)
             if bring is None:
@@ -86,21 +88,38 @@ def local_inputs(paths: Sequence[Path]) -> Iterator[LocalInputs]:
             place = folder / str(number)
             place.mkdir()
             local = bring(place)
+            names[str(local)] = str(path)
             while (inflate := _how_to_inflate(local)) is not None:
                 local = inflate(place)
+                names[str(local)] = str(path)
             found.append(local)
-            names[str(local)] = str(path)
         yield LocalInputs(found, names)
     except InputError as error:
         said = str(error)
-        for inside, known in names.items():  # the user knows no other name
-            said = said.replace(inside, known)
+        for inside in sorted(
+            names, key=len, reverse=True
+        ):  # the user knows no other name; a part of another comes after it
+            said = said.replace(inside, names[inside])
         if said == str(error):
             raise
         raise type(error)(said) from error
     finally:
         if folder is not None:
             shutil.rmtree(folder, ignore_errors=True)
+
+
+def _paths(inputs: str | os.PathLike[str] | Sequence[str | os.PathLike[str]]) -> list[Path]:
+    """What a caller names, one path or several; anything else is refused."""
+    given: Any = inputs
+    is_one = isinstance(given, str | bytes | io.IOBase) or not isinstance(given, Iterable)
+    named = [given] if is_one else list(given)
+    for each in named:
+        if not isinstance(each, str | os.PathLike) or not os.fspath(each):
+            found = "an empty path" if isinstance(each, str) else type(each).__name__
+            raise InputError(
+                f"inputs: found {found}, wanted a path (str or pathlib.Path), or several; '.' is this folder"
+            )
+    return [Path(each) for each in named]
 
 
 def place_of(named: Path) -> Path:
@@ -137,7 +156,7 @@ def _how_to_bring(path: Path) -> Callable[[Path], Path] | None:
 def _how_to_inflate(path: Path) -> Callable[[Path], Path] | None:
     suffix = path.suffix.lower()
     if suffix == ".gz" and path.is_file():
-        return lambda folder: _gunzip(path, folder)
+        return lambda folder: _gunzip(path, folder, path.name[: -len(".gz")])
     if suffix in (".zip", ".ssog") and path.is_file():
         return _unzip(path)
     return None
@@ -161,6 +180,11 @@ def _download(address: str, folder: Path) -> Path:
                 raise InputError(
                     f"{address}: found {announced:,} bytes, wanted at most {DOWNLOAD_MAX:,}; fetch it yourself"
                 )
+            encoding = (answer.headers.get("Content-Encoding") or "identity").lower()
+            if encoding not in ("identity", "gzip", "x-gzip"):
+                raise InputError(
+                    f"{address}: found it encoded as {encoding}, wanted it plain or as gzip; fetch it yourself"
+                )
             with target.open("wb") as file, task(f"fetch {name}", announced or None) as advance:
                 size = _copy(answer, file, DOWNLOAD_MAX, address, advance)
             if announced and size != announced:
@@ -171,7 +195,7 @@ def _download(address: str, folder: Path) -> Path:
         if isinstance(error, InputError):
             raise
         raise InputError(f"{address}: cannot be fetched ({getattr(error, 'reason', None) or error})") from error
-    return target
+    return target if encoding == "identity" else _gunzip(target, folder / "plain", target.name)
 
 
 def _from_standard_input(folder: Path) -> Path:
@@ -189,8 +213,9 @@ def _from_standard_input(folder: Path) -> Path:
     return target
 
 
-def _gunzip(path: Path, folder: Path) -> Path:
-    target = folder / path.name[: -len(".gz")]
+def _gunzip(path: Path, folder: Path, name: str) -> Path:
+    folder.mkdir(exist_ok=True)
+    target = folder / name
     limit = max(INFLATED_ALWAYS, INFLATION_MAX * path.stat().st_size)
     try:
         with (
@@ -279,6 +304,13 @@ def _copy(source: BinaryIO, target: BinaryIO, limit: int, where: str, advance: C
                 f"{where}: becomes more than {limit:,} bytes, which no scene of this size does: a decompression bomb, or a file "
                 "that never ends"
             )
-        target.write(piece)
+        try:
+            target.write(piece)
+            target.flush()
+        except OSError as error:  # which says nothing of the input
+            raise InputError(
+                f"{where}: cannot be kept in {tempfile.gettempdir()} while it is read ({error.strerror or error}); let TMPDIR "
+                "name a folder with more room, or unpack it yourself"
+            ) from error
         advance(len(piece))
     return size

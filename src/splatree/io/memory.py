@@ -54,15 +54,16 @@ class Scratch:
 
 
 def bytes_of(text: str) -> int:
-    """The number of bytes that a text such as 4G or 500M says.
+    """The number of bytes that a text such as 4G, 500M (powers of 1000) or 4GiB (of 1024) says.
 
     Raises:
         InputError: it says none.
     """
-    match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([kKmMgGtT]?)[bB]?\s*", text)
+    match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*(?:([kmgt])(i?))?b?\s*", text, re.IGNORECASE)
     if match is None:
-        raise InputError(f"memory: found {text!r}, wanted a number of bytes such as 4G or 500M")
-    return int(float(match[1]) * 1000 ** " kmgt".index(match[2].lower() or " "))
+        raise InputError(f"memory: found {text!r}, wanted a number of bytes such as 4G, 500M or 4GiB")
+    step = 1024 if match[3] else 1000
+    return int(float(match[1]) * step ** " kmgt".index((match[2] or " ").lower()))
 
 
 def free_bytes() -> int:

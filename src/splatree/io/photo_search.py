@@ -10,7 +10,7 @@ from pathlib import Path, PurePosixPath
 from splatree.errors import InputError
 from splatree.io.images import image_head
 
-__all__ = ["SUFFIXES", "PhotoSearch", "Size", "fits_shape", "relative_name"]
+__all__ = ["SUFFIXES", "NoPhotosError", "PhotoSearch", "Size", "fits_shape", "relative_name"]
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")
 """Ends of the names of pictures."""
@@ -57,6 +57,10 @@ class _Place:
 
     base: Path
     strip: int  # folders that names lose
+
+
+class NoPhotosError(InputError):
+    """None of the cameras has a photograph."""
 
 
 class PhotoSearch:
@@ -113,7 +117,7 @@ class PhotoSearch:
             self._heads[path] = image_head(path)
         return self._heads[path]
 
-    def nothing_found(self) -> InputError:
+    def nothing_found(self) -> NoPhotosError:
         """The error that says which files have the names in places that do not count."""
         names = list(self.parts)
         bases = _folders_below(self.folder)
@@ -130,8 +134,8 @@ class PhotoSearch:
             )
         cameras = f"the {len(names)} cameras ({names[0] if names else ''!r}, ...)"
         if not num_pictures:
-            return InputError(f"data: found no pictures in {self.folder}, wanted those of {cameras}{hint}")
-        return InputError(
+            return NoPhotosError(f"data: found no pictures in {self.folder}, wanted those of {cameras}{hint}")
+        return NoPhotosError(
             f"data: none of the {num_pictures} pictures in {self.folder} is named like one of {cameras}{hint}"
         )
 

@@ -57,8 +57,7 @@ def read(
         253
     """
     options = ReadOptions(level, repair, axes, ignore_properties)
-    paths = [path] if isinstance(path, str | os.PathLike) else list(path)
-    with local_inputs([Path(p) for p in paths]) as local:
+    with local_inputs(path) as local:
         inputs = find_inputs(local.paths, lambda p: detect(p) is not None)
         scene = joined(_within_budget(inputs.paths, options))
     source = replace(scene.source, paths=tuple(map(local.named, scene.source.paths)))

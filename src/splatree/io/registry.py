@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from splatree.errors import FormatError, InputError, SplatreeError
 from splatree.io.chunks import Chunks
-from splatree.io.foreign import not_content
+from splatree.io.foreign import not_content, packed
 from splatree.io.holds import Holds
 from splatree.io.local import is_fetched_whole
 from splatree.io.objects import located
@@ -104,6 +104,8 @@ class Format:
     """As ``read_chunks``, of the leaves of a scene with levels, in the order that they have in the whole scene."""
     files: Callable[[Path], list[Path]] | None = None
     """The files that a path stands for, where they may be several; None: the file itself."""
+    is_zip: bool = False
+    """Whether a file of it is a ZIP."""
     may_be_empty: bool = False
     """Whether a file of no bytes is a scene without Gaussians."""
     options: tuple[str, ...] = ()
@@ -201,6 +203,7 @@ FORMATS: tuple[Format, ...] = (
         name="sog",
         description="PlayCanvas SOG",
         suffixes=(".sog",),
+        is_zip=True,
         versions="1, 2 (2)",
         holds=Holds(),
         sniff=sog.sniff,
@@ -312,8 +315,10 @@ def detect(path: Path) -> Format | None:
                 return f
         if path.is_file():
             named = next((f for f in FORMATS if f.suffixes and path.name.lower().endswith(f.suffixes)), None)
-            if named is not None and (content := not_content(head)) and not (named.may_be_empty and not head):
-                raise FormatError(f"{path}: {content}")
+            if named is not None:
+                content = not_content(head) or (None if named.is_zip else packed(head))
+                if content and not (named.may_be_empty and not head):
+                    raise FormatError(f"{path}: {content}")
             return named
     except OSError as error:
         if isinstance(error, SplatreeError):

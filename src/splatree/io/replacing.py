@@ -69,8 +69,7 @@ def replacing(path: str | os.PathLike[str], *, force: bool = False) -> Iterator[
         if not ON_WINDOWS:  # which opens no folders; its file systems write the new name down themselves
             _flush(target.parent, os.O_RDONLY)
     except SplatreeError as error:
-        # A writer knows the file by its temporary name alone.
-        error.args = tuple(str(part).replace(str(temporary), str(path)) for part in error.args)
+        error.args = tuple(_renamed(str(part), temporary, path) for part in error.args)
         raise
     except OSError as error:
         is_open = ON_WINDOWS and isinstance(error, PermissionError) and target.exists()
@@ -130,6 +129,13 @@ def send(local: Path, target: ObjectPath) -> None:
     with task(f"send {target.name}", float(local.stat().st_size)) as advance:
         target.put(local)
         advance(float(local.stat().st_size))
+
+
+def _renamed(text: str, temporary: Path | None, path: str | os.PathLike[str]) -> str:
+    """What a writer said, who knows the file by its temporary name alone."""
+    if temporary is None:
+        return text
+    return text.replace(str(temporary), str(path)).replace(temporary.name, Path(path).name)
 
 
 def remove_abandoned(folder: Path) -> None:
@@ -201,7 +207,7 @@ def _moved_to_free_name(temporary: Path, target: Path) -> bool:
 
 
 def _exists(path: str | os.PathLike[str]) -> str:
-    return f"{path}: exists already; choose another name or replace it with force"
+    return f"{path}: exists already; choose another name or replace it with force (--force)"
 
 
 def check_target(path: str | os.PathLike[str]) -> Path:

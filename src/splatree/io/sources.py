@@ -87,7 +87,7 @@ class _Http:
         if status == 404:
             return None
         whole = (
-            headers.get("Content-Range", "").rpartition("/")[2] if status == 206 else headers.get("Content-Length", "0")
+            headers.get("Content-Range", "").rpartition("/")[2] if status == 206 else headers.get("Content-Length", "")
         )
         version = zlib.crc32((headers.get("ETag") or headers.get("Last-Modified") or "").encode())
         if status != 416 and not (whole.isascii() and whole.isdigit()):

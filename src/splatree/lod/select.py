@@ -28,7 +28,7 @@ from splatree.lod.budget import fill_budget, meet_budget, meet_budget_from
 from splatree.lod.occlusion import Cover, cover_of, first_look, select_eased
 from splatree.lod.quality import Gauge
 from splatree.lod.serial import select_serial
-from splatree.scene.cameras import Camera
+from splatree.scene.cameras import Camera, check_is_camera
 from splatree.scene.clusters import Culling
 from splatree.scene.frame import CutRange, Selection
 from splatree.scene.names import EXTENT_PROFILES, Profile
@@ -103,7 +103,8 @@ def select(
         >>> len(st.select(scene, camera)) <= len(all_leaves)
         True
     """
-    if isinstance(view, Camera):
+    if not isinstance(view, View):
+        check_is_camera(view)
         view = view_of(scene, view)
     options = for_levels(options or SelectOptions(), scene)
     if options.quality is not None:

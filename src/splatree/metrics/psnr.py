@@ -20,24 +20,27 @@ def psnr(image: Float32[Array, "h w 3"], reference: Float32[Array, "h w 3"], *, 
         10 log₁₀(peak² / mean squared error), dB; infinity if the pictures are equal.
 
     Raises:
-        InputError: the pictures differ in shape, hold no pixel, or hold NaN or infinity.
+        InputError: the pictures differ in shape, hold no pixel, NaN or infinity, or whole numbers with a peak of 1.
 
     Example:
         >>> black = np.zeros((8, 8, 3))
         >>> round(st.psnr(black + 0.1, black), 3)
         20.0
     """
-    a, b = comparable(image, reference)
+    a, b = comparable(image, reference, peak)
     error = float(np.mean((a - b) ** 2))
     return float("inf") if error == 0 else float(10 * np.log10(peak * peak / error))
 
 
-def comparable(image: Array, reference: Array) -> tuple[Array, Array]:
+def comparable(image: Array, reference: Array, peak: float = 1.0) -> tuple[Array, Array]:
     """Both pictures in float64.
 
     Raises:
-        InputError: they differ in shape, are empty, or hold NaN or infinity.
+        InputError: they differ in shape, are empty, hold NaN or infinity, or are whole numbers whose largest is said to be 1.
     """
+    for picture in (image, reference):
+        if peak == 1 and (dtype := np.asarray(picture).dtype).kind in "iu":
+            raise InputError(f"pictures to compare: found {dtype.name}, wanted floats from 0 to 1; divide bytes by 255")
     a, b = np.asarray(image, np.float64), np.asarray(reference, np.float64)
     if a.shape != b.shape:
         raise InputError(f"pictures to compare: found shapes {a.shape} and {b.shape}, wanted equal ones; resize one")

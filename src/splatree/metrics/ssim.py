@@ -49,7 +49,7 @@ def ssim(
         >>> st.ssim(image, image)
         1.0
     """
-    a, b = comparable(image, reference)
+    a, b = comparable(image, reference, peak)
     if border not in get_args(Border):
         raise InputError(f"ssim: found border {border!r}, wanted one of {', '.join(get_args(Border))}")
     if min(a.shape[:2]) < SSIM_WINDOW_PX and border == "valid":

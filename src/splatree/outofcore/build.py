@@ -196,7 +196,7 @@ def check_target(output: str | os.PathLike[str], *, force: bool) -> Path:
         if not isinstance(target, ObjectPath) and not target.parent.is_dir():
             raise OutputError(f"{output}: cannot be written, there is no folder {target.parent}")
         if target.exists() and not force:
-            raise OutputError(f"{output}: exists already; choose another name or replace it with force")
+            raise OutputError(f"{output}: exists already; choose another name or replace it with force (--force)")
         if target.exists() and not (target.is_dir() and (is_manifest(target / MANIFEST) or not any(target.iterdir()))):
             raise OutputError(f"{output}: cannot be replaced, it is not the folder of a scene; choose another name")
     except RuntimeError as error:

@@ -79,8 +79,7 @@ def check(
         [253, 253]
     """
     options = options or ReadOptions()
-    paths = [path] if isinstance(path, str | os.PathLike) else list(path)
-    with local_inputs([Path(p) for p in paths]) as local:
+    with local_inputs(path) as local:
         found = find_inputs(local.paths, lambda p: detect(p) is not None)
         checked = [_checked(path, options) for path in found.paths]
         return tuple(replace(one, path=local.named(one.path)) for one in checked)

@@ -85,14 +85,12 @@ def opened_inputs(
     Raises:
         InputError: an input is missing, or of a format that is not read in chunks.
     """
-    paths = [inputs] if isinstance(inputs, str | os.PathLike) else list(inputs)
-    with local_inputs([Path(path) for path in paths]) as local:
+    with local_inputs(inputs) as local:
         found = find_inputs(local.paths, lambda path: detect(path) is not None)
         parts = opened_chunks(found.paths, reading)
         if parts is None:
-            raise InputError(
-                f"{', '.join(map(str, paths))}: found a format that is not read in chunks; convert it to .ply first"
-            )
+            named = ", ".join(local.named(str(path)) for path in found.paths)
+            raise InputError(f"{named}: found a format that is not read in chunks; convert it to .ply first")
         chunks = joined_chunks(parts, found.paths)
         if mode is not None:
             chunks = replace(chunks, mode=mode)

@@ -41,6 +41,9 @@ PAIR_CELL_ROWS = 1 << 18
 PAIR_ROW_BYTES = 550
 """What growing a cell by pairs takes for each of its rows without harmonics: benchmarks/scale.py."""
 
+MOST_WORKERS = 1_024
+"""Processes of one machine: a number that was meant to be another one must not start as many."""
+
 FEWEST_ROWS = 1_000
 """The smallest cell: below it, what is loaded around a cell is most of it."""
 
@@ -71,8 +74,8 @@ class FolderOptions:
     for levels by a radius 3; for levels by pairs until a sixteenth of a cell is left, and then in one piece."""
 
     def __post_init__(self) -> None:
-        if self.workers < 1:
-            raise InputError(f"workers: found {self.workers}, wanted at least 1")
+        if not 1 <= self.workers <= MOST_WORKERS:
+            raise InputError(f"workers: found {self.workers}, wanted 1 to {MOST_WORKERS}")
         if self.workers > 1 and self.scheduler is not None:
             raise InputError(
                 f"workers: found {self.workers} processes of this machine and a scheduler, wanted one of them: a cluster has its "

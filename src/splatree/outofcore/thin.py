@@ -122,7 +122,7 @@ def thin_file(
     place = target.parent if target.name == FOLDER_FILE else target  # a folder of SOG
     check_target(target if place.is_dir() else place)
     if target.exists() and not force:
-        raise OutputError(f"{target}: exists already; choose another name or replace it with force")
+        raise OutputError(f"{target}: exists already; choose another name or replace it with force (--force)")
     work = Work.beside(place)
     with opened_inputs(inputs, reading, mode) as opened:
         options = replace(options, method="radius", merge=options.merge.resolved(opened.chunks.mode))

@@ -27,6 +27,10 @@ STORED_AS: Final = {"tile_rule": "extent"}
 """Fields of that record whose name in files is an older one."""
 
 
+PSNR_MAX = 200.0
+"""dB: float32 has 150."""
+
+
 @dataclass(frozen=True)
 class CalibrateOptions:
     """How τ is chosen.
@@ -60,6 +64,8 @@ class CalibrateOptions:
         for name in ("loss_db", "scene_psnr", "lambda_g"):
             if not 0 < getattr(self, name) < math.inf:
                 raise InputError(f"{name}: found {getattr(self, name)}, wanted more than 0")
+        if self.scene_psnr > PSNR_MAX:
+            raise InputError(f"scene_psnr: found {self.scene_psnr} dB, wanted at most {PSNR_MAX:g}")
         if self.max_views < 1:
             raise InputError(f"max_views: found {self.max_views}, wanted at least 1")
 

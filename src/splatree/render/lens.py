@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from splatree.scene.cameras import Camera
+from splatree.scene.cameras import Camera, check_is_camera
 from splatree.scene.frame import RenderResult
 from splatree.scene.warp import bend, covering_pinhole
 
@@ -13,6 +13,7 @@ __all__ = ["pinhole_of", "through_lens"]
 
 def pinhole_of(camera: Camera) -> Camera:
     """The camera that the stages of a frame are asked for: the camera itself, or the pinhole that stands for its lens."""
+    check_is_camera(camera)
     return camera if camera.lens is None else covering_pinhole(camera)
 
 

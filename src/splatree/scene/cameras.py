@@ -131,6 +131,19 @@ class Camera:
         return Camera(pose, K, width, height)
 
 
+def check_is_camera(camera: object) -> None:
+    """Say how to come by a camera, where something else is given.
+
+    Raises:
+        InputError: ``camera`` is none.
+    """
+    if not isinstance(camera, Camera):
+        raise InputError(
+            f"camera: found {type(camera).__name__}, wanted one Camera; make one with Camera.look_at, read some with "
+            "splatree.read_cameras, draw several with splatree.render_batch"
+        )
+
+
 @dataclass(frozen=True, eq=False)
 class Cameras:
     """Views in order.

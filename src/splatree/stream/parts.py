@@ -50,11 +50,14 @@ class Folder:
             raise OutputError(f"{path}: cannot be written, there is no folder {path.parent}")
         names = [entry.name for entry in path.iterdir()] if path.is_dir() else []
         if self._manifest.exists() and not force:
-            raise OutputError(f"{path}: holds a stream already; choose another folder or replace it with force")
+            raise OutputError(
+                f"{path}: holds a stream already; choose another folder or replace it with force (--force)"
+            )
         foreign = [name for name in names if not _PART.match(name) and not _is_unfinished(name) and name != manifest]
         if foreign and not force:
             raise OutputError(
-                f"{path}: holds {foreign[0]}, wanted a new or an empty folder; with force the stream is written beside it"
+                f"{path}: holds {foreign[0]}, wanted a new or an empty folder; with force (--force) the stream is written "
+                "beside it"
             )
         try:
             path.mkdir(exist_ok=True)

@@ -68,6 +68,10 @@ class ServeOptions:
     packages: str = "https://cdn.jsdelivr.net/npm"
     """Where the browser loads PlayCanvas, Spark and Cesium from: an address with npm packages, or a folder node_modules."""
 
+    def __post_init__(self) -> None:
+        if not 0 <= self.port <= 65535:
+            raise InputError(f"port: found {self.port}, wanted 0 to 65535")
+
     @property
     def is_local(self) -> bool:
         """Whether only this machine reaches the server."""

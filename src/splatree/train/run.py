@@ -258,5 +258,5 @@ def _trained(work: Work, state: State, folder: Path, stopped: bool, threads: int
         work.rule,
         work.targets.used,
         stopped,
-        work.notes,
+        (*work.notes, *(work.held_out.notes if work.held_out is not None else ())),
     )

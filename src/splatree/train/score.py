@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from splatree.constants import SSIM_WINDOW_PX
+from splatree.io.photo_search import NoPhotosError
 from splatree.metrics.gain import psnr_with_gain
 from splatree.metrics.psnr import psnr
 from splatree.metrics.ssim import ssim
@@ -22,13 +23,15 @@ from splatree.train.world import World
 
 __all__ = ["HeldOut", "Score"]
 
+_SHOWN = 8
+
 
 @dataclass(frozen=True)
 class Score:
     """How near pictures are to the held-out photographs; means over those that have the number."""
 
     psnr: float | None
-    """As rendered, dB; None if masks leave no pixel of any photograph."""
+    """As rendered, dB; None if masks leave no pixel of any photograph, or none is there."""
     psnr_fitted: float | None
     """With a gain for each channel that is fitted on the left half of each picture and scored on its right half, dB; None if no
     photograph has pixels in both."""
@@ -44,15 +47,24 @@ class HeldOut:
     ) -> None:
         self._folder, self._cameras, self._masks, self._alpha = folder, cameras, masks, alpha
         self._targets: Targets | None = None
+        self._missing: tuple[str, ...] = ()
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a score found missing, a sentence each."""
+        names = ", ".join(self._missing[:_SHOWN]) + (", ..." if len(self._missing) > _SHOWN else "")
+        count = f"{len(self._missing)} of the {len(self._cameras)} held-out views"
+        return (f"no photograph of {count}, which count in no score: {names}",) if self._missing else ()
 
     def score(self, gaussians: Gaussians, drawing: Drawing, division: int, world: World) -> Score:
-        """Draw each view and compare it with its photograph at a division.
-
-        Raises:
-            InputError: none of the views has a photograph.
-        """
+        """Draw each view that has a photograph and compare it with that at a division."""
         if self._targets is None:
-            self._targets = Targets(self._folder, self._cameras, masks=self._masks, alpha=self._alpha)
+            try:
+                self._targets = Targets(self._folder, self._cameras, masks=self._masks, alpha=self._alpha)
+            except NoPhotosError:  # those of the training views are there: a scene without scores is better than none
+                self._missing = tuple(camera.name for camera in self._cameras)
+                return Score(None, None, None)
+            self._missing = self._targets.used.missing
             self._targets.placed(world.near, np.asarray(world.origin))
         found = [self._one(gaussians, drawing, i, division) for i in range(len(self._targets))]
         return Score(*(_mean(numbers) for numbers in zip(*found, strict=True)))

@@ -47,6 +47,9 @@ _BOUNDS = [
 _VERTEX = ["packed_position", "packed_rotation", "packed_scale", "packed_color"]
 _DEGREES = {0: 0, 9: 1, 24: 2, 45: 3}
 
+_PLACES = np.array([2047, 1023, 2047])
+"""Steps of a position along x, y and z."""
+
 LOG_SCALE_MAX = 20
 """Log-scales beyond ± this have no code …"""
 
@@ -82,7 +85,7 @@ def _rows(path: Path, options: ReadOptions) -> FileRows:
 
 
 def write_chunks(chunks: Chunks, path: Path, options: WriteOptions) -> tuple[str, ...]:
-    """Write all rows along a Z-curve; count those with values beyond the codes."""
+    """Write all rows along a Z-curve; count those with values beyond the codes, and those moved by more than their size."""
     n, num_rest = len(chunks), 3 * ((chunks.sh_degree + 1) ** 2 - 1)
     lines = ["ply", "format binary_little_endian 1.0"]
     if chunks.mode == "antialiased":
@@ -93,7 +96,7 @@ def write_chunks(chunks: Chunks, path: Path, options: WriteOptions) -> tuple[str
         lines += [f"element sh {n}", *(f"property uchar f_rest_{i}" for i in range(num_rest))]
     head = "\n".join([*lines, "end_header", ""]).encode()
     vertices_at = len(head) + 4 * len(_BOUNDS) * -(-n // CHUNK)
-    rest_at, begin = vertices_at + 4 * len(_VERTEX) * n, 0
+    rest_at, begin, num_moved = vertices_at + 4 * len(_VERTEX) * n, 0, 0
     clamped = {f"log-scales beyond ±{LOG_SCALE_MAX}": 0, f"harmonics beyond ±{SH_MAX}": 0}
 
     def look(g: Gaussians, first_row: int) -> None:
@@ -110,12 +113,25 @@ def write_chunks(chunks: Chunks, path: Path, options: WriteOptions) -> tuple[str
         write_at(file, 0, head)
         for g in ordered:
             bounds, vertices, rest = pack(g, np.arange(len(g)))
+            num_moved += _num_moved(g, bounds)
             write_at(file, len(head) + begin // CHUNK * bounds.itemsize * len(_BOUNDS), bounds)
             write_at(file, vertices_at + begin * vertices.itemsize * len(_VERTEX), vertices)
             write_at(file, rest_at + begin * num_rest, rest)
             begin += len(g)
             advance(len(g))
-    return tuple(f"{what}: clamped in {gaussians_in_words(count)}" for what, count in clamped.items() if count)
+    lost = [f"{what}: clamped in {gaussians_in_words(count)}" for what, count in clamped.items() if count]
+    if num_moved:
+        lost.append(
+            f"the places of {gaussians_in_words(num_moved)}: rounded by up to more than their size, as they share a chunk with "
+            "far ones; `splatree clean` drops outliers"
+        )
+    return tuple(lost)
+
+
+def _num_moved(g: Gaussians, bounds: Array) -> int:
+    """How many rows may be moved by more than their largest standard deviation: half a step of their chunk."""
+    step = ((bounds[:, 3:6].astype(np.float64) - bounds[:, :3]) / _PLACES).max(axis=1)  # [c]
+    return int((np.exp(g.log_scales.max(axis=1)) < np.repeat(step / 2, CHUNK)[: len(g)]).sum())
 
 
 @dataclass(frozen=True)

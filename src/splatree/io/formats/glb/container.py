@@ -147,9 +147,13 @@ class GltfFile:
     def _glb_text(self) -> bytes:
         size = self._path.stat().st_size
         version, length = self._numbers(4)
-        if version != 2 or length > size:
+        if version != 2:
             raise FormatError(
-                f"{self.where}: found version {version} and {length} bytes in a file of {size}, wanted 2; it is cut off"
+                f"{self.where}: found version {version} of glTF, wanted 2; write it again with a newer program"
+            )
+        if length > size:
+            raise FormatError(
+                f"{self.where}: found {size} bytes, wanted the {length} that its header announces; it is cut off"
             )
         at, text = 12, None
         while at + 8 <= length:

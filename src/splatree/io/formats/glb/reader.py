@@ -110,7 +110,7 @@ def _read(path: Path, options: ReadOptions) -> Scene:
                             "would be shown too dark; read it with repair to take them as they are"
                         )
                     repairs["other_color_space"] = repairs.get("other_color_space", 0) + 1
-                g, mode = part.decode(path)
+                g, mode = part.decode(path, repair=bool(options.repair))
                 budget.num_bytes = gltf.num_bytes
                 budget.take(len(g))
                 places.append(part.placed(g))
@@ -147,7 +147,7 @@ class _Part:
         """Of the colours; drafts had none."""
         return self.extension.get("colorSpace", "srgb_rec709_display")
 
-    def decode(self, path: Path) -> tuple[Gaussians, Mode]:
+    def decode(self, path: Path, *, repair: bool) -> tuple[Gaussians, Mode]:
         """The Gaussians in the axes of our scenes, where the primitive has them."""
         if self.packed is not None:
             name, packed = self.packed
@@ -159,7 +159,7 @@ class _Part:
             axes = _spz_axes(self.gltf)
             scene = spz.file_rows(lambda: BytesIO(data), size, where, default_axes=axes).unchecked_scene()
             return scene.gaussians, scene.mode
-        gaussians = _decoded(self.where, _attributes(self), path)
+        gaussians = _decoded(self.where, _attributes(self), path, repair=repair)
         mirror(gaussians, signs_between(GLTF_AXES, spz.SCENE_AXES))
         extras = self.primitive.get("extras")
         is_mip = isinstance(extras, dict) and extras.get("SplatRenderMode") == "mip"
@@ -300,7 +300,7 @@ def _attributes(part: _Part) -> _Attributes:
     return _Attributes(means, quats, scales, opacities, sh, is_color)
 
 
-def _decoded(where: str, a: _Attributes, path: Path) -> Gaussians:
+def _decoded(where: str, a: _Attributes, path: Path, *, repair: bool) -> Gaussians:
     """The Gaussians in the axes of glTF."""
     n = a.means.count
     means, quats, scales, logits = (np.empty(shape, np.float32) for shape in ((n, 3), (n, 4), (n, 3), (n,)))
@@ -313,7 +313,14 @@ def _decoded(where: str, a: _Attributes, path: Path) -> Gaussians:
             xyzw = a.quats.rows(begin, end)
             quats[rows, 0], quats[rows, 1:] = xyzw[:, 3], xyzw[:, :3]
             scales[rows] = a.scales.rows(begin, end)
-            logits[rows] = _logits(a.opacities.rows(begin, end)[:, -1])  # the alpha of a colour, or the opacity alone
+            opacities = a.opacities.rows(begin, end)[:, -1]  # the alpha of a colour, or the opacity alone
+            beyond = np.flatnonzero(~((opacities >= 0) & (opacities <= 1)))
+            if len(beyond) and not repair:
+                raise FormatError(
+                    f"{where}: row {begin + int(beyond[0])}: found an opacity of {opacities[beyond[0]]:g}, wanted 0 to 1; whole "
+                    "numbers have to be normalized, as their accessor says"
+                )
+            logits[rows] = _logits(opacities)
             for k, accessor in enumerate(a.sh):
                 sh[rows, k] = accessor.rows(begin, end)[:, :3]
             advance(end - begin)

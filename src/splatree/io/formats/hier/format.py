@@ -37,6 +37,7 @@ from splatree.constants import SIGMAS
 from splatree.errors import FormatError, InputError
 from splatree.io.check import refuse_unusable
 from splatree.io.levels import FileLevels, preorder_of_file, scene_with_levels
+from splatree.io.notes import gaussians_in_words
 from splatree.io.opacities import areas_of_clamped, logits_from_opacities, opacities_from_logits
 from splatree.io.options import ReadOptions, WriteOptions
 from splatree.io.rows import records_of
@@ -243,13 +244,15 @@ def write(scene: Scene, path: Path, options: WriteOptions) -> tuple[str, ...]:
         lambda rows: opacities_from_logits(g.logit_opacities[rows]),
         lambda rows: _padded(g.sh[rows]),
     )
-    num_gaussians = n + len(copied)
+    num_gaussians, num_clamped = n + len(copied), 0
     with path.open("wb") as file, task(f"write {path.name}", len(columns)) as advance:
         file.write((-num_gaussians if is_half else num_gaussians).to_bytes(4, "little", signed=True))
         for i, column in enumerate(columns):
             for rows in [*parts, copied]:
                 values = column(rows)
                 if is_half and i > 0:
+                    if rows is not copied:
+                        num_clamped += int((np.abs(values.reshape(len(values), -1)) > _HALF_MAX).any(axis=1).sum())
                     values = np.clip(values, -_HALF_MAX, _HALF_MAX).astype("<f2")
                 file.write(np.ascontiguousarray(values).data)
             advance(1)
@@ -257,7 +260,7 @@ def write(scene: Scene, path: Path, options: WriteOptions) -> tuple[str, ...]:
         file.write(_half_nodes(nodes).data if is_half else nodes.data)
         for boxes in _packed_boxes(nodes, low, high, np.dtype("<f2" if is_half else "<f4")):
             file.write(boxes.data)
-    return ()
+    return (f"harmonics beyond ±{_HALF_MAX:g}: clamped in {gaussians_in_words(num_clamped)}",) if num_clamped else ()
 
 
 def _nodes(scene: Scene) -> tuple[Array, Array]:

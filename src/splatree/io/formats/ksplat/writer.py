@@ -37,8 +37,8 @@ _SAMPLE = 1 << 16
 def write_chunks(chunks: Chunks, path: Path, options: WriteOptions) -> tuple[str, ...]:
     """Write one section at level 0, 1 (the default) or 2, in blocks that follow each other along the axes.
 
-    Colours are clipped to 0 to 1 (and counted) and scales to what half precision holds; no row is dropped. Records are sorted by
-    their blocks, through files where memory has no room for them.
+    Colours are clipped to 0 to 1, and scales and harmonics to what half precision holds, and counted; no row is dropped. Records
+    are sorted by their blocks, through files where memory has no room for them.
     """
     level = 1 if options.compression is None else options.compression
     if level not in (0, 1, 2):
@@ -53,8 +53,12 @@ def write_chunks(chunks: Chunks, path: Path, options: WriteOptions) -> tuple[str
             for g in chunks:
                 at = _write_next(file, at, codes.records(g, g.means, np.exp(g.log_scales)))
                 advance(len(g))
-    count = codes.num_clipped
-    return (f"the colours of {gaussians_in_words(count)}: ksplat clips them to 0 to 1",) if count else ()
+    counts = {
+        "colours": (codes.num_clipped, "ksplat clips them to 0 to 1"),
+        "standard deviations": (codes.num_scales_clamped, f"ksplat clamps them to {HALF_MIN:.2g} to {HALF_MAX:g}"),
+        "harmonics": (codes.num_rest_clamped, f"ksplat clamps them to ±{HALF_MAX:g}"),
+    }
+    return tuple(f"the {what} of {gaussians_in_words(n)}: {how}" for what, (n, how) in counts.items() if n)
 
 
 def _write_next(file: BinaryIO, at: int, *parts: Array) -> int:
@@ -101,12 +105,16 @@ class _Codes:
     def __init__(self, level: int, degree: int, rest_range: tuple[float, float]) -> None:
         self.level, self.degree = level, degree
         self.record, self._order = record_of(level, degree), rest_order(degree)
-        self.rest_step = max(rest_range[1] / 127, -rest_range[0] / 128) or 1.5 / 128
-        self.num_clipped = 0
+        self.rest_step = min(HALF_MAX / 128, max(rest_range[1] / 127, -rest_range[0] / 128)) or 1.5 / 128
+        self.num_clipped = self.num_scales_clamped = self.num_rest_clamped = 0
 
     def records(self, g: Gaussians, means: Array, scale: Array) -> Array:
         """Records of Gaussians, whose means and scales are given as they are stored."""
         records = np.empty(len(g), self.record)
+        if self.level > 0:
+            held = np.clip(scale, HALF_MIN, HALF_MAX)
+            self.num_scales_clamped += int((held != scale).any(axis=1).sum())
+            scale = held
         records["mean"], records["scale"] = means, scale
         quats = g.quats.astype(np.float64)
         records["quat"] = quats / np.linalg.norm(quats, axis=1, keepdims=True)
@@ -115,10 +123,12 @@ class _Codes:
         records["rgba"][:, :3] = np.rint(np.clip(color, 0, 1) * 255)
         records["rgba"][:, 3] = np.rint(opacities_from_logits(g.logit_opacities) * np.float32(255))
         rest = g.sh.reshape(len(g), -1)[:, 3 + self._order]
-        if self.level == 1:
-            rest = np.clip(rest, -HALF_MAX, HALF_MAX)
         if self.level == 2:
-            rest = np.clip(np.rint(rest / self.rest_step) + 128, 0, 255)
+            rest = np.rint(rest / self.rest_step) + 128
+        if self.level > 0:
+            held = np.clip(rest, *((-HALF_MAX, HALF_MAX) if self.level == 1 else (0, 255)))
+            self.num_rest_clamped += int((held != rest).any(axis=1).sum())
+            rest = held
         records["rest"] = rest
         return records
 
@@ -134,7 +144,7 @@ def _write_blocks(
             keys = blocks.keys(g.means)
             apart = g.means - blocks.centres(keys).astype(np.float64)
             means = np.clip(np.rint(apart / step) + CODE_RANGE, 0, 2 * CODE_RANGE + 1)
-            records = codes.records(g, means, np.clip(np.exp(g.log_scales), HALF_MIN, HALF_MAX))
+            records = codes.records(g, means, np.exp(g.log_scales))
             sorter.put(keys, records.view(np.uint8).reshape(len(g), -1))
             advance(len(g) / 2)
         keys, sizes = _run_lengths(found for found, _ in sorter.runs())

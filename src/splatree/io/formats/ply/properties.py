@@ -91,9 +91,11 @@ def fields_of(path: Path, header: Header, *, ignore: bool) -> Fields:
             "f_dc_2 or red green blue"
         )
     elif missing:
+        is_partial = any(name in names for group in GEOMETRY[1:] for name in group)
+        what = "the file is of another layout" if is_partial else "this is a point cloud or a mesh"
         raise FormatError(
-            f"{path}: found no properties {' '.join(missing)} (only {' '.join(list(names)[:12])} …): this is a point cloud "
-            "or a mesh, wanted trained Gaussians"
+            f"{path}: found no properties {' '.join(missing)} (only {' '.join(list(names)[:12])} …): {what}, wanted trained "
+            "Gaussians"
         )
     if missing or header.are_surfels:
         lost.append(

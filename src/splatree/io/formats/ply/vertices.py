@@ -219,6 +219,12 @@ def _color_max(file: BinaryIO, vertices: Vertices) -> float:
         else:
             records = _records(file, header, vertices.start + begin * header.dtype.itemsize, count)
         largest = max(largest, *(float(np.nanmax(records[name].astype(np.float64), initial=0)) for name in names))
+        for name, kind in zip(names, kinds, strict=True):
+            if kind.kind == "i" and (records[name] < 0).any():
+                raise FormatError(
+                    f"{vertices.path}: found {name} of {int(records[name].min())} as a whole number with a sign, wanted 0 or "
+                    "more; bytes above 127 are of type uchar, not char: write the file again"
+                )
     if all(kind.kind == "f" for kind in kinds) and largest < _OVERSHOOT:
         return 1.0
     return 255.0 if largest <= 255 else 65535.0
@@ -250,11 +256,12 @@ def _check_size(file: BinaryIO, path: Path, header: Header, start: int, *, repai
     if header.bytes_after is not None and num_bytes != wanted + header.bytes_after:
         excess = num_bytes - wanted - header.bytes_after
         if not repair:
+            behind = f", {header.bytes_after} bytes behind them" if header.bytes_after else ""
             raise FormatError(
-                f"{path}: found {num_bytes} bytes, {excess} more or less than its header announces "
-                f"({header.count} vertices of {record_bytes} bytes); read it with repair to take these vertices alone"
+                f"{path}: found {num_bytes} bytes, {abs(excess)} {'more' if excess > 0 else 'fewer'} than its header announces "
+                f"({header.count} vertices of {record_bytes} bytes{behind}); read it with repair to take these vertices alone"
             )
-        return header.count, {"unexpected_bytes": abs(excess)}
+        return header.count, {"unexpected_bytes" if excess > 0 else "missing_bytes": abs(excess)}
     return header.count, {}
 
 
@@ -280,4 +287,5 @@ def _check_lines(file: BinaryIO, path: Path, header: Header, *, repair: bool) ->
             f"{path}: found {abs(excess)} line{'s' * (abs(excess) != 1)} {'more' if excess > 0 else 'less'} than its header "
             f"announces ({header.count} vertices); read it with repair to take these vertices alone"
         )
-    return header.count, {"unexpected_lines": abs(excess)} if excess else {}
+    name = "unexpected_lines" if excess > 0 else "missing_lines"
+    return header.count, {name: abs(excess)} if excess else {}

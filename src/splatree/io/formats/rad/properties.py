@@ -52,6 +52,9 @@ _ENCODINGS = {
 _SIZES = {"f32": 4, "f16": 2, "f32_lebytes": 4, "f16_lebytes": 2, "ln_f16": 2, "u16": 2, "u32": 4}
 """Bytes of a value; all others take one."""
 
+HALF_MAX = 65504.0
+"""The largest number of half precision."""
+
 LOG_SCALE_ZERO = -30.0
 """Logarithm for which a scale of 0 is read, and below which it is written."""
 
@@ -150,8 +153,10 @@ def _octahedral_axes() -> Array:
 
 
 def encode_floats(values: Array, encoding: str) -> bytes:
-    """Values "n d" as f32, f16 or byte planes of f32."""
+    """Values "n d" as f32, f16 or byte planes of f32; f16 clamps to ±65504."""
     size = _SIZES[encoding]
+    if size == 2:
+        values = np.clip(values, -HALF_MAX, HALF_MAX)
     planes = np.ascontiguousarray(values.T, f"<f{size}")
     if encoding.endswith("lebytes"):
         planes = np.ascontiguousarray(planes.reshape(-1).view(np.uint8).reshape(-1, size).T)

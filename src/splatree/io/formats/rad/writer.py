@@ -19,7 +19,8 @@ from splatree.io.check import refuse_unusable
 from splatree.io.chunks import Chunks, chunks_of
 from splatree.io.formats.rad.container import CHUNK_MAGIC, MAGIC, padded
 from splatree.io.formats.rad.nodes import Links, Nodes, nodes_of
-from splatree.io.formats.rad.properties import LOG_SCALE_ZERO, encode_codes, encode_floats, encode_rotations
+from splatree.io.formats.rad.properties import HALF_MAX, LOG_SCALE_ZERO, encode_codes, encode_floats, encode_rotations
+from splatree.io.notes import gaussians_in_words
 from splatree.io.opacities import opacities_from_logits
 from splatree.io.options import WriteOptions
 from splatree.io.rows import columns_to_fill
@@ -64,11 +65,9 @@ def write(scene: Scene, path: Path, options: WriteOptions) -> tuple[str, ...]:
     """
     g, n = scene.gaussians, len(scene)
     if scene.tree.num_leaves == n:
-        _write(path, _Head(n, g.sh_degree, scene.mode, scene.threshold), _parts(chunks_of(scene)), options)
-        return ()
+        return _write(path, _Head(n, g.sh_degree, scene.mode, scene.threshold), _parts(chunks_of(scene)), options)
     head, parts = _with_levels(scene, path)
-    _write(path, head, parts, options)
-    return ()
+    return _write(path, head, parts, options)
 
 
 def write_chunked(scene: Scene, path: Path, write_chunk: Callable[[int, bytes], str]) -> None:
@@ -98,8 +97,7 @@ def _with_levels(scene: Scene, path: Path) -> tuple["_Head", Iterator[Gaussians]
 def write_chunks(chunks: Chunks, path: Path, options: WriteOptions) -> tuple[str, ...]:
     """The same of a scene without levels."""
     head = _Head(len(chunks), chunks.sh_degree, chunks.mode, ALPHA_THRESHOLD)
-    _write(path, head, _parts(chunks), options)
-    return ()
+    return _write(path, head, _parts(chunks), options)
 
 
 def _parts(chunks: Chunks) -> Iterator[Gaussians]:
@@ -141,8 +139,8 @@ class _Head:
         return {"mode": self.mode, "threshold": self.threshold, "joinsRoots": joins_roots, **levels}
 
 
-def _write(path: Path, head: _Head, parts: Iterator[Gaussians], options: WriteOptions) -> None:
-    """Write the Gaussians and their links part by part, and then the header before them."""
+def _write(path: Path, head: _Head, parts: Iterator[Gaussians], options: WriteOptions) -> tuple[str, ...]:
+    """Write the Gaussians and their links part by part, and then the header before them; return what was clamped."""
     encoder = _Encoder(head, options, path.name)
     # Offsets are known when the chunks are; their list is padded with spaces to this size.
     header_bytes = padded(1000 + 44 * -(-head.count // _CHUNK_ROWS) + len(json.dumps(head.ours)))
@@ -156,6 +154,8 @@ def _write(path: Path, head: _Head, parts: Iterator[Gaussians], options: WriteOp
         assert len(text) <= header_bytes
         file.seek(0)
         file.write(MAGIC + header_bytes.to_bytes(4, "little") + text.ljust(header_bytes))
+    count = encoder.num_clamped
+    return (f"colours or harmonics beyond ±{HALF_MAX:g}: clamped in {gaussians_in_words(count)}",) if count else ()
 
 
 class _Encoder:
@@ -169,6 +169,8 @@ class _Encoder:
         self._sample = [Gaussians.empty(head.sh_degree)]
         self.num_bytes = 0
         """Bytes of the chunks so far."""
+        self.num_clamped = 0
+        """Gaussians so far with values that half precision does not hold."""
 
     def chunks(self, parts: Iterator[Gaussians]) -> Iterator[bytes]:
         """Each part as a chunk."""
@@ -185,6 +187,7 @@ class _Encoder:
                 chunk = _encode_chunk(part, links, self._level, begin, pool)
                 self._sample.append(part.take(np.arange(-begin % every, len(part), every)))
                 self.num_bytes += len(chunk)
+                self.num_clamped += _num_beyond_half(part, self._level)
                 begin += len(part)
                 yield chunk
                 advance(len(part))
@@ -282,6 +285,16 @@ def _encoded(g: Gaussians, level: int) -> Iterator[tuple[dict[str, Any], bytes]]
             yield entry, planes.tobytes()
         else:
             yield {"property": name, "encoding": wide}, encode_floats(values, wide)
+
+
+def _num_beyond_half(g: Gaussians, level: int) -> int:
+    """How many Gaussians have a colour, or at level 1 a harmonic, that half precision does not hold."""
+    if level == 0:
+        return 0
+    beyond = (np.abs(np.float32(0.5) + np.float32(SH_C0) * g.sh[:, 0]) > HALF_MAX).any(axis=1)
+    if level == 1:
+        beyond |= (np.abs(g.sh[:, 1:]) > HALF_MAX).any(axis=(1, 2))
+    return int(beyond.sum())
 
 
 def _range(values: Array) -> tuple[float, float]:

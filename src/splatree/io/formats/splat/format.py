@@ -164,6 +164,6 @@ def _open(path: Path, options: ReadOptions) -> FileRows:
     metadata = {"repairs": json.dumps({"unexpected_bytes": rest})} if rest else {}
     if num_bytes == 0:
         metadata["notes"] = json.dumps(
-            [f"{path} is empty, which is how a .splat of no Gaussians looks, or a download cut off"]
+            [f"{path.name} is empty, which is how a .splat of no Gaussians looks, or a download cut off"]
         )
     return FileRows(str(path), num_rows, 0, start, metadata=metadata)
