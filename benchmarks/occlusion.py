@@ -1,8 +1,8 @@
 """What drawing hidden nodes more coarsely is worth: cuts with and without occlusion, at equal nodes.
 
 ``python benchmarks/occlusion.py [--scenes ...] [--method pairs] [--shares 2 5 10 20 40]`` needs the shared scenes. Six views of
-each scene (levels.py) at 960 × 540 px. A budget is a share of the leaves in view. Both pictures are compared with that of all leaves;
-better ones than 60 dB count as that. Milliseconds are of the processor, for the selection of a view alone, the cheaper of two.
+each scene (levels.py) at 960 × 540 px. A budget is a share of the leaves in view. Both pictures are compared with that of all
+leaves; better ones than 60 dB count as that. Milliseconds are of the processor, for the selection of a view alone, the cheaper of two.
 """
 
 import argparse
