@@ -181,6 +181,7 @@ class Client:
             "rows": len(chosen),
             "drop": len(change.drop),
             "add": len(change.add),
+            "shape": len(change.shaped),
             "tint": len(change.tint),
             "last": is_last,
             "visited": chosen.num_visited,
