@@ -17,8 +17,9 @@ from splatree.scene.cameras import Camera
 from splatree.scene.options import SelectOptions
 from splatree.scene.scene import Scene
 from splatree.view import client as module
+from splatree.view import slots
 from splatree.view.client import Client
-from splatree.view.exhibit import exhibit
+from splatree.view.exhibit import Exhibit, exhibit
 
 from .scenes import gaussians, on_show, scene
 
@@ -282,3 +283,24 @@ def test_a_guard_adds_the_same_to_all_sides():
     assert (wide.width, wide.height, wide.K[0, 2], wide.K[1, 2]) == (240, 120, 120, 60)
     assert wide.K[0, 0] == camera.K[0, 0]
     assert guarded_by(camera, 0.0) is camera
+
+
+def test_the_rest_of_the_colours_comes_without_another_selection(page, monkeypatch):
+    monkeypatch.setattr(slots, "TINTS", 100)
+    chosen = []
+    monkeypatch.setattr(Exhibit, "cut", lambda self, *more, cut=Exhibit.cut: chosen.append(1) or cut(self, *more))
+    framing = page.exhibit.framing
+    page.ask(framing.camera(160, 90), budget=50_000)
+    page.wait_for("cut", 1)
+    offset = np.cross(framing.up, framing.eye - framing.target)  # a quarter round
+    camera = Camera.look_at(framing.target + offset, framing.target, up=framing.up, width=160, height=90)
+    with page.arrived:
+        page.messages.clear()
+    chosen.clear()
+    page.ask(camera, budget=50_000, seq=2)
+    page.wait_for("cut", 2)
+    headers = [header for header, _ in page.messages if header["kind"] == "cut"]
+    assert len(headers) > 2 and len(chosen) == 1
+    assert [header["add"] + header["drop"] for header in headers[1:]] == [0] * (len(headers) - 1)
+    assert all(header["rows"] == headers[0]["rows"] for header in headers)
+    assert all(header["tint"] == 100 for header in headers[:-1])

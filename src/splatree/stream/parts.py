@@ -83,7 +83,7 @@ class Folder:
             self.damaged.append(whole)
         return None
 
-    def make(self, name: str, write: Callable[[Path], None], suffix: str = "") -> str:
+    def make(self, name: str, write: Callable[[Path], object], suffix: str = "") -> str:
         """Make a part, which ``write`` writes as a file or a folder to a path; its whole name.
 
         Raises:

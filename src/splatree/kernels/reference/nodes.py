@@ -21,7 +21,16 @@ from splatree.scene.gaussians import Gaussians
 from splatree.scene.tree import GaussianTree
 from splatree.shapes import Array, Float32, Float64, Int32, UInt8, UInt32
 
-__all__ = ["COLOR_MAX", "LOG_SCALE_MAX", "NODE_WORDS", "pack_colors", "pack_nodes", "pack_shapes", "unpack_nodes", "with_depths"]
+__all__ = [
+    "COLOR_MAX",
+    "LOG_SCALE_MAX",
+    "NODE_WORDS",
+    "pack_colors",
+    "pack_nodes",
+    "pack_shapes",
+    "unpack_nodes",
+    "with_depths",
+]
 
 NODE_WORDS = 8
 """Words of a node."""

@@ -86,8 +86,8 @@ void bind_nodes(nb::module_& m) {
   m.def("release_slots", &bind_release, "held"_a, "slots"_a, "slot_after"_a, "stamps"_a, "step"_a, "out"_a);
   m.def("stale_slots", &bind_stale, "slots"_a, "means"_a, "eyes"_a, "eye"_a, "centre"_a, "share"_a, "first"_a, "limit"_a,
         "out"_a);
-  m.def("drifted_slots", &bind_drifted, "slots"_a, "means"_a, "limits"_a, "dilations"_a, "plane"_a, "unit"_a, "factor"_a,
-        "out"_a, "now"_a);
+  m.def("drifted_slots", &bind_drifted, "slots"_a, "means"_a, "limits"_a, "dilations"_a, "plane"_a, "unit"_a, "factor"_a, "out"_a,
+        "now"_a);
 }
 
 }  // namespace splatree

@@ -31,6 +31,7 @@ def pack_shapes(
     gaussians: Gaussians, tree: GaussianTree, rows: Int32[Array, "v"], dilations: Float32[Array, "v"]
 ) -> UInt32[Array, "v 2"]:
     """Opacity and scales of rows of a tree with curves as they are drawn at ``dilations``, world units², in halves of words."""
+    assert tree.curves is not None
     out = np.empty((len(rows), 2), np.uint32)
     _core.pack_shapes(gaussians, tree, tree.curves, np.ascontiguousarray(rows), dilations, out)
     return out
