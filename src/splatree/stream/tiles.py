@@ -27,7 +27,7 @@ from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Scene
 from splatree.shapes import Array
 from splatree.stream.boxes import box_around
-from splatree.stream.chunks import divide
+from splatree.stream.chunks import count_leaves_before, divide
 from splatree.stream.earth import ecef_from_enu
 from splatree.stream.levels import cuts_of, intervals_from
 from splatree.stream.options import StreamOptions
@@ -63,7 +63,7 @@ class Tile:
 def tiles_of_tree(scene: Scene, tile_nodes: int) -> list[Tile]:
     """The tiles of a scene with levels, parents first."""
     tree = scene.tree
-    leaves_before = np.concatenate([[0], np.cumsum(tree.is_leaf)])
+    leaves_before = count_leaves_before(tree)
     from_size = np.where(tree.is_leaf, np.float32(0), tree.extents)
     tiles: list[Tile] = []
     pending: list[tuple[int, int, Tile | None]] = [(0, len(tree), None)]
