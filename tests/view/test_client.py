@@ -304,3 +304,28 @@ def test_the_rest_of_the_colours_comes_without_another_selection(page, monkeypat
     assert [header["add"] + header["drop"] for header in headers[1:]] == [0] * (len(headers) - 1)
     assert all(header["rows"] == headers[0]["rows"] for header in headers)
     assert all(header["tint"] == 100 for header in headers[:-1])
+
+
+@pytest.mark.parametrize("column", ["means", "quats", "log_scales", "logit_opacities", "sh"])
+def test_a_scene_of_the_program_that_is_not_finite_is_refused_by_its_row(column):
+    shown = gaussians(20, 1)
+    getattr(shown, column)[3] = np.nan
+    with pytest.raises(InputError, match=rf"{column}\[3\]: found .*nan"):
+        exhibit(Scene.flat(shown))
+
+
+@pytest.mark.parametrize("case", ["one", "all in one place", "a million from the origin"])
+def test_odd_scenes_are_shown(case):
+    shown = gaussians(1 if case == "one" else 30, 1)
+    if case == "all in one place":
+        shown.means[:] = shown.means[0]
+    if case == "a million from the origin":
+        shown.means[:] += np.float32([1e6, -1e6, 1e6])
+    odd = FakePage(exhibit(Scene.flat(shown)))
+    odd.ask()
+    assert odd.wait_for("cut", 1)[0]["rows"] == len(shown)
+    odd.ask(want="frame", seq=2)
+    assert odd.wait_for("frame", 2)[0]["rows"] == len(shown)
+    odd.ask(want="point", at=[80, 45], seq=3)
+    odd.wait_for("point", 3)
+    odd.close()
