@@ -5,7 +5,7 @@ camera turns about the scene in steps of 2°, from the first view, and from a ha
 of 960 × 540 px.
 
 - *step*: the selection of at most ``--budget`` nodes, begun at the τ_R of the step before, and what takes the page there: new
-  nodes, those that look otherwise by now, and colours.
+  nodes, shapes of those that look otherwise by now, and colours.
 - *step, exact*: the same where each budget is met to the node, looked for near the τ_R of the step before.
 - *step, alone*: the same where each budget is met as for a view alone.
 - *cut*: one selection by the τ_R that met the budget exactly.
@@ -87,11 +87,11 @@ def steps(
             chosen = measure(partial(choose, guarded_by(camera, GUARD), found[-1]))
             change = measure(partial(slots.move, chosen.value.rows, camera.position, shown.session.view(camera)))
             found.append(chosen.value.pixel_error)
-            new, kilobytes = len(change.value.add), len(change.value.payload) / 1e3
-            costs.append((1e3 * chosen.cpu_s, 1e3 * change.cpu_s, len(chosen.value), new, kilobytes))
-        select_ms, pack_ms, nodes, new, kilobytes = np.median(costs[1:], axis=0)
+            sent = len(change.value.add), len(change.value.shaped), len(change.value.payload) / 1e3
+            costs.append((1e3 * chosen.cpu_s, 1e3 * change.cpu_s, len(chosen.value), *sent))
+        select_ms, pack_ms, nodes, new, shapes, kilobytes = np.median(costs[1:], axis=0)
         both = {"ms": select_ms + pack_ms, "select ms": select_ms, "pack ms": pack_ms}
-        yield {"what": name, **both, "nodes": int(nodes), "new": int(new), "kB": kilobytes}
+        yield {"what": name, **both, "nodes": int(nodes), "new": int(new), "shapes": int(shapes), "kB": kilobytes}
     cuts = [
         measure(partial(one_cut, guarded_by(camera, GUARD), pixel_error))
         for camera, pixel_error in zip(cameras[1:], found[2:], strict=True)

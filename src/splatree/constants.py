@@ -87,7 +87,11 @@ CENTRE_PAD: Final = 0.1
 """Share of the half image by which a centre may lie outside in the view test `centre` (code of FilterGS)."""
 
 BLOCK_ROWS: Final = 256
-"""Rows of a block of the selection: its bounds and ancestors take about 0.4 bytes a row."""
+"""Rows of a block of the selection: its bounds and ancestors take about 0.7 bytes a row."""
+
+BLOCK_STEPS: Final = 8
+"""Steps, by extent, of the largest standard deviation of rows that are drawn in a block: without them near views of levels by
+pairs look at twice as many blocks."""
 
 BLOCKS_PER_GROUP: Final = 64
 """Blocks of a group, the unit that the selection hands to a thread: 16,384 rows, a tenth of a millisecond at most."""

@@ -85,13 +85,17 @@ def test_no_rows_are_no_words():
 def test_native_nodes_follow_the_pixel_as_defined(seed):
     scene = random_scene(0, seed, n=200)
     assert scene.tree.curves is not None
-    rows = np.arange(len(scene), dtype=np.int32)
-    dilations = np.random.default_rng(seed).uniform(0, 2, len(rows)).astype(np.float32) * scene.tree.curves[:, 3]
+    rows = np.arange(len(scene), dtype=np.int32)[::-1].copy()
+    dilations = np.random.default_rng(seed).uniform(0, 2, len(rows)).astype(np.float32) * scene.tree.curves[rows, 3]
     words = [
         kernels.pack_nodes(scene.gaussians, scene.tree, rows, EYE, CENTRE, dilations) for kernels in (cpu, reference)
     ]
     found, expected = (reference.unpack_nodes(each) for each in words)
-    merged = scene.tree.curves[:, 2] > 0
+    for kernels, nodes in zip((cpu, reference), words, strict=True):
+        shapes = kernels.pack_shapes(scene.gaussians, scene.tree, rows, dilations).view(np.uint16)
+        halves = nodes.view(np.uint16)
+        np.testing.assert_array_equal(shapes, halves[:, [7, 13, 14, 15]])  # opacity and three scales
+    merged = scene.tree.curves[rows, 2] > 0
     stored = reference.unpack_nodes(reference.pack_nodes(scene.gaussians, scene.tree, rows, EYE, CENTRE))
     assert (np.abs(expected["opacities"] - stored["opacities"])[merged] > 1e-3).any()
     np.testing.assert_array_equal(expected["opacities"][~merged], stored["opacities"][~merged])
@@ -122,8 +126,8 @@ def test_native_slots_are_those_of_the_definition(seed, first, limit):
         kept, new = kernels.keep(rows, after, marks, 9)
         gone = kernels.release(held, slots, after, marks, 9)
         found, more = kernels.stale(slots, means, eyes, (EYE, CENTRE, 1.0), first, limit)
-        drifted = kernels.drifted(slots, means, limits, sent, depths, 1.15)
-        results.append((kept, new, gone, found, np.array(more), drifted, after, marks))
+        drifted, now = kernels.drifted(slots, means, limits, sent, depths, 1.15)
+        results.append((kept, new, gone, found, np.array(more), drifted, now, after, marks))
     for found, expected in zip(*results, strict=True):
         np.testing.assert_array_equal(found, expected)
     kept, new, gone, *_ = results[0]
@@ -145,4 +149,5 @@ def test_a_node_has_drifted_at_a_factor_either_way_and_a_leaf_never():
     limits, sent = np.float32([9, 9, 9, 0]), np.float32([4, 4, 4, 0])
     depths = np.array([0.0, 0.0, 1.0, 0.0]), 1.0  # dilations of 1, 4, 9 (held by the limit) and 0
     for kernels in (cpu_slots, reference_slots):
-        assert kernels.drifted(np.arange(4, dtype=np.int32), means, limits, sent, depths, 2.0).tolist() == [0, 2]
+        places, now = kernels.drifted(np.arange(4, dtype=np.int32), means, limits, sent, depths, 2.0)
+        assert (places.tolist(), now.tolist()) == ([0, 2], [1, 9])

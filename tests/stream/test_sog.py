@@ -115,14 +115,14 @@ def test_no_name_leads_out_of_the_folder(folder):
 def test_an_interrupted_stream_goes_on_where_it_stopped(scene, folder, tmp_path, monkeypatch):
     written = []
 
-    def some(self, name, files, write=Folder.write_part):
+    def some(self, name, write, make=Folder.make):
         if len(written) == 5:
             raise KeyboardInterrupt
         written.append(name)
-        write(self, name, files)
+        return make(self, name, write)
 
     with monkeypatch.context() as patched:
-        patched.setattr(Folder, "write_part", some)
+        patched.setattr(Folder, "make", some)
         with pytest.raises(KeyboardInterrupt):
             stream(scene, tmp_path / "out", options=OPTIONS, threads=1)
     assert not (tmp_path / "out" / "lod-meta.json").exists()

@@ -17,8 +17,9 @@ from splatree.scene.cameras import Camera
 from splatree.scene.options import SelectOptions
 from splatree.scene.scene import Scene
 from splatree.view import client as module
+from splatree.view import slots
 from splatree.view.client import Client
-from splatree.view.exhibit import exhibit
+from splatree.view.exhibit import Exhibit, exhibit
 
 from .scenes import gaussians, on_show, scene
 
@@ -282,3 +283,49 @@ def test_a_guard_adds_the_same_to_all_sides():
     assert (wide.width, wide.height, wide.K[0, 2], wide.K[1, 2]) == (240, 120, 120, 60)
     assert wide.K[0, 0] == camera.K[0, 0]
     assert guarded_by(camera, 0.0) is camera
+
+
+def test_the_rest_of_the_colours_comes_without_another_selection(page, monkeypatch):
+    monkeypatch.setattr(slots, "TINTS", 100)
+    chosen = []
+    monkeypatch.setattr(Exhibit, "cut", lambda self, *more, cut=Exhibit.cut: chosen.append(1) or cut(self, *more))
+    framing = page.exhibit.framing
+    page.ask(framing.camera(160, 90), budget=50_000)
+    page.wait_for("cut", 1)
+    offset = np.cross(framing.up, framing.eye - framing.target)  # a quarter round
+    camera = Camera.look_at(framing.target + offset, framing.target, up=framing.up, width=160, height=90)
+    with page.arrived:
+        page.messages.clear()
+    chosen.clear()
+    page.ask(camera, budget=50_000, seq=2)
+    page.wait_for("cut", 2)
+    headers = [header for header, _ in page.messages if header["kind"] == "cut"]
+    assert len(headers) > 2 and len(chosen) == 1
+    assert [header["add"] + header["drop"] for header in headers[1:]] == [0] * (len(headers) - 1)
+    assert all(header["rows"] == headers[0]["rows"] for header in headers)
+    assert all(header["tint"] == 100 for header in headers[:-1])
+
+
+@pytest.mark.parametrize("column", ["means", "quats", "log_scales", "logit_opacities", "sh"])
+def test_a_scene_of_the_program_that_is_not_finite_is_refused_by_its_row(column):
+    shown = gaussians(20, 1)
+    getattr(shown, column)[3] = np.nan
+    with pytest.raises(InputError, match=rf"{column}\[3\]: found .*nan"):
+        exhibit(Scene.flat(shown))
+
+
+@pytest.mark.parametrize("case", ["one", "all in one place", "a million from the origin"])
+def test_odd_scenes_are_shown(case):
+    shown = gaussians(1 if case == "one" else 30, 1)
+    if case == "all in one place":
+        shown.means[:] = shown.means[0]
+    if case == "a million from the origin":
+        shown.means[:] += np.float32([1e6, -1e6, 1e6])
+    odd = FakePage(exhibit(Scene.flat(shown)))
+    odd.ask()
+    assert odd.wait_for("cut", 1)[0]["rows"] == len(shown)
+    odd.ask(want="frame", seq=2)
+    assert odd.wait_for("frame", 2)[0]["rows"] == len(shown)
+    odd.ask(want="point", at=[80, 45], seq=3)
+    odd.wait_for("point", 3)
+    odd.close()

@@ -28,6 +28,9 @@ class Mirror:
         assert not self.live[change.add].any()
         self.live[change.add] = True
         self.words[change.add] = change.nodes
+        assert self.live[change.shaped].all()
+        halves = self.words.view(np.uint16)
+        halves[np.ix_(change.shaped, [7, 13, 14, 15])] = change.shapes.view(np.uint16).reshape(-1, 4)
         assert self.live[change.tint].all()
         self.words[change.tint, 4] = change.colors
 
@@ -138,6 +141,11 @@ def test_merged_nodes_come_as_they_look_and_come_again_when_that_changes():
         found = (mirror.words[slots.slots, 3] >> 16) / 65535
         np.testing.assert_allclose(found[inner], wanted[inner], rtol=0.2)
         opacities.append(found[inner])
+        assert len(change.add) == (len(rows) if distance == 3.0 else 0)
         if distance == 3.01:
-            assert len(change.add) < 0.05 * len(rows)
+            assert len(change.shaped) < 0.05 * len(rows)
+        stored = pack_nodes(shown.gaussians, shown.tree, rows, camera.position, CENTRE).view(np.uint16)
+        halves = mirror.words[slots.slots].view(np.uint16)
+        kept = [0, 1, 2, 3, 4, 5, 6, 10, 11, 12]  # all but opacity, colour and scales
+        np.testing.assert_array_equal(halves[:, kept], stored[:, kept])
     assert np.mean(opacities[2] - opacities[0]) > 0

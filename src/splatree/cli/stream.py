@@ -141,6 +141,8 @@ def show(result: Result) -> str:
     """The result in words."""
     written = result.written
     kept = f", {written.num_parts_kept} of them there already" if written.num_parts_kept else ""
+    if written.num_parts_damaged:
+        kept += f", {written.num_parts_damaged} made again that {'was' if written.num_parts_damaged == 1 else 'were'} damaged"
     lines = [
         *(["levels of detail: built first, as the input has none"] if result.built_levels else []),
         f"wrote {written.output}: {counted(written.num_chunks, 'chunk')} in {counted(written.num_parts, 'part')}{kept}, "

@@ -59,7 +59,7 @@ def replacing(path: str | os.PathLike[str], *, force: bool = False) -> Iterator[
         assert temporary is not None
         with renamed(temporary.name, Path(path).name):
             yield temporary
-        _flush(temporary, os.O_RDWR)
+        flush(temporary, os.O_RDWR)
         if force and target.exists():
             temporary.chmod(stat.S_IMODE(target.stat().st_mode))
         if force:
@@ -67,7 +67,7 @@ def replacing(path: str | os.PathLike[str], *, force: bool = False) -> Iterator[
         elif not _moved_to_free_name(temporary, target):
             raise OutputError(_exists(path))
         if not ON_WINDOWS:  # which opens no folders; its file systems write the new name down themselves
-            _flush(target.parent, os.O_RDONLY)
+            flush(target.parent, os.O_RDONLY)
     except SplatreeError as error:
         error.args = tuple(_renamed(str(part), temporary, path) for part in error.args)
         raise
@@ -238,7 +238,8 @@ def check_target(path: str | os.PathLike[str]) -> Path:
     return target
 
 
-def _flush(path: Path, flags: int) -> None:
+def flush(path: Path, flags: int) -> None:
+    """Wait until what was written to a file, or the names in a folder, are on the disk."""
     descriptor = os.open(path, flags)
     try:
         os.fsync(descriptor)

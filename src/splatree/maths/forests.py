@@ -8,7 +8,6 @@ walk up (sizes). Cost: a few vectorised passes over each level.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
@@ -77,15 +76,13 @@ def links_from_preorder(depth: Array) -> Links:
 
 def parents_by_level(depth: Array) -> Iterator[tuple[Array, Array]]:
     """Rows of each depth from 1 down, ascending, with the rows of their parents; at most 65,536 at a time."""
-    order = np.argsort(depth, kind="stable").astype(np.int32)
-    ends = np.cumsum(np.bincount(depth)) if len(depth) else np.zeros(0, np.int64)
-    begin = 0
-    for end, below in pairwise(ends):
-        above = order[begin:end]
-        for first in range(end, below, _ROWS_AT_ONCE):
-            rows = order[first : min(first + _ROWS_AT_ONCE, below)]
+    above = np.flatnonzero(depth == 0).astype(np.int32)
+    for level in range(1, int(depth.max(initial=0)) + 1):
+        here = np.flatnonzero(depth == level).astype(np.int32)
+        for first in range(0, len(here), _ROWS_AT_ONCE):
+            rows = here[first : first + _ROWS_AT_ONCE]
             yield rows, above[np.searchsorted(above, rows) - 1]  # the last row of the level above that lies before
-        begin = end
+        above = here
 
 
 def ends_from_depth(depth: Array) -> Int32[Array, "n"]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from splatree.constants import BLOCKS_PER_GROUP
+from splatree.constants import BLOCK_STEPS, BLOCKS_PER_GROUP
 from splatree.errors import ShapeError
 from splatree.scene.levels import LevelRecord
 from splatree.scene.roots import Roots
@@ -101,6 +101,11 @@ class BlockIndex:
     """Largest coordinates."""
     leaf_scales: Float32[Array, "b"]
     """Largest standard deviation of the leaves, and of rows whose 3σ is more than their extent, world units; 0 without any."""
+    step_extents: Float32[Array, "b s"]
+    """Extents, ascending, from 0; ∞ for steps that there are not."""
+    step_scales: Float32[Array, "b s"]
+    """As ``leaf_scales``, of leaves and of the rows whose extents are less than the next of ``step_extents``: the rows that are
+    drawn, where larger ones are not."""
     min_logits: Float32[Array, "b"]
     """Smallest logit opacity."""
     ancestor_start: Int32[Array, "b+1"]
@@ -127,6 +132,8 @@ class BlockIndex:
             )
         if not 16 <= self.rows_per_block <= 1024:
             raise ShapeError(f"BlockIndex.rows_per_block: found {self.rows_per_block}, wanted 16 to 1024")
+        if sizes["s"] != BLOCK_STEPS:
+            raise ShapeError(f"BlockIndex: found {sizes['s']} steps of scales, wanted {BLOCK_STEPS}")
         if sizes["g"] != -(-sizes["b"] // BLOCKS_PER_GROUP):
             raise ShapeError(
                 f"BlockIndex: found {sizes['g']} groups, wanted one for {BLOCKS_PER_GROUP} of {sizes['b']} blocks"

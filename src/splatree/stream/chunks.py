@@ -15,6 +15,7 @@ import numpy as np
 from splatree.errors import InputError
 from splatree.render.paths import bounds_of
 from splatree.scene.scene import Scene
+from splatree.scene.tree import GaussianTree
 from splatree.shapes import Array, Bool, Int32, check_fields
 
 __all__ = ["TreeChunks", "chunks_of_tree", "divide", "leaves_of_chunk"]
@@ -63,12 +64,18 @@ def chunks_of_tree(scene: Scene, chunk_leaves: int | None = None) -> TreeChunks:
     n = len(scene)
     _, radius = bounds_of(scene)
     usual = 2 * radius * np.sqrt(chunk_leaves / scene.tree.num_leaves)  # leaves lie on surfaces
-    leaves_before = np.concatenate([[0], np.cumsum(scene.tree.is_leaf)])
-    runs, spine = divide(scene, leaves_before, (0, n), chunk_leaves, usual)
+    runs, spine = divide(scene, count_leaves_before(scene.tree), (0, n), chunk_leaves, usual)
     is_spine = np.zeros(n, bool)
     is_spine[spine] = True
     start, end = np.array(runs, np.int32).T.copy()
     return TreeChunks(start, end, is_spine)
+
+
+def count_leaves_before(tree: GaussianTree) -> Int32[Array, "n+1"]:
+    """The leaves before each row, and all."""
+    counts = np.zeros(len(tree) + 1, np.int32)
+    np.cumsum(tree.is_leaf, dtype=np.int32, out=counts[1:])
+    return counts
 
 
 def leaves_of_chunk(num_leaves: int) -> int:

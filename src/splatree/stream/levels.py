@@ -145,8 +145,12 @@ def _targets(num_leaves: int, num_chunks: int, ratio: float, num_levels: int | N
 def cuts_of(intervals: Intervals) -> tuple[Array, Array]:
     """Every size at which the cut changes, above 0, and the number of nodes from there on."""
     is_used = intervals.from_size < intervals.to_size
-    begins, ends = np.sort(intervals.from_size[is_used]), np.sort(intervals.to_size[is_used])
-    sizes = np.unique(begins[(begins > 0) & np.isfinite(begins)])
+    begins, ends = intervals.from_size[is_used], intervals.to_size[is_used]
+    begins.sort()
+    ends.sort()
+    zero, most = np.float32(0), np.float32(np.inf)  # float64 would make a copy of all sizes
+    above = begins[np.searchsorted(begins, zero, side="right") : np.searchsorted(begins, most)]
+    sizes = above[np.append(True, above[1:] != above[:-1])[: len(above)]]
     counts = np.searchsorted(begins, sizes, side="right") - np.searchsorted(ends, sizes, side="right")
     return sizes, counts
 

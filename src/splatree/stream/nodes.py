@@ -23,6 +23,7 @@ import dataclasses
 import numpy as np
 
 from splatree.constants import ALPHA_MAX, DILATION_PX2
+from splatree.io.chunks import ROWS_PER_CHUNK
 from splatree.kernels.reference.project import follow
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Scene
@@ -42,7 +43,11 @@ def gaussians_of_level(scene: Scene, level: Level, rows: Array, node_px: float) 
     """
     if not _follows(scene, node_px):
         return scene.gaussians.take(rows)
-    return _drawn(scene, rows, np.full(len(rows), _dilation(scene, level.size, len(level), node_px)))
+    assert scene.tree.curves is not None
+    dilations = np.full(len(rows), _dilation(scene, level.size, len(level), node_px))
+    g = scene.gaussians.take(rows)
+    log_scales, logits = _drawn(g, scene.tree.curves[rows], dilations)
+    return dataclasses.replace(g, log_scales=log_scales, logit_opacities=logits)
 
 
 def gaussians_of_tree(scene: Scene, node_px: float) -> Gaussians:
@@ -52,8 +57,15 @@ def gaussians_of_tree(scene: Scene, node_px: float) -> Gaussians:
     tree = scene.tree
     from_size = np.where(tree.is_leaf, np.float32(0), tree.extents)
     sizes, counts = cuts_of(intervals_from(from_size, tree.depth))
-    at = np.maximum(np.searchsorted(sizes, from_size, side="right") - 1, 0)
-    return _drawn(scene, np.arange(len(tree), dtype=np.int32), _dilation(scene, from_size, counts[at], node_px))
+    g, curves = scene.gaussians, tree.curves
+    assert curves is not None
+    log_scales, logits = np.empty_like(g.log_scales), np.empty_like(g.logit_opacities)
+    for first in range(0, len(tree), ROWS_PER_CHUNK):
+        run = slice(first, first + ROWS_PER_CHUNK)
+        at = np.maximum(np.searchsorted(sizes, from_size[run], side="right") - 1, 0)
+        dilations = _dilation(scene, from_size[run], counts[at], node_px)
+        log_scales[run], logits[run] = _drawn(g.rows(first, first + ROWS_PER_CHUNK), curves[run], dilations)
+    return dataclasses.replace(g, log_scales=log_scales, logit_opacities=logits)
 
 
 def _follows(scene: Scene, node_px: float) -> bool:
@@ -66,11 +78,9 @@ def _dilation(scene: Scene, size: Array | float, num_nodes: Array | int, node_px
     return np.asarray(DILATION_PX2 * (size / drawn_px) ** 2)
 
 
-def _drawn(scene: Scene, rows: Array, dilations: Array) -> Gaussians:
-    """Rows as the library draws them at these dilations."""
-    assert scene.tree.curves is not None
-    g = scene.gaussians.take(rows)
-    curves = scene.tree.curves[rows].astype(np.float64)
+def _drawn(g: Gaussians, curves: Array, dilations: Array) -> tuple[Array, Array]:
+    """Log-scales and logit opacities of nodes as the library draws them at these dilations."""
+    curves = curves.astype(np.float64)
     at = np.flatnonzero((curves[:, 2] > 0) & (dilations < curves[:, 3]))  # beyond its own a node is drawn as stored
     log_scales, logits = g.log_scales.copy(), g.logit_opacities.copy()
     given = np.exp(log_scales[at].astype(np.float64))
@@ -78,4 +88,4 @@ def _drawn(scene: Scene, rows: Array, dilations: Array) -> Gaussians:
     opacities = np.clip(opacities, 1e-6, ALPHA_MAX)
     log_scales[at] = np.log(np.maximum(scales, _SCALE_MIN))
     logits[at] = np.log(opacities) - np.log1p(-opacities)
-    return dataclasses.replace(g, log_scales=log_scales, logit_opacities=logits)
+    return log_scales, logits

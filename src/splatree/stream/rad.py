@@ -49,7 +49,7 @@ def write_rad(scene: Scene, output: Path, options: StreamOptions, *, force: bool
     num_bytes = sum(path.stat().st_size for path in (output, *(output.parent / name for name in names)))
     everything = LevelWritten(0, len(scene), 0.0, max(1, len(names)), num_bytes)
     num_chunks = -(-open_rad(output).count // PAGE_ROWS)
-    return Streamed(output, "rad", num_chunks, (everything,), 1 + len(names), 0, num_bytes)
+    return Streamed(output, "rad", num_chunks, (everything,), 1 + len(names), 0, 0, num_bytes)
 
 
 def _write_chunked(scene: Scene, output: Path, *, force: bool) -> list[str]:

@@ -47,6 +47,8 @@ class Streamed:
     """Number of parts; each is a folder of pictures or a file."""
     num_parts_kept: int
     """Number of parts that were there already, from a run that was interrupted or had the same scene and options."""
+    num_parts_damaged: int
+    """Number of parts that were there, and did not hold any more what they were written with: they were made again."""
     bytes: int
     """Size of all files, bytes."""
     options: StreamOptions = field(default_factory=StreamOptions)

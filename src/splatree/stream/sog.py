@@ -30,7 +30,7 @@ from splatree.stream.errors import errors_of_levels
 from splatree.stream.levels import Level, levels_of_tree
 from splatree.stream.nodes import gaussians_of_level
 from splatree.stream.options import StreamOptions
-from splatree.stream.parts import Folder, digest_of
+from splatree.stream.parts import Folder, digest_of, write_files
 from splatree.stream.result import LevelWritten, Streamed
 from splatree.stream.workers import in_order
 
@@ -121,11 +121,12 @@ def _write_unit(
     rows = level.rows[offsets[0] : offsets[-1]]
     g = gaussians_of_level(scene, level, rows, _node_px(options))
     settings = WriteOptions(sh_palette=_palette_size(len(g)) if g.sh_degree else None)
-    name = f"{unit.level}_{unit.number}-{digest_of(g, scene.mode, settings)}"
-    was_there = folder.has(name)
-    if not was_there:
+    made_from = f"{unit.level}_{unit.number}-{digest_of(g, scene.mode, settings)}"
+    name = folder.find(made_from)
+    was_there = name is not None
+    if name is None:
         pictures, meta = sog.encode(_in_chunks(g, scene.mode), settings, order="kept")
-        folder.write_part(name, {**pictures, "meta.json": sog.as_json(meta)})
+        name = folder.make(made_from, partial(write_files, {**pictures, "meta.json": sog.as_json(meta)}))
     starts = offsets[:-1] - offsets[0]
     return _Written(name, was_there, box_around(g, starts, sigmas=1.0))
 
@@ -226,4 +227,4 @@ def _result(
         for index, level in enumerate(levels)
     )
     total = sum(sizes) + (output / MANIFEST).stat().st_size
-    return Streamed(output, "sog", len(chunks), written, len(units), num_there, total)
+    return Streamed(output, "sog", len(chunks), written, len(units), num_there, len(folder.damaged), total)

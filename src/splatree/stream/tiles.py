@@ -22,13 +22,12 @@ from splatree.constants import SIGMAS
 from splatree.io.chunks import ROWS_PER_CHUNK, Chunks
 from splatree.io.formats.glb.names import EXTENSION, SPZ_EXTENSION
 from splatree.io.formats.glb.writer import write_tile
-from splatree.io.replacing import replacing
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Scene
 from splatree.shapes import Array
 from splatree.stream.boxes import box_around
-from splatree.stream.chunks import divide
+from splatree.stream.chunks import count_leaves_before, divide
 from splatree.stream.earth import ecef_from_enu
 from splatree.stream.levels import cuts_of, intervals_from
 from splatree.stream.options import StreamOptions
@@ -64,7 +63,7 @@ class Tile:
 def tiles_of_tree(scene: Scene, tile_nodes: int) -> list[Tile]:
     """The tiles of a scene with levels, parents first."""
     tree = scene.tree
-    leaves_before = np.concatenate([[0], np.cumsum(tree.is_leaf)])
+    leaves_before = count_leaves_before(tree)
     from_size = np.where(tree.is_leaf, np.float32(0), tree.extents)
     tiles: list[Tile] = []
     pending: list[tuple[int, int, Tile | None]] = [(0, len(tree), None)]
@@ -121,15 +120,15 @@ def write_tiles(
 def _write_tile(scene: Scene, folder: Folder, numbered: tuple[int, Tile]) -> tuple[str, bool, Array]:
     number, tile = numbered
     g = scene.gaussians.take(tile.rows)
-    name = f"{tile.depth}_{number}-{digest_of(g, scene.mode, 'tile')}.glb"
-    was_there = folder.has(name)
-    if not was_there:
+    made_from = f"{tile.depth}_{number}-{digest_of(g, scene.mode, 'tile')}"
+    name = folder.find(made_from)
+    was_there = name is not None
+    if name is None:
 
         def make() -> Iterator[Gaussians]:
             return (g.rows(begin, begin + ROWS_PER_CHUNK) for begin in range(0, len(g), ROWS_PER_CHUNK))
 
-        with replacing(folder.path / name, force=True) as temporary:
-            write_tile(Chunks(len(g), g.sh_degree, scene.mode, make), temporary)
+        name = folder.make(made_from, partial(write_tile, Chunks(len(g), g.sh_degree, scene.mode, make)), ".glb")
     return name, was_there, box_around(g, np.zeros(1, np.int64), sigmas=SIGMAS)[0]
 
 
@@ -180,4 +179,4 @@ def _result(output: Path, folder: Folder, tiles: list[Tile], names: list[str], n
             )
         )
     total = sum(sizes) + (output / MANIFEST).stat().st_size
-    return Streamed(output, "3dtiles", len(tiles), tuple(levels), len(tiles), num_there, total)
+    return Streamed(output, "3dtiles", len(tiles), tuple(levels), len(tiles), num_there, len(folder.damaged), total)

@@ -66,6 +66,7 @@ class Client:
         self._motion: Motion | None = None
         self._quality = Carried(exhibit.session)
         self._rung = 0
+        self._unfinished: tuple[Request, Selection] | None = None
         self.camera: Camera | None = None
         """The newest view of the page."""
         self.seen_s = time.monotonic()
@@ -135,6 +136,7 @@ class Client:
             self._rung = len(LADDER)
         self._exhibit, self._motion, self._quality = exhibit, None, Carried(exhibit.session)
         self._slots = Slots(exhibit.shown, exhibit.centre, self._capacity)
+        self._unfinished = None
         self._send(pack_message({"kind": "scene", "capacity": self._capacity, **exhibit.facts}))
 
     def _answer(self, request: Request) -> None:
@@ -148,16 +150,23 @@ class Client:
             self._boxes(request)
 
     def _cut(self, request: Request) -> None:
-        """One cut, or a step towards it: then the request is put back, unless a newer one has come."""
+        """One cut, or a step towards it: then the request is put back, unless a newer one has come.
+
+        A request that is put back for the rest of its colours has its cut already.
+        """
         budget = min(request.select.budget or self._capacity, self._capacity)
         is_step = self._rung < len(LADDER) and LADDER[self._rung] < budget
         if is_step:
             budget = LADDER[self._rung]
         camera, eye = guarded_by(request.camera, request.guard), request.camera.position
         start = time.process_time()
+        unfinished, self._unfinished = self._unfinished, None
         try:
-            select = self._quality.settled(request.camera, request.select)
-            chosen = self._exhibit.cut(camera, replace(select, budget=budget), self._last)
+            if unfinished is not None and unfinished[0] is request:
+                chosen = unfinished[1]
+            else:
+                select = self._quality.settled(request.camera, request.select)
+                chosen = self._exhibit.cut(camera, replace(select, budget=budget), self._last)
         except InputError:
             if not is_step:
                 raise
@@ -173,6 +182,7 @@ class Client:
             self._last = _next_guess(chosen, LADDER[self._rung] if self._rung < len(LADDER) else 4 * budget)
         else:
             self._rung = len(LADDER)
+            self._unfinished = (request, chosen) if change.is_behind else None
         is_last = not (is_step or change.is_behind)
         depths = np.bincount(self._exhibit.shown.depths(chosen.rows), minlength=1)
         header = {
@@ -181,6 +191,7 @@ class Client:
             "rows": len(chosen),
             "drop": len(change.drop),
             "add": len(change.add),
+            "shape": len(change.shaped),
             "tint": len(change.tint),
             "last": is_last,
             "visited": chosen.num_visited,

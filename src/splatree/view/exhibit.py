@@ -24,6 +24,7 @@ from splatree.scene.options import RenderOptions, SelectOptions
 from splatree.scene.scene import Scene
 from splatree.scene.view import View
 from splatree.shapes import Array, Float64
+from splatree.simplify.merge import check_finite
 from splatree.view.shown import Shown, shown_of
 
 __all__ = ["Exhibit", "exhibit", "has_levels", "with_levels"]
@@ -149,10 +150,12 @@ def exhibit(
         device: where views are selected and pictures drawn.
 
     Raises:
-        InputError: the scene is empty.
+        InputError: the scene is empty, or was not read from a file and holds what is not finite.
     """
     if len(scene) == 0:
         raise InputError(f"{name}: found no Gaussians, wanted at least one to show")
+    if isinstance(scene, Scene) and not scene.source.paths:  # files are checked when they are read
+        check_finite(scene.gaussians)
     session = open_session(scene if isinstance(scene, Store) else with_levels(scene), device=device)
     shown = shown_of(scene if isinstance(scene, Store) else session.scene)
     if framing is None:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from splatree.kernels.cpu.codec.nodes import pack_colors, pack_nodes
+from splatree.kernels.cpu.codec.nodes import pack_colors, pack_nodes, pack_shapes
 from splatree.kernels.cpu.codec.slots import drifted, keep, release, stale
 from splatree.kernels.reference.nodes import NODE_WORDS, with_depths
 from splatree.scene.view import View
@@ -22,8 +22,9 @@ __all__ = ["Change", "Slots"]
 EYE_SHARE = 0.05
 """A node's colour is sent again when the eye has moved by this share of its distance since: an angle of 3° at most."""
 
-TINTS = 20_000
-"""Colours sent again in one message at most; the rest follows: 160 kB, a third of what the page takes in anyway."""
+TINTS = 25_000
+"""Colours sent again in one message at most; the rest follows: 200 kB, a third of what the page takes in anyway. At steps of 2°
+about a city the colours of a page have a root mean square error of 0.02, of 0 to 1."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +37,10 @@ class Change:
     """Slots that are filled; some may have fallen free by the same change."""
     nodes: UInt32[Array, "a 8"]
     """What they are filled with (kernels/reference/nodes.py)."""
+    shaped: UInt32[Array, "s"]
+    """Slots whose node looks otherwise at its pixel by now."""
+    shapes: UInt32[Array, "s 2"]
+    """Their opacities and scales."""
     tint: UInt32[Array, "t"]
     """Slots whose colour changes."""
     colors: UInt32[Array, "t"]
@@ -46,7 +51,7 @@ class Change:
     @property
     def payload(self) -> bytes:
         """All arrays one after the other, little-endian."""
-        parts = (self.drop, self.add, self.nodes, self.tint, self.colors)
+        parts = (self.drop, self.add, self.nodes, self.shaped, self.shapes, self.tint, self.colors)
         return b"".join(np.ascontiguousarray(part, "<u4").tobytes() for part in parts)
 
 
@@ -80,10 +85,8 @@ class Slots:
         """
         self._step += 1
         depths = depths_of(view) if self._shown.follows else None
-        drifts = self._let_drift(depths)
         slots, places = keep(rows, self._slot_after, self._stamps, self._step)
-        gone = release(self.rows, self.slots, self._slot_after, self._stamps, self._step)
-        drop = np.concatenate([drifts, gone])
+        drop = release(self.rows, self.slots, self._slot_after, self._stamps, self._step)
         self._free[self._num_free : self._num_free + len(drop)] = drop
         top = self._num_free + len(drop)
         self._num_free = top - len(places)
@@ -94,8 +97,10 @@ class Slots:
             self._eyes[add] = eye - self._centre
         self.rows, self.slots = rows, slots
         nodes = self._nodes(new, add, eye, depths)
+        shaped, shapes = self._shapes(depths)
         tint, colors = self._tints(eye)
-        return Change(drop.view(np.uint32), add.view(np.uint32), nodes, tint.view(np.uint32), colors, self._is_behind)
+        dropped, added, changed, tinted = (places.view(np.uint32) for places in (drop, add, shaped, tint))
+        return Change(dropped, added, nodes, changed, shapes, tinted, colors, self._is_behind)
 
     def _nodes(
         self, rows: Int32[Array, "a"], slots: Int32[Array, "a"], eye: Array, depths: Depths | None
@@ -114,15 +119,17 @@ class Slots:
         with_depths(nodes, self._shown.depths(rows))
         return nodes
 
-    def _let_drift(self, depths: Depths | None) -> Int32[Array, "d"]:
-        """Slots of nodes that look too different by now; their rows are forgotten, so that they come again as new ones."""
+    def _shapes(self, depths: Depths | None) -> tuple[Int32[Array, "s"], UInt32[Array, "s 2"]]:
+        """The slots of merged nodes that look too different by now, and how they look."""
         if depths is None:
-            return np.zeros(0, np.int32)
-        places = drifted(self.slots, self._means, self._limits, self._dilations, depths, DRIFT)
-        slots = self.slots[places]
-        self._slot_after[self.rows[places]] = 0
-        self.rows, self.slots = np.delete(self.rows, places), np.delete(self.slots, places)
-        return slots
+            return np.zeros(0, np.int32), np.zeros((0, 2), np.uint32)
+        places, dilations = drifted(self.slots, self._means, self._limits, self._dilations, depths, DRIFT)
+        rows, slots = self.rows[places], self.slots[places]
+        self._dilations[slots] = dilations
+        shapes = np.empty((len(rows), 2), np.uint32)
+        for part in self._shown.parts(rows):
+            shapes[part.of_rows] = pack_shapes(part.gaussians, part.tree, part.places, dilations[part.of_rows])
+        return slots, shapes
 
     def _tints(self, eye: Array) -> tuple[Int32[Array, "t"], UInt32[Array, "t"]]:
         """The slots whose colours the eye has left behind, and their new colours."""

@@ -47,7 +47,7 @@ def view(
         The viewer; as the last value of a notebook's cell it shows the scene there.
 
     Raises:
-        InputError: the scene is empty.
+        InputError: the scene is empty, or was not read from a file and holds what is not finite.
         OutputError: the port cannot be listened on.
 
     Example:

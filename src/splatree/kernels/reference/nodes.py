@@ -21,7 +21,16 @@ from splatree.scene.gaussians import Gaussians
 from splatree.scene.tree import GaussianTree
 from splatree.shapes import Array, Float32, Float64, Int32, UInt8, UInt32
 
-__all__ = ["COLOR_MAX", "LOG_SCALE_MAX", "NODE_WORDS", "pack_colors", "pack_nodes", "unpack_nodes", "with_depths"]
+__all__ = [
+    "COLOR_MAX",
+    "LOG_SCALE_MAX",
+    "NODE_WORDS",
+    "pack_colors",
+    "pack_nodes",
+    "pack_shapes",
+    "unpack_nodes",
+    "with_depths",
+]
 
 NODE_WORDS = 8
 """Words of a node."""
@@ -96,6 +105,14 @@ def pack_colors(gaussians: Gaussians, rows: Int32[Array, "v"], eye: Float64[Arra
     shares = np.clip(colors / COLOR_MAX, 0, 1)
     red, green, blue = np.rint(shares.T * np.array([[2047], [2047], [1023]])).astype(np.uint32)
     return np.asarray(red | green << 11 | blue << 22)
+
+
+def pack_shapes(
+    gaussians: Gaussians, tree: GaussianTree, rows: Int32[Array, "v"], dilations: Float32[Array, "v"]
+) -> UInt32[Array, "v 2"]:
+    """Opacity and scales of rows as they are drawn at ``dilations``, world units², with the 16 bits that nodes have of them."""
+    words = pack_nodes(gaussians, tree, rows, np.zeros(3), np.zeros(3), dilations)
+    return np.stack([words[:, 3] >> 16 | words[:, 6] & np.uint32(0xFFFF0000), words[:, 7]], axis=1)
 
 
 def unpack_nodes(words: UInt32[Array, "v 8"]) -> dict[str, Array]:

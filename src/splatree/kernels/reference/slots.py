@@ -62,8 +62,9 @@ def drifted(
     sent: Float32[Array, "s"],
     depths: tuple[Float64[Array, "4"], float],
     factor: float,
-) -> Int32[Array, "d"]:
-    """The places of slots whose nodes were sent with another dilation than they have by now, by more than a factor.
+) -> tuple[Int32[Array, "d"], Float32[Array, "d"]]:
+    """The places of slots whose nodes were sent with another dilation than they have by now, by more than a factor, and the
+    dilations that they have.
 
     The dilation, world units², is that of a pixel at the depth of the mean, at most the limit of the node. ``depths`` are the
     plane (n, d) with the depth n·p + d, and the dilation at depth 1.
@@ -71,4 +72,5 @@ def drifted(
     plane, unit = depths
     depth = means[slots].astype(np.float64) @ plane[:3] + plane[3]
     now, before = np.minimum(unit * depth * depth, limits[slots]), sent[slots].astype(np.float64)
-    return np.flatnonzero((now > factor * before) | (factor * now < before)).astype(np.int32)
+    places = np.flatnonzero((now > factor * before) | (factor * now < before)).astype(np.int32)
+    return places, now[places].astype(np.float32)

@@ -30,6 +30,7 @@ constexpr double DILATION_MAX_PX2 = 1000000000000.0;
 constexpr double EIGENVALUE_FLOOR_PX4 = 0.1;
 constexpr double CENTRE_PAD = 0.1;
 constexpr int BLOCK_ROWS = 256;
+constexpr int BLOCK_STEPS = 8;
 constexpr int BLOCKS_PER_GROUP = 64;
 constexpr double SH_C0 = 0.28209479177387814;
 constexpr double SH_C1 = 0.4886025119029199;

@@ -37,6 +37,8 @@ export class Store {
       return array;
     };
     const change = { header, drop: part(header.drop), add: part(header.add), nodes: part(WORDS * header.add) };
+    change.shaped = part(header.shape);
+    change.shapes = part(2 * header.shape);
     change.tint = part(header.tint);
     change.colors = part(header.tint);
     change.version = ++this.version;
@@ -72,6 +74,13 @@ export class Store {
         const slot = change.add[i], from = WORDS * i, to = WORDS * slot;
         for (let k = 0; k < WORDS; k++) this.words[to + k] = change.nodes[from + k];
         rows.add((slot / ROW) | 0);
+      }
+      for (let i = 0; i < change.shaped.length; i++) {
+        const at = WORDS * change.shaped[i], first = change.shapes[2 * i];
+        this.words[at + 3] = (this.words[at + 3] & 0xffff) | (first << 16); // opacity
+        this.words[at + 6] = (this.words[at + 6] & 0xffff) | (first & 0xffff0000); // and three scales
+        this.words[at + 7] = change.shapes[2 * i + 1];
+        rows.add((change.shaped[i] / ROW) | 0);
       }
       for (let i = 0; i < change.tint.length; i++) {
         this.words[WORDS * change.tint[i] + 4] = change.colors[i];

@@ -32,6 +32,14 @@ void bind_pack_nodes(nb::handle gaussians, nb::handle tree, const std::optional<
              threads);
 }
 
+void bind_pack_shapes(nb::handle gaussians, nb::handle tree, const In<float>& curves, const In<int32_t>& rows,
+                      const In<float>& dilations, const Out<uint32_t>& out, int threads) {
+  const NodeColumns columns = columns_of(gaussians);
+  const NodeTree of_tree = {column<int32_t>(tree, "subtree_end"), column<uint8_t>(tree, "depth"), curves.data()};
+  nb::gil_scoped_release released;
+  pack_shapes(columns, of_tree, rows.data(), dilations.data(), static_cast<int64_t>(rows.size()), out.data(), threads);
+}
+
 void bind_pack_colors(nb::handle gaussians, const In<int32_t>& rows, const In<double>& eye, const Out<uint32_t>& out,
                       int threads) {
   const NodeColumns columns = columns_of(gaussians);
@@ -61,10 +69,10 @@ int64_t bind_stale(const In<int32_t>& slots, const In<float>& means, const In<fl
 }
 
 int64_t bind_drifted(const In<int32_t>& slots, const In<float>& means, const In<float>& limits, const In<float>& dilations,
-                     const In<double>& plane, double unit, double factor, const Out<int32_t>& out) {
+                     const In<double>& plane, double unit, double factor, const Out<int32_t>& out, const Out<float>& now) {
   nb::gil_scoped_release released;
   return drifted_slots(slots.data(), static_cast<int64_t>(slots.size()), {means.data(), nullptr, limits.data(), dilations.data()},
-                       plane.data(), unit, factor, out.data());
+                       plane.data(), unit, factor, out.data(), now.data());
 }
 
 }  // namespace
@@ -72,13 +80,14 @@ int64_t bind_drifted(const In<int32_t>& slots, const In<float>& means, const In<
 void bind_nodes(nb::module_& m) {
   m.def("pack_nodes", &bind_pack_nodes, "gaussians"_a, "tree"_a, "curves"_a.none(), "rows"_a, "dilations"_a.none(), "eye"_a,
         "centre"_a, "out"_a, "threads"_a = 0);
+  m.def("pack_shapes", &bind_pack_shapes, "gaussians"_a, "tree"_a, "curves"_a, "rows"_a, "dilations"_a, "out"_a, "threads"_a = 0);
   m.def("pack_colors", &bind_pack_colors, "gaussians"_a, "rows"_a, "eye"_a, "out"_a, "threads"_a = 0);
   m.def("keep_slots", &bind_keep, "rows"_a, "slot_after"_a, "stamps"_a, "step"_a, "slots"_a, "out"_a);
   m.def("release_slots", &bind_release, "held"_a, "slots"_a, "slot_after"_a, "stamps"_a, "step"_a, "out"_a);
   m.def("stale_slots", &bind_stale, "slots"_a, "means"_a, "eyes"_a, "eye"_a, "centre"_a, "share"_a, "first"_a, "limit"_a,
         "out"_a);
-  m.def("drifted_slots", &bind_drifted, "slots"_a, "means"_a, "limits"_a, "dilations"_a, "plane"_a, "unit"_a, "factor"_a,
-        "out"_a);
+  m.def("drifted_slots", &bind_drifted, "slots"_a, "means"_a, "limits"_a, "dilations"_a, "plane"_a, "unit"_a, "factor"_a, "out"_a,
+        "now"_a);
 }
 
 }  // namespace splatree

@@ -1,4 +1,4 @@
-// A row at a time: what is gathered of it lies in five places of memory, which takes longer than the arithmetic.
+// A row at a time: what is gathered of it lies in many places of memory, which takes longer than the arithmetic.
 #include "cpu/codec/nodes.h"
 
 #include <cmath>
@@ -70,6 +70,18 @@ Shape drawn_at(float dilation, const float* curve, const Shape& stored) {
   return {{log_of(drawn.scale.x), log_of(drawn.scale.y), log_of(drawn.scale.z)}, drawn.opacity};
 }
 
+// A row as it is drawn at a dilation, of a tree with curves, in steps of 16 bits: opacity and three scales.
+void steps_of(const NodeColumns& columns, const NodeTree& tree, int64_t row, const float* dilation, uint32_t (&steps)[4]) {
+  const float* given = columns.log_scales + 3 * row;
+  Shape shape = {{given[0], given[1], given[2]}, 1.f / (1.f + std::exp(-columns.logit_opacities[row]))};
+  if (tree.curves && tree.curves[4 * row + 2] > 0) shape = drawn_at(*dilation, tree.curves + 4 * row, shape);
+  steps[0] = rounded(65535 * shape.opacity);
+  for (int axis = 0; axis < 3; ++axis) {
+    const float share = held(shape.log_scales[axis] * (1 / LOG_SCALE_MAX), -1.f, 1.f);
+    steps[1 + axis] = rounded((share + 1.f) * 32767.5f);
+  }
+}
+
 void fetch_color(const NodeColumns& columns, int64_t row) {
   const int64_t size = 3 * (columns.degree + 1) * (columns.degree + 1);
   __builtin_prefetch(columns.means + 3 * row);
@@ -78,12 +90,15 @@ void fetch_color(const NodeColumns& columns, int64_t row) {
 }
 
 void fetch_shape(const NodeColumns& columns, const NodeTree& tree, int64_t row) {
-  __builtin_prefetch(columns.quats + 4 * row);
   __builtin_prefetch(columns.log_scales + 3 * row);
   __builtin_prefetch(columns.logit_opacities + row);
+  if (tree.curves) __builtin_prefetch(tree.curves + 4 * row);
+}
+
+void fetch_rest(const NodeColumns& columns, const NodeTree& tree, int64_t row) {
+  __builtin_prefetch(columns.quats + 4 * row);
   __builtin_prefetch(tree.subtree_end + row);
   __builtin_prefetch(tree.depth + row);
-  if (tree.curves) __builtin_prefetch(tree.curves + 4 * row);
 }
 
 }  // namespace
@@ -92,25 +107,36 @@ void pack_nodes(const NodeColumns& columns, const NodeTree& tree, const int32_t*
                 const double* eye, const double* centre, uint32_t* out, int threads) {
   parallel_ranges(num_rows, ROWS_PER_CHUNK, threads, [&](int64_t begin, int64_t end) {
     for (int64_t i = begin; i < end; ++i) {
-      if (i + AHEAD < end) fetch_shape(columns, tree, rows[i + AHEAD]), fetch_color(columns, rows[i + AHEAD]);
+      if (i + AHEAD < end) {
+        fetch_shape(columns, tree, rows[i + AHEAD]);
+        fetch_rest(columns, tree, rows[i + AHEAD]);
+        fetch_color(columns, rows[i + AHEAD]);
+      }
       const int64_t row = rows[i];
       uint32_t* words = out + 8 * i;
       for (int axis = 0; axis < 3; ++axis) words[axis] = bits(static_cast<float>(columns.means[3 * row + axis] - centre[axis]));
-      uint32_t small[3], scale[3];
+      uint32_t small[3], steps[4];
       const int largest = smallest_three(columns.quats + 4 * row, small);
-      const float* given = columns.log_scales + 3 * row;
-      Shape shape = {{given[0], given[1], given[2]}, 1.f / (1.f + std::exp(-columns.logit_opacities[row]))};
-      if (tree.curves && tree.curves[4 * row + 2] > 0) shape = drawn_at(dilations[i], tree.curves + 4 * row, shape);
-      for (int axis = 0; axis < 3; ++axis) {
-        const float share = held(shape.log_scales[axis] * (1 / LOG_SCALE_MAX), -1.f, 1.f);
-        scale[axis] = rounded((share + 1.f) * 32767.5f);
-      }
+      steps_of(columns, tree, row, dilations + i, steps);
       const uint32_t level = (tree.depth[row] < 127 ? tree.depth[row] : 127) | (tree.subtree_end[row] == row + 1) << 7;
-      words[3] = largest | level << 8 | rounded(65535 * shape.opacity) << 16;
+      words[3] = largest | level << 8 | steps[0] << 16;
       words[4] = color_of(columns, row, eye);
       words[5] = small[0] | small[1] << 16;
-      words[6] = small[2] | scale[0] << 16;
-      words[7] = scale[1] | scale[2] << 16;
+      words[6] = small[2] | steps[1] << 16;
+      words[7] = steps[2] | steps[3] << 16;
+    }
+  });
+}
+
+void pack_shapes(const NodeColumns& columns, const NodeTree& tree, const int32_t* rows, const float* dilations, int64_t num_rows,
+                 uint32_t* out, int threads) {
+  parallel_ranges(num_rows, ROWS_PER_CHUNK, threads, [&](int64_t begin, int64_t end) {
+    for (int64_t i = begin; i < end; ++i) {
+      if (i + AHEAD < end) fetch_shape(columns, tree, rows[i + AHEAD]);
+      uint32_t steps[4];
+      steps_of(columns, tree, rows[i], dilations + i, steps);
+      out[2 * i] = steps[0] | steps[1] << 16;
+      out[2 * i + 1] = steps[2] | steps[3] << 16;
     }
   });
 }

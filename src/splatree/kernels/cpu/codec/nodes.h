@@ -23,6 +23,10 @@ struct NodeTree {
 void pack_nodes(const NodeColumns& columns, const NodeTree& tree, const int32_t* rows, const float* dilations, int64_t num_rows,
                 const double* eye, const double* centre, uint32_t* out, int threads);
 
+// out[2 i] and out[2 i + 1] from rows[i]: opacity and scales of its node, in halves.
+void pack_shapes(const NodeColumns& columns, const NodeTree& tree, const int32_t* rows, const float* dilations, int64_t num_rows,
+                 uint32_t* out, int threads);
+
 // out[i] from rows[i].
 void pack_colors(const NodeColumns& columns, const int32_t* rows, int64_t num_rows, const double* eye, uint32_t* out,
                  int threads);

@@ -8,7 +8,7 @@ from splatree.scene.gaussians import Gaussians
 from splatree.scene.tree import GaussianTree
 from splatree.shapes import Array, Float32, Float64, Int32, UInt32
 
-__all__ = ["pack_colors", "pack_nodes"]
+__all__ = ["pack_colors", "pack_nodes", "pack_shapes"]
 
 
 def pack_nodes(
@@ -24,6 +24,16 @@ def pack_nodes(
     out = np.empty((len(rows), NODE_WORDS), np.uint32)
     curves = None if dilations is None else tree.curves
     _core.pack_nodes(gaussians, tree, curves, np.ascontiguousarray(rows), dilations, eye, centre, out)
+    return out
+
+
+def pack_shapes(
+    gaussians: Gaussians, tree: GaussianTree, rows: Int32[Array, "v"], dilations: Float32[Array, "v"]
+) -> UInt32[Array, "v 2"]:
+    """Opacity and scales of rows of a tree with curves as they are drawn at ``dilations``, world units², in halves of words."""
+    assert tree.curves is not None
+    out = np.empty((len(rows), 2), np.uint32)
+    _core.pack_shapes(gaussians, tree, tree.curves, np.ascontiguousarray(rows), dilations, out)
     return out
 
 

@@ -51,16 +51,17 @@ int64_t stale_slots(const int32_t* slots, int64_t num_slots, const SentNodes& se
 }
 
 int64_t drifted_slots(const int32_t* slots, int64_t num_slots, const SentNodes& sent, const double* plane, double unit,
-                      double factor, int32_t* out) {
+                      double factor, int32_t* out, float* now) {
   int64_t count = 0;
   for (int64_t i = 0; i < num_slots; ++i) {
     const int64_t slot = slots[i];
     const double limit = sent.limits[slot], before = sent.dilations[slot];
     const float* mean = sent.means + 3 * slot;
     const double depth = plane[0] * mean[0] + plane[1] * mean[1] + plane[2] * mean[2] + plane[3];
-    const double whole = unit * depth * depth, now = whole < limit ? whole : limit;
+    const double whole = unit * depth * depth, found = whole < limit ? whole : limit;
     out[count] = int32_t(i);
-    count += (now > factor * before) | (factor * now < before);
+    now[count] = static_cast<float>(found);
+    count += (found > factor * before) | (factor * found < before);
   }
   return count;
 }

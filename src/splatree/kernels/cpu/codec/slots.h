@@ -19,7 +19,8 @@ int64_t release_slots(const int32_t* rows, const int32_t* slots, int64_t num_row
 // At most `limit` places, and one more to say that there are more.
 int64_t stale_slots(const int32_t* slots, int64_t num_slots, const SentNodes& sent, const double* eye, const double* centre,
                     double share, int64_t first, int64_t limit, int32_t* out);
+// Also writes the dilation that each of them has by now.
 int64_t drifted_slots(const int32_t* slots, int64_t num_slots, const SentNodes& sent, const double* plane, double unit,
-                      double factor, int32_t* out);
+                      double factor, int32_t* out, float* now);
 
 }  // namespace splatree

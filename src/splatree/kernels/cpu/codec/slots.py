@@ -49,7 +49,9 @@ def drifted(
     sent: Float32[Array, "s"],
     depths: tuple[Float64[Array, "4"], float],
     factor: float,
-) -> Int32[Array, "d"]:
-    """The places of slots whose nodes were sent with another dilation than they have by now, by more than a factor."""
-    out = np.empty(len(slots), np.int32)
-    return out[: _core.drifted_slots(slots, means, limits, sent, *depths, factor, out)]
+) -> tuple[Int32[Array, "d"], Float32[Array, "d"]]:
+    """The places of slots whose nodes were sent with another dilation than they have by now, by more than a factor, and the
+    dilations that they have."""
+    out, now = np.empty(len(slots), np.int32), np.empty(len(slots), np.float32)
+    count = _core.drifted_slots(slots, means, limits, sent, *depths, factor, out, now)
+    return out[:count], now[:count]

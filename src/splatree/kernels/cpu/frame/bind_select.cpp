@@ -53,14 +53,15 @@ SelectJob job_of(const py::Gaussians& gaussians, const py::GaussianTree& tree, c
 }
 
 BlockColumns blocks_of(const py::BlockIndex& blocks) {
-  return {
-      number<int>(blocks, "rows_per_block"),
-      {column<float>(blocks, "lower"), column<float>(blocks, "upper"), column<float>(blocks, "leaf_scales")},
-      {column<float>(blocks, "group_lower"), column<float>(blocks, "group_upper"), column<float>(blocks, "group_leaf_scales")},
-      column<float>(blocks, "min_logits"),
-      column<uint8_t>(blocks, "size_classes"),
-      column<int32_t>(blocks, "ancestor_start"),
-      column<int32_t>(blocks, "ancestors")};
+  return {number<int>(blocks, "rows_per_block"),
+          {column<float>(blocks, "lower"), column<float>(blocks, "upper"), column<float>(blocks, "leaf_scales"),
+           column<float>(blocks, "step_extents"), column<float>(blocks, "step_scales")},
+          {column<float>(blocks, "group_lower"), column<float>(blocks, "group_upper"), column<float>(blocks, "group_leaf_scales"),
+           nullptr, nullptr},
+          column<float>(blocks, "min_logits"),
+          column<uint8_t>(blocks, "size_classes"),
+          column<int32_t>(blocks, "ancestor_start"),
+          column<int32_t>(blocks, "ancestors")};
 }
 
 SelectJob cut_job(const py::Gaussians& gaussians, const py::GaussianTree& tree, const py::BlockIndex& blocks,
@@ -217,6 +218,8 @@ void block_bounds(py::Gaussians gaussians, py::GaussianTree tree, py::BlockIndex
                       out_column<float>(blocks, "lower"),
                       out_column<float>(blocks, "upper"),
                       out_column<float>(blocks, "leaf_scales"),
+                      out_column<float>(blocks, "step_extents"),
+                      out_column<float>(blocks, "step_scales"),
                       out_column<float>(blocks, "min_logits"),
                       out_column<float>(blocks, "group_lower"),
                       out_column<float>(blocks, "group_upper"),

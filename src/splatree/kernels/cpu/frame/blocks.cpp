@@ -1,6 +1,8 @@
 // The block index of a tree; kernels/reference/blocks.py is the definition. One pass over the rows, limited by memory.
+#include <algorithm>
 #include <cmath>
 #include <limits>
+#include <utility>
 #include <vector>
 
 #include "cpu/frame/select.h"
@@ -39,9 +41,34 @@ uint8_t class_of(const float* log_scales, float log_third) {
   return uint8_t(size_class > 0 ? size_class < LEAF_CLASS - 1 ? size_class : LEAF_CLASS - 1 : 0);
 }
 
+constexpr float RESERVE = 1.f + 1e-5f;  // for the rounding of any exponential in float32
+
+// A row that may be drawn beyond its extent: this, and its largest log-scale.
+using Wide = std::pair<float, float>;
+
+// The steps of a block, given the largest log-scale of its leaves and its wide rows, which are sorted.
+void store_steps(float leaf, std::vector<Wide>& wide, float* extents, float* scales) {
+  std::sort(wide.begin(), wide.end());
+  std::vector<Wide> steps{{0.f, leaf}};
+  for (const Wide& row : wide) {
+    if (!(row.second > steps.back().second)) continue;
+    if (steps.size() > 1 && row.first == steps.back().first) steps.pop_back();
+    steps.push_back(row);
+  }
+  // Of too many steps the first ones behind that of the leaves become one: it begins where they begin.
+  const int surplus = steps.size() > BLOCK_STEPS ? int(steps.size()) - BLOCK_STEPS : 0;
+  for (int i = 0; i < BLOCK_STEPS; ++i) {
+    const size_t from = i ? i + surplus : 0;
+    const bool is_there = from < steps.size();
+    extents[i] = !is_there ? INFINITE : steps[i == 1 ? 1 : from].first;
+    scales[i] = std::exp((is_there ? steps[from] : steps.back()).second) * RESERVE;
+  }
+}
+
 void bound_block(const BoundsJob& job, int64_t block, int64_t begin, int64_t end) {
   Box box;
   float leaf = -INFINITE, logit = INFINITE;
+  std::vector<Wide> wide;
   for (int64_t i = begin; i < end; ++i) {
     const float* s = job.log_scales + 3 * i;
     box.add(job.means + 3 * i, job.means + 3 * i);
@@ -54,14 +81,15 @@ void bound_block(const BoundsJob& job, int64_t block, int64_t begin, int64_t end
       continue;
     }
     const float log_third = std::log(job.extents[i] / 3.f);
-    if (largest > log_third + 1e-5f) leaf = greater(largest, leaf);  // an extent that is 3σ may have been rounded
+    if (largest > log_third + 1e-5f) wide.emplace_back(job.extents[i], largest);  // an extent that is 3σ may have been rounded
     const float* mean = job.means + 3 * i;
     const bool has_place = !(std::isnan(mean[0]) || std::isnan(mean[1]) || std::isnan(mean[2]));
     job.size_classes[i] = has_place ? class_of(s, log_third) : uint8_t(UNBOUNDED_CLASS);
   }
   box.store(job.lower + 3 * block, job.upper + 3 * block);
-  // A reserve for the rounding of any exponential in float32.
-  job.leaf_scales[block] = std::exp(leaf) * (1.f + 1e-5f);
+  float* const scales = job.step_scales + BLOCK_STEPS * block;
+  store_steps(leaf, wide, job.step_extents + BLOCK_STEPS * block, scales);
+  job.leaf_scales[block] = scales[BLOCK_STEPS - 1];
   job.min_logits[block] = logit;
 }
 

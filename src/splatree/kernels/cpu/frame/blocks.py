@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from splatree.constants import BLOCK_ROWS, BLOCKS_PER_GROUP
+from splatree.constants import BLOCK_ROWS, BLOCK_STEPS, BLOCKS_PER_GROUP
 from splatree.kernels.cpu import _core
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.tree import BlockIndex, GaussianTree
@@ -24,6 +24,8 @@ def index_blocks(
         lower=_floats(num_blocks, 3),
         upper=_floats(num_blocks, 3),
         leaf_scales=_floats(num_blocks),
+        step_extents=_floats(num_blocks, BLOCK_STEPS),
+        step_scales=_floats(num_blocks, BLOCK_STEPS),
         min_logits=_floats(num_blocks),
         ancestor_start=start,
         ancestors=ancestors,

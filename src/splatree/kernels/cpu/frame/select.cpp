@@ -58,16 +58,25 @@ Placement place(const SelectJob& job, const RunBounds& bounds, int64_t run) {
     found.inside = job.view_test == UNSEEN_TOO;
     return found;
   }
-  double scale = bounds.leaf_scales[run];
-  if (job.rule.sphere) {
-    // An inner row that is drawn has 3σ <= extent <= τ_R (distance - extent) / f.
-    const double drawn = job.rule.pixel_error * found.distance_max / (3.0 * job.rule.focal_max);
-    scale = drawn > scale ? drawn : scale;
-  }
+  bool has_all_beyond = false;  // the means, over one side at least
   for (int i = 0; i < NUM_SIDES; ++i) {
-    found.outside |= low[OUTSIDE + i] > job.reach[i] * scale;
+    has_all_beyond |= low[OUTSIDE + i] > 0;
     found.inside &= high[INSIDE + i] < 0;
   }
+  if (!has_all_beyond) return found;
+  double scale = bounds.leaf_scales[run];
+  if (job.rule.sphere) {
+    // An inner row that is drawn has an extent of at most τ_R (distance - extent) / f; 3σ is at most this, or in the steps.
+    const double most = job.rule.pixel_error * found.distance_max / job.rule.focal_max * MARGIN;
+    if (bounds.step_extents && found.distance_max < DISTANCE_MOST) {
+      const float* extents = bounds.step_extents + BLOCK_STEPS * run;
+      int step = 0;
+      for (int i = 1; i < BLOCK_STEPS; ++i) step += extents[i] <= most;
+      scale = bounds.step_scales[BLOCK_STEPS * run + step];
+    }
+    scale = most > 3.0 * scale ? most / 3.0 : scale;
+  }
+  for (int i = 0; i < NUM_SIDES; ++i) found.outside |= low[OUTSIDE + i] > job.reach[i] * scale;
   return found;
 }
 

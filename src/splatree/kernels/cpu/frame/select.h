@@ -8,12 +8,14 @@
 namespace splatree {
 
 constexpr int BLOCKS_PER_GROUP = constants::BLOCKS_PER_GROUP;
+constexpr int BLOCK_STEPS = constants::BLOCK_STEPS;
 constexpr int MAX_BLOCK_ROWS = 1024;
 
 // Bounds of b runs of rows: lower and upper corners of the means, [b 3] each, and largest standard deviation of the leaves and
-// of the rows that may be drawn beyond their extent.
+// of the rows that may be drawn beyond their extent. The steps, [b BLOCK_STEPS], say it of those that a view draws: from which
+// extent on, and how large. Null where they are not known.
 struct RunBounds {
-  const float *lower, *upper, *leaf_scales;
+  const float *lower, *upper, *leaf_scales, *step_extents, *step_scales;
 };
 
 struct BlockColumns {
@@ -67,7 +69,7 @@ struct BoundsJob {
   const float* extents;
   int64_t num_rows;
   int rows_per_block, threads;
-  float *lower, *upper, *leaf_scales, *min_logits, *group_lower, *group_upper, *group_leaf_scales;
+  float *lower, *upper, *leaf_scales, *step_extents, *step_scales, *min_logits, *group_lower, *group_upper, *group_leaf_scales;
   uint8_t* size_classes;
 };
 
