@@ -2,7 +2,8 @@
 
 ``python benchmarks/occlusion.py [--scenes ...] [--method pairs] [--shares 2 5 10 20 40]`` needs the shared scenes. Six views of
 each scene (levels.py) at 960 × 540 px. A budget is a share of the leaves in view. Both pictures are compared with that of all
-leaves; better ones than 60 dB count as that. Milliseconds are of the processor, for the selection of a view alone, the cheaper of two.
+leaves; better ones than 60 dB count as that. Milliseconds are of the processor, for the selection of a view alone, the cheaper of
+two.
 """
 
 import argparse
@@ -34,8 +35,12 @@ def main() -> None:
                 rows += of_view(session, view, arguments.shares, {"scene": name, "view": key})
     print(table(rows))
     gains = np.array([row["gain, dB"] for row in rows])
-    print(f"mean {gains.mean():+.2f} dB, worst {gains.min():+.2f}, cells that lose {int((gains < -0.05).sum())} of {len(gains)}")
-    save("occlusion", rows, about="Cuts that draw hidden nodes more coarsely, against cuts of as many nodes that do not")
+    print(
+        f"mean {gains.mean():+.2f} dB, worst {gains.min():+.2f}, cells that lose {int((gains < -0.05).sum())} of {len(gains)}"
+    )
+    save(
+        "occlusion", rows, about="Cuts that draw hidden nodes more coarsely, against cuts of as many nodes that do not"
+    )
 
 
 def of_view(

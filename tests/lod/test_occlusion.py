@@ -55,7 +55,9 @@ def wall(num_behind: int) -> Scene:
     return scene_of(means, scales, 0.98, 0.5 + 0.3 * np.sin(9 * means))
 
 
-@given(seed=st.integers(0, 20), profile=st.sampled_from(["pixel", "exact", "sphere"]), tau=st.floats(1, 40), data=st.data())
+@given(
+    seed=st.integers(0, 20), profile=st.sampled_from(["pixel", "exact", "sphere"]), tau=st.floats(1, 40), data=st.data()
+)
 @settings(max_examples=40, deadline=None)
 def test_the_cut_is_that_of_the_larger_radii(seed, profile, tau, data):
     scene = cube(seed)
@@ -115,7 +117,9 @@ def test_no_limit_draws_all_leaves():
 def test_a_budget_below_the_roots_is_refused_as_ever():
     scene = wall(10)
     with pytest.raises(InputError, match="budget: found 6571 roots in view"):
-        select(scene, Camera.look_at([0, 0, -9], [0, 0, 0], width=64, height=48), SelectOptions(budget=9, occlusion=True))
+        select(
+            scene, Camera.look_at([0, 0, -9], [0, 0, 0], width=64, height=48), SelectOptions(budget=9, occlusion=True)
+        )
 
 
 def test_hidden_rows_are_coarse_and_the_wall_is_fine():
@@ -164,7 +168,8 @@ def test_near_views_of_a_city_gain_within_a_budget():
         truth = draw(select=SelectOptions(pixel_error=0))
         budget = truth.counters.num_selected // 4
         before, after = (
-            draw(select=SelectOptions(pixel_error=0, budget=budget, occlusion=occlusion)).image for occlusion in (False, True)
+            draw(select=SelectOptions(pixel_error=0, budget=budget, occlusion=occlusion)).image
+            for occlusion in (False, True)
         )
         gains.append(psnr(after, truth.image) - psnr(before, truth.image))
     assert min(gains) > 0 and gains[0] > 1

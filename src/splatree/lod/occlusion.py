@@ -165,7 +165,9 @@ def shares_seen(splats: Splats, bins: TileBins, contributions: Float32[Array, "m
     alone = 2 * np.pi * splats.opacities / (a * c)
     size = np.array([view.camera.width, view.camera.height])
     low, high = splats.means_px - splats.half_sizes_px, splats.means_px + splats.half_sizes_px
-    inside = (np.clip(high, 0, size) - np.clip(low, 0, size)) / np.maximum(high - low, 1e-6)  # of its box, along each side
+    inside = (np.clip(high, 0, size) - np.clip(low, 0, size)) / np.maximum(
+        high - low, 1e-6
+    )  # of its box, along each side
     return np.asarray(np.minimum(seen / np.maximum(alone * inside.prod(axis=1), 1e-12), 1), np.float32)
 
 

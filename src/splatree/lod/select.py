@@ -84,7 +84,7 @@ def select(
         options: pixel error, budget or quality, rule, profile and view test; None: the defaults.
         culling: what `cull_scene` found for the same view and options; None: it is found here.
         last: τ_R, px, of the view before, for the budget or the quality of a camera that moves: the search begins there, and for
-            a budget is content with 90 % of it (lod/budget.py). None: a view alone.
+            a budget is content with 90 % of it (lod/budget.py). None: a view alone, as with occlusion.
         near: τ_R, px, of a view nearby, where a budget is looked for first. It saves time and changes no row.
         stages: the back end that selects by the rule `cut`; None: the CPU.
         threads: threads to use; 0: all. The result is the same for any number.
@@ -130,6 +130,9 @@ def select(
         return rows, visited
 
     find_range = getattr(cpu if stages is None else stages, "select_range", None)
+
+    if options.occlusion:  # the search is of another cut than the last τ_R
+        last = near = None
 
     def plain(options: SelectOptions) -> tuple[Array, int, float]:
         if options.budget is None or last is not None or find_range is None or options.rule != "cut":

@@ -64,7 +64,9 @@ class SelectOptions:
         if self.budget is not None and self.budget < 1:
             raise InputError(f"budget: found {self.budget}, wanted at least 1 node")
         if self.occlusion and self.rule != "cut":
-            raise InputError(f"occlusion: found rule {self.rule!r}, wanted 'cut'; the others reproduce published methods")
+            raise InputError(
+                f"occlusion: found rule {self.rule!r}, wanted 'cut'; the others reproduce published methods"
+            )
         if self.quality is not None:
             if not 0 < self.quality <= 200:
                 raise InputError(f"quality: found {self.quality}, wanted a PSNR above 0 dB, at most 200")
