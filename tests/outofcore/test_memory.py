@@ -15,14 +15,17 @@ import json, sys, threading
 from pathlib import Path
 import splatree as st
 from splatree.cli.info import describe
-from splatree.io import outline
+from splatree.io import outline, rows
 from splatree.io.formats.folder import whole
+from splatree.io.memory import Scratch
 from splatree.io.options import ReadOptions
+from splatree.outofcore import clustering
 from splatree.view.exhibit import exhibit
 from splatree.view.shown import OnDisk
 from splatree.view.slots import Slots
 
 whole.ROWS_PER_CHUNK, outline.FOLDER_RUN, outline.FOLDER_SAMPLE, outline.SAMPLE = 1000, 1000, 2000, 2000
+rows.ROWS_PER_CHUNK = clustering.ROWS_PER_CHUNK = 1000
 small, large, output = map(Path, sys.argv[1:])
 
 
@@ -42,7 +45,16 @@ def view(folder):
             session.draw(camera, select=st.SelectOptions(budget=2000))
 
 
+def cluster(path):
+    """With room for centres alone: what grows with the scene lies in files."""
+    beside, Scratch.beside = Scratch.beside, lambda *_: Scratch(8e6, output)
+    st.cluster_file(path, output / "clusters.splatree", 1024, force=True)
+    Scratch.beside = beside
+
+
 WORK = {
+    "clusters of a folder": cluster,
+    "clusters of a .ply": lambda folder: cluster(folder.with_suffix(".ply")),
     "convert to .splatree": lambda folder: st.convert(folder, output / "out.splatree", force=True),
     "convert to .ply": lambda folder: st.convert(folder, output / "out.ply", force=True),
     "check": st.check,
