@@ -6,7 +6,6 @@ counts what is left in every cell, without merging.
 """
 
 import os
-import shutil
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
@@ -100,7 +99,7 @@ def thin_file(
         FormatError: an input does not hold what it promises.
         InputError: an input or the output is not of a format that goes in chunks, pairs are asked for, or a radius reaches over
             more of the scene than the memory holds.
-        OutputError: the output exists, or could not be written.
+        OutputError: the output exists, could not be written, or is written by another process.
         MissingExtraError: a scheduler is named, and Dask is not installed.
 
     Source:
@@ -143,7 +142,7 @@ def thin_file(
             )
             writing = WriteOptions(max_memory=running.max_memory)
             lost = write_chunks(left, target, force=force, options=writing)
-            shutil.rmtree(work.folder)
+            work.clear()
     return ThinnedFile(
         path=target,
         num_read=cut.plan.num_rows,

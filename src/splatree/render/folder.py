@@ -56,7 +56,7 @@ def build_folder(
         InputError: an input is not read in chunks, an option does not suit, a cell needs more memory than there is, or a cluster
             cannot take part.
         MissingExtraError: a scheduler is named, and Dask is not installed.
-        OutputError: the output exists, or could not be written.
+        OutputError: the output exists, could not be written, or is written by another process.
 
     Source:
         docs/explanation/out-of-core.md.
