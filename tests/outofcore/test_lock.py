@@ -66,7 +66,9 @@ def beside(ply, tmp_path):
 def test_a_second_process_is_told_who_works_there(tmp_path, ply, beside, verb, name):
     process, pipe = beside(verb, name)
     for _ in range(2):
-        with pytest.raises(st.OutputError, match=rf"{name}\.work: found that process {process.pid} of this machine works"):
+        with pytest.raises(
+            st.OutputError, match=rf"{name}\.work: found that process {process.pid} of this machine works"
+        ):
             verb(ply, tmp_path / name)
     pipe.send("go on")
     process.join()
@@ -130,7 +132,9 @@ def test_a_file_of_another_machine_is_not_taken_over(tmp_path, ply):
     work = tmp_path / "out.splatree.work"
     work.mkdir()
     (work / LOCK).write_text('{"pid": 7, "host": "elsewhere"}')
-    with pytest.raises(st.OutputError, match=r"work/lock: found that process 7 of elsewhere works there.*delete this file"):
+    with pytest.raises(
+        st.OutputError, match=r"work/lock: found that process 7 of elsewhere works there.*delete this file"
+    ):
         build(ply, tmp_path / "out.splatree")
     with (work / LOCK).open() as held:  # where locks of other machines are seen
         fcntl.flock(held, fcntl.LOCK_EX)

@@ -105,8 +105,8 @@ def cluster_file(
     The file is that of `build_clusters` and `write`, byte for byte, for any memory.
 
     Args:
-        inputs: one path or several of one scene, of formats that are read in chunks: .ply, .spz, .splat, .sog, .ksplat; or one
-            folder of parts or exact .splatree, whose levels are kept.
+        inputs: one path or several of one scene, of formats that are read in chunks: .ply, .spz, .splat, .sog, .ksplat, .glb, 3D
+            Tiles; or one folder of parts or exact .splatree, whose levels are kept.
         output: the new file, a .splatree.
         num_clusters: as for `build_clusters`.
         options: how clusters are made; None: the defaults.

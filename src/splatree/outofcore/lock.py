@@ -1,7 +1,7 @@
 """One process at a time in a folder of work.
 
 The process that works in a folder has a file there, which names it, and holds the lock of the system on that file. Such a lock
-ends with its process, however that ends. So a file without a lock is of a process that was killed, and the next one takes it over.
+ends with its process, however that ends. So a file without a lock is of a process that was killed, and the next takes it over.
 Only a file that names another machine is not taken over: this machine may not see the locks of that one.
 
 Workers do not ask: whoever holds the folder gives them their pieces.

@@ -72,6 +72,36 @@ class Accessor:
         return np.asarray(np.maximum(values.astype(np.float32) / largest, np.float32(-1)))
 
 
+class Window(io.RawIOBase):
+    """Some bytes of an open file as a file of their own, which leaves that one open."""
+
+    def __init__(self, file: BinaryIO, start: int, num_bytes: int) -> None:
+        super().__init__()
+        self._file, self._start, self._num_bytes, self._at = file, start, num_bytes, 0
+
+    def readable(self) -> bool:
+        """Always."""
+        return True
+
+    def seekable(self) -> bool:
+        """Always."""
+        return True
+
+    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
+        """Go to a byte of the window."""
+        base = {io.SEEK_SET: 0, io.SEEK_CUR: self._at, io.SEEK_END: self._num_bytes}[whence]
+        self._at = max(0, base + offset)
+        return self._at
+
+    def readinto(self, buffer: Any) -> int:
+        """Read what has room in the buffer, or less."""
+        view = memoryview(buffer).cast("B")[: max(0, self._num_bytes - self._at)]
+        self._file.seek(self._start + self._at)
+        count = _readinto(self._file, view)
+        self._at += count
+        return count
+
+
 class GltfFile:
     """An open ``.glb`` or ``.gltf``: its JSON, and accessors into its buffers."""
 

@@ -11,6 +11,7 @@ aslant there, thousands of kilometres from zero; the metadata keeps it (``globe_
 import json
 import math
 from collections.abc import Iterator
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,16 +21,19 @@ import numpy as np
 from splatree.errors import FormatError
 from splatree.io import untrusted
 from splatree.io.budget import RowBudget
-from splatree.io.check import checked
+from splatree.io.check import add_counts
+from splatree.io.chunks import Chunks, Counts
 from splatree.io.formats.glb import reader as gltf
 from splatree.io.options import ReadOptions
-from splatree.io.placing import Placed, placed, settle
+from splatree.io.placing import Piece, Place, placed_chunks
+from splatree.io.rows import scene_of
 from splatree.maths.axes import signs_between
 from splatree.scene.gaussians import Gaussians
-from splatree.scene.scene import Scene, Source
+from splatree.scene.names import Mode
+from splatree.scene.scene import Scene
 from splatree.shapes import Array, Float64
 
-__all__ = ["files", "read", "sniff"]
+__all__ = ["files", "read", "read_chunks", "sniff"]
 
 _NAME = "tileset.json"
 _TILES_MAX = 1 << 20
@@ -79,30 +83,30 @@ def files(path: Path) -> list[Path]:
 
 def read(path: Path, options: ReadOptions) -> Scene:
     """Read the finest tiles as one scene."""
+    return scene_of(read_chunks(path, options), f"read {path.name}")
+
+
+def read_chunks(path: Path, options: ReadOptions) -> Chunks:
+    """The finest tiles as one scene in chunks, one file after the other."""
     manifest = path / _NAME if path.is_dir() else path
     where = str(manifest)
     found, globe = _walk(manifest)
     if not found.contents:
         words = _others(found) or "no contents"
         raise FormatError(f"{where}: found no glTF in its tiles ({words}), wanted Gaussians in .glb or .gltf")
-    budget, parts, modes, lost = RowBudget(where, _ROWS_PER_BYTE), list[Placed](), set(), list[str]()
+    budget, pieces, modes, lost = RowBudget(where, _ROWS_PER_BYTE), list[Piece](), set[Mode](), list[str]()
     for content in found.contents:
-        scene = gltf.read(content.path, options)
+        chunks = gltf.read_chunks(content.path, options)
         budget.add_file(content.path)
-        budget.take(len(scene))
-        y_up = np.linalg.inv(_Z_UP_FROM_Y_UP) @ content.matrix @ _Z_UP_FROM_Y_UP
-        matrix = _SIGNS @ y_up @ _SIGNS
-        parts.append(placed(scene.gaussians, matrix, content.where, origin=scene.source.origin))
-        modes.add(scene.mode)
-        lost += json.loads(scene.source.metadata.get("lost", "[]"))
+        budget.take(len(chunks))
+        pieces.append(_piece(content, chunks))
+        modes.add(chunks.mode)
+        lost += json.loads(chunks.metadata.get("lost", "[]"))
     if len(modes) > 1:
         raise FormatError(f"{where}: found tiles drawn in different modes, wanted one")
     if found.others:
         lost.append(f"tiles of other kinds: {_others(found)}")
-    settled, origin = settle(parts)
-    degree = max(g.sh_degree for g in settled)
-    gaussians = Gaussians.concatenate([g.with_sh_degree(degree) for g in settled])
-    metadata = {"tiles": str(len(parts))}
+    metadata = {"tiles": str(len(pieces))}
     if lost:
         metadata["lost"] = json.dumps(list(dict.fromkeys(lost)))
     if globe is not None:
@@ -110,8 +114,20 @@ def read(path: Path, options: ReadOptions) -> Scene:
         metadata["notes"] = json.dumps(
             ["the matrix that puts the tileset on the globe is left out: coordinates are those of its root tile"]
         )
-    scene = Scene.flat(gaussians, mode=modes.pop(), source=Source(metadata=metadata, origin=origin))
-    return checked(scene, where, repair=options.repair)
+    return placed_chunks(lambda: nullcontext(pieces), where, modes.pop(), metadata, repair=options.repair)
+
+
+def _piece(content: _Content, chunks: Chunks) -> Piece:
+    """The Gaussians of a tile and where the tileset puts them."""
+
+    def make() -> Iterator[tuple[Gaussians, Counts]]:
+        for chunk in chunks:
+            yield chunk, {}
+        yield Gaussians.empty(chunks.sh_degree), add_counts(chunks.metadata.get("repairs"), chunks.repairs)
+
+    y_up = np.linalg.inv(_Z_UP_FROM_Y_UP) @ content.matrix @ _Z_UP_FROM_Y_UP
+    place = Place.of(_SIGNS @ y_up @ _SIGNS, content.where, origin=chunks.origin)
+    return Piece(len(chunks), chunks.sh_degree, make, place)
 
 
 def _others(found: _Found) -> str:
