@@ -9,8 +9,9 @@ import splatree as st
 from splatree.io import placing, rows
 from splatree.io.formats.glb import reader
 from splatree.io.options import ReadOptions
-from splatree.io.registry import detect
+from splatree.io.registry import detect, files_of, stored_bytes
 from splatree.io.rows import scene_of
+from splatree.outofcore import run
 
 from ..laws.hard_scenes import hard_scene
 
@@ -162,3 +163,33 @@ def test_a_bad_value_is_named_by_its_row_in_the_whole_and_repaired_there(tmp_pat
     tiles = st.convert(folder, tmp_path / "tiles.ply", st.ConvertOptions(read=ReadOptions(repair=True)))
     assert tiles.repairs == done.repairs
     assert (tmp_path / "tiles.ply").read_bytes() == (tmp_path / "out.ply").read_bytes()
+
+
+def test_buffers_beside_a_file_count_as_its_bytes_and_are_known_again(tmp_path, monkeypatch):
+    path = glb_of(tmp_path / "in.gltf", [{"mesh": 0}, {"mesh": 1}], [("a", None), ("b", None)])
+    names = ["in.gltf", "a_None.bin", "b_None.bin"]
+    assert files_of(path) == [tmp_path / name for name in names]
+    assert stored_bytes(path) == sum((tmp_path / name).stat().st_size for name in names)
+    tileset = '{"asset": {"version": "1.1"}, "root": {"content": {"uri": "in.gltf"}}}'
+    (tmp_path / "tileset.json").write_text(tileset)
+    assert files_of(tmp_path) == [tmp_path / name for name in ("tileset.json", *names)]
+    monkeypatch.setattr("splatree.io.budget.ROWS_ALWAYS", 100)
+    monkeypatch.setattr(
+        "splatree.io.formats.tiles3d.format._ROWS_PER_BYTE", 300 / path.stat().st_size
+    )  # of the JSON alone
+    assert len(st.read(tmp_path / "tileset.json")) == 430
+    assert st.check(tmp_path / "tileset.json")[0].num_bytes == stored_bytes(path) + len(tileset)
+
+
+def test_a_build_begins_anew_if_a_buffer_beside_its_input_has_changed(tmp_path, monkeypatch):
+    path = glb_of(tmp_path / "in.gltf", [{"mesh": 0}], [("a", None)])
+    monkeypatch.setattr(run, "do_piece", None)
+    options, running = st.BuildOptions(method="radius"), st.FolderOptions(part_rows=100)
+    plan = tmp_path / "out.splatree.work" / "plan.json"
+    with pytest.raises(TypeError):
+        st.build_folder(path, tmp_path / "out.splatree", options, running)
+    first = json.loads(plan.read_text())["run"]
+    (tmp_path / "a_None.bin").touch()
+    with pytest.raises(TypeError):
+        st.build_folder(path, tmp_path / "out.splatree", options, running)
+    assert json.loads(plan.read_text())["run"] != first

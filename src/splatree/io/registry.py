@@ -197,6 +197,7 @@ FORMATS: tuple[Format, ...] = (
         sniff=gltf.sniff,
         read=gltf.read,
         read_chunks=gltf.read_chunks,
+        files=gltf.files,
         write_chunks=glb_writer.write_chunks,
         options=("packing", "format_version", "sh_bits", "compression"),
     ),

@@ -90,7 +90,11 @@ def check(
 
 def _checked(path: Path, options: ReadOptions) -> Checked:
     found = detect(path)
-    name, num_bytes = "" if found is None else found.name, stored_bytes(path)
+    name = "" if found is None else found.name
+    if name == "3d-tiles":
+        tiles = check_all(path, options)
+        return Checked(str(path), name, tiles.num_gaussians, tiles.num_rows, tiles.num_bytes, True)
+    num_bytes = stored_bytes(path)
     if holds_parts(path):
         return Checked(str(path), name, *_folder(path), num_bytes, True)
     if name == "splatree" and not is_compact(path) and has_rows_alone(stored := open_scene(path)):
@@ -99,9 +103,6 @@ def _checked(path: Path, options: ReadOptions) -> Checked:
     if found is not None and found.holds.levels == "one of" and options.level is None:
         levels = [len(level) for level in read_levels(path, repair=bool(options.repair))]
         return Checked(str(path), name, levels[0], sum(levels), num_bytes, False)
-    if name == "3d-tiles":
-        tiles = check_all(path, options)
-        return Checked(str(path), name, tiles.num_gaussians, tiles.num_rows, tiles.num_bytes, True)
     chunks = opened_chunks([path], options)
     if chunks is not None:
         count = sum(map(len, track(chunks[0], f"check {path.name}")))

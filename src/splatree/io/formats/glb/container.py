@@ -125,6 +125,16 @@ class GltfFile:
         for file in self._files:
             file.close()
 
+    def files(self) -> list[Path]:
+        """The files of the buffers that are not in the file itself."""
+        buffers = untrusted.as_list(self.json.get("buffers", []), f"{self.where}: buffers")
+        found = []
+        for i in range(len(buffers)):
+            name, record = f"{self.where}: buffers[{i}]", self.item("buffers", i, self.where)
+            if "uri" in record and not (uri := untrusted.text(record, "uri", name)).startswith("data:"):
+                found.append(self._beside(uri, name))
+        return found
+
     def item(self, key: str, index: Any, where: str) -> dict[str, Any]:
         """The element ``index`` of the list ``key`` of the file."""
         items = untrusted.as_list(self.json.get(key, []), f"{self.where}: {key}")
@@ -232,6 +242,11 @@ class GltfFile:
         self._opened[index] = buffer
         return buffer
 
+    def _beside(self, uri: str, where: str) -> Path:
+        from urllib.parse import unquote
+
+        return untrusted.inner_file(self._path.parent, unquote(uri), where)
+
     def _outside(self, uri: str, where: str) -> _Buffer:
         """A buffer inside the JSON as base64, or in a file of the same folder."""
         if uri.startswith("data:"):
@@ -244,9 +259,7 @@ class GltfFile:
                 raise FormatError(f"{where}: found base64 that cannot be read ({error})") from error
             self.num_bytes += len(data)
             return _Buffer(io.BytesIO(data), 0, len(data))
-        from urllib.parse import unquote
-
-        path = untrusted.inner_file(self._path.parent, unquote(uri), where)
+        path = self._beside(uri, where)
         try:
             size, file = path.stat().st_size, path.open("rb")
         except OSError as error:

@@ -90,6 +90,12 @@ def sniff(path: Path, head: bytes) -> bool:
     return head[:4] == MAGIC or (path.suffix.lower() == ".gltf" and head.lstrip()[:1] == b"{")
 
 
+def files(path: Path) -> list[Path]:
+    """The file, and those of its buffers."""
+    with path.open("rb") as file:
+        return [path, *dict.fromkeys(GltfFile(path, file).files())]
+
+
 def read(path: Path, options: ReadOptions) -> Scene:
     """Read all Gaussians that the file's scene shows, moved by its nodes in float64; far from zero relative to an origin."""
     return scene_of(read_chunks(path, options), f"read {path.name}")

@@ -81,9 +81,10 @@ def sniff(path: Path, head: bytes) -> bool:
 
 
 def files(path: Path) -> list[Path]:
-    """The tilesets and the contents of all finest tiles."""
+    """The tilesets and the contents of all finest tiles, with their buffers."""
     found, _ = _walk(path / _NAME if path.is_dir() else path)
-    return [*found.tilesets, *dict.fromkeys(content.path for content in found.contents)]
+    contents = dict.fromkeys(content.path for content in found.contents)
+    return [*found.tilesets, *dict.fromkeys(file for content in contents for file in gltf.files(content))]
 
 
 def read(path: Path, options: ReadOptions) -> Scene:
@@ -99,7 +100,8 @@ def read_chunks(path: Path, options: ReadOptions) -> Chunks:
     budget, pieces, modes, lost = RowBudget(where, _ROWS_PER_BYTE), list[Piece](), set[Mode](), list[str]()
     for content in found.contents:
         chunks = gltf.read_chunks(content.path, options)
-        budget.add_file(content.path)
+        for file in gltf.files(content.path):
+            budget.add_file(file)
         budget.take(len(chunks))
         pieces.append(_piece(content, chunks))
         modes.add(chunks.mode)
@@ -158,7 +160,8 @@ def check_all(path: Path, options: ReadOptions) -> AllTiles:
         )
     _check_contents(found, modes, str(manifest))
     finest, coarse = (sum(counts[content.path] for content in each) for each in (found.contents, found.coarse))
-    return AllTiles(finest, finest + coarse, sum(file.stat().st_size for file in (*found.tilesets, *counts)))
+    stored = dict.fromkeys(file for path in counts for file in gltf.files(path))
+    return AllTiles(finest, finest + coarse, sum(file.stat().st_size for file in (*found.tilesets, *stored)))
 
 
 def _check_contents(found: _Found, modes: set[Mode], where: str) -> None:
