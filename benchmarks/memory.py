@@ -32,7 +32,13 @@ VERBS = {
     "build": ("build", "out.splatree"),
     "build --max-memory 500M": ("build", "parts.splatree", "--max-memory", "500M"),
     "build --method pairs": ("build", "out.splatree", "--method", "pairs"),
-    "build --flat --clusters": ("build", "out.splatree", "--flat", "--clusters", "auto"),
+    "clusters alone": ("build", "out.splatree", "--flat", "--clusters", "auto"),
+    **{
+        f"clusters alone --max-memory {room}": (
+            *("build", "out.splatree", "--flat", "--clusters", "auto", "--max-memory", room),
+        )
+        for room in ("300M", "500M")
+    },
 }
 
 

@@ -49,6 +49,7 @@ _NAMES = {
     "metrics.ssim": ("ssim",),
     "outofcore.build": ("BuiltFolder",),
     "outofcore.check": ("Checked", "check"),
+    "outofcore.clustering": ("ClusteredFile", "cluster_file"),
     "outofcore.opened": ("open_store",),
     "outofcore.options": ("FolderOptions",),
     "outofcore.store": ("Store",),

@@ -50,6 +50,8 @@ from splatree.metrics.ssim import ssim as ssim
 from splatree.outofcore.build import BuiltFolder as BuiltFolder
 from splatree.outofcore.check import Checked as Checked
 from splatree.outofcore.check import check as check
+from splatree.outofcore.clustering import ClusteredFile as ClusteredFile
+from splatree.outofcore.clustering import cluster_file as cluster_file
 from splatree.outofcore.opened import open_store as open_store
 from splatree.outofcore.options import FolderOptions as FolderOptions
 from splatree.outofcore.store import Store as Store

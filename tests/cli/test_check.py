@@ -34,3 +34,16 @@ def test_every_level_of_a_stream_is_checked(splatree, small_tree, tmp_path):
     (part / "means_l.webp").write_bytes(b"damaged")
     code, _, err = splatree("check", stream)
     assert code == 1 and f"{part.name}/meta.json: means_l.webp: not a whole WebP" in err
+
+
+def test_every_tile_is_checked_and_coarser_ones_are_told_apart(splatree, small_tree, tmp_path):
+    tiles = tmp_path / "tiles"
+    words = ("--format", "3dtiles", "--tile-nodes", "500", "--quiet")
+    assert splatree("stream", small_tree, tiles, *words)[0] == 0
+    code, out, _ = splatree("check", tiles)
+    assert code == 0 and "3d-tiles" in out and " of coarser tiles, " in out
+    gone = [path.name for path in sorted(tiles.glob("*.glb"))[:2]]
+    for name in gone:
+        (tiles / name).unlink()
+    code, _, err = splatree("check", tiles)
+    assert code == 1 and "found 2 of its tiles damaged or missing" in err and all(name in err for name in gone)

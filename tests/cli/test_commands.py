@@ -15,6 +15,7 @@ from splatree.io.images import read_image, write_image
 from splatree.io.options import WriteOptions
 from splatree.io.reading import read
 from splatree.io.writing import write
+from splatree.outofcore.needs import Needs
 from splatree.render.calibration import METADATA_KEY
 from splatree.render.paths import PathOptions, flyout, orbit
 from splatree.render.pipeline import render
@@ -61,6 +62,24 @@ def test_build_makes_clusters(splatree, small_ply, tmp_path, flat):
     code, words, _ = splatree("info", tmp_path / "a.splatree")
     assert code == 0
     assert f"{info['clusters']['number']}, median of" in words
+
+
+def test_clusters_are_made_through_files_where_that_is_asked_for_or_memory_is_short(
+    splatree, small_ply, small_tree, tmp_path, monkeypatch
+):
+    words = ("--flat", "--clusters", "50")
+    for scene in (small_ply, small_tree):
+        assert splatree("build", scene, tmp_path / "memory.splatree", *words, "--force", "-q")[0] == 0
+        wanted = (tmp_path / "memory.splatree").read_bytes()
+        done = result_of(
+            splatree("build", scene, tmp_path / "a.splatree", *words, "--max-memory", "1G", "--force", "--json")
+        )
+        assert done["num_gaussians"] == NUM_GAUSSIANS and (tmp_path / "a.splatree").read_bytes() == wanted
+    monkeypatch.setattr("splatree.cli.build.needs_of", lambda *_: Needs(10**10, 10**10))
+    code, said, _ = splatree("build", small_ply, tmp_path / "short.splatree", *words)
+    assert code == 0 and "note: the build takes about 10.0 GB in memory" in said and "50 clusters" in said
+    code, _, err = splatree("build", small_ply, tmp_path / "a.rad", *words, "--max-memory", "1G")
+    assert code == 2 and "found --max-memory and a format that is not written in parts" in err
 
 
 def test_build_by_pairs_makes_levels_that_are_drawn_by_their_extents(splatree, small_ply, tmp_path):
@@ -441,8 +460,9 @@ def test_folders_are_drawn_and_scored_without_reading_all_of_them(splatree, smal
 def test_build_through_files_refuses_what_needs_the_scene_in_memory(splatree, small_ply, tmp_path):
     target = tmp_path / "a.splatree"
     for words, wanted in (
-        (("--clusters", "auto"), "need the scene in memory"),
-        (("--flat", "--clusters", "auto"), "need the scene in memory"),
+        (("--clusters", "auto"), "added afterwards: splatree build FOLDER out.splatree --flat --clusters auto"),
+        (("--flat",), "need the scene in memory"),
+        (("--flat", "--clusters", "auto"), "wanted --max-memory alone"),
         (("--max-memory", "4 gallons"), "wanted a number of bytes such as 4G"),
     ):
         code, _, err = splatree("build", small_ply, target, "--workers", "2", *words)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import splatree as st
-from splatree.clusters.build import subtree_runs
+from splatree.clusters.build import _large, subtree_runs
 from splatree.kernels import reference
 
 from ..scenes import gaussians
@@ -68,6 +68,14 @@ def test_large_gaussians_get_clusters_of_their_own() -> None:
     assert (per_cluster > 0).sum() == 5
 
 
+def test_of_gaussians_as_large_the_first_along_the_curve_are_large(monkeypatch) -> None:
+    sizes = np.float32([1, 2, 2, 3, 2, 1, 2, 0])
+    for part in (3, 100):
+        monkeypatch.setattr("splatree.clusters.build.ROWS_AT_ONCE", part)
+        assert np.flatnonzero(_large(sizes, 3, np.zeros)).tolist() == [1, 2, 3]
+        assert np.flatnonzero(_large(sizes, 1, np.zeros)).tolist() == [3]
+
+
 def test_clusters_of_a_tree_are_complete_subtrees() -> None:
     tree = st.build_lod(flat(600, 4))
     made = st.build_clusters(tree, 30)
@@ -84,11 +92,11 @@ def test_clusters_of_a_tree_are_complete_subtrees() -> None:
 
 def test_subtree_runs_cover_a_small_forest() -> None:
     scene = flat(7, 5)
-    tree = st.GaussianTree(np.int32([5, 4, 3, 4, 5, 6, 7]), np.uint8([0, 1, 2, 2, 1, 0, 0]), np.ones(7, np.float32))
-    assert subtree_runs(tree, 7).tolist() == [0, 7]
-    assert subtree_runs(tree, 3).tolist() == [0, 1, 4, 5, 7]  # the root alone, its children, and the two roots
-    assert subtree_runs(tree, 1).tolist() == list(range(8))
-    assert subtree_runs(scene.tree, 4).tolist() == [0, 4, 7]
+    end, depth = np.int32([5, 4, 3, 4, 5, 6, 7]), np.uint8([0, 1, 2, 2, 1, 0, 0])
+    assert subtree_runs(end, depth, 7).tolist() == [0, 7]
+    assert subtree_runs(end, depth, 3).tolist() == [0, 1, 4, 5, 7]  # the root alone, its children, and the two roots
+    assert subtree_runs(end, depth, 1).tolist() == list(range(8))
+    assert subtree_runs(scene.tree.subtree_end, scene.tree.depth, 4).tolist() == [0, 4, 7]
 
 
 def test_the_number_of_clusters_follows_the_scene() -> None:

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from splatree import InputError
-from splatree.clusters.kmeans import kmeans
+from splatree.clusters.kmeans import _farthest, kmeans
 from splatree.maths.morton import morton_codes
 
 
@@ -47,6 +47,14 @@ def test_empty_clusters_move_to_the_farthest_points() -> None:
     found = kmeans(points, 11, iterations=20)
     assert found.inertia[-1] == 0
     assert len(np.unique(found.labels)) == 11
+
+
+def test_the_farthest_points_are_found_in_parts(monkeypatch) -> None:
+    distances = np.random.default_rng(3).integers(0, 6, 200).astype(np.float32)  # many are equal
+    for count, part in ((1, 30), (7, 30), (50, 30), (200, 64), (200, 1000)):
+        monkeypatch.setattr("splatree.clusters.kmeans.ROWS_AT_ONCE", part)
+        wanted = np.argsort(-distances, kind="stable")[:count]
+        np.testing.assert_array_equal(_farthest(distances, count), wanted)
 
 
 def test_map_coordinates_keep_their_precision() -> None:

@@ -77,13 +77,13 @@ def _no_hard_links(self, target):
 
 @UNIX
 def test_a_temporary_file_that_another_writer_took_for_abandoned_is_left_for_a_new_one(tmp_path, monkeypatch):
-    real, taken = module._locked, []
+    real, taken = module.lock, []
 
     def locked(descriptor):
         taken.append(descriptor)
         return len(taken) > 1 and real(descriptor)
 
-    monkeypatch.setattr(module, "_locked", locked)
+    monkeypatch.setattr(module, "lock", locked)
     with module.replacing(tmp_path / "a") as path:
         assert list(tmp_path.iterdir()) == [path]
         path.write_text("new")

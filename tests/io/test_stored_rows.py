@@ -62,6 +62,28 @@ def test_nothing_but_the_rows_is_read(tmp_path):
     assert not stored.rows(0, 10).gaussians.means.flags.owndata
 
 
+def test_clusters_are_written_after_the_rows_as_announced(tmp_path):
+    scene = st.build_clusters(built(), 20)
+    head, clusters = st.SceneHead.of(scene), scene.clusters
+    with st.create_scene(tmp_path / "a.splatree", head, num_clusters=len(clusters)) as writer:
+        writer.append(scene)
+        writer.append_clusters(clusters)
+    st.write(scene, tmp_path / "b.splatree")
+    assert (tmp_path / "a.splatree").read_bytes() == (tmp_path / "b.splatree").read_bytes()
+    for number, appended, message in (
+        (len(clusters), None, f"found no clusters appended, wanted the {len(clusters)} announced"),
+        (0, clusters, f"found {len(clusters)} of {len(scene)} rows, wanted the 0 announced"),
+    ):
+        with (
+            pytest.raises(st.InputError, match=message),
+            st.create_scene(tmp_path / "c.splatree", head, num_clusters=number) as writer,
+        ):
+            writer.append(scene)
+            if appended is not None:
+                writer.append_clusters(appended)
+    assert not (tmp_path / "c.splatree").exists()
+
+
 def test_a_subtree_is_a_scene_of_its_own(tmp_path):
     scene = built()
     st.write(scene, tmp_path / "a.splatree")

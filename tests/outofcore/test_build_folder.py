@@ -233,7 +233,7 @@ def test_a_build_that_is_killed_again_and_again_ends_with_the_same_files(tmp_pat
 
 
 def test_what_a_build_left_when_it_was_killed_at_its_end_is_not_used(tmp_path, ply, monkeypatch):
-    monkeypatch.setattr("splatree.outofcore.build.shutil.rmtree", lambda *_, **__: None)
+    monkeypatch.setattr("splatree.outofcore.work.Work.clear", lambda self: None)
     st.build_folder(ply, tmp_path / "out.splatree", running=SMALL)
     assert (tmp_path / "out.splatree.work").exists()
     monkeypatch.undo()
@@ -345,7 +345,7 @@ def folders_of_tiers(folder):
 
 @pytest.mark.parametrize(("most", "num_tiers"), [(10**9, 2), (500, 3), (100, 4), (20, 5)])
 def test_what_does_not_fit_above_the_parts_is_grown_in_cells_of_its_own(tmp_path, ply, monkeypatch, most, num_tiers):
-    monkeypatch.setattr("splatree.outofcore.build.shutil.rmtree", lambda *_, **__: None)
+    monkeypatch.setattr("splatree.outofcore.work.Work.clear", lambda self: None)
     running = st.FolderOptions(part_rows=60, part_levels=2)
     with room_for(most):
         built = st.build_folder(ply, tmp_path / "out.splatree", LITTLE, running)

@@ -15,14 +15,18 @@ import json, sys, threading
 from pathlib import Path
 import splatree as st
 from splatree.cli.info import describe
-from splatree.io import outline
+from splatree.io import outline, rows
 from splatree.io.formats.folder import whole
+from splatree.io.formats.glb import reader
+from splatree.io.memory import Scratch
 from splatree.io.options import ReadOptions
+from splatree.outofcore import clustering
 from splatree.view.exhibit import exhibit
 from splatree.view.shown import OnDisk
 from splatree.view.slots import Slots
 
 whole.ROWS_PER_CHUNK, outline.FOLDER_RUN, outline.FOLDER_SAMPLE, outline.SAMPLE = 1000, 1000, 2000, 2000
+rows.ROWS_PER_CHUNK = reader.ROWS_PER_CHUNK = clustering.ROWS_PER_CHUNK = 1000
 small, large, output = map(Path, sys.argv[1:])
 
 
@@ -42,7 +46,22 @@ def view(folder):
             session.draw(camera, select=st.SelectOptions(budget=2000))
 
 
+def convert_pieces(folder, name):
+    st.convert(folder.with_name(f"{folder.stem}_tiles") / name, output / "out.ply", force=True)
+
+
+def cluster(path):
+    """With room for centres alone: what grows with the scene lies in files."""
+    beside, Scratch.beside = Scratch.beside, lambda *_: Scratch(8e6, output)
+    st.cluster_file(path, output / "clusters.splatree", 1024, force=True)
+    Scratch.beside = beside
+
+
 WORK = {
+    "clusters of a folder": cluster,
+    "clusters of a .ply": lambda folder: cluster(folder.with_suffix(".ply")),
+    "convert from .glb": lambda folder: convert_pieces(folder, "a.glb"),
+    "convert from 3D Tiles": lambda folder: convert_pieces(folder, "tileset.json"),
     "convert to .splatree": lambda folder: st.convert(folder, output / "out.splatree", force=True),
     "convert to .ply": lambda folder: st.convert(folder, output / "out.ply", force=True),
     "check": st.check,
@@ -89,6 +108,12 @@ def folders(tmp_path_factory):
             ),
             path / f"{name}.ply",
         )
+        tiles = path / f"{name}_tiles"
+        tiles.mkdir()
+        st.convert(path / f"{name}.ply", tiles / "a.glb")
+        matrix = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 5e5, 4e6, 100, 1]  # far away: an origin is looked for
+        root = {"transform": matrix, "content": {"uri": "a.glb"}}
+        (tiles / "tileset.json").write_text(json.dumps({"asset": {"version": "1.1"}, "root": root}))
         options = st.BuildOptions(radius=0.01, max_roots=4)
         made.append(
             st.build_folder(

@@ -29,6 +29,7 @@ from splatree.lod.link import link_levels
 from splatree.lod.options import BuildOptions
 from splatree.lod.report import report_levels
 from splatree.outofcore.build import BuiltFolder
+from splatree.outofcore.clustering import ClusteredFile, cluster_file
 from splatree.outofcore.needs import needs_of
 from splatree.outofcore.options import FolderOptions
 from splatree.render.build import build_lod
@@ -54,8 +55,8 @@ class Command:
     """Build levels of detail, clusters or both, and write one file: in.ply out.splatree, or chunk_*/ -o city.splatree.
 
     A scene larger than memory is built through files: --max-memory 4G writes a folder of parts. Its levels by a radius are those
-    of a build in memory; those by pairs are chosen cell by cell. A build that would take more than half of the free memory does
-    so by itself, and says so.
+    of a build in memory; those by pairs are chosen cell by cell. With --flat --clusters one file is written, that of memory. A
+    build that would take more than half of the free memory does so by itself, and says so.
     """
 
     files: Annotated[Files, arg(name="", help="")]
@@ -126,15 +127,27 @@ class Built:
     """What a cut of the levels loses in pictures, if --report asks for it."""
 
 
-def run(command: Command) -> Built | BuiltFolder:
+def run(command: Command) -> Built | BuiltFolder | ClusteredFile:
     """Read, build, write."""
+    only_clusters = command.flat and command.clusters is not None
     if command.running != FolderOptions():
         if needing := _in_memory(command):
+            then = (
+                "; clusters of levels are added afterwards: splatree build FOLDER out.splatree --flat --clusters auto"
+                if "--clusters" in needing
+                else ""
+            )
             raise UsageError(
                 f"found --max-memory, --workers, --scheduler or the size of parts with {', '.join(needing)}, which need the "
-                "scene in memory; wanted one of them"
+                f"scene in memory; wanted one of them{then}"
             )
-        return run_through_files(command.files, command.options, command.running, command.mode)
+        if not only_clusters:
+            return run_through_files(command.files, command.options, command.running, command.mode)
+        if command.running != FolderOptions(max_memory=command.running.max_memory):
+            raise UsageError(
+                "found --workers, --scheduler or the size of parts with --flat: clusters are made by one process, and not in "
+                "parts; wanted --max-memory alone"
+            )
     writing = WriteOptions(compact=command.compact)
     inputs, output = inputs_and_output(command.files, keeps_tree=True, options=writing)
     if command.flat and command.clusters is None:
@@ -156,8 +169,13 @@ def run(command: Command) -> Built | BuiltFolder:
     command.reporting.check(force=command.files.force)
     views = training_views(command.views)
     short: tuple[str, ...] = ()
+    if only_clusters and command.running != FolderOptions():
+        return _clustered(command, inputs, output)
     if (needs := needs_of(inputs, read_options(command.files.reading))) is not None and needs.are_large:
         needing = [*_in_memory(command), *([output.suffix] if output.suffix != ".splatree" else [])]
+        if not needing and only_clusters:
+            made = _clustered(command, inputs, output)
+            return replace(made, notes=(f"{needs}: the clusters were made through files", *made.notes))
         if not needing:
             built = run_through_files(command.files, command.options, command.running, command.mode)
             return replace(built, notes=(f"{needs}: a folder was built, through files", *built.notes))
@@ -207,12 +225,26 @@ def run(command: Command) -> Built | BuiltFolder:
     )
 
 
+def _clustered(command: Command, inputs: Sequence[Path], output: Path) -> ClusteredFile:
+    """Clusters alone, made through files."""
+    if output.suffix != ".splatree":
+        raise UsageError(f"{output}: found --max-memory and a format that is not written in parts, wanted .splatree")
+    assert command.clusters is not None
+    return cluster_file(
+        *(inputs, output, command.clusters, command.clustering),
+        reading=read_options(command.files.reading),
+        mode=command.mode,
+        max_memory=command.running.max_memory,
+        force=command.files.force,
+    )
+
+
 def _in_memory(command: Command) -> list[str]:
     """What is asked for that needs the scene in memory."""
     asked = {
-        "--flat": command.flat,
+        "--flat": command.flat and command.clusters is None,
         "--levels file": command.levels == "file",
-        "--clusters": command.clusters is not None,
+        "--clusters": command.clusters is not None and not command.flat,
         "--compact": command.compact,
         "--refine": command.refine is not None,
         "views": (command.views, command.calibration) != (Views(), CalibrateOptions()),
@@ -272,8 +304,14 @@ def _metadata(scene: Scene, key: str) -> dict[str, Any] | None:
     return json.loads(scene.source.metadata[key]) if key in scene.source.metadata else None
 
 
-def show(built: Built | BuiltFolder) -> str:
+def show(built: Built | BuiltFolder | ClusteredFile) -> str:
     """The result in words."""
+    if isinstance(built, ClusteredFile):
+        wrote = (
+            f"wrote {built.path}: {counted(built.num_gaussians, 'Gaussian')}, {counted(built.num_rows, 'node')}, "
+            f"{counted(built.num_clusters, 'cluster')}, {size(built.bytes)}"
+        )
+        return "\n".join([wrote, *told(built.repairs, built.lost, built.notes)])
     levels = _levels_in_words(built.rules)
     if isinstance(built, BuiltFolder):
         return f"{levels}{folder_in_words(built)}"

@@ -47,5 +47,6 @@ def show(result: Result) -> str:
 
 def _line(scene: Checked) -> str:
     merged = scene.num_nodes - scene.num_gaussians
-    levels = f" and {counted(merged, 'merged node')}" if merged else ""
+    more = f"{merged:,} of coarser tiles" if scene.format == "3d-tiles" else counted(merged, "merged node")
+    levels = f" and {more}" if merged else ""
     return f"whole: {scene.path}, {scene.format}, {counted(scene.num_gaussians, 'Gaussian')}{levels}, {size(scene.num_bytes)}"

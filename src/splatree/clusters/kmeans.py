@@ -20,7 +20,13 @@ from splatree.kernels.devices import DeviceName, feature_of
 from splatree.progress import task
 from splatree.shapes import Array, Float32, Float64, Int32, Int64, check_fields
 
-__all__ = ["KMeans", "kmeans"]
+__all__ = ["ROWS_AT_ONCE", "KMeans", "Zeros", "kmeans"]
+
+ROWS_AT_ONCE = 1 << 20
+"""Points that are looked at together where all of them may lie in a file."""
+
+Zeros = Callable[[tuple[int, ...], type], Array]
+"""Makes an array of zeros, given its shape and type: `numpy.zeros`, or one that is mapped from a file."""
 
 LEAST_GAIN = 1e-4
 """An iteration that lowers the inertia by a smaller share is the last."""
@@ -49,6 +55,7 @@ def kmeans(
     rng: np.random.Generator | None = None,
     threads: int = 0,
     device: DeviceName = "cpu",
+    zeros: Zeros = np.zeros,
 ) -> KMeans:
     """Put points into clusters of neighbours.
 
@@ -60,6 +67,7 @@ def kmeans(
         threads: 0 means all there are; the result has the same bits for any number.
         device: where the steps are taken. Two runs on a GPU give the same bits too; from the processor's they differ by
             rounding, and so may the few points halfway between two centres.
+        zeros: makes the arrays that have a row for each point, 20 bytes together; they may lie in files.
 
     Raises:
         InputError: more clusters than points, or less than one, or points that are not finite.
@@ -72,10 +80,12 @@ def kmeans(
         raise InputError(f"kmeans: found {points[row]} at row {row}, wanted finite points")
     # Around the middle, so that map coordinates keep their precision in float32.
     middle = (points.min(axis=0).astype(np.float64) + points.max(axis=0)) / 2
-    shifted = (points - middle).astype(np.float32)
+    shifted = zeros(points.shape, np.float32)
+    for begin in range(0, len(points), ROWS_AT_ONCE):
+        shifted[begin : begin + ROWS_AT_ONCE] = points[begin : begin + ROWS_AT_ONCE] - middle
     rng = rng or np.random.default_rng(0)
     centers = shifted[np.sort(rng.choice(len(points), num_clusters, replace=False))]
-    step = _steps(device, shifted, threads)
+    step = _steps(device, shifted, threads, zeros)
     found = step(centers)
     inertia = [found.inertia]
     with task("K-means", float(iterations)) as advance:
@@ -105,12 +115,12 @@ class Step(Protocol):
     def inertia(self) -> float: ...
 
 
-def _steps(device: DeviceName, points: Float32[Array, "n 3"], threads: int) -> Callable[[Array], Step]:
-    """What assigns the points to centres."""
+def _steps(device: DeviceName, points: Float32[Array, "n 3"], threads: int, zeros: Zeros) -> Callable[[Array], Step]:
+    """What assigns the points to centres; a step may overwrite what the one before has found."""
     steps = feature_of(device, "kmeans_steps")
     if steps is None:
         raise InputError(f"kmeans: found device {device!r}, which has no steps of K-means; wanted another device")
-    found: Callable[[Array], Step] = steps(points, threads=threads)
+    found: Callable[[Array], Step] = steps(points, threads=threads, zeros=zeros)
     return found
 
 
@@ -119,9 +129,16 @@ def _means(points: Array, found: Step) -> Float32[Array, "c 3"]:
     empty = np.flatnonzero(found.counts == 0)
     moved = (found.sums / np.maximum(found.counts, 1)[:, None]).astype(np.float32)
     if len(empty):
-        distances = found.squared_distances
-        beyond = np.partition(distances, -len(empty))[-len(empty)]
-        candidates = np.flatnonzero(distances >= beyond)
-        farthest = candidates[np.argsort(-distances[candidates], kind="stable")][: len(empty)]
-        moved[empty] = points[farthest]
+        moved[empty] = points[_farthest(found.squared_distances, len(empty))]
     return np.asarray(moved)
+
+
+def _farthest(distances: Float32[Array, "n"], count: int) -> Int64[Array, "count"]:
+    """Rows of the largest distances, the largest first; of equal ones the first rows."""
+    rows, step = np.empty(0, np.int64), max(ROWS_AT_ONCE, count)
+    for begin in range(0, len(distances), step):
+        block = distances[begin : begin + step]
+        least = np.partition(block, -count)[-count] if len(block) > count else -np.inf
+        candidates = np.concatenate([rows, begin + np.flatnonzero(block >= least)])
+        rows = candidates[np.argsort(-distances[candidates], kind="stable")[:count]]
+    return rows

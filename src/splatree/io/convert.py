@@ -27,7 +27,7 @@ from splatree.io.memory import Scratch
 from splatree.io.notes import notes_in, sentences_in
 from splatree.io.objects import located
 from splatree.io.options import ReadOptions, WriteOptions
-from splatree.io.reading import read_one
+from splatree.io.reading import needed_bytes, read_one
 from splatree.io.registry import detect, format_to_write
 from splatree.io.replacing import check_target
 from splatree.io.sorting import along_curve
@@ -145,10 +145,12 @@ def _converted_from(found: Sequence[Path], target: Path, options: ConvertOptions
         return _in_chunks(found, parts, target, options, force)
 
     if options.write.max_memory is not None:
+        needs = [(path, needed) for path in found if (needed := needed_bytes(path)) is not None]
+        takes = "".join(f"; reading {path} takes about {needed // 10**6} MB" for path, needed in needs[:1])
         raise InputError(
             f"max_memory: found {options.write.max_memory} for {target}, but this conversion holds the whole scene: a level is "
             "asked for, or a depth of several inputs, the output is compact or keeps levels, or an input is not read in chunks "
-            "(see `splatree formats`); wanted --max-memory for conversions in chunks alone"
+            f"(see `splatree formats`){takes}; wanted --max-memory for conversions in chunks alone"
         )
     scene = joined(read_one(path, options.read) for path in found)
     if options.mode is not None:

@@ -11,6 +11,7 @@ from splatree.io.budget import RowBudget
 from splatree.io.inputs import find_inputs
 from splatree.io.joined import joined
 from splatree.io.local import local_inputs
+from splatree.io.memory import PROCESS_BYTES, free_bytes
 from splatree.io.notes import with_notes
 from splatree.io.options import ReadOptions, Repair
 from splatree.io.registry import FORMATS, detect, files_of
@@ -114,9 +115,21 @@ def read_one(path: Path, options: ReadOptions) -> Scene:
             f"{path}: found level {options.level} for a file of format {found.name}, which has no levels to choose"
         )
     try:
+        needed = needed_bytes(path)
+        if needed is not None and needed > (free := free_bytes()):
+            raise InputError(
+                f"{path}: takes about {needed / 1e9:.1f} GB in memory, as a file of format {found.name} is read whole; found "
+                f"{free / 1e9:.1f} GB free, wanted as much; convert it to .splatree on a machine with more memory"
+            )
         scene = found.read(path, options)
     except OSError as error:
         if isinstance(error, SplatreeError):
             raise
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
     return replace(scene, source=replace(scene.source, paths=(str(path),), format=found.name))
+
+
+def needed_bytes(path: Path) -> int | None:
+    """Memory that reading a file takes, about, the program included; None: only reading it would tell."""
+    found = detect(path)
+    return None if found is None or found.whole_bytes is None else PROCESS_BYTES + found.whole_bytes(path)

@@ -102,6 +102,8 @@ class Format:
     """Open a file to be read in chunks, with the values that ``read`` gives; it returns None for a file that cannot be."""
     read_leaves: Callable[[Path, ReadOptions], Chunks | None] | None = None
     """As ``read_chunks``, of the leaves of a scene with levels, in the order that they have in the whole scene."""
+    whole_bytes: Callable[[Path], int] | None = None
+    """Memory that ``read`` takes beside the program, by the head of a file; None: rows are read in chunks, or no head tells."""
     files: Callable[[Path], list[Path]] | None = None
     """The files that a path stands for, where they may be several; None: the file itself."""
     is_zip: bool = False
@@ -196,6 +198,8 @@ FORMATS: tuple[Format, ...] = (
         holds=Holds(origin=True, axes="LUF"),
         sniff=gltf.sniff,
         read=gltf.read,
+        read_chunks=gltf.read_chunks,
+        files=gltf.files,
         write_chunks=glb_writer.write_chunks,
         options=("packing", "format_version", "sh_bits", "compression"),
     ),
@@ -232,6 +236,7 @@ FORMATS: tuple[Format, ...] = (
         holds=Holds(axes="LUF, z up"),
         sniff=tiles3d.sniff,
         read=tiles3d.read,
+        read_chunks=tiles3d.read_chunks,
         files=tiles3d.files,
     ),
     Format(
@@ -254,6 +259,7 @@ FORMATS: tuple[Format, ...] = (
         holds=Holds(levels="tree", modes=("classic",)),
         sniff=hier.sniff,
         read=hier.read,
+        whole_bytes=hier.whole_bytes,
         write=hier.write,
         options=("compression",),
     ),

@@ -51,11 +51,11 @@ def replacing(path: str | os.PathLike[str], *, force: bool = False) -> Iterator[
         return
     remove_abandoned(target.parent)
     temporary: Path | None = None
-    lock: int | None = None
+    held: int | None = None
     try:
-        while lock is None:
+        while held is None:
             temporary = target.parent / f".{target.name[:100]}.{os.urandom(4).hex()}.splatree.tmp"
-            lock = _lock_of_new(temporary)
+            held = _lock_of_new(temporary)
         assert temporary is not None
         with renamed(temporary.name, Path(path).name):
             yield temporary
@@ -84,8 +84,8 @@ def replacing(path: str | os.PathLike[str], *, force: bool = False) -> Iterator[
     finally:
         if temporary is not None:
             temporary.unlink(missing_ok=True)
-        if lock is not None:
-            os.close(lock)
+        if held is not None:
+            os.close(held)
 
 
 @contextmanager
@@ -149,35 +149,35 @@ def remove_abandoned(folder: Path) -> None:
         return  # a folder that may be written but not listed: nothing can be told of its files
     for entry in abandoned:
         with suppress(OSError):  # in use, or another writer was faster
-            lock = os.open(entry, os.O_RDWR)
+            descriptor = os.open(entry, os.O_RDWR)
             try:
-                if _locked(lock):
+                if lock(descriptor) is not False:
                     entry.unlink()
             finally:
-                os.close(lock)
+                os.close(descriptor)
 
 
 def _lock_of_new(temporary: Path) -> int | None:
     """Make an empty file and lock it; None if another writer took it for an abandoned one between both."""
-    lock = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
-    if _locked(lock) and temporary.exists():
-        return lock
-    os.close(lock)
+    descriptor = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
+    if lock(descriptor) is not False and temporary.exists():
+        return descriptor
+    os.close(descriptor)
     temporary.unlink(missing_ok=True)
     return None
 
 
-def _locked(descriptor: int) -> bool:
-    """Lock an open file for this process, if nobody else has."""
+def lock(descriptor: int) -> bool | None:
+    """Lock an open file for this process: whether nobody else has; None where files cannot be locked."""
     if fcntl is None:
-        return True
+        return None
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         return False
     except OSError as error:
         if error.errno in (errno.ENOLCK, errno.ENOTSUP, errno.EINVAL, errno.ENOSYS):
-            return True  # a file system without locks
+            return None  # a file system without locks
         raise
     return True
 

@@ -4,6 +4,7 @@ A reader of such a format checks what frames the rows (`FileRows`) and says how 
 Whole or in chunks, the values are the same.
 """
 
+import json
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -12,16 +13,16 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from splatree.io.check import checked, checked_rows
+from splatree.io.check import add_counts, checked, checked_rows
 from splatree.io.chunks import ROWS_PER_CHUNK, Chunks, Counts, counted_chunks
 from splatree.io.options import ReadOptions
-from splatree.progress import task
+from splatree.progress import task, track
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.names import Mode
 from splatree.scene.scene import Scene, Source
 from splatree.shapes import Array
 
-__all__ = ["FileRows", "Fill", "columns_to_fill", "records_of"]
+__all__ = ["FileRows", "Fill", "columns_to_fill", "records_of", "scene_of"]
 
 Fill = Callable[[int, Gaussians], None]
 """Decodes the rows from a number on into columns, as many as these hold."""
@@ -58,21 +59,41 @@ class FileRows:
                 advance(len(part))
         return Scene.flat(gaussians, mode=self.mode, source=Source(metadata=self.metadata or {}))
 
+    def parts(self) -> Iterator[tuple[Gaussians, Counts]]:
+        """All rows, whatever their values, in buffers that are used again, and that nothing was changed in them."""
+        buffers = columns_to_fill(min(ROWS_PER_CHUNK, self.num_rows), self.sh_degree)
+        with self.open() as fill:
+            for begin in range(0, self.num_rows, ROWS_PER_CHUNK):
+                part = buffers.rows(0, self.num_rows - begin)
+                fill(begin, part)
+                yield part, {}
+
     def chunks(self, options: ReadOptions) -> Chunks:
         """The rows in chunks, in buffers that are used again."""
 
         def parts() -> Iterator[tuple[Gaussians, Counts]]:
-            buffers = columns_to_fill(min(ROWS_PER_CHUNK, self.num_rows), self.sh_degree)
-            with self.open() as fill:
-                for begin in range(0, self.num_rows, ROWS_PER_CHUNK):
-                    part = buffers.rows(0, self.num_rows - begin)
-                    fill(begin, part)
-                    yield checked_rows(part, self.where, repair=options.repair, first_row=begin)
+            begin = 0
+            for part, _ in self.parts():
+                yield checked_rows(part, self.where, repair=options.repair, first_row=begin)
+                begin += len(part)
 
         drops_rows = bool(options.repair)
         return counted_chunks(
             parts, self.num_rows, self.sh_degree, self.mode, self.metadata or {}, drops_rows=drops_rows
         )
+
+
+def scene_of(chunks: Chunks, what: str) -> Scene:
+    """A scene that is read in chunks, in memory; ``what`` names the work for who watches it."""
+    gaussians, begin = columns_to_fill(len(chunks), chunks.sh_degree), 0
+    for chunk in track(chunks, what):
+        for name, column in vars(chunk).items():
+            getattr(gaussians, name)[begin : begin + len(chunk)] = column
+        begin += len(chunk)
+    metadata = dict(chunks.metadata)
+    if counts := add_counts(metadata.get("repairs"), chunks.repairs):
+        metadata["repairs"] = json.dumps(counts)
+    return Scene.flat(gaussians, mode=chunks.mode, source=Source(metadata=metadata, origin=chunks.origin))
 
 
 def columns_to_fill(num_rows: int, sh_degree: int) -> Gaussians:

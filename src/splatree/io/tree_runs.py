@@ -32,7 +32,16 @@ from splatree.scene.scene import Scene
 from splatree.scene.tree import GaussianTree
 from splatree.shapes import Array, Bool
 
-__all__ = ["TreeRuns", "cut_chunks", "has_rows_alone", "kept_runs", "moved_runs", "open_runs", "write_runs"]
+__all__ = [
+    "TreeRuns",
+    "cut_chunks",
+    "has_rows_alone",
+    "kept_runs",
+    "moved_runs",
+    "open_runs",
+    "stored_runs",
+    "write_runs",
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,8 +59,8 @@ class TreeRuns:
         return self.head.num_rows
 
 
-def open_runs(path: Path) -> TreeRuns | None:
-    """The tree of a folder of parts, or of an exact ``.splatree`` with levels; None: it is neither, or has clusters.
+def stored_runs(path: Path) -> TreeRuns | None:
+    """The rows of a folder of parts, or of an exact ``.splatree``, without its clusters; None: it is neither.
 
     Raises:
         FormatError: the rows are no tree, or a file of the folder is damaged.
@@ -61,16 +70,28 @@ def open_runs(path: Path) -> TreeRuns | None:
         whole = open_whole(folder)
         source = replace(whole.head.source, paths=(str(folder),), format="splatree-folder")
         return TreeRuns(replace(whole.head, source=source), whole.num_leaves, whole.runs)
-    found = detect(path)
-    if found is None or found.name != "splatree" or is_compact(path) or not has_rows_alone(stored := open_scene(path)):
+    if not _is_exact(path):
         return None
+    stored = open_scene(path)
     ends, depth, extents = (stored.file.rows(f"tree.{name}") for name in ("subtree_end", "depth", "extents"))
     try:
         tree = GaussianTree(ends, depth, extents)
     except ShapeError as error:
         raise FormatError(f"{path}: {error}; the file is damaged") from error
-    num_leaves = tree.num_leaves
-    return None if num_leaves == len(tree) else TreeRuns(stored.head, num_leaves, lambda what: _runs_of(stored, what))
+    return TreeRuns(stored.head, tree.num_leaves, lambda what: _runs_of(stored, what))
+
+
+def open_runs(path: Path) -> TreeRuns | None:
+    """As `stored_runs`; None too for what has no levels, or has clusters."""
+    if _is_exact(path) and not has_rows_alone(open_scene(path)):
+        return None
+    tree = stored_runs(path)
+    return None if tree is None or tree.num_leaves == len(tree) else tree
+
+
+def _is_exact(path: Path) -> bool:
+    found = detect(path)
+    return found is not None and found.name == "splatree" and not is_compact(path)
 
 
 def has_rows_alone(stored: StoredScene) -> bool:

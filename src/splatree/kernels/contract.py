@@ -9,7 +9,8 @@ blocks, columns)``                              piece of work; without it a fram
 ``reusing_stages()``                  optional  the stages for one session that draws: what they leave for the next stage may be
                                                 overwritten by the next frame
 ``borrow(tensors)``                   optional  tensors of other libraries in the device's memory as columns of a scene
-``kmeans_steps(points, *, threads)``  optional  a function that assigns the points to centres: a step of K-means
+``kmeans_steps(points, *, threads,    optional  a function that assigns the points to centres: a step of K-means; ``zeros``
+zeros)``                                        makes arrays with a row for each point
 ====================================  ========  =========================================================================
 
 Each stage is a function from structs to a struct. Structs lie in the memory of the processor and are float32, so stages of

@@ -7,7 +7,6 @@ levels above: docs/explanation/out-of-core.md.
 """
 
 import os
-import shutil
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
@@ -217,13 +216,13 @@ def _take_place(work: Work, target: Path, force: bool) -> None:
     """Move the finished folder to its name, or send its files there, and remove the rest."""
     if isinstance(target, ObjectPath):
         _send(work.scene, target)
-        shutil.rmtree(work.folder)
+        work.clear()
         return
     old = work.folder / "old"
     if target.exists() and force:
         target.rename(old)
     work.scene.rename(target)  # from here on, another build begins anew
-    shutil.rmtree(work.folder, ignore_errors=True)
+    work.clear()
 
 
 def _send(folder: Path, target: ObjectPath) -> None:

@@ -16,6 +16,7 @@ from splatree.io.formats.folder.manifest import MANIFEST, holds_parts, read_mani
 from splatree.io.formats.folder.whole import open_whole
 from splatree.io.formats.splatree.format import is_compact
 from splatree.io.formats.splatree.rows import StoredScene, open_scene
+from splatree.io.formats.tiles3d.format import check_all
 from splatree.io.inputs import find_inputs
 from splatree.io.joined_chunks import opened_chunks
 from splatree.io.local import local_inputs
@@ -49,7 +50,7 @@ class Checked:
     num_gaussians: int
     """Gaussians that were not made by merging."""
     num_nodes: int
-    """All rows, merged nodes included."""
+    """All rows, merged nodes and those of coarser tiles included."""
     num_bytes: int
     """Bytes of all files."""
     by_pages: bool
@@ -61,7 +62,8 @@ def check(
 ) -> tuple[Checked, ...]:
     """Touch everything of scenes on disk, as no other call has to, and say what is wrong with the first that is damaged.
 
-    A folder of parts and a ``.splatree`` are gone through page by page, other formats in chunks where they can be read so.
+    A folder of parts and a ``.splatree`` are gone through page by page, other formats in chunks where they can be read so. Of 3D
+    Tiles every tile is read, and an error names all that are damaged.
 
     Args:
         path: one file or folder, or several, each of which is checked by itself.
@@ -87,7 +89,11 @@ def check(
 
 def _checked(path: Path, options: ReadOptions) -> Checked:
     found = detect(path)
-    name, num_bytes = "" if found is None else found.name, stored_bytes(path)
+    name = "" if found is None else found.name
+    if name == "3d-tiles":
+        tiles = check_all(path, options)
+        return Checked(str(path), name, tiles.num_gaussians, tiles.num_rows, tiles.num_bytes, True)
+    num_bytes = stored_bytes(path)
     if holds_parts(path):
         return Checked(str(path), name, *_folder(path), num_bytes, True)
     if name == "splatree" and not is_compact(path) and has_rows_alone(stored := open_scene(path)):

@@ -4,7 +4,6 @@ What was asked for is kept with the plan, so that a second run of the same reque
 """
 
 import os
-import shutil
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
@@ -23,6 +22,7 @@ from splatree.io.options import ReadOptions
 from splatree.io.registry import detect, files_of
 from splatree.lod.options import BuildOptions
 from splatree.outofcore.cluster import cluster_at
+from splatree.outofcore.lock import alone_in
 from splatree.outofcore.options import PART_ROWS, FolderOptions, Room, cell_bytes
 from splatree.outofcore.plan import Plan, make_plan, read_plan, request_of
 from splatree.outofcore.run import Workers, run_cells
@@ -121,13 +121,13 @@ def cut_into_cells(
 
     Raises:
         InputError: a cell needs more memory than there is, or a cluster cannot take part.
-        OutputError: something could not be written.
+        OutputError: something could not be written, or another process writes the same output.
     """
     if executor is not None and running.scheduler is not None:
         raise InputError(f"executor: found one beside the scheduler {running.scheduler}, wanted one of them")
     chunks = opened.chunks
     request = request_of([_identity(path) for path in opened.found], asked, running, reading, chunks.mode)
-    with errors_of_writing(work):
+    with errors_of_writing(work), alone_in(work.folder):
         work.begin()
         with _runners(work, running, options, executor, chunks.sh_degree) as (workers, room):
             plan = _plan_to_go_on_with(work, request, room)
@@ -196,7 +196,7 @@ def errors_of_writing(work: Work) -> Iterator[None]:
 
 def _clear(work: Work) -> None:
     """Remove what another build left."""
-    shutil.rmtree(work.folder, ignore_errors=True)
+    work.clear()
     work.begin()
 
 

@@ -9,10 +9,10 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-from splatree.errors import OutputError
 from splatree.io.formats.folder.whole import open_whole
 from splatree.io.formats.splatree.writer import create_scene
 from splatree.io.reading import read
+from splatree.outofcore.lock import alone_in
 from splatree.scene.scene import Scene
 
 __all__ = ["mapped_whole"]
@@ -28,22 +28,17 @@ def mapped_whole(folder: Path, beside: Path) -> Iterator[Scene]:
 
     Raises:
         FormatError: a file of the folder is damaged.
-        OutputError: the file cannot be written.
+        OutputError: the file cannot be written, or another process writes the same output.
     """
     work = beside.with_name(f"{beside.name}.work")
     file = work / "whole.splatree"
     tree = open_whole(folder)
-    try:
-        work.mkdir(exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"{work}: cannot be made a folder ({error.strerror or error})") from error
-    try:
-        with create_scene(file, tree.head, force=True) as writer:
-            for run in tree.runs(f"put {folder.name} together"):
-                writer.append(run)
-        scene = read(file)
-        yield replace(scene, source=replace(scene.source, paths=(str(folder),), format="splatree-folder"))
-    finally:
-        file.unlink(missing_ok=True)
-        if work.is_dir() and not any(work.iterdir()):
-            work.rmdir()
+    with alone_in(work):
+        try:
+            with create_scene(file, tree.head, force=True) as writer:
+                for run in tree.runs(f"put {folder.name} together"):
+                    writer.append(run)
+            scene = read(file)
+            yield replace(scene, source=replace(scene.source, paths=(str(folder),), format="splatree-folder"))
+        finally:
+            file.unlink(missing_ok=True)

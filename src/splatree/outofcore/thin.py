@@ -6,7 +6,6 @@ counts what is left in every cell, without merging.
 """
 
 import os
-import shutil
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
@@ -84,7 +83,8 @@ def thin_file(
     again in the same way. Until it ends, its files are in a folder beside the output, with ``.work`` after its name.
 
     Args:
-        inputs: one path or several of one scene, of formats that are read in chunks: .ply, .spz, .splat, .sog, .ksplat.
+        inputs: one path or several of one scene, of formats that are read in chunks: .ply, .spz, .splat, .sog, .ksplat, .glb, 3D
+            Tiles.
         output: the new file, of a format that is written in chunks: .ply, .spz, .splat, .ksplat and others.
         options: a radius, or a share or count that is met by one; None: the automatic radius.
         running: memory and processes; None: half of the free memory and this process.
@@ -100,7 +100,7 @@ def thin_file(
         FormatError: an input does not hold what it promises.
         InputError: an input or the output is not of a format that goes in chunks, pairs are asked for, or a radius reaches over
             more of the scene than the memory holds.
-        OutputError: the output exists, or could not be written.
+        OutputError: the output exists, could not be written, or is written by another process.
         MissingExtraError: a scheduler is named, and Dask is not installed.
 
     Source:
@@ -143,7 +143,7 @@ def thin_file(
             )
             writing = WriteOptions(max_memory=running.max_memory)
             lost = write_chunks(left, target, force=force, options=writing)
-            shutil.rmtree(work.folder)
+            work.clear()
     return ThinnedFile(
         path=target,
         num_read=cut.plan.num_rows,

@@ -1,6 +1,7 @@
 """The folder in which a build through files works, beside the one that it will be: what is done is marked there.
 
     city.splatree.work/
+      lock                          which process works here (lock.py)
       plan.json                     what was decided for the whole scene
       slices/00000.splatree         rows of the input, by cell
       cells/00000.splatree .npy     one cell along the curve: degree 0, and the harmonics above; of roots that follow
@@ -17,6 +18,7 @@ the pieces that have no mark, and a piece may be done twice, even at the same ti
 """
 
 import json
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,6 +28,7 @@ import numpy as np
 from splatree.errors import InputError
 from splatree.io.objects import ObjectPath
 from splatree.io.replacing import remove_abandoned, replacing
+from splatree.outofcore.lock import LOCK
 from splatree.shapes import Array
 
 __all__ = ["Work"]
@@ -53,6 +56,14 @@ class Work:
         for name in FOLDERS:
             (self.folder / name).mkdir(parents=True, exist_ok=True)
             remove_abandoned(self.folder / name)
+
+    def clear(self) -> None:
+        """Remove all but the lock of the process that works here."""
+        for path in self.folder.iterdir():
+            if path.is_dir():
+                shutil.rmtree(path, ignore_errors=True)
+            elif path.name != LOCK:
+                path.unlink(missing_ok=True)
 
     @property
     def plan(self) -> Path:

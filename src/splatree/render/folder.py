@@ -38,7 +38,8 @@ def build_folder(
     folder beside the output, with ``.work`` after its name.
 
     Args:
-        inputs: one path or several of one scene, of formats that are read in chunks: .ply, .spz, .splat, .sog, .ksplat.
+        inputs: one path or several of one scene, of formats that are read in chunks: .ply, .spz, .splat, .sog, .ksplat, .glb, 3D
+            Tiles.
         output: the new folder.
         options: how levels grow. None: the defaults.
         running: memory, processes and the size of parts; None: half of the free memory and this process.
@@ -56,7 +57,7 @@ def build_folder(
         InputError: an input is not read in chunks, an option does not suit, a cell needs more memory than there is, or a cluster
             cannot take part.
         MissingExtraError: a scheduler is named, and Dask is not installed.
-        OutputError: the output exists, or could not be written.
+        OutputError: the output exists, could not be written, or is written by another process.
 
     Source:
         docs/explanation/out-of-core.md.

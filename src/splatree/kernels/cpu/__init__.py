@@ -30,10 +30,8 @@ def reusing_stages() -> "FrameStages":
     return ReusingStages()
 
 
-def kmeans_steps(points: "Array", *, threads: int = 0) -> "Callable[[Array], Any]":
+def kmeans_steps(points: "Array", *, threads: int, zeros: "Callable[..., Array]") -> "Callable[[Array], Any]":
     """A step of K-means: assigns the points to centres."""
-    from functools import partial
+    from splatree.kernels.cpu.build.kmeans import steps_of
 
-    from splatree.kernels.cpu.build.kmeans import assign
-
-    return partial(assign, points, threads=threads)
+    return steps_of(points, threads=threads, zeros=zeros)

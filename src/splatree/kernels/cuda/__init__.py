@@ -45,8 +45,8 @@ def borrow(tensors: Mapping[str, Any]) -> "dict[str, DeviceArray]":
     return device.borrow(tensors)
 
 
-def kmeans_steps(points: "Array", *, threads: int = 0) -> "Callable[[Array], Any]":
-    """A step of K-means on the first GPU: assigns the points to centres; ``threads`` is not used."""
+def kmeans_steps(points: "Array", *, threads: int, zeros: "Callable[..., Array]") -> "Callable[[Array], Any]":
+    """A step of K-means on the first GPU: assigns the points to centres; ``threads`` and ``zeros`` are not used."""
     from splatree.kernels.cuda.device import open_device
     from splatree.kernels.cuda.kmeans import DevicePoints
 

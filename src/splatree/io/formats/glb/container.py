@@ -72,6 +72,36 @@ class Accessor:
         return np.asarray(np.maximum(values.astype(np.float32) / largest, np.float32(-1)))
 
 
+class Window(io.RawIOBase):
+    """Some bytes of an open file as a file of their own, which leaves that one open."""
+
+    def __init__(self, file: BinaryIO, start: int, num_bytes: int) -> None:
+        super().__init__()
+        self._file, self._start, self._num_bytes, self._at = file, start, num_bytes, 0
+
+    def readable(self) -> bool:
+        """Always."""
+        return True
+
+    def seekable(self) -> bool:
+        """Always."""
+        return True
+
+    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
+        """Go to a byte of the window."""
+        base = {io.SEEK_SET: 0, io.SEEK_CUR: self._at, io.SEEK_END: self._num_bytes}[whence]
+        self._at = max(0, base + offset)
+        return self._at
+
+    def readinto(self, buffer: Any) -> int:
+        """Read what has room in the buffer, or less."""
+        view = memoryview(buffer).cast("B")[: max(0, self._num_bytes - self._at)]
+        self._file.seek(self._start + self._at)
+        count = _readinto(self._file, view)
+        self._at += count
+        return count
+
+
 class GltfFile:
     """An open ``.glb`` or ``.gltf``: its JSON, and accessors into its buffers."""
 
@@ -94,6 +124,16 @@ class GltfFile:
         """Close the files of the buffers; the file itself stays open."""
         for file in self._files:
             file.close()
+
+    def files(self) -> list[Path]:
+        """The files of the buffers that are not in the file itself."""
+        buffers = untrusted.as_list(self.json.get("buffers", []), f"{self.where}: buffers")
+        found = []
+        for i in range(len(buffers)):
+            name, record = f"{self.where}: buffers[{i}]", self.item("buffers", i, self.where)
+            if "uri" in record and not (uri := untrusted.text(record, "uri", name)).startswith("data:"):
+                found.append(self._beside(uri, name))
+        return found
 
     def item(self, key: str, index: Any, where: str) -> dict[str, Any]:
         """The element ``index`` of the list ``key`` of the file."""
@@ -206,6 +246,11 @@ class GltfFile:
         self._opened[index] = buffer
         return buffer
 
+    def _beside(self, uri: str, where: str) -> Path:
+        from urllib.parse import unquote
+
+        return untrusted.inner_file(self._path.parent, unquote(uri), where)
+
     def _outside(self, uri: str, where: str) -> _Buffer:
         """A buffer inside the JSON as base64, or in a file of the same folder."""
         if uri.startswith("data:"):
@@ -218,9 +263,7 @@ class GltfFile:
                 raise FormatError(f"{where}: found base64 that cannot be read ({error})") from error
             self.num_bytes += len(data)
             return _Buffer(io.BytesIO(data), 0, len(data))
-        from urllib.parse import unquote
-
-        path = untrusted.inner_file(self._path.parent, unquote(uri), where)
+        path = self._beside(uri, where)
         try:
             size, file = path.stat().st_size, path.open("rb")
         except OSError as error:

@@ -21,8 +21,11 @@ file's scene show are one scene; a node may move, turn and scale them. `glb/writ
 import json
 import math
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
-from io import BytesIO
+from functools import cached_property
+from io import BufferedReader
+from math import isqrt
 from pathlib import Path
 from typing import Any, Final
 
@@ -32,9 +35,9 @@ from splatree.constants import SH_C0
 from splatree.errors import FormatError
 from splatree.io import untrusted
 from splatree.io.budget import RowBudget
-from splatree.io.check import checked, finite_logits
-from splatree.io.chunks import ROWS_PER_CHUNK
-from splatree.io.formats.glb.container import MAGIC, Accessor, GltfFile
+from splatree.io.check import finite_logits
+from splatree.io.chunks import ROWS_PER_CHUNK, Chunks
+from splatree.io.formats.glb.container import MAGIC, Accessor, GltfFile, Window
 from splatree.io.formats.glb.names import (
     EXTENSION,
     PACKED_EXTENSIONS,
@@ -47,12 +50,12 @@ from splatree.io.formats.glb.names import (
 from splatree.io.formats.spz import format as spz
 from splatree.io.mirror import mirror
 from splatree.io.options import ReadOptions
-from splatree.io.placing import Placed, placed, settle
+from splatree.io.placing import Piece, Place, placed_chunks
+from splatree.io.rows import FileRows, Fill, scene_of
 from splatree.maths.axes import AXES, signs_between
-from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.names import Mode
-from splatree.scene.scene import Scene, Source
+from splatree.scene.scene import Scene
 from splatree.shapes import Array, Float64
 
 GLTF_AXES: Final = "LUF"
@@ -87,48 +90,61 @@ def sniff(path: Path, head: bytes) -> bool:
     return head[:4] == MAGIC or (path.suffix.lower() == ".gltf" and head.lstrip()[:1] == b"{")
 
 
+def files(path: Path) -> list[Path]:
+    """The file, and those of its buffers."""
+    with path.open("rb") as file:
+        return [path, *dict.fromkeys(GltfFile(path, file).files())]
+
+
 def read(path: Path, options: ReadOptions) -> Scene:
     """Read all Gaussians that the file's scene shows, moved by its nodes in float64; far from zero relative to an origin."""
-    with np.errstate(all="ignore"):  # whatever comes of absurd values is found by the check of values
-        return _read(path, options)
+    return scene_of(read_chunks(path, options), f"read {path.name}")
 
 
-def _read(path: Path, options: ReadOptions) -> Scene:
+def read_chunks(path: Path, options: ReadOptions) -> Chunks:
+    """The same in chunks."""
+    repair = bool(options.repair)
+    with _opened(path, repair=repair) as (gltf, parts, lost):
+        others = [part for part in parts if part.color_space != "srgb_rec709_display"]
+        if others and not repair:
+            raise FormatError(
+                f"{others[0].where}: found colorSpace {others[0].color_space!r}, wanted 'srgb_rec709_display': these colours "
+                "would be shown too dark; read it with repair to take them as they are"
+            )
+        modes = {part.rows.mode for part in parts}
+        generator = gltf.json["asset"].get("generator")
+    if len(modes) > 1:
+        raise FormatError(f"{path}: found primitives drawn in different modes, wanted one")
+    metadata = {"lost": json.dumps(lost)} if lost else {}
+    if others:
+        metadata["repairs"] = json.dumps({"other_color_space": len(others)})
+    if isinstance(generator, str):
+        metadata["generator"] = generator
+
+    @contextmanager
+    def pieces() -> Iterator[list[Piece]]:
+        with _opened(path, repair=repair) as (_, parts, _):
+            yield [part.piece() for part in parts]
+
+    return placed_chunks(pieces, str(path), modes.pop(), metadata, repair=options.repair)
+
+
+@contextmanager
+def _opened(path: Path, *, repair: bool) -> Iterator[tuple[GltfFile, list["_Part"], list[str]]]:
+    """The file, its primitives with Gaussians, and what else it shows."""
     with path.open("rb") as file:
         gltf = GltfFile(path, file)
         try:
             check_required(gltf.json, gltf.where)
-            parts, lost = _parts(gltf)
+            parts, lost = _parts(gltf, repair=repair)
             budget = RowBudget(str(path), _ROWS_PER_BYTE)
-            places, modes = list[Placed](), set()
-            repairs: dict[str, int] = {}
             for part in parts:
-                if part.color_space != "srgb_rec709_display":
-                    if not options.repair:
-                        raise FormatError(
-                            f"{part.where}: found colorSpace {part.color_space!r}, wanted 'srgb_rec709_display': these colours "
-                            "would be shown too dark; read it with repair to take them as they are"
-                        )
-                    repairs["other_color_space"] = repairs.get("other_color_space", 0) + 1
-                g, mode = part.decode(path, repair=bool(options.repair))
+                num_rows = part.rows.num_rows
                 budget.num_bytes = gltf.num_bytes
-                budget.take(len(g))
-                places.append(part.placed(g))
-                modes.add(mode)
+                budget.take(num_rows)
+            yield gltf, parts, lost
         finally:
             gltf.close()
-    if len(modes) > 1:
-        raise FormatError(f"{path}: found primitives drawn in different modes, wanted one")
-    metadata = {"lost": json.dumps(lost)} if lost else {}
-    if repairs:
-        metadata["repairs"] = json.dumps(repairs)
-    generator = gltf.json["asset"].get("generator")
-    if isinstance(generator, str):
-        metadata["generator"] = generator
-    gaussians, origin = settle(places)
-    whole = gaussians[0] if len(gaussians) == 1 else Gaussians.concatenate(gaussians)
-    scene = Scene.flat(whole, mode=modes.pop(), source=Source(metadata=metadata, origin=origin))
-    return checked(scene, str(path), repair=options.repair)
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,37 +157,38 @@ class _Part:
     extension: dict[str, Any]
     packed: tuple[str, Any] | None  # the extension that holds an SPZ in the place of attributes, by its name
     matrix: Float64[Array, "4 4"]  # of the node, to the scene, in the axes of glTF
+    repair: bool  # whether opacities beyond 1 are left to the check of values
 
     @property
     def color_space(self) -> Any:
         """Of the colours; drafts had none."""
         return self.extension.get("colorSpace", "srgb_rec709_display")
 
-    def decode(self, path: Path, *, repair: bool) -> tuple[Gaussians, Mode]:
+    @cached_property
+    def rows(self) -> FileRows:
         """The Gaussians in the axes of our scenes, where the primitive has them."""
         if self.packed is not None:
             name, packed = self.packed
             where = f"{self.where}: {name}"
             view = untrusted.field(untrusted.as_object(packed, where), "bufferView", where)
             file, start, size, _ = self.gltf.view(view, where)
-            file.seek(start)
-            data = file.read(size)
             axes = _spz_axes(self.gltf)
-            scene = spz.file_rows(lambda: BytesIO(data), size, where, default_axes=axes).unchecked_scene()
-            return scene.gaussians, scene.mode
-        gaussians = _decoded(self.where, _attributes(self), path, repair=repair)
-        mirror(gaussians, signs_between(GLTF_AXES, spz.SCENE_AXES))
+            return spz.file_rows(lambda: BufferedReader(Window(file, start, size)), size, where, default_axes=axes)
+        accessors = _attributes(self)
         extras = self.primitive.get("extras")
         is_mip = isinstance(extras, dict) and extras.get("SplatRenderMode") == "mip"
-        return gaussians, "antialiased" if is_mip else "classic"
+        mode: Mode = "antialiased" if is_mip else "classic"
+        degree = isqrt(len(accessors.sh)) - 1
+        return FileRows(self.where, accessors.means.count, degree, lambda: _decoded(accessors, self.where, repair=self.repair), mode)
 
-    def placed(self, gaussians: Gaussians) -> Placed:
-        """The Gaussians where the node shows them."""
+    def piece(self) -> Piece:
+        """The Gaussians and where the node shows them."""
         signs = np.diag([*signs_between(GLTF_AXES, spz.SCENE_AXES).astype(np.float64), 1.0])
-        return placed(gaussians, signs @ self.matrix @ signs, self.where)
+        place = Place.of(signs @ self.matrix @ signs, self.where)
+        return Piece(self.rows.num_rows, self.rows.sh_degree, self.rows.parts, place)
 
 
-def _parts(gltf: GltfFile) -> tuple[list[_Part], list[str]]:
+def _parts(gltf: GltfFile, *, repair: bool) -> tuple[list[_Part], list[str]]:
     """All primitives with Gaussians that the scene shows, and what else it shows, a sentence each."""
     parts, num_others = [], 0
     for name, mesh, matrix in _shown_meshes(gltf):
@@ -190,7 +207,7 @@ def _parts(gltf: GltfFile) -> tuple[list[_Part], list[str]]:
             kernel = extension.get("kernel", "ellipse")
             if kernel != "ellipse":
                 raise FormatError(f"{where}: found kernel {kernel!r}, wanted 'ellipse'")
-            parts.append(_Part(gltf, where, primitive, extension, packed, matrix))
+            parts.append(_Part(gltf, where, primitive, extension, packed, matrix, repair))
     if not parts:
         raise FormatError(f"{gltf.where}: found no primitive with {EXTENSION}: this glTF shows no Gaussians")
     lost = [f"{num_others} primitives without Gaussians"] if num_others else []
@@ -300,36 +317,38 @@ def _attributes(part: _Part) -> _Attributes:
     return _Attributes(means, quats, scales, opacities, sh, is_color)
 
 
-def _decoded(where: str, a: _Attributes, path: Path, *, repair: bool) -> Gaussians:
-    """The Gaussians in the axes of glTF."""
-    n = a.means.count
-    means, quats, scales, logits = (np.empty(shape, np.float32) for shape in ((n, 3), (n, 4), (n, 3), (n,)))
-    sh = np.empty((n, len(a.sh), 3), np.float32)
-    with task(f"read {path.name}", n) as advance:
-        for begin in range(0, n, ROWS_PER_CHUNK):
-            end = min(begin + ROWS_PER_CHUNK, n)
-            rows = slice(begin, end)
-            means[rows] = a.means.rows(begin, end)
-            xyzw = a.quats.rows(begin, end)
-            quats[rows, 0], quats[rows, 1:] = xyzw[:, 3], xyzw[:, :3]
-            scales[rows] = a.scales.rows(begin, end)
-            opacities = a.opacities.rows(begin, end)[:, -1]  # the alpha of a colour, or the opacity alone
-            beyond = np.flatnonzero(~((opacities >= 0) & (opacities <= 1)))
-            if len(beyond) and not repair:
-                raise FormatError(
-                    f"{where}: row {begin + int(beyond[0])}: found an opacity of {opacities[beyond[0]]:g}, wanted 0 to 1; whole "
-                    "numbers have to be normalized, as their accessor says"
-                )
-            logits[rows] = _logits(opacities)
-            for k, accessor in enumerate(a.sh):
-                sh[rows, k] = accessor.rows(begin, end)[:, :3]
-            advance(end - begin)
-    if a.is_color:
-        sh[:, 0] = (sh[:, 0] - np.float32(0.5)) / np.float32(SH_C0)
+@contextmanager
+def _decoded(a: _Attributes, where: str, *, repair: bool) -> Iterator[Fill]:
+    """Decodes rows into the axes of our scenes."""
+    n, signs = a.means.count, signs_between(GLTF_AXES, spz.SCENE_AXES)
     # Drafts had logarithms here; a standard deviation below 0 says that these are.
-    if n == 0 or float(scales.min()) >= 0:
-        np.log(scales, out=scales)
-    return Gaussians(means, quats, scales, logits, sh)
+    least = [a.scales.rows(begin, min(begin + ROWS_PER_CHUNK, n)).min() for begin in range(0, n, ROWS_PER_CHUNK)]
+    is_linear = n == 0 or float(np.min(least)) >= 0
+
+    def fill(begin: int, out: Gaussians) -> None:
+        end = begin + len(out)
+        out.means[:] = a.means.rows(begin, end)
+        xyzw = a.quats.rows(begin, end)
+        out.quats[:, 0], out.quats[:, 1:] = xyzw[:, 3], xyzw[:, :3]
+        out.log_scales[:] = a.scales.rows(begin, end)
+        for k, accessor in enumerate(a.sh):
+            out.sh[:, k] = accessor.rows(begin, end)[:, :3]
+        opacities = a.opacities.rows(begin, end)[:, -1]  # the alpha of a colour, or the opacity alone
+        beyond = np.flatnonzero(~((opacities >= 0) & (opacities <= 1)))
+        if len(beyond) and not repair:
+            raise FormatError(
+                f"{where}: row {begin + int(beyond[0])}: found an opacity of {opacities[beyond[0]]:g}, wanted 0 to 1; whole "
+                "numbers have to be normalized, as their accessor says"
+            )
+        with np.errstate(all="ignore"):  # whatever comes of absurd values is found by the check of values
+            out.logit_opacities[:] = _logits(opacities)
+            if a.is_color:
+                out.sh[:, 0] = (out.sh[:, 0] - np.float32(0.5)) / np.float32(SH_C0)
+            if is_linear:
+                np.log(out.log_scales, out=out.log_scales)
+        mirror(out, signs)
+
+    yield fill
 
 
 def _logits(opacities: Array) -> Array:

@@ -59,6 +59,9 @@ _WIDTHS = (3, 4, 3, 1, 48)
 _HALF_MAX = 65504.0
 """Largest finite half-precision number."""
 
+_READ_BYTES = 450
+"""What reading takes for each Gaussian at most, in either layout: nodes and Gaussians are put into another order at once."""
+
 _ROWS_AT_ONCE = 1 << 16
 
 
@@ -79,6 +82,14 @@ def sniff(path: Path, head: bytes) -> bool:
         and num_nodes > 0
         and path.stat().st_size == _bytes_before_nodes(num_gaussians) + num_nodes * _bytes_per_node(num_gaussians < 0)
     )
+
+
+def whole_bytes(path: Path) -> int:
+    """Memory that reading takes, by the number of Gaussians that the file announces and has bytes for."""
+    with path.open("rb") as file:
+        count = _read_count(path, file)
+    before = _bytes_before_nodes(-1 if count < 0 else 1) - 8
+    return _READ_BYTES * min(abs(count), path.stat().st_size // before)
 
 
 def read(path: Path, options: ReadOptions) -> Scene:

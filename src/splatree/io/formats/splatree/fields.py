@@ -22,6 +22,7 @@ from splatree.shapes import Array
 __all__ = [
     "NOT_STORED",
     "STORED_AS",
+    "cluster_types",
     "column_types",
     "columns_of",
     "source_from",
@@ -82,6 +83,17 @@ def column_types(
         "tree.extents": (floats, (n,)),
         **curves,
         **ids,
+    }
+
+
+def cluster_types(c: int) -> dict[str, tuple[np.dtype[Any], tuple[int, ...]]]:
+    """Type and shape of the columns of ``c`` clusters, by their names."""
+    floats = np.dtype("<f4")
+    return {
+        "clusters.start": (np.dtype("<i4"), (c + 1,)),
+        "clusters.centers": (floats, (c, 3)),
+        **{f"clusters.{name}": (floats, (c,)) for name in ("radii", "mean_radii", "footprint_radii")},
+        **{f"clusters.{name}": (floats, (c, 3)) for name in ("box_low", "box_high")},
     }
 
 

@@ -16,10 +16,18 @@ import numpy as np
 from splatree.errors import InputError
 from splatree.io.check import refuse_unusable
 from splatree.io.formats.splatree.container import Column, header_bytes, placed
-from splatree.io.formats.splatree.fields import STORED_AS, column_types, columns_of, source_text, values_of
+from splatree.io.formats.splatree.fields import (
+    STORED_AS,
+    cluster_types,
+    column_types,
+    columns_of,
+    source_text,
+    values_of,
+)
 from splatree.io.formats.splatree.head import SceneHead
 from splatree.io.formats.splatree.rows import SceneRows
 from splatree.io.replacing import replacing
+from splatree.scene.clusters import ClusterIndex
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Scene
 from splatree.shapes import Array
@@ -37,17 +45,20 @@ class SceneWriter:
         True
     """
 
-    def __init__(self, file: BinaryIO, head: SceneHead) -> None:
+    def __init__(self, file: BinaryIO, head: SceneHead, num_clusters: int = 0) -> None:
         self.head = head
         """What the file will hold."""
         self.num_written = 0
         """Rows written so far."""
+        self.num_clusters = num_clusters
+        """Clusters that are still to be written."""
         self._file = file
         k = (head.sh_degree + 1) ** 2
         roots = {} if head.roots is None else dict(columns_of(head.roots, "tree.roots."))
         own = column_types(head.num_rows, k, has_ids=head.has_ids, has_curves=head.has_curves)
         ids = {"ids": own.pop("ids")} if head.has_ids else {}
-        self._places = placed(own | {name: (column.dtype, column.shape) for name, column in roots.items()} | ids)
+        kept = {name: (column.dtype, column.shape) for name, column in roots.items()}
+        self._places = placed(own | kept | ids | (cluster_types(num_clusters) if num_clusters else {}))
         text = header_bytes(_values(head), self._places)
         self._start = len(text)
         file.write(text)
@@ -90,6 +101,21 @@ class SceneWriter:
             self._write("ids", begin, np.arange(begin, end, dtype=np.uint32) if rows.ids is None else rows.ids)
         self.num_written = end
 
+    def append_clusters(self, clusters: ClusterIndex) -> None:
+        """Write the clusters of the rows, which were announced by their number.
+
+        Raises:
+            InputError: there are more or fewer than announced, or they are clusters of more or fewer rows.
+        """
+        if len(clusters) != self.num_clusters or clusters.num_rows != self.head.num_rows:
+            raise InputError(
+                f"clusters: found {len(clusters)} of {clusters.num_rows} rows, wanted the {self.num_clusters} announced of "
+                f"{self.head.num_rows}"
+            )
+        for name, column in columns_of(clusters, "clusters."):
+            self._write(name, 0, column)
+        self.num_clusters = 0
+
     def _write(self, name: str, begin: int, rows: Array) -> None:
         place: Column = self._places[name]
         self._file.seek(self._start + place.start + begin * place.bytes_per_row)
@@ -97,19 +123,22 @@ class SceneWriter:
 
 
 @contextmanager
-def create_scene(path: str | os.PathLike[str], head: SceneHead, *, force: bool = False) -> Iterator[SceneWriter]:
+def create_scene(
+    path: str | os.PathLike[str], head: SceneHead, *, num_clusters: int = 0, force: bool = False
+) -> Iterator[SceneWriter]:
     """Write a ``.splatree`` part by part: whole or not at all.
 
     Args:
         path: the new file.
         head: how many rows there will be, and how they are drawn.
+        num_clusters: how many clusters of rows there will be, which `append_clusters` takes when they are known.
         force: replace the file if it exists.
 
     Yields:
         A writer whose `append` takes the parts. The file takes its place when the block ends.
 
     Raises:
-        InputError: fewer or more rows were appended than announced.
+        InputError: fewer or more rows were appended than announced, or no clusters where they were announced.
         OutputError: the file exists, or could not be written; an old file is then whole.
 
     Example:
@@ -120,10 +149,12 @@ def create_scene(path: str | os.PathLike[str], head: SceneHead, *, force: bool =
     """
     with replacing(path, force=force) as temporary:
         with temporary.open("wb") as file:
-            writer = SceneWriter(file, head)
+            writer = SceneWriter(file, head, num_clusters)
             yield writer
         if writer.num_written != head.num_rows:
             raise InputError(f"{path}: found {writer.num_written} rows appended, wanted the {head.num_rows} announced")
+        if writer.num_clusters:
+            raise InputError(f"{path}: found no clusters appended, wanted the {writer.num_clusters} announced")
 
 
 def _values(head: SceneHead) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""3D Tiles (OGC 1.1): ``tileset.json`` and a glTF with Gaussians for each tile. Reads the finest tiles.
+"""3D Tiles (OGC 1.1): ``tileset.json`` and a glTF with Gaussians for each tile. Reads the finest tiles; a check reads all.
 
 A tileset is a tree of tiles. A tile has contents, children, a 4 × 4 matrix (column by column) to its parent, and refines by
 REPLACE (its children stand in its place) or ADD (they come beside it). A content may be another tileset. Tiles have z up; a glTF
@@ -11,25 +11,31 @@ aslant there, thousands of kilometres from zero; the metadata keeps it (``globe_
 import json
 import math
 from collections.abc import Iterator
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from splatree.errors import FormatError
+from splatree.errors import FormatError, InputError
 from splatree.io import untrusted
 from splatree.io.budget import RowBudget
-from splatree.io.check import checked
+from splatree.io.check import add_counts
+from splatree.io.chunks import Chunks, Counts
 from splatree.io.formats.glb import reader as gltf
 from splatree.io.options import ReadOptions
-from splatree.io.placing import Placed, placed, settle
+from splatree.io.placing import Piece, Place, placed_chunks
+from splatree.io.rows import scene_of
 from splatree.maths.axes import signs_between
+from splatree.progress import track
 from splatree.scene.gaussians import Gaussians
-from splatree.scene.scene import Scene, Source
+from splatree.scene.names import Mode
+from splatree.scene.origin import NO_ORIGIN, Origin
+from splatree.scene.scene import Scene
 from splatree.shapes import Array, Float64
 
-__all__ = ["files", "read", "sniff"]
+__all__ = ["AllTiles", "check_all", "files", "read", "read_chunks", "sniff"]
 
 _NAME = "tileset.json"
 _TILES_MAX = 1 << 20
@@ -62,6 +68,9 @@ class _Found:
     tilesets: list[Path] = field(default_factory=list)
     others: dict[str, int] = field(default_factory=dict)  # contents of other kinds, by suffix
     num_tiles: int = 0
+    takes_all: bool = False  # also contents that finer tiles stand for, and files that are not there
+    coarse: list[_Content] = field(default_factory=list)
+    damaged: list[str] = field(default_factory=list)  # what is wrong with files that are not there
 
 
 def sniff(path: Path, head: bytes) -> bool:
@@ -72,37 +81,35 @@ def sniff(path: Path, head: bytes) -> bool:
 
 
 def files(path: Path) -> list[Path]:
-    """The tilesets and the contents of all finest tiles."""
+    """The tilesets and the contents of all finest tiles, with their buffers."""
     found, _ = _walk(path / _NAME if path.is_dir() else path)
-    return [*found.tilesets, *dict.fromkeys(content.path for content in found.contents)]
+    contents = dict.fromkeys(content.path for content in found.contents)
+    return [*found.tilesets, *dict.fromkeys(file for content in contents for file in gltf.files(content))]
 
 
 def read(path: Path, options: ReadOptions) -> Scene:
     """Read the finest tiles as one scene."""
+    return scene_of(read_chunks(path, options), f"read {path.name}")
+
+
+def read_chunks(path: Path, options: ReadOptions) -> Chunks:
+    """The finest tiles as one scene in chunks, one file after the other."""
     manifest = path / _NAME if path.is_dir() else path
     where = str(manifest)
     found, globe = _walk(manifest)
-    if not found.contents:
-        words = _others(found) or "no contents"
-        raise FormatError(f"{where}: found no glTF in its tiles ({words}), wanted Gaussians in .glb or .gltf")
-    budget, parts, modes, lost = RowBudget(where, _ROWS_PER_BYTE), list[Placed](), set(), list[str]()
+    budget, pieces, modes, lost = RowBudget(where, _ROWS_PER_BYTE), list[Piece](), set[Mode](), list[str]()
     for content in found.contents:
-        scene = gltf.read(content.path, options)
-        budget.add_file(content.path)
-        budget.take(len(scene))
-        y_up = np.linalg.inv(_Z_UP_FROM_Y_UP) @ content.matrix @ _Z_UP_FROM_Y_UP
-        matrix = _SIGNS @ y_up @ _SIGNS
-        parts.append(placed(scene.gaussians, matrix, content.where, origin=scene.source.origin))
-        modes.add(scene.mode)
-        lost += json.loads(scene.source.metadata.get("lost", "[]"))
-    if len(modes) > 1:
-        raise FormatError(f"{where}: found tiles drawn in different modes, wanted one")
+        chunks = gltf.read_chunks(content.path, options)
+        for file in gltf.files(content.path):
+            budget.add_file(file)
+        budget.take(len(chunks))
+        pieces.append(_piece(content, chunks))
+        modes.add(chunks.mode)
+        lost += json.loads(chunks.metadata.get("lost", "[]"))
+    _check_contents(found, modes, where)
     if found.others:
         lost.append(f"tiles of other kinds: {_others(found)}")
-    settled, origin = settle(parts)
-    degree = max(g.sh_degree for g in settled)
-    gaussians = Gaussians.concatenate([g.with_sh_degree(degree) for g in settled])
-    metadata = {"tiles": str(len(parts))}
+    metadata = {"tiles": str(len(pieces))}
     if lost:
         metadata["lost"] = json.dumps(list(dict.fromkeys(lost)))
     if globe is not None:
@@ -110,17 +117,84 @@ def read(path: Path, options: ReadOptions) -> Scene:
         metadata["notes"] = json.dumps(
             ["the matrix that puts the tileset on the globe is left out: coordinates are those of its root tile"]
         )
-    scene = Scene.flat(gaussians, mode=modes.pop(), source=Source(metadata=metadata, origin=origin))
-    return checked(scene, where, repair=options.repair)
+    return placed_chunks(lambda: nullcontext(pieces), where, modes.pop(), metadata, repair=options.repair)
+
+
+@dataclass(frozen=True)
+class AllTiles:
+    """What all tiles of a tileset hold."""
+
+    num_gaussians: int
+    """Gaussians of the finest tiles."""
+    num_rows: int
+    """Gaussians of all tiles."""
+    num_bytes: int
+    """Bytes of the tilesets and of the files of all tiles."""
+
+
+def check_all(path: Path, options: ReadOptions) -> AllTiles:
+    """Read every tile, those that finer ones stand for too, one file after the other.
+
+    Raises:
+        FormatError: names each file that is damaged or missing; or there are no tiles, or they are drawn in different modes.
+    """
+    manifest = path / _NAME if path.is_dir() else path
+    found, _ = _walk(manifest, takes_all=True)
+    counts, modes = dict[Path, int](), set[Mode]()
+    for content in track([*found.contents, *found.coarse], f"check {path.name}"):
+        try:
+            if content.path not in counts:
+                chunks = gltf.read_chunks(content.path, options)
+                counts[content.path] = sum(map(len, chunks))
+                modes.add(chunks.mode)
+            _place(content, NO_ORIGIN)
+        except InputError as error:
+            found.damaged.append(str(error))
+        except OSError as error:
+            found.damaged.append(f"{content.path}: cannot be read ({error.strerror or error})")
+    damaged = list(dict.fromkeys(found.damaged))
+    if damaged:
+        raise FormatError(
+            f"{manifest}: found {len(damaged)} of its tiles damaged or missing, wanted all whole; make the stream again:\n"
+            + "\n".join(damaged)
+        )
+    _check_contents(found, modes, str(manifest))
+    finest, coarse = (sum(counts[content.path] for content in each) for each in (found.contents, found.coarse))
+    stored = dict.fromkeys(file for path in counts for file in gltf.files(path))
+    return AllTiles(finest, finest + coarse, sum(file.stat().st_size for file in (*found.tilesets, *stored)))
+
+
+def _check_contents(found: _Found, modes: set[Mode], where: str) -> None:
+    if not found.contents:
+        words = _others(found) or "no contents"
+        raise FormatError(f"{where}: found no glTF in its tiles ({words}), wanted Gaussians in .glb or .gltf")
+    if len(modes) > 1:
+        raise FormatError(f"{where}: found tiles drawn in different modes, wanted one")
+
+
+def _piece(content: _Content, chunks: Chunks) -> Piece:
+    """The Gaussians of a tile and where the tileset puts them."""
+
+    def make() -> Iterator[tuple[Gaussians, Counts]]:
+        for chunk in chunks:
+            yield chunk, {}
+        yield Gaussians.empty(chunks.sh_degree), add_counts(chunks.metadata.get("repairs"), chunks.repairs)
+
+    return Piece(len(chunks), chunks.sh_degree, make, _place(content, chunks.origin))
+
+
+def _place(content: _Content, origin: Origin) -> Place | None:
+    y_up = np.linalg.inv(_Z_UP_FROM_Y_UP) @ content.matrix @ _Z_UP_FROM_Y_UP
+    return Place.of(_SIGNS @ y_up @ _SIGNS, content.where, origin=origin)
 
 
 def _others(found: _Found) -> str:
     return ", ".join(f"{count} {suffix}" for suffix, count in found.others.items())
 
 
-def _walk(manifest: Path) -> tuple[_Found, Float64[Array, "4 4"] | None]:
-    """The finest contents, and the matrix of the root if it stands on the globe."""
-    found = _Found()
+def _walk(manifest: Path, *, takes_all: bool = False) -> tuple[_Found, Float64[Array, "4 4"] | None]:
+    """The finest contents, or all of them, and the matrix of the root if it stands on the globe."""
+    found = _Found(takes_all=takes_all)
     root = _root(manifest, found)
     where = f"{manifest}: root"
     matrix = _matrix(root, where)
@@ -165,11 +239,17 @@ def _visit(tile: _Tile, found: _Found, folder: Path) -> Iterator[_Tile]:
             inner = _root(path, found)
             matrix = tile.matrix @ _matrix(inner, f"{path}: root")
             yield _Tile(inner, path, matrix, f"{path}: root", tile.depth + 1, tile.above | {path.resolve()})
-        elif is_replaced:
+        elif is_replaced and not found.takes_all:
             continue
         elif suffix in (".glb", ".gltf"):
-            path = untrusted.inner_file(folder, _inside(tile.manifest.parent, uri, folder, where), where)
-            found.contents.append(_Content(path, where, tile.matrix))
+            try:
+                path = untrusted.inner_file(folder, _inside(tile.manifest.parent, uri, folder, where), where)
+            except FormatError as error:
+                if not found.takes_all:
+                    raise
+                found.damaged.append(str(error))
+                continue
+            (found.coarse if is_replaced else found.contents).append(_Content(path, where, tile.matrix))
         else:
             found.others[suffix] = found.others.get(suffix, 0) + 1
     for i, child in enumerate(children):
