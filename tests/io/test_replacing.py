@@ -10,7 +10,7 @@ from splatree.io import replacing as module
 def test_on_windows_no_folder_is_opened(tmp_path, monkeypatch):
     monkeypatch.setattr(module, "ON_WINDOWS", True)
     flushed = []
-    monkeypatch.setattr(module, "_flush", lambda path, flags: flushed.append(path))
+    monkeypatch.setattr(module, "flush", lambda path, flags: flushed.append(path))
     with module.replacing(tmp_path / "a") as path:
         path.write_bytes(b"new")
     assert (tmp_path / "a").read_bytes() == b"new"

@@ -23,7 +23,7 @@ import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from io import BufferedReader
 from math import isqrt
 from pathlib import Path
@@ -179,7 +179,8 @@ class _Part:
         is_mip = isinstance(extras, dict) and extras.get("SplatRenderMode") == "mip"
         mode: Mode = "antialiased" if is_mip else "classic"
         degree = isqrt(len(accessors.sh)) - 1
-        return FileRows(self.where, accessors.means.count, degree, lambda: _decoded(accessors, self.where, repair=self.repair), mode)
+        decode = partial(_decoded, accessors, self.where, repair=self.repair)
+        return FileRows(self.where, accessors.means.count, degree, decode, mode)
 
     def piece(self) -> Piece:
         """The Gaussians and where the node shows them."""
