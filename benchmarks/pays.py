@@ -1,13 +1,14 @@
 """What a cut saves at a quality: nodes and frame time of the cut of 40 and of 33 dB against all leaves, at 1080p.
 
 ``python benchmarks/pays.py [--scenes ...] [--quality 33 40]`` needs the shared scenes. Levels by a radius and by pairs are built.
-In a near, a middle and a far view (levels.py), all leaves and the cut that each quality chooses are drawn; a time
-is that of the cheapest of three frames. *frame* is the processor time from culling to the picture for a τ_R that is known;
-*chosen* has the search for τ_R in it, from a view alone.
+In a near, a middle and a far view (levels.py), all leaves and the cut that each quality chooses are drawn, without and with
+occlusion (lod/occlusion.py); a time is that of the cheapest of three frames. *frame* is the processor time from culling to the
+picture for a τ_R that is known; *chosen* has the search for τ_R in it, from a view alone.
 """
 
 import argparse
 from dataclasses import replace
+from itertools import product
 from typing import get_args
 
 import numpy as np
@@ -34,13 +35,14 @@ def main() -> None:
             with st.open_session(st.build_lod(flat, st.BuildOptions(method))) as session:
                 for key, view in views.items():
                     leaves, leaves_s, picture = drawn(session, view, st.SelectOptions(pixel_error=0.0))
-                    for quality in arguments.quality:
-                        wanted = st.SelectOptions(quality=quality)
+                    for quality, occlusion in product(arguments.quality, (False, True)):
+                        wanted = st.SelectOptions(quality=quality, occlusion=occlusion)
                         pixel_error = session.select(view, select=wanted).pixel_error
-                        nodes, cut_s, cut = drawn(session, view, st.SelectOptions(pixel_error=pixel_error))
+                        by_size = st.SelectOptions(pixel_error=pixel_error, occlusion=occlusion)
+                        nodes, cut_s, cut = drawn(session, view, by_size)
                         _, chosen_s, _ = drawn(session, view, wanted)
                         rows.append(
-                            {"scene": name, "levels": method, "view": key, "asked, dB": quality}
+                            {"scene": name, "levels": method, "view": key, "asked, dB": quality, "occlusion": occlusion}
                             | {"PSNR": min(st.psnr(cut, picture), 60.0), "nodes, % of leaves": 100 * nodes / leaves}
                             | {"leaves, CPU ms": 1e3 * leaves_s, "frame, of leaves": cut_s / leaves_s}
                             | {"chosen, of leaves": chosen_s / leaves_s}
