@@ -14,6 +14,8 @@ from splatree.kernels.devices import training_stages_of
 from splatree.train.prepare import prepare
 from splatree.train.step import Drawing, drawn
 
+from .conftest import views, write_colmap
+
 OPTIONS = st.TrainOptions(iterations=30, max_gaussians=260, held_out=4)
 
 
@@ -269,6 +271,25 @@ def test_objects_stand_before_nothing(photographs, monkeypatch):
     assert found["mask"] == 7 and found["match"] > 7
 
 
+def test_small_photographs_hold_the_count_down(photographs, truth, tmp_path):
+    """Three photographs of 224 px have 627 times 60 pixels at half of their size. A run that was stopped there keeps its bits."""
+    cameras = views(4, size=224)
+    shutil.rmtree(photographs / "sparse")
+    write_colmap(photographs, cameras, truth.gaussians.means, np.full((len(truth), 3), 128))
+    for camera in cameras:
+        image = np.clip(st.render(truth, camera).image, 0, 1)
+        st.write_image(image, photographs / "images" / camera.name, force=True)
+    options = st.TrainOptions(iterations=250, max_gaussians=1000, held_out=4, score=False)
+    whole = st.train(photographs, options, threads=1)
+    counts = [scored.num_gaussians for scored in whole.history]
+    assert counts[0] == 627 and counts[1] > 800
+    steps = iter(range(250))
+    files = st.RunFiles(tmp_path / "a.run")
+    assert st.train(photographs, options, files=files, stop=lambda: next(steps) == 150, threads=2).stopped
+    resumed = st.train(photographs, options, files=replace(files, resume=True), threads=2)
+    assert bits(resumed) == bits(whole)
+
+
 def test_one_photograph_is_too_few(photographs):
     for i in range(1, 4):
         (photographs / "images" / f"photo_{i}.png").unlink()
@@ -306,8 +327,6 @@ def test_cameras_at_one_place_are_refused(photographs):
 
 def test_coordinates_far_from_zero_lose_nothing(photographs, truth, tmp_path):
     """Georeferenced cameras and points, at a northing where float32 has steps of half a unit."""
-    from .conftest import views, write_colmap
-
     far = np.array([5e5, 4.5e6, 100.0])
     shutil.rmtree(photographs / "sparse")
     rng = np.random.default_rng(0)

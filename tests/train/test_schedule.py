@@ -8,7 +8,10 @@ import pytest
 from splatree.errors import InputError
 from splatree.scene.gradients import Moments
 from splatree.train.options import TrainOptions
-from splatree.train.schedule import ROUND, Schedule, count_target, generator, rates, round_of
+from splatree.train.schedule import PIXELS_EACH, ROUND, Schedule, generator, rates, round_of
+
+PIXELS = 10**9
+"""Of photographs that can tell all Gaussians apart that are asked for."""
 
 
 def rounds(options, seconds_a_step, *, steps=10**6):
@@ -48,11 +51,11 @@ def test_iterations_need_no_clock():
 
 @pytest.mark.parametrize("num_views", [1, 7, 65])
 def test_each_photograph_comes_once_an_epoch_in_another_order(num_views):
-    schedule = Schedule(TrainOptions(), 1, 8)
+    schedule = Schedule(TrainOptions(), 1, 8, PIXELS)
     epochs = [[schedule.view(num_views * epoch + i, num_views) for i in range(num_views)] for epoch in range(3)]
     assert all(Counter(epoch) == Counter(range(num_views)) for epoch in epochs)
     assert num_views == 1 or epochs[0] != epochs[1] != epochs[2]
-    other = Schedule(TrainOptions(seed=1), 1, 8)
+    other = Schedule(TrainOptions(seed=1), 1, 8, PIXELS)
     assert num_views < 7 or [other.view(i, num_views) for i in range(num_views)] != epochs[0]
 
 
@@ -65,21 +68,33 @@ def test_random_numbers_depend_on_what_they_are_for_alone():
 
 def test_photographs_grow_and_are_never_smaller_than_they_may_be():
     shares = (0.0, 0.3, 0.6, 0.8)
-    assert [Schedule(TrainOptions(), 1, 8).division(share) for share in shares] == [4, 2, 2, 1]
-    assert [Schedule(TrainOptions(), 2, 8).division(share) for share in shares] == [4, 4, 2, 2]
-    assert [Schedule(TrainOptions(), 1, 1).division(share) for share in shares] == [1, 1, 1, 1]
-    assert [Schedule(TrainOptions(), 8, 8).division(share) for share in shares] == [8, 8, 8, 8]
+    assert [Schedule(TrainOptions(), 1, 8, PIXELS).division(share) for share in shares] == [4, 2, 2, 1]
+    assert [Schedule(TrainOptions(), 2, 8, PIXELS).division(share) for share in shares] == [4, 4, 2, 2]
+    assert [Schedule(TrainOptions(), 1, 1, PIXELS).division(share) for share in shares] == [1, 1, 1, 1]
+    assert [Schedule(TrainOptions(), 8, 8, PIXELS).division(share) for share in shares] == [8, 8, 8, 8]
 
 
 def test_high_harmonics_come_late():
-    schedule = Schedule(TrainOptions(degree=3), 1, 1)
+    schedule = Schedule(TrainOptions(degree=3), 1, 1, PIXELS)
     assert [schedule.sh_degree(share) for share in (0, 0.49, 0.5, 1)] == [1, 1, 3, 3]
-    assert Schedule(TrainOptions(degree=0), 1, 1).sh_degree(0) == 0
+    assert Schedule(TrainOptions(degree=0), 1, 1, PIXELS).sh_degree(0) == 0
 
 
 def test_the_count_reaches_its_target_at_half_of_the_run():
-    counts = [count_target(share, 100, 1000) for share in np.linspace(0, 1, 21)]
+    schedule = Schedule(TrainOptions(max_gaussians=1000), 2, 8, PIXELS)
+    counts = [schedule.count_target(share, 100) for share in np.linspace(0, 1, 21)]
     assert counts[0] == 100 and counts[10:] == [1000] * 11 and counts == sorted(counts)
+
+
+def test_small_photographs_hold_the_count_down_until_they_are_large():
+    """At a quarter there are 16 times fewer pixels; the largest photographs are compared with as many as were asked for."""
+    num_pixels = 16 * PIXELS_EACH * 400
+    schedule = Schedule(TrainOptions(max_gaussians=1000), 2, 8, num_pixels)
+    counts = [schedule.count_target(share, 100) for share in np.linspace(0, 1, 21)]
+    assert counts[0] == 100 and counts[5:12] == [400] * 7 and counts[12:] == [1000] * 9
+    assert counts == sorted(counts)
+    assert schedule.count_target(0.5, 700) == 700  # what a run began with is not taken away
+    assert Schedule(TrainOptions(max_gaussians=1000), 4, 4, num_pixels).count_target(0.5, 100) == 1000
 
 
 def test_rates_fall_to_their_ends():

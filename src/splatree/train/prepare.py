@@ -122,4 +122,5 @@ def _placed(points: Points, extent: float) -> tuple[World, Points]:
 
 def _schedule(options: TrainOptions, cameras: Sequence[Camera]) -> Schedule:
     finest = finest_division(cameras) if options.size is None else DIVISIONS[options.size]
-    return Schedule(options, finest, max(finest, coarsest_division(cameras)))
+    num_pixels = sum(camera.width * camera.height for camera in cameras)
+    return Schedule(options, finest, max(finest, coarsest_division(cameras)), num_pixels)

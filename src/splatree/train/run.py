@@ -26,7 +26,7 @@ from splatree.train.exposure import Exposures
 from splatree.train.lineage import Lineage
 from splatree.train.options import RunFiles, TrainOptions, plain
 from splatree.train.prepare import Work, prepare
-from splatree.train.schedule import BIRTHS_END, ROUND, LogEntry, count_target, generator, rates, round_of
+from splatree.train.schedule import BIRTHS_END, ROUND, LogEntry, generator, rates, round_of
 from splatree.train.state import Scored, State
 from splatree.train.step import Drawing, learn
 
@@ -205,7 +205,7 @@ def _step(work: Work, state: State, drawing: Drawing) -> None:
     state.loss = memory * state.loss + (1 - memory) * loss.value
     state.step += 1
     if state.step % ROUND == 0 and share < BIRTHS_END:
-        count = count_target(share, state.num_start, work.options.max_gaussians)
+        count = work.schedule.count_target(share, state.num_start)
         rng = generator(work.options.seed, "births", state.step)
         state.rows = densified(state.rows, state.seen, count, extent, rng)
         state.seen = Sightings.none(len(state.rows.gaussians))

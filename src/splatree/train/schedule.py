@@ -1,7 +1,8 @@
 """What changes in the course of a run, as functions of the share p of it that is done, and of the number of the step.
 
-Rates fall log-linearly. Photographs are small at first. The number of Gaussians grows until half of the run. Each photograph is
-visited once an epoch, in an order that follows from the seed and the epoch alone, so a run that stopped goes on alike.
+Rates fall log-linearly. Photographs are small at first. The number of Gaussians grows until half of the run, as far as small
+photographs can tell so many apart. Each photograph is visited once an epoch, in an order that follows from the seed and the epoch
+alone, so a run that stopped goes on alike.
 
 **Minutes.** The clock is read every `ROUND` steps only: what the steps of the last round took says how much p grows with each
 step of the next. These numbers are the run's log. With the same log a run gives the same bits.
@@ -16,7 +17,7 @@ from splatree.scene.gradients import Moments
 from splatree.shapes import Array, Float32
 from splatree.train.options import TrainOptions
 
-__all__ = ["ROUND", "LogEntry", "Schedule", "count_target", "generator", "rates", "round_of"]
+__all__ = ["ROUND", "LogEntry", "Schedule", "generator", "rates", "round_of"]
 
 ROUND = 100
 """Steps between two readings of the clock, and between two densifications."""
@@ -26,6 +27,10 @@ FIRST_ROUND = 10
 
 GROWTH_ENDS, BIRTHS_END = 0.5, 0.8
 """Shares of the run at which the number of Gaussians is at its target, and after which none is removed or born."""
+
+PIXELS_EACH = 60
+"""Pixels of all training photographs together for each Gaussian, while photographs are smaller than at last. With 25 a long run
+learns small photographs by heart, and what is wrong then stays (docs/explanation/train.md, *What was tried*)."""
 
 DEGREES_BEGIN = 0.5
 """Share of the run from which harmonics of degree 2 and 3 are drawn; degree 1 from the beginning."""
@@ -69,6 +74,8 @@ class Schedule:
     """Smallest division of the photographs."""
     coarsest: int
     """Largest division that makes sense of them."""
+    num_pixels: int
+    """Pixels of all training photographs, undivided."""
 
     def division(self, share: float) -> int:
         """Division of the photographs."""
@@ -77,6 +84,15 @@ class Schedule:
             steps = ((ROOTS_LEARN, 4 * self.finest), *steps)
         division = next((k for end, k in steps if share < end), self.finest)
         return max(min(division, self.coarsest), self.finest)
+
+    def count_target(self, share: float, num_start: int) -> int:
+        """Gaussians that there should be: n0 + (N − n0) min(1, p / ½)^0.8, of which small photographs allow but some."""
+        more = self.options.max_gaussians - num_start
+        target = int(num_start + more * min(1.0, share / GROWTH_ENDS) ** 0.8)
+        division = self.division(share)
+        if division == self.finest:
+            return target
+        return min(target, max(num_start, self.num_pixels // (division**2 * PIXELS_EACH)))
 
     def sh_degree(self, share: float) -> int:
         """Degree of the harmonics that are drawn."""
@@ -126,11 +142,6 @@ def generator(seed: int, purpose: str, counter: int) -> np.random.Generator:
     """Random numbers of one purpose at one point of a run, whatever was drawn before."""
     key = int.from_bytes(purpose.encode()[:8].ljust(8, b"\0"), "little")
     return np.random.Generator(np.random.Philox(key=[seed, key], counter=[0, 0, 0, counter]))
-
-
-def count_target(share: float, num_start: int, num_max: int) -> int:
-    """Gaussians that there should be: n0 + (N − n0) min(1, p / ½)^0.8."""
-    return int(num_start + (num_max - num_start) * min(1.0, share / GROWTH_ENDS) ** 0.8)
 
 
 def rates(share: float, extent: float, moments: Moments, num_coefficients: int) -> Float32[Array, "e"]:
