@@ -28,6 +28,7 @@ from splatree.progress import listen
 
 from ..laws.hard_scenes import hard_scene, hard_scenes
 from ..laws.test_parts import check_same_tree
+from ..scenes import random_gaussians
 from .conftest import check_is_drawn_as_the_whole_tree, small_pages
 
 SMALL = st.FolderOptions(part_rows=200)
@@ -455,8 +456,8 @@ def test_a_folder_is_drawn_as_the_tree_in_memory(built, ply):
 
 
 def test_formats_that_are_not_read_in_chunks_are_named_as_the_user_did(tmp_path):
-    st.write(st.Scene.flat(st.Gaussians.empty(0)), tmp_path / "a.glb")
+    st.write(st.build_lod(st.Scene.flat(random_gaussians(40, degree=3))), tmp_path / "a.hier")
     with pytest.raises(
-        st.InputError, match=r"^.*a\.glb: found a format that is not read in chunks; convert it to \.ply first"
+        st.InputError, match=r"^.*a\.hier: found a format that is not read in chunks; convert it to \.ply first"
     ):
-        st.build_folder(tmp_path / "a.glb", tmp_path / "parts.splatree")
+        st.build_folder(tmp_path / "a.hier", tmp_path / "parts.splatree")
