@@ -98,7 +98,7 @@ def as_drawn(select, stream, camera, count):
     files, a budget of exactly the rows of a choice leads to this choice, and any other number does not lead to itself.
     """
     ours = select(stream.ranges, camera, BUDGET)
-    assert count <= BUDGET and abs(count / len(stream.gaussians_of(ours)) - 1) <= 0.02
+    assert count <= BUDGET and abs(count / len(stream.gaussians_of(ours)) - 1) <= 0.03  # a chunk's level or two
     without_files = dataclasses.replace(stream.ranges, files=np.full_like(stream.ranges.files, -1))
     levels = select(without_files, camera, count)
     assert len(stream.gaussians_of(levels)) == count
