@@ -5,6 +5,8 @@ the first frame and kept. From three views the camera moves ahead and back by a 
 fro between two frames. Each frame is drawn by its own cut and by the one before (render/popping.py). With hysteresis a
 frame's cut is the one before, held between the cut of τ and that of 1.25 τ on every path from a root to a leaf, which is an
 exact cut again. *after a quarter*: nodes and PSNR against all leaves after the camera has moved by a quarter of the distance.
+
+With ``--occlusion`` all cuts draw hidden nodes more coarsely, without hysteresis: cuts of τ and 1.25 τ are not nested then.
 """
 
 import argparse
@@ -41,6 +43,7 @@ def main() -> None:
     parser.add_argument("--scenes", nargs="+", choices=SCENES, default=["city 5_9", "logo", "biker"])
     parser.add_argument("--method", nargs="+", choices=get_args(Method), default=get_args(Method))
     parser.add_argument("--quality", type=float, default=40.0)
+    parser.add_argument("--occlusion", action="store_true")
     arguments = parser.parse_args()
     rows: list[dict[str, object]] = []
     for name in arguments.scenes:
@@ -50,28 +53,36 @@ def main() -> None:
         for method in arguments.method:
             with st.open_session(st.build_lod(flat, st.BuildOptions(method))) as session:
                 for key, view in zip(("near", "middle", "far"), views, strict=True):
-                    for row in of_view(session, flat, view, arguments.quality):
+                    for row in of_view(session, flat, view, arguments.quality, arguments.occlusion):
                         rows.append({"scene": name, "levels": method, "view": key} | row)
                         print(rows[-1], flush=True)
     print(table(rows))
-    save("popping", rows, about="Pops of slow dollies at a quality, without and with hysteresis")
+    if arguments.occlusion:
+        save("popping_occlusion", rows, about="Pops of slow dollies at a quality, with occlusion")
+    else:
+        save("popping", rows, about="Pops of slow dollies at a quality, without and with hysteresis")
 
 
-def of_view(session: st.Session, flat: st.Scene, view: st.Camera, quality: float) -> list[dict[str, object]]:
+def of_view(
+    session: st.Session, flat: st.Scene, view: st.Camera, quality: float, occlusion: bool
+) -> list[dict[str, object]]:
     """A line for each path, without and with hysteresis."""
-    pixel_error = session.select(view, select=st.SelectOptions(quality=quality)).pixel_error
+    wanted = st.SelectOptions(quality=quality, occlusion=occlusion)
+    pixel_error = session.select(view, select=wanted).pixel_error
     if pixel_error == 0:
         return []
+    drawn = [session.select(view, select=st.SelectOptions(tau, occlusion=occlusion)) for tau in (pixel_error, 0.0)]
     ahead, back = (list(st.dolly(flat, view, FRAMES, step=step)) for step in (STEP, -STEP))
     quarter = list(st.dolly(flat, view, LONG_FRAMES, step=LONG_STEP))
     lines: list[dict[str, object]] = []
     for name, path in {"ahead": ahead, "back": back, "to and fro": [*ahead[:2]] * 2}.items():
-        for holds in (False, True):
-            cuts = cuts_of(session, path, pixel_error, holds)
+        for holds in (False,) if occlusion else (False, True):
+            cuts = cuts_of(session, path, pixel_error, holds, occlusion)
             pops = [pop(session, camera, *two) for camera, two in zip(path[1:], pairwise(cuts), strict=True)]
-            at_end = cuts_of(session, quarter, pixel_error, holds)[-1]
+            at_end = cuts_of(session, quarter, pixel_error, holds, occlusion)[-1]
             lines.append(
                 {"path": name, "hysteresis": holds, "τ_R, px": pixel_error}
+                | {"nodes, % of leaves": 100 * len(drawn[0]) / len(drawn[1])}
                 | {"worst frame, dB": min(db for db, _ in pops), "worst tile": max(tile for _, tile in pops)}
                 | {"switched a frame": float(np.mean([len(np.setdiff1d(b, a)) for a, b in pairwise(cuts)]))}
                 | {"nodes after a quarter": len(at_end), "dB after a quarter": psnr_of(session, quarter[-1], at_end)}
@@ -79,11 +90,14 @@ def of_view(session: st.Session, flat: st.Scene, view: st.Camera, quality: float
     return lines
 
 
-def cuts_of(session: st.Session, path: list[st.Camera], pixel_error: float, holds: bool) -> list[np.ndarray]:
+def cuts_of(
+    session: st.Session, path: list[st.Camera], pixel_error: float, holds: bool, occlusion: bool
+) -> list[np.ndarray]:
     """The rows of each frame's cut, in view or not."""
 
     def whole(camera: st.Camera, tau: float) -> np.ndarray:
-        return session.select(camera, select=st.SelectOptions(tau, view_test="none", cull="none")).rows
+        whole = st.SelectOptions(tau, view_test="none", cull="none", occlusion=occlusion)
+        return session.select(camera, select=whole).rows
 
     cuts = [whole(path[0], pixel_error)]
     for camera in path[1:]:

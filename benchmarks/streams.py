@@ -6,6 +6,9 @@ each level by halving the one before and writes them as its streamed SOG. Both s
 (`splatree.stream.readers.playcanvas`), drawn by the library at 960 × 540, and compared with that of all Gaussians: PSNR, dB, with
 MB of whole files. The exact cut is that of the tree for as many nodes as our stream draws.
 
+``--ratios 2 2.3 2.5 2.83`` compares ladders instead: nodes of a level for each of the next coarser one, of both pieces and the
+playbot by pairs, and of the playbot by a radius.
+
 What Spark draws of a `.rad` is compared likewise, with the nodes as the tree stores them and as `stream` writes them. The last
 table counts the chunks of 65,536 nodes that Spark loads in three orders.
 """
@@ -202,7 +205,11 @@ def main() -> None:
     parser.add_argument("--peer", help="the command of splat-transform; without it our stream stands alone")
     parser.add_argument("--spark", action="store_true", help="only what Spark draws and loads")
     parser.add_argument("--city", action="store_true", help="the whole city too")
+    parser.add_argument("--ratios", nargs="+", type=float, help="only compare ladders of these ratios")
     arguments = parser.parse_args()
+    if arguments.ratios:
+        compare_ladders(arguments.ratios, arguments.chunks)
+        return
     seen_rows, costs, quality, chunks = [], [], [], []
     made = list(splatree.read_cameras(DATA / "cameras" / "semarang_city_made_views.json"))[::4]
     scenes: list[tuple[str, list[Path], str | None]] = [
@@ -240,6 +247,41 @@ def main() -> None:
         "stadium, from afar."
     )
     save("streams_rad", chunks, about=about)
+
+
+def compare_ladders(ratios: list[float], chunks: list[str]) -> None:
+    """What PlayCanvas draws of streams whose levels differ in size by each ratio."""
+    rows: list[dict[str, Any]] = []
+    scenes = [(name, CITY / name, "pairs") for name in chunks] + [("playbot", PLAYBOT, m) for m in ("pairs", "radius")]
+    for name, path, method in scenes:
+        scene = splatree.edit(splatree.read(path), splatree.EditOptions(sh_degree=0))
+        tree = splatree.build_lod(scene, splatree.BuildOptions(method))
+        with tempfile.TemporaryDirectory() as folder:
+            streams = {}
+            for ratio in ratios:
+                written = splatree.stream(tree, Path(folder) / str(ratio), options=splatree.StreamOptions(ratio=ratio))
+                streams[ratio] = open_sog_stream(Path(folder) / str(ratio)), written.bytes / 1e6
+            for view, camera in views_of(tree):
+                truth = np.clip(splatree.render(tree, camera, select=EVERY_ROW).image, 0, 1)
+                for budget in (n for n in BUDGETS if len(scene) / 25 < n < len(scene)):
+                    row: dict[str, Any] = {"scene": name, "levels": method, "view": view, "budget": budget}
+                    for ratio, (stream, megabytes) in streams.items():
+                        row[f"{ratio:g}, dB"] = seen(stream, camera, budget, truth)["dB"]
+                        row[f"{ratio:g}, MB of all levels"] = megabytes
+                    rows.append(row)
+    print(table(rows))
+    for name, method in dict.fromkeys((row["scene"], row["levels"]) for row in rows):
+        for view in ("near", "middle", "far"):
+            some = [row for row in rows if (row["scene"], row["levels"], row["view"]) == (name, method, view)]
+            means = {
+                f"{ratio:g}": round(float(np.mean([row[f"{ratio:g}, dB"] for row in some])), 2) for ratio in ratios
+            }
+            print(name, method, view, means)
+    save(
+        "streams_ratios",
+        rows,
+        about="What PlayCanvas draws of a streamed SOG within a budget, by the ratio of its levels.",
+    )
 
 
 def cost_row(scene: str, what: str, cost: Cost, millions: float) -> dict[str, Any]:
