@@ -5,7 +5,7 @@ from importlib.resources import as_file, files
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 import splatree
@@ -13,7 +13,7 @@ from splatree.errors import InputError
 from splatree.kernels.cpu.frame import select as cpu
 from splatree.kernels.reference.select import cut_by_walk, radii
 from splatree.lod.blocks import with_blocks
-from splatree.lod.occlusion import AS_BEFORE, Cover, cover_of, select_eased, shares_seen
+from splatree.lod.occlusion import AS_BEFORE, SHARE_OF_LOOK, Cover, cover_of, select_eased, shares_seen
 from splatree.lod.select import count_nested, count_uncovered, select
 from splatree.metrics.psnr import psnr
 from splatree.scene.cameras import Camera
@@ -104,6 +104,41 @@ def test_a_budget_is_kept_and_nearly_filled(seed, share, finest):
     if found.pixel_error > finest:
         assert len(found) >= budget - 12
     assert all(np.array_equal(found.rows, select(scene, CAMERA, options, threads=n).rows) for n in (1, 2, 3))
+
+
+@given(
+    seed=st.integers(0, 5), share=st.floats(0.3, 0.9), every=st.sampled_from([1, 2, 3]), look_seed=st.integers(0, 100)
+)
+@settings(max_examples=25, deadline=None)
+def test_a_budget_has_the_cut_of_the_pixel_error_that_it_reports(seed, share, every, look_seed):
+    """However far the guess is from it: the sample holds all blocks here, so it is that of a half or a third of the budget."""
+    scene = cube(seed, 1500)
+    view, tree = view_of(scene, CAMERA), scene.tree
+    options = SelectOptions(pixel_error=0, profile="pixel", view_test="none", budget=int(share * tree.num_leaves))
+    factors, rng = np.ones(len(tree)), np.random.default_rng(look_seed)
+
+    assume((tree.depth == 0).sum() <= options.budget // SHARE_OF_LOOK)
+
+    def plain(asked):
+        found = select(scene, CAMERA, asked)
+        return found.rows, found.num_visited, found.pixel_error
+
+    def range_at(finest, coarsest, every=1):
+        at = SelectOptions(pixel_error=finest, profile="pixel", view_test="none")
+        return cpu.select_range(scene.gaussians, tree, scene.blocks, view, at, coarsest=coarsest)
+
+    def look(rows):
+        found = rng.uniform(0.06, 1, len(rows)).astype(np.float32)
+        for row, factor in zip(rows, found, strict=True):
+            factors[row : tree.subtree_end[row]] = factor
+        return Cover(rows, tree.subtree_end[rows], found)
+
+    rows, _, pixel_error = select_eased(plain, range_at, look, options, every=every)
+    sizes = AS_BEFORE * radii(scene.gaussians, tree.extents, CAMERA, "pixel", view.dilation_px2) * factors
+    assert len(rows) <= options.budget
+    wanted = cut_by_walk(tree, sizes, pixel_error * (1 + 1e-5))  # sizes are float32 in the kernel
+    assert count_nested(tree, rows) == 0 and count_uncovered(tree, rows) == 0
+    assert len(np.setxor1d(rows, wanted)) <= 6  # nodes whose size is the limit, and what they stand for
 
 
 def test_no_limit_draws_all_leaves():

@@ -13,8 +13,8 @@ Then the cut is that of the radii (kernels/reference/select.py, where any radii 
 so what is hidden may be larger on the screen, up to the nodes of C′ themselves, and what is seen is finer. Nothing is left out:
 where the first picture was wrong, nodes of C′ are drawn. A node of which the share t is seen shows that share of its error. With
 errors that grow as τ^q and numbers that fall as 1/τ², the least squared error for a number of nodes has τ ~ t^(−1 / (1 + q)): a
-power between a half (q = 1) and a third (q = 2). With the factor 3 a picture by a τ_R is about as near to all leaves as without
-occlusion (benchmarks/occlusion.py, docs/explanation/select.md).
+power between a half (q = 1) and a third (q = 2). With the factor 3 a picture by a τ_R of 4 px is about as near to all leaves as
+without occlusion (docs/explanation/select.md).
 
 All rows above C′ are larger than τ′. So one pass over the limits from τ_R / 3 to τ′ has all that can be drawn (`CutRange`), and
 its limits are multiplied by those factors. τ′ is 2 τ_R; a budget takes C′ with a quarter of it.
