@@ -1,3 +1,4 @@
+import os
 import shutil
 from collections.abc import Iterator
 from functools import partial
@@ -26,10 +27,18 @@ settings.load_profile("splatree")
 
 @pytest.fixture(scope="session")
 def compiled_emulator(tmp_path_factory: pytest.TempPathFactory) -> Emulator:
-    """Device code on the processor, compiled once."""
+    """Device code on the processor, compiled once, by the first worker that needs it."""
     if shutil.which("c++") is None:
         pytest.skip("the emulator of the device needs a C++ compiler, c++")
-    return Emulator(compile_emulator(tmp_path_factory.mktemp("simt")))
+    if "PYTEST_XDIST_WORKER" not in os.environ:
+        return Emulator(compile_emulator(tmp_path_factory.mktemp("simt")))
+    fcntl = pytest.importorskip("fcntl")
+    folder = tmp_path_factory.getbasetemp().parent / "simt"  # of all workers
+    folder.mkdir(exist_ok=True)
+    with (folder / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        library = folder / "libsimt.so"
+        return Emulator(library if library.exists() else compile_emulator(folder))
 
 
 @pytest.fixture
