@@ -5,6 +5,8 @@ import pytest
 from splatree.io.reading import read
 from splatree.lod.options import BuildOptions
 from splatree.render.build import build_lod
+from splatree.view.options import ViewOptions
+from splatree.view.viewer import Viewer
 
 from .chromium import chromium
 
@@ -14,6 +16,13 @@ def city_tree():
     """The bundled scene with levels of detail."""
     with as_file(files("splatree") / "data" / "semarang_5_9.sog") as path:
         return build_lod(read(path), BuildOptions("radius"))
+
+
+@pytest.fixture(scope="module")
+def viewer(city_tree):
+    """The bundled scene on show."""
+    with Viewer(city_tree, ViewOptions(budget=60_000)) as made:
+        yield made
 
 
 @pytest.fixture(scope="module")

@@ -20,52 +20,12 @@ from splatree.view.options import ViewOptions
 from splatree.view.viewer import Viewer
 
 from .chromium import find_chromium
+from .viewing import SIZE, opened, picture, psnr, settled, shown
 
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(find_chromium() is None, reason="the viewer's tests need Chromium, which is not installed"),
 ]
-
-SIZE = (480, 270)
-
-
-@pytest.fixture(scope="module")
-def viewer(city_tree):
-    with Viewer(city_tree, ViewOptions(budget=60_000)) as made:
-        yield made
-
-
-def opened(browser, viewer, query=""):
-    page = browser.new_page()
-    page.open(f"{viewer.url}?noui{query}", size=SIZE)
-    page.wait_for("window.splatree?.isReady")
-    return page
-
-
-def psnr(found, expected):
-    return -10 * np.log10(np.mean((found - np.clip(expected, 0, 1)) ** 2))
-
-
-def picture(viewer, page, **select):
-    """The library's picture of what the page shows."""
-    background = tuple(page.evaluate("splatree.page.background()"))
-    return render(
-        viewer._server.exhibits[0].scene,
-        viewer.camera,
-        RenderOptions(background=background),
-        SelectOptions(**select),
-    ).image
-
-
-def settled(page):
-    """Wait until the newest cut is drawn and on the screen."""
-    page.wait_for("splatree.isReady")
-    shown(page)
-
-
-def shown(page):
-    """Wait until what is drawn is on the screen."""
-    page.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
 
 
 def test_the_browser_draws_the_cut_as_the_library_does(browser, viewer):

@@ -308,7 +308,7 @@ def test_lenses_of_nerfstudio_stand_in_the_file_or_in_a_frame(tmp_path, extra, l
 @pytest.mark.parametrize(
     ("extra", "message"),
     [
-        ({"camera_model": "EQUIRECTANGULAR"}, "EQUIRECTANGULAR.*undistort"),
+        ({"camera_model": "EQUIRECTANGULAR"}, "EQUIRECTANGULAR.*cut flat pictures"),
         ({"rolling_shutter": [0, 0, 1, 0]}, "found rolling_shutter"),
         ({"distortion_params": [0.1, 0.2, 0.3]}, "found 3 numbers, wanted k1 k2 k3 k4 p1 p2"),
         ({"k1": "x"}, "k1: found a string"),

@@ -1,6 +1,7 @@
 """Cameras of other programs: read where that can be, else refused by name with a way out."""
 
 import json
+import struct
 
 import numpy as np
 import pytest
@@ -252,3 +253,106 @@ def test_a_pose_without_its_last_row(tmp_path):
     lens = {"fl_x": VIEW.K[0, 0], "w": 640, "h": 480}
     (tmp_path / "transforms.json").write_text(json.dumps({**lens, "frames": frames}))
     same_view(st.read_cameras(tmp_path)[0], VIEW)
+
+
+def near(angle, axis=(0.6, 0.0, 0.8)):
+    x, y, z = axis
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+
+
+def with_rotation(tmp_path, matrix, kind):
+    """A file of one camera at (1, 2, 3) with this camera-to-world matrix."""
+    path, pose = tmp_path / f"{kind}.json", np.eye(4)
+    pose[:3, :3], pose[:3, 3] = matrix, (1, 2, 3)
+    if kind == "cameras":
+        content = [{"width": 64, "height": 48, "fx": 50, "fy": 50, "position": [1, 2, 3], "rotation": matrix.tolist()}]
+    elif kind == "transforms":
+        frames = [{"file_path": "a.png", "transform_matrix": pose.tolist()}]
+        content = {"w": 64, "h": 48, "fl_x": 50, "frames": frames}
+    else:
+        frames = [{"camera_to_world": pose.ravel().tolist(), "fov": 50}]
+        content = {"render_width": 64, "render_height": 48, "camera_path": frames}
+    path.write_text(json.dumps(content))
+    return path
+
+
+@pytest.mark.parametrize("kind", ["cameras", "transforms", "camera_path"])
+@pytest.mark.parametrize(
+    ("change", "note"),
+    [
+        (lambda m: m, None),
+        (lambda m: 2.5 * m, "1 cameras are scaled"),
+        (lambda m: m.round(2), "no exact rotations"),
+        (lambda m: (0.01 * m).round(4), "scaled"),
+    ],
+    ids=["exact", "scaled", "rounded", "both"],
+)
+def test_rotations_that_are_scaled_or_rounded_are_taken(tmp_path, kind, change, note):
+    wanted = near(0.7)
+    cameras = st.read_cameras(with_rotation(tmp_path, change(wanted), kind))
+    found = cameras[0].camera_from_world[:3, :3].T
+    flip = np.eye(3) if kind == "cameras" else np.diag([1.0, -1, -1])
+    np.testing.assert_allclose(found @ flip, wanted, atol=0.01)  # two digits
+    np.testing.assert_allclose(found @ found.T, np.eye(3), atol=1e-9)
+    np.testing.assert_allclose(cameras[0].position, [1, 2, 3], atol=1e-9)
+    assert (not cameras.notes) if note is None else note in " ".join(cameras.notes)
+
+
+@pytest.mark.parametrize("kind", ["cameras", "transforms", "camera_path"])
+@pytest.mark.parametrize(
+    ("matrix", "message"),
+    [
+        (np.diag([1.0, 1, -1]), "mirrors"),
+        (np.diag([1.0, 1, 1.2]), "stretches"),
+        (np.zeros((3, 3)), "wanted a rotation"),
+        (np.eye(3) * 1e200, "wanted a rotation"),
+    ],
+)
+def test_matrices_that_are_no_rotations_are_refused(tmp_path, kind, matrix, message):
+    with pytest.raises(FormatError, match=message):
+        st.read_cameras(with_rotation(tmp_path, matrix, kind))
+
+
+def colmap_text(folder, cameras, images):
+    folder.mkdir()
+    (folder / "cameras.txt").write_text(cameras)
+    (folder / "images.txt").write_text(images)
+    return folder
+
+
+@pytest.mark.parametrize("length", [0.01, 1.0, 2.0, 700.0])
+def test_quaternions_of_any_length_are_directions(tmp_path, length):
+    """As COLMAP reads them."""
+    q = " ".join(str(length * v) for v in (0.5, 0.5, 0.5, 0.5))
+    images = f"  # a comment that is indented\n1 {q} 0 0 5 1 a.jpg\n\n"
+    cameras = st.read_cameras(colmap_text(tmp_path / "m", "1 PINHOLE 64 48 50 50 32 24\n", images))
+    np.testing.assert_allclose(cameras[0].camera_from_world[:3, :3], [[0, 0, 1], [1, 0, 0], [0, 1, 0]], atol=1e-12)
+    assert bool(cameras.notes) == (length != 1)
+
+
+@pytest.mark.parametrize(
+    ("number", "name", "num_parameters"),
+    [
+        (11, "RAD_TAN_THIN_PRISM_FISHEYE", 16),
+        (12, "SIMPLE_DIVISION", 4),
+        (13, "DIVISION", 5),
+        (16, "EUCM", 6),
+        (17, "EQUIRECTANGULAR", 2),
+    ],
+)
+def test_lenses_of_colmap_4_matter_only_where_a_picture_uses_them(tmp_path, number, name, num_parameters):
+    (tmp_path / "m").mkdir()
+    cameras = struct.pack("<QiiQQ", 2, 1, number, 64, 48) + np.full(num_parameters, 0.1).tobytes()
+    cameras += struct.pack("<iiQQ4d", 2, 15, 64, 48, 50, 50, 32, 24)  # FISHEYE
+    (tmp_path / "m/cameras.bin").write_bytes(cameras)
+
+    def used(camera):
+        image = struct.pack("<Qi7di", 1, 1, 1, 0, 0, 0, 0, 0, 5, camera) + b"a.jpg\0" + struct.pack("<Q", 0)
+        (tmp_path / "m/images.bin").write_bytes(image)
+        return st.read_cameras(tmp_path / "m")
+
+    lens = used(2)[0].lens
+    assert lens is not None and lens.model == "fisheye" and not lens.radial
+    with pytest.raises(FormatError, match=f"found camera model '{name}'.*first"):
+        used(1)

@@ -10,6 +10,7 @@ import splatree
 from splatree import FormatError, Gaussians, InputError, Scene, WriteOptions
 from splatree.constants import SH_C0
 from splatree.maths.covariance import covariances_from_gaussians
+from splatree.maths.harmonics import basis_from_directions
 
 from ..scenes import random_gaussians
 from .conftest import COLUMNS, same_bits
@@ -177,10 +178,56 @@ def test_nodes_move_turn_and_scale_what_they_show(tmp_path):
     assert not np.allclose(moved.sh[:, 1:4], g.sh[:, 1:4])
 
 
-@pytest.mark.parametrize("scale", [[1, 2, 1], [-1, 1, 1], [0, 0, 0]])
-def test_nodes_that_stretch_or_mirror_are_refused(tmp_path, scale):
+def columns(*rows):
+    """The matrix of a node, column by column, with these rows of its linear part."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = rows
+    return {"matrix": matrix.T.ravel().tolist()}
+
+
+@pytest.mark.parametrize(
+    "node, is_exact",
+    [
+        ({"scale": [-1, 1, 1]}, True),
+        ({"scale": [-2, -2, -2]}, True),
+        (columns([0, 3, 0], [3, 0, 0], [0, 0, 3]), True),
+        ({"scale": [1, 2, 0.5]}, False),
+        (columns([1, 0.4, 0], [0, 1, 0], [0, 0, -1]), False),
+    ],
+    ids=["mirror", "point", "swap", "stretch", "shear"],
+)
+def test_nodes_mirror_and_stretch_what_they_show(tmp_path, node, is_exact):
+    """Σ' = A Σ Aᵀ, and a mirrored Gaussian has in the mirrored direction the colour that it had."""
+    g = random_gaussians(40, 3)
+    scene = splatree.read(changed(tmp_path, lambda content: content["nodes"][0].update(node), g))
+    moved = scene.gaussians
+    linear = np.array(node["matrix"]).reshape(4, 4).T[:3, :3] if "matrix" in node else np.diag(node["scale"])
+    signs = np.diag([-1.0, -1, 1])
+    linear = signs @ linear @ signs
+    np.testing.assert_allclose(moved.means, g.means @ linear.T, atol=1e-5)
+    # Scales and quaternions are float32: a relative 10⁻⁶ of the largest variance.
+    wanted = linear @ covariances_from_gaussians(g.quats, g.log_scales) @ linear.T
+    found = covariances_from_gaussians(moved.quats, moved.log_scales)
+    assert np.abs(found - wanted).max() < 1e-5 * np.abs(wanted).max()
+    directions = np.random.default_rng(3).normal(size=(20, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    turned = directions @ linear.T / np.linalg.norm(directions @ linear.T, axis=1, keepdims=True)
+    before, after = (
+        basis_from_directions(d, 3) @ h.sh.astype(np.float64) for d, h in ((directions, g), (turned, moved))
+    )
+    lost = json.loads(scene.source.metadata.get("lost", "[]"))
+    assert (np.abs(after - before).max() < 1e-5) == is_exact == (not lost)
+
+
+def test_a_stretched_thing_without_harmonics_loses_nothing(tmp_path):
+    path = changed(tmp_path, lambda content: content["nodes"][0].update(scale=[1, 2, 1]), random_gaussians(5, 0))
+    assert "lost" not in splatree.read(path).source.metadata
+
+
+@pytest.mark.parametrize("scale", [[0, 0, 0], [1, 1, 0], [1, 1, 1e-9], [1e308, 1e308, 1]])
+def test_nodes_that_flatten_are_refused(tmp_path, scale):
     path = changed(tmp_path, lambda content: content["nodes"][0].update(scale=scale))
-    with pytest.raises(FormatError, match="mirrors, shears or stretches"):
+    with pytest.raises(FormatError, match="flattens"):
         splatree.read(path)
 
 

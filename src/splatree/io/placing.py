@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from splatree.edit.similarity import Similarity
+from splatree.edit.stretch import Stretch
 from splatree.errors import FormatError
 from splatree.io.check import checked_rows
 from splatree.io.chunks import Chunks, Counts, counted_chunks
@@ -21,19 +22,22 @@ from splatree.scene.names import Mode
 from splatree.scene.origin import NO_ORIGIN, Origin, origin_of
 from splatree.shapes import Array, Float64
 
-__all__ = ["Piece", "Place", "placed_chunks"]
+__all__ = ["STRETCHED", "Piece", "Place", "placed_chunks", "stretches"]
 
 _ROWS_OF_SAMPLE = 1 << 16
+
+_FLAT = 1e-7
+"""Smallest scale of a matrix over its largest: below the rounding of float32, in which matrices are stored, it is flat."""
 
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """What turns, scales and moves Gaussians."""
+    """What turns, scales and moves Gaussians, and mirrors or stretches them."""
 
-    similarity: Similarity
-    """The turn and the scale."""
+    shape: Similarity | Stretch
+    """What is done to shapes and harmonics."""
     matrix: Float64[Array, "4 4"]
-    """Both and the move, in the axes of our scenes."""
+    """All of it and the move, in the axes of our scenes."""
     origin: Origin
     """What the means are relative to before."""
 
@@ -42,27 +46,44 @@ class Place:
         """The place that a matrix of a file says; None: everything stays where it is.
 
         Raises:
-            FormatError: it mirrors, shears or stretches.
+            FormatError: it flattens what it moves.
         """
         linear = matrix[:3, :3]
-        scale = float(np.cbrt(np.linalg.det(linear)))
-        rotation = linear / scale if scale > 0 else linear
-        # Within float32, as which matrices are stored.
-        if not (scale > 0 and np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-5)):
-            raise FormatError(
-                f"{where}: found a node that mirrors, shears or stretches it ({linear.round(6).tolist()}), wanted one "
-                "that moves, turns and scales all axes alike"
-            )
         if np.array_equal(matrix, np.eye(4)) and origin == NO_ORIGIN:
             return None
-        return Place(Similarity(scale, rotation), matrix, origin)
+        sizes = _sizes(linear)
+        if sizes[2] <= _FLAT * sizes[0]:
+            raise FormatError(
+                f"{where}: found a node that flattens it ({linear.tolist()}), wanted a matrix with an inverse"
+            )
+        scale = float(np.exp(np.log(sizes).mean()))
+        if np.linalg.det(linear / scale) < 0 or stretches(matrix):
+            return Place(Stretch(np.ascontiguousarray(linear)), matrix, origin)
+        return Place(Similarity(scale, linear / scale), matrix, origin)
 
     def means(self, gaussians: Gaussians) -> Float64[Array, "n 3"]:
         """Where the means go. No matrix product: its bits depend on how many rows there are."""
         x, y, z = (gaussians.means.astype(np.float64) + np.asarray(self.origin)).T
-        scale, rotation = self.similarity.scale, self.similarity.rotation
-        axes = [scale * (row[0] * x + row[1] * y + row[2] * z) for row in rotation]
+        axes = [row[0] * x + row[1] * y + row[2] * z for row in self.matrix[:3, :3]]
         return np.stack(axes, axis=1) + self.matrix[:3, 3]
+
+
+def stretches(matrix: Float64[Array, "4 4"]) -> bool:
+    """Whether a matrix stretches or shears, so that harmonics do not follow exactly; it may mirror."""
+    sizes = _sizes(matrix[:3, :3])
+    return bool(sizes[2] < (1 - 1e-5) * sizes[0])  # within float32, as which matrices are stored
+
+
+def _sizes(linear: Float64[Array, "3 3"]) -> Float64[Array, "3"]:
+    """The factors by which a map stretches, the largest first; 0 of one that overflows."""
+    return np.asarray(np.linalg.svd(linear, compute_uv=False) if np.isfinite(linear).all() else np.zeros(3))
+
+
+STRETCHED = (
+    "how colours change with the direction, where nodes stretch or shear: harmonics are turned with the nearest rotation; "
+    "shapes are exact"
+)
+"""What is lost of Gaussians with harmonics under a matrix that stretches."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +147,7 @@ def _origin_of(pieces: Sequence[Piece], num_rows: int) -> Origin:
             sample = gaussians.take(np.arange(-begin % every, len(gaussians), every))
             begin += len(gaussians)
             with np.errstate(all="ignore"):  # whatever comes of absurd values is found by the check of values
-                at_place = sample if piece.place is None else piece.place.similarity.gaussians(sample)
+                at_place = sample if piece.place is None else piece.place.shape.gaussians(sample)
                 means.append(sample.means.astype(np.float64) if piece.place is None else piece.place.means(sample))
             log_scales.append(at_place.log_scales)
     return origin_of(np.concatenate(means), np.concatenate(log_scales)) if means else NO_ORIGIN
@@ -138,5 +159,5 @@ def _settled(gaussians: Gaussians, place: Place | None, origin: Origin) -> Gauss
     with np.errstate(all="ignore"):
         world = gaussians.means.astype(np.float64) if place is None else place.means(gaussians)
         if place is not None:
-            gaussians = place.similarity.gaussians(gaussians)
+            gaussians = place.shape.gaussians(gaussians)
         return replace(gaussians, means=(world - np.asarray(origin)).astype(np.float32))

@@ -11,6 +11,9 @@ from splatree.scene.lens import Lens
 from splatree.scene.scene import Source
 from splatree.shapes import Array, Float64, check_fields
 
+ROTATION_TOLERANCE = 1e-4
+"""How far R Rᵀ may be from the identity: four digits of a rotation are off by less."""
+
 
 @dataclass(frozen=True, eq=False)
 class Camera:
@@ -55,7 +58,7 @@ class Camera:
         if not (self.K[0, 0] > 0 and self.K[1, 1] > 0):
             raise InputError(f"camera {self.name!r}: found focal lengths {self.K[0, 0]}, {self.K[1, 1]}, wanted > 0 px")
         rotation = self.camera_from_world[:3, :3]
-        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4) or np.linalg.det(rotation) < 0:
+        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=ROTATION_TOLERANCE) or np.linalg.det(rotation) < 0:
             raise InputError(f"camera {self.name!r}: its rotation is not orthonormal with determinant +1")
         if not (np.isfinite(self.near) and self.near > 0):
             raise InputError(f"camera {self.name!r}: found near = {self.near}, wanted > 0")

@@ -11,6 +11,7 @@ import numpy as np
 
 from splatree.errors import FormatError, InputError
 from splatree.io import untrusted
+from splatree.io.cameras.poses import Rotations
 from splatree.scene.cameras import Camera, Cameras
 
 __all__ = ["parse"]
@@ -26,11 +27,13 @@ def parse(content: dict[str, Any], path: Path) -> Cameras:
         )
     width, height = (untrusted.integer(content, f"render_{side}", str(path), low=1) for side in ("width", "height"))
     frames = untrusted.as_list(content["camera_path"], f"{path}: camera_path")
-    return Cameras(tuple(_view(value, i, width, height, path) for i, value in enumerate(frames)))
+    rotations = Rotations()
+    views = tuple(_view(value, i, (width, height), rotations, path) for i, value in enumerate(frames))
+    return Cameras(views, rotations.notes)
 
 
-def _view(value: Any, number: int, width: int, height: int, path: Path) -> Camera:
-    where = f"{path}: frame {number}"
+def _view(value: Any, number: int, size: tuple[int, int], rotations: Rotations, path: Path) -> Camera:
+    where, (width, height) = f"{path}: frame {number}", size
     frame = untrusted.as_object(value, where)
     matrix = frame.get("camera_to_world")
     shape = (4, 4) if isinstance(matrix, list) and len(matrix) == 4 else (16,)
@@ -39,7 +42,7 @@ def _view(value: Any, number: int, width: int, height: int, path: Path) -> Camer
     )
     focal = 0.5 * height / np.tan(np.radians(untrusted.number(frame, "fov", where)) / 2)
     pose = np.eye(4)
-    pose[:3, :3] = world_from_camera[:3, :3].T
+    pose[:3, :3] = rotations.of(world_from_camera[:3, :3], where).T
     pose[:3, 3] = -pose[:3, :3] @ world_from_camera[:3, 3]
     K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
     try:

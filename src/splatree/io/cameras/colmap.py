@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from splatree.errors import FormatError, InputError
-from splatree.io.cameras.distortion import MODELS, intrinsics
+from splatree.io.cameras.distortion import NUMBERED, intrinsics
 from splatree.scene.cameras import Camera, Cameras
 from splatree.shapes import Array
 
@@ -61,26 +61,28 @@ def read(folder: Path) -> Cameras:
         lenses, poses = _cameras_bin(folder / "cameras.bin"), _images_bin(folder / "images.bin")
     else:
         lenses, poses = _cameras_txt(folder / "cameras.txt"), _images_txt(folder / "images.txt")
-    views = []
+    views, num_long = [], 0
     for name, numbers, camera in sorted(poses, key=lambda pose: pose[0]):
         where = f"{folder}: picture {name!r}"
         if camera not in lenses:
             raise FormatError(f"{where}: found camera number {camera}, wanted one of {sorted(lenses)[:12]}")
         model, parameters, width, height, place = lenses[camera]
         K, lens = intrinsics(model, parameters, place)
+        num_long += not 0.5 < np.linalg.norm(numbers[:4]) < 2
         try:
             views.append(Camera(_pose(numbers, where), K, width, height, name=name, lens=lens))
         except InputError as error:
             if isinstance(error, FormatError):
                 raise
             raise FormatError(f"{where}: {error}") from error
-    return Cameras(tuple(views))
+    note = f"the quaternions of {num_long} pictures are far from the length 1: their directions are taken"
+    return Cameras(tuple(views), (note,) if num_long else ())
 
 
 def _pose(numbers: tuple[float, ...], where: str) -> Array:
     q = np.array(numbers[:4])
     length = np.linalg.norm(q)
-    if not (np.isfinite(numbers).all() and 0.5 < length < 2):
+    if not (np.isfinite(numbers).all() and 1e-6 < length < 1e6):
         raise FormatError(
             f"{where}: found quaternion and translation {numbers}, wanted finite ones and a quaternion of length 1"
         )
@@ -127,16 +129,15 @@ class _Bytes:
 
 def _cameras_bin(path: Path) -> _Lenses:
     file = _Bytes(path)
-    models = list(MODELS)
     found: _Lenses = {}
     (count,) = file.take("<Q")
     for _ in range(int(count)):
         number, model, width, height = (int(value) for value in file.take("<iiQQ"))
         where = f"{path}: camera {number}"
-        if not 0 <= model < len(models):
-            raise FormatError(f"{where}: found model number {model}, wanted 0 to {len(models) - 1} (and a pinhole)")
-        parameters = file.take(f"<{len(MODELS[models[model]])}d")
-        found[number] = models[model], parameters, width, height, where
+        if not 0 <= model < len(NUMBERED):
+            raise FormatError(f"{where}: found model number {model}, wanted 0 to {len(NUMBERED) - 1}")
+        name, num_parameters = NUMBERED[model]
+        found[number] = name, file.take(f"<{num_parameters}d"), width, height, where
     return found
 
 
@@ -205,7 +206,7 @@ def _lines(path: Path) -> list[str]:
     data = path.read_bytes()
     if b"\0" in data:
         raise FormatError(f"{path}: not text, it holds zero bytes; the file is damaged or of another kind")
-    return [line.strip() for line in _text(data).split("\n") if not line.startswith("#")]
+    return [line.strip() for line in _text(data).split("\n") if not line.lstrip().startswith("#")]
 
 
 def _text(data: bytes) -> str:

@@ -13,7 +13,7 @@ from splatree.io import untrusted
 from splatree.scene.lens import Lens, LensModel
 from splatree.shapes import Array, Float64
 
-__all__ = ["MODELS", "intrinsics", "lens_of_record"]
+__all__ = ["NUMBERED", "intrinsics", "lens_of_record"]
 
 MODELS: Mapping[str, tuple[str, ...]] = {
     "SIMPLE_PINHOLE": ("f", "cx", "cy"),
@@ -27,10 +27,31 @@ MODELS: Mapping[str, tuple[str, ...]] = {
     "SIMPLE_RADIAL_FISHEYE": ("f", "cx", "cy", "k1"),
     "RADIAL_FISHEYE": ("f", "cx", "cy", "k1", "k2"),
     "THIN_PRISM_FISHEYE": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "s1", "s2"),
+    "SIMPLE_FISHEYE": ("f", "cx", "cy"),
+    "FISHEYE": ("fx", "fy", "cx", "cy"),
 }
-"""Parameters of each model in COLMAP's order, which is also that of its numbers in binary files, by the letters of `Lens`."""
+"""Parameters of each model in COLMAP's order, by the letters of `Lens`."""
+
+_REFUSED_MODELS: Mapping[str, int] = {
+    "RAD_TAN_THIN_PRISM_FISHEYE": 16,
+    "SIMPLE_DIVISION": 4,
+    "DIVISION": 5,
+    "EUCM": 6,
+    "EQUIRECTANGULAR": 2,
+}
+"""Numbers of parameters of COLMAP's models (4.2) that no lens here describes: a camera that no picture uses may be of these."""
+
+_BY_NUMBER = """SIMPLE_PINHOLE PINHOLE SIMPLE_RADIAL RADIAL OPENCV OPENCV_FISHEYE FULL_OPENCV FOV SIMPLE_RADIAL_FISHEYE
+    RADIAL_FISHEYE THIN_PRISM_FISHEYE RAD_TAN_THIN_PRISM_FISHEYE SIMPLE_DIVISION DIVISION SIMPLE_FISHEYE FISHEYE EUCM
+    EQUIRECTANGULAR"""
+
+NUMBERED: tuple[tuple[str, int], ...] = tuple(
+    (name, len(MODELS[name]) if name in MODELS else _REFUSED_MODELS[name]) for name in _BY_NUMBER.split()
+)
+"""Name and number of parameters of each model, by its number in COLMAP's binary files."""
 
 _UNDISTORT = "undistort the pictures first (colmap image_undistorter --output_type COLMAP)"
+_CUT = "cut flat pictures out of the panoramas first (ns-process-data images --camera-type equirectangular)"
 
 _REFUSED_KEYS = ("ftheta_p0", "latlong", "rolling_shutter", "equirectangular", "orthographic")
 """What instant-ngp writes of cameras that no lens here describes."""
@@ -43,7 +64,7 @@ def intrinsics(model: str, parameters: Sequence[float], where: str) -> tuple[Flo
         FormatError: the model is not known, or its parameters are not those of the model.
     """
     if model not in MODELS:
-        raise FormatError(f"{where}: found camera model {model!r}, wanted one of {', '.join(MODELS)}; {_UNDISTORT}")
+        raise _unknown(model, where)
     names = MODELS[model]
     if len(parameters) != len(names):
         raise FormatError(
@@ -75,9 +96,7 @@ def lens_of_record(record: Mapping[str, Any], where: str) -> Lens | None:
         raise FormatError(f"{where}.is_fisheye: found {str(is_fisheye)[:40]!r}, wanted true or false")
     model = record.get("camera_model", "OPENCV_FISHEYE" if is_fisheye else "OPENCV")
     if model not in MODELS:
-        raise FormatError(
-            f"{where}: found camera model {str(model)[:40]!r}, wanted one of {', '.join(MODELS)}; {_UNDISTORT}"
-        )
+        raise _unknown(model, where)
     if "FISHEYE" not in model and is_fisheye:
         model = "OPENCV_FISHEYE"
     if record.get("distortion_params") is not None:
@@ -97,6 +116,11 @@ def lens_of_record(record: Mapping[str, Any], where: str) -> Lens | None:
     if kind == "fov" and "k1" not in values and "omega" in record:
         values["k1"] = untrusted.number(record, "omega", where)
     return _lens(kind, values)
+
+
+def _unknown(model: Any, where: str) -> FormatError:
+    advice = _CUT if model == "EQUIRECTANGULAR" else _UNDISTORT
+    return FormatError(f"{where}: found camera model {str(model)[:40]!r}, wanted one of {', '.join(MODELS)}; {advice}")
 
 
 def _lens(kind: LensModel, values: Mapping[str, float]) -> Lens | None:

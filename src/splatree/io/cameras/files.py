@@ -15,6 +15,7 @@ from splatree.constants import NEAR
 from splatree.errors import FormatError, InputError
 from splatree.io import untrusted
 from splatree.io.cameras import camera_path, colmap, foreign, llff, nerfstudio
+from splatree.io.cameras.poses import Rotations
 from splatree.io.replacing import replacing
 from splatree.scene.cameras import Camera, Cameras
 from splatree.scene.scene import Source
@@ -184,12 +185,12 @@ def write_cameras(cameras: Cameras | Sequence[Camera], path: str | os.PathLike[s
 
 @np.errstate(over="ignore", invalid="ignore")  # absurd numbers become infinite, which Camera refuses
 def _parse_inria(records: list[object], path: Path) -> Cameras:
-    views = []
+    views, rotations = [], Rotations()
     for i, value in enumerate(records):
         where = f"{path}: camera {i}"
         record = untrusted.as_object(value, where)
         width, height = (untrusted.integer(record, key, where, low=1) for key in ("width", "height"))
-        rotation = untrusted.numbers(record, "rotation", where, (3, 3)).T
+        rotation = rotations.of(untrusted.numbers(record, "rotation", where, (3, 3)), where).T
         pose = np.eye(4)
         pose[:3, :3] = rotation
         pose[:3, 3] = -rotation @ untrusted.numbers(record, "position", where, (3,))
@@ -203,4 +204,4 @@ def _parse_inria(records: list[object], path: Path) -> Cameras:
             views.append(Camera(pose, K, width, height, near, name))
         except InputError as error:
             raise FormatError(f"{where}: {error}") from error
-    return Cameras(tuple(views))
+    return Cameras(tuple(views), rotations.notes)

@@ -20,6 +20,7 @@ import numpy as np
 from splatree.errors import FormatError, InputError
 from splatree.io import untrusted
 from splatree.io.cameras.distortion import lens_of_record
+from splatree.io.cameras.poses import Rotations
 from splatree.io.images import image_size
 from splatree.io.photo_search import SUFFIXES
 from splatree.scene.cameras import Camera, Cameras
@@ -34,9 +35,9 @@ DATAPARSER, TRANSFORMS = "dataparser_transforms.json", "transforms.json"
 def parse(content: dict[str, Any], path: Path) -> Cameras:
     """The frames in order."""
     frames = untrusted.as_list(content["frames"], f"{path}: frames")
-    sizes = _Sizes(path.parent)
-    views = tuple(_view(frame, content, sizes, f"{path}: frame {i}") for i, frame in enumerate(frames))
-    return in_training_frame(Cameras(views, sizes.notes), path.parent, content)
+    sizes, rotations = _Sizes(path.parent), Rotations()
+    views = tuple(_view(frame, content, sizes, rotations, f"{path}: frame {i}") for i, frame in enumerate(frames))
+    return in_training_frame(Cameras(views, (*sizes.notes, *rotations.notes)), path.parent, content)
 
 
 def in_training_frame(cameras: Cameras, folder: Path, content: Mapping[str, Any] | None = None) -> Cameras:
@@ -120,7 +121,7 @@ class _Sizes:
         return self._last
 
 
-def _view(value: Any, content: dict[str, Any], sizes: _Sizes, where: str) -> Camera:
+def _view(value: Any, content: dict[str, Any], sizes: _Sizes, rotations: Rotations, where: str) -> Camera:
     frame = untrusted.as_object(value, where)
     lens = ChainMap(frame, content)  # a frame's own values win
     name = untrusted.text(frame, "file_path", where) if "file_path" in frame else ""
@@ -137,7 +138,7 @@ def _view(value: Any, content: dict[str, Any], sizes: _Sizes, where: str) -> Cam
     rows = frame.get("transform_matrix")
     shape = (3, 4) if isinstance(rows, list) and len(rows) == 3 else (4, 4)  # some leave the row 0 0 0 1 out
     world_from_camera = untrusted.numbers(frame, "transform_matrix", where, shape) @ np.diag([1.0, -1.0, -1.0, 1.0])
-    rotation = world_from_camera[:3, :3].T
+    rotation = rotations.of(world_from_camera[:3, :3], where).T
     pose = np.eye(4)
     pose[:3, :3] = rotation
     pose[:3, 3] = -rotation @ world_from_camera[:3, 3]

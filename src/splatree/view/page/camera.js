@@ -1,6 +1,7 @@
 // The camera of the page: an eye, the point it turns about, and what is up. Axes are OpenCV's: right, down, forward.
 import { across, add, cross, dot, length, mix, scale, sub, turn, unit } from './vectors.js';
 
+const GLIDE_MS = 450;
 const STEEPEST = 0.9998; // cosine of the smallest angle between the view and `up`
 
 export class Camera {
@@ -92,13 +93,17 @@ export class Camera {
   }
 }
 
-/** A glide from one place to another: returns a function of the time in ms that moves the camera and says whether it is done. */
-export function glide(camera, eye, target, duration = 450) {
+/**
+ * A glide from one place to another, a jump for whoever wants less motion: returns a function of the time in ms that moves the
+ * camera and says whether it is done.
+ */
+export function glide(camera, eye, target) {
+  const duration = matchMedia('(prefers-reduced-motion: reduce)').matches ? 0 : GLIDE_MS;
   const from = { eye: camera.eye, target: camera.target };
   let start = null;
   return (now) => {
     start ??= now;
-    const t = Math.min(1, (now - start) / duration), eased = t * t * (3 - 2 * t);
+    const t = duration ? Math.min(1, (now - start) / duration) : 1, eased = t * t * (3 - 2 * t);
     camera.set(mix(from.eye, eye, eased), mix(from.target, target, eased));
     return t === 1;
   };

@@ -1,10 +1,12 @@
 // Mouse, touch and keys move the camera.
 //
 // Mouse: left turns, right or shift pans, the wheel comes nearer, a double click sets the point to turn about. Touch: one finger
-// turns, two fingers pan, pinch to come nearer. Keys: W A S D Q E fly, arrows turn, R goes back to the first view.
+// turns, two fingers pan, pinch to come nearer. Keys: W A S D Q E fly, arrows turn, + and − come nearer and go back.
 const TURN = 0.0055; // radians a px
-const KEYS = { KeyW: [0, 0, 1], KeyS: [0, 0, -1], KeyA: [-1, 0, 0], KeyD: [1, 0, 0], KeyQ: [0, 1, 0], KeyE: [0, -1, 0] };
-const ARROWS = { ArrowLeft: [1, 0], ArrowRight: [-1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
+const MOVES = { KeyW: [0, 0, 1], KeyS: [0, 0, -1], KeyA: [-1, 0, 0], KeyD: [1, 0, 0], KeyQ: [0, 1, 0], KeyE: [0, -1, 0] };
+const TURNS = { ArrowLeft: [1, 0], ArrowRight: [-1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
+const ZOOMS = { '+': -1, '=': -1, '-': 1 }; // by what the key writes: their places differ between keyboards
+const FAST = 3; // with shift
 
 export class Controls {
   /** `on` has functions: pivot(x, y) for a double click, key(code) of other keys, taken() when a hand moves. `mode` is 'orbit' or 'fly'. */
@@ -15,7 +17,8 @@ export class Controls {
     this.mode = 'orbit';
     this.speed = 1;
     this.pointers = new Map();
-    this.keys = new Set();
+    this.keys = new Map(); // held down, by their place: what each does
+    this.isFast = false;
     canvas.addEventListener('pointerdown', (event) => this.down(event));
     canvas.addEventListener('pointermove', (event) => this.drag(event));
     for (const name of ['pointerup', 'pointercancel']) canvas.addEventListener(name, (event) => this.pointers.delete(event.pointerId));
@@ -79,27 +82,29 @@ export class Controls {
   }
 
   key(event, isDown) {
+    this.isFast = event.shiftKey;
+    if (!isDown) this.keys.delete(event.code); // wherever the focus is by now, and whatever else is held down
     const isTyped = event.target.closest?.('dialog, select, textarea, input:not([type=range], [type=checkbox])');
-    const isSlid = event.code in ARROWS && event.target.closest?.('input'); // a slider that was moved last keeps its arrows only
+    const isSlid = event.code in TURNS && event.target.closest?.('input'); // a slider that was moved last keeps its arrows only
     if (isTyped || isSlid || event.ctrlKey || event.metaKey || event.altKey) return;
-    if (event.code in KEYS || event.code in ARROWS) {
+    const act = { move: MOVES[event.code], turn: TURNS[event.code], zoom: ZOOMS[event.key] };
+    if (act.move || act.turn || act.zoom) {
       if (isDown) this.on.taken();
-      if (isDown) this.keys.add(event.code);
-      else this.keys.delete(event.code);
+      if (isDown) this.keys.set(event.code, act);
       event.preventDefault();
-    } else if (isDown) this.on.key?.(event.code);
+    } else if (isDown && !event.repeat) this.on.key?.(event.code);
   }
 
   /** Move by the keys that are held down; called once a frame with the seconds since the last. */
   step(seconds) {
     if (!this.keys.size) return;
-    const fast = this.keys.has('ShiftLeft') ? 3 : 1, k = this.speed * fast * seconds;
+    const k = this.speed * (this.isFast ? FAST : 1) * seconds;
     const moved = [0, 0, 0];
-    for (const code of this.keys) {
-      (KEYS[code] ?? []).forEach((value, i) => (moved[i] += value));
-      const arrow = ARROWS[code];
-      if (arrow && this.mode === 'orbit') this.camera.orbit(-arrow[0] * seconds * 1.2, -arrow[1] * seconds * 1.2);
-      else if (arrow) this.camera.look(arrow[0] * seconds, -arrow[1] * seconds);
+    for (const { move, turn, zoom } of this.keys.values()) {
+      move?.forEach((value, i) => (moved[i] += value));
+      if (turn && this.mode === 'orbit') this.camera.orbit(-turn[0] * seconds * 1.2, -turn[1] * seconds * 1.2);
+      else if (turn) this.camera.look(turn[0] * seconds, -turn[1] * seconds);
+      if (zoom) this.camera.zoom(Math.exp(zoom * seconds));
     }
     if (moved.some(Boolean)) this.camera.move(moved[0] * k, moved[1] * k, moved[2] * k);
   }

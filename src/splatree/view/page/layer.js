@@ -1,6 +1,6 @@
 // One scene in the page: its connection, its nodes, and the exact picture of the server.
 import { Link } from './link.js';
-import { Store } from './store.js';
+import { ROW, Store } from './store.js';
 
 const SEND_MS = 30; // between two views of a camera that moves
 
@@ -12,6 +12,7 @@ export class Layer {
     this.facts = null;
     this.range = [1, 2];
     this.isSettled = false; // the last cut asked for is drawn
+    this.isWaiting = false; // for a picture, where the server draws
     this.asked = { cut: 0, frame: 0 };
     this.sentAt = 0;
     this.fade = 0;
@@ -26,9 +27,12 @@ export class Layer {
       point: (header) => on.point(header.point),
       boxes: (header, data, offset) => on.boxes(header, new Float32Array(data, offset, 6 * header.count)),
       look: (header) => on.look(header),
-      error: (header) => on.notice(header.text),
+      error: (header) => {
+        this.isWaiting = false;
+        on.notice(header.text);
+      },
       open: () => on.notice(''),
-      closed: (reason) => on.notice(reason.startsWith('idle') ? 'The connection rests. Click to go on.' : reason || 'The connection is lost; trying again …'),
+      closed: (reason) => on.notice(reason.startsWith('idle') ? 'The connection rests. Click or press a key to go on.' : reason || 'The connection is lost; trying again …'),
     });
   }
 
@@ -36,7 +40,7 @@ export class Layer {
     const isFirst = this.facts === null;
     this.facts = header;
     this.header = null;
-    this.isSettled = false;
+    this.isSettled = this.isWaiting = false; // what was asked before is not answered any more
     this.store?.clear();
     this.drop();
     this.on.scene(this, isFirst);
@@ -90,6 +94,12 @@ export class Layer {
     this.isExact = this.isAskedExact;
     this.painter?.setPicture(this.room, bitmap);
     this.on.frame(this, header);
+  }
+
+  /** The graphics processor is back and has nothing: copy all nodes to it; their order follows. */
+  restore() {
+    this.room = this.painter.makeRoom(this.store.capacity);
+    this.painter.update(this.room, this.store.words, [[0, Math.ceil(this.store.capacity / ROW)]], new Uint32Array(0));
   }
 
   /** The picture is of a camera that has moved on: forget it, or keep it until the next where the server draws. */

@@ -26,10 +26,15 @@ export class Link {
     socket.onclose = (event) => {
       this.socket = null;
       this.handlers.closed?.(event.reason);
-      if (event.code === IDLE) addEventListener('pointerdown', () => this.open(), { once: true });
+      if (event.code === IDLE) for (const name of ['pointerdown', 'keydown', 'wheel']) addEventListener(name, () => this.wake(), { once: true });
       else if (event.code !== REFUSED) setTimeout(() => this.reopen(), RETRY_MS);
     };
     this.socket = socket;
+  }
+
+  /** A hand is back: connect, if that has not been done. */
+  wake() {
+    if (!this.socket) this.open();
   }
 
   reopen() {

@@ -15,7 +15,7 @@ const SLOW_FRAMES = 6; // in a row that take longer than 200 ms: the server draw
 const settings = JSON.parse(document.body.dataset.settings);
 const query = new URLSearchParams(location.search);
 const canvas = document.getElementById('stage');
-const isPhone = matchMedia('(pointer: coarse) and (max-width: 820px)').matches;
+const isPhone = matchMedia('(pointer: coarse) and (max-width: 820px), (pointer: coarse) and (max-height: 480px)').matches;
 
 class App {
   constructor() {
@@ -65,6 +65,8 @@ class App {
     const capacity = isPhone ? 1 << 19 : settings.capacity;
     this.layers = settings.scenes.map((_, i) => new Layer(i, capacity, this.painter, on));
     new ResizeObserver(() => this.resize()).observe(canvas);
+    canvas.addEventListener('webglcontextlost', (event) => this.graphicsLost(event));
+    canvas.addEventListener('webglcontextrestored', () => this.graphicsBack());
     this.resize();
     if (this.reason) this.page.notice(this.reason, 6000);
     requestAnimationFrame((now) => this.tick(now));
@@ -81,6 +83,21 @@ class App {
     canvas.width = width;
     canvas.height = height;
     this.camera.version++;
+  }
+
+  /** The graphics processor was taken away, as phones do to pages in the background; it may come back. */
+  graphicsLost(event) {
+    event.preventDefault(); // else it never comes back
+    this.isBlind = true;
+    this.page.notice('The graphics of this machine are gone for the moment; waiting for them …');
+  }
+
+  graphicsBack() {
+    this.painter.begin();
+    for (const layer of this.layers) layer.restore();
+    this.isBlind = false;
+    this.page.notice('');
+    this.changed();
   }
 
   /** A scene came, the first one or a new one in its place. */
@@ -231,6 +248,11 @@ class App {
     layer.link.want({ ...this.request(layer), want: 'point', at: [x * ratio, y * ratio], box: this.state.box });
   }
 
+  /** The point in the middle of the picture, of the first scene where two share it, becomes the one to turn about. */
+  askMiddle() {
+    this.askPoint(canvas.clientWidth / 2, canvas.clientHeight / 2);
+  }
+
   /** A hand takes the camera: a glide or a flight ends where it is. */
   stopMotion() {
     this.motion = null;
@@ -251,7 +273,7 @@ class App {
 
   tick(now) {
     requestAnimationFrame((next) => this.tick(next));
-    if (window.__stop || !this.facts) return;
+    if (window.__stop || !this.facts || this.isBlind) return;
     const seconds = Math.min(0.1, (now - (this.lastTick ?? now)) / 1000);
     this.lastTick = now;
     this.controls.step(seconds);
@@ -262,11 +284,13 @@ class App {
       this.still = { since: now, asked: false };
       this.stats.psnr = null;
       this.isDirty = true;
+      const wasExact = this.layers.some((layer) => layer.isExact);
       for (const layer of this.layers) {
         layer.drop(this.frames);
         layer.isStale = true;
         if (layer.store && !this.frames) this.sort(layer);
       }
+      if (wasExact) this.page.showStatus();
     }
     if (this.frames) this.tickFrames(now);
     else this.tickCuts(now);

@@ -26,10 +26,14 @@ export class Page {
     this.app = app;
     this.settings = settings;
     this.views = new Views(app, this);
-    document.documentElement.dataset.theme = localStorage.getItem('splatree.theme') ?? (matchMedia('(prefers-color-scheme: light)').matches ? 'light' : 'dark');
+    document.documentElement.dataset.theme = remembered('theme') ?? (matchMedia('(prefers-color-scheme: light)').matches ? 'light' : 'dark');
     at('name').textContent = settings.scenes.join('  |  ');
     document.title = `${settings.scenes[0]} · splatree`;
     if (new URLSearchParams(location.search).has('noui')) document.body.classList.add('bare');
+    addEventListener('keydown', (event) => document.body.classList.toggle('tabbed', event.code === 'Tab')); // keys that fly draw no border
+    at('help').addEventListener('keydown', (event) => {
+      if (event.code === 'KeyH') at('help').close();
+    });
     this.makeTools();
     this.makePanel();
     this.makeDivider();
@@ -51,6 +55,8 @@ export class Page {
     this.orbit = this.icon('orbit', 'Orbit: drag turns about the scene (1)', mode('orbit'));
     this.fly = this.icon('fly', 'Fly: W A S D Q E move, drag looks round (2)', mode('fly'));
     this.record = this.icon('record', 'Record a path of cameras (C)', () => this.views.toggleRecording());
+    this.settingsIcon = this.icon('panel', 'Settings (O)', () => this.toggleSettings());
+    this.settingsIcon.setAttribute('aria-expanded', 'false');
     at('tools').append(
       this.orbit, this.fly, this.icon('home', 'First view (R)', () => this.app.reset()),
       make('i'),
@@ -58,7 +64,7 @@ export class Page {
       this.icon('share', 'Copy the address of this view (L)', () => this.copy(address(this.app.camera, this.app.state), 'The address of this view is copied.')),
       make('i'),
       this.icon('theme', 'Dark or light (T)', () => this.toggleTheme()), this.icon('help', 'Help (H)', () => this.help()),
-      this.icon('panel', 'Settings (O)', () => document.body.classList.toggle('open')),
+      this.settingsIcon,
     );
     this.orbit.setAttribute('aria-pressed', 'true');
   }
@@ -66,10 +72,15 @@ export class Page {
   key(code) {
     const keys = {
       KeyR: () => this.app.reset(), KeyP: () => this.views.savePicture(), KeyC: () => this.views.toggleRecording(), KeyT: () => this.toggleTheme(),
-      KeyH: () => this.help(), KeyO: () => document.body.classList.toggle('open'), KeyL: () => this.copy(address(this.app.camera, this.app.state), 'The address of this view is copied.'),
+      KeyH: () => this.help(), KeyO: () => this.toggleSettings(), KeyF: () => this.app.askMiddle(), Escape: () => this.toggleSettings(false), KeyL: () => this.copy(address(this.app.camera, this.app.state), 'The address of this view is copied.'),
       Digit1: () => this.orbit.click(), Digit2: () => this.fly.click(), KeyK: () => this.views.add(),
     };
     keys[code]?.();
+  }
+
+  toggleSettings(isOpen = !document.body.classList.contains('open')) {
+    document.body.classList.toggle('open', isOpen);
+    this.settingsIcon.setAttribute('aria-expanded', String(isOpen));
   }
 
   makePanel() {
@@ -195,7 +206,7 @@ export class Page {
   toggleTheme() {
     const { dataset } = document.documentElement;
     dataset.theme = dataset.theme === 'dark' ? 'light' : 'dark';
-    localStorage.setItem('splatree.theme', dataset.theme);
+    remember('theme', dataset.theme);
     this.app.changed();
   }
 
@@ -228,16 +239,20 @@ export class Page {
     if (isOn && facts) {
       const r = facts.radius * 1.5;
       const low = [0, 0, 0], high = [1, 1, 1];
-      const put = () => {
+      const rows = ['x', 'y', 'z'].flatMap((axis, i) => [
+        share(`${axis} from`, 0, (v) => put(i, v, Math.max(v, high[i]))),
+        share(`${axis} to`, 1, (v) => put(i, Math.min(v, low[i]), v)),
+      ]);
+      const put = (i, from, to) => {
+        [low[i], high[i]] = [from, to]; // a side that meets the other one takes it along
+        rows[2 * i].setValue(from);
+        rows[2 * i + 1].setValue(to);
         state.box = [...low.map((v) => -r + 2 * r * v), ...high.map((v) => -r + 2 * r * v)];
         this.app.lines.clip = { points: boxLines(new Float32Array(state.box)), alpha: 0.9 };
         this.app.changed();
       };
-      this.clipRows.replaceChildren(...['x', 'y', 'z'].flatMap((axis, i) => [
-        share(`${axis} from`, 0, (v) => { low[i] = Math.min(v, high[i]); put(); }),
-        share(`${axis} to`, 1, (v) => { high[i] = Math.max(v, low[i]); put(); }),
-      ]));
-      put();
+      this.clipRows.replaceChildren(...rows);
+      put(0, 0, 1);
     } else {
       state.box = null;
       delete this.app.lines.clip;
@@ -256,11 +271,18 @@ export class Page {
     const put = (share) => {
       this.app.state.split = Math.min(0.98, Math.max(0.02, share));
       divider.style.left = `${100 * this.app.state.split}%`;
+      divider.setAttribute('aria-valuenow', Math.round(100 * this.app.state.split));
       this.app.stats.psnr = null;
       this.app.isDirty = true;
     };
     divider.addEventListener('pointerdown', (event) => divider.setPointerCapture(event.pointerId));
     divider.addEventListener('pointermove', (event) => event.buttons && put(event.clientX / innerWidth));
+    divider.addEventListener('keydown', (event) => {
+      const step = { ArrowLeft: -0.02, ArrowRight: 0.02 }[event.code];
+      if (!step) return;
+      event.stopPropagation(); // else the camera turns too
+      put(this.app.state.split + step);
+    });
     put(0.5);
   }
 
@@ -295,7 +317,7 @@ export class Page {
       ['double click', 'turn about this point'],
     ];
     const keys = [
-      ['W A S D, Q E', 'fly; with shift three times as fast'], ['arrows', 'turn'], ['R', 'first view'], ['1, 2', 'orbit, fly'], ['K', 'add this camera to the list'],
+      ['W A S D, Q E', 'fly; with shift three times as fast'], ['arrows', 'turn'], ['+, −', 'come nearer, go back'], ['F', 'turn about the middle of the picture'], ['R', 'first view'], ['1, 2', 'orbit, fly'], ['K', 'add this camera to the list'],
       ['C', 'record a path'], ['P', 'save the picture'], ['L', 'copy the address of this view'], ['T', 'dark or light'], ['O', 'settings'], ['H', 'this list'],
     ];
     const rows = matchMedia('(pointer: coarse)').matches ? fingers : [...mouse, ...keys]; // a phone has no keys
@@ -322,6 +344,21 @@ export class Page {
     }
     this.app.isDirty = true;
   }
+}
+
+/** What this page was told before, or null: browsers that keep no data for pages in frames of others throw. */
+function remembered(name) {
+  try {
+    return localStorage.getItem(`splatree.${name}`);
+  } catch {
+    return null;
+  }
+}
+
+function remember(name, value) {
+  try {
+    localStorage.setItem(`splatree.${name}`, value);
+  } catch {} // it holds for this visit only
 }
 
 /** The older way to copy: pages that came without TLS from another machine have no other. */

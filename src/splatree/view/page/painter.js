@@ -9,9 +9,15 @@ export class Painter {
   constructor(canvas) {
     const gl = canvas.getContext('webgl2', { antialias: false, alpha: false, powerPreference: 'high-performance' });
     if (!gl) throw new Error('no WebGL2');
-    if (!gl.getExtension('EXT_color_buffer_float') && !gl.getExtension('EXT_color_buffer_half_float')) throw new Error('no float targets');
     this.gl = gl;
     this.canvas = canvas;
+    this.begin();
+  }
+
+  /** Make what every picture needs; again when a graphics processor that was lost is back. */
+  begin() {
+    const gl = this.gl;
+    if (!gl.getExtension('EXT_color_buffer_float') && !gl.getExtension('EXT_color_buffer_half_float')) throw new Error('no float targets');
     this.nodes = program(gl, NODE_VERTEX, NODE_FRAGMENT);
     this.cover = program(gl, COVER_VERTEX, COVER_FRAGMENT);
     this.lines = program(gl, LINE_VERTEX, LINE_FRAGMENT);
@@ -19,7 +25,7 @@ export class Painter {
     this.noPicture = texture(gl, gl.LINEAR);
     gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, 1, 1, 0, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
     this.empty = gl.createVertexArray();
-    this.slots = [];
+    this.age = (this.age ?? -1) + 1; // lines are copied again when it grows
   }
 
   /** Room for the nodes of one scene. */
@@ -128,13 +134,12 @@ export class Painter {
     gl.drawArrays(gl.TRIANGLES, 0, 3);
   }
 
-  /** line: {points: Float32Array of pairs of points, color: [r, g, b, a], version} */
+  /** line: {points: Float32Array of pairs of points, color: [r, g, b, a]} */
   drawLines(view, line) {
     const gl = this.gl, { program: p, at } = this.lines;
+    if (line.age !== this.age) Object.assign(line, { age: this.age, array: gl.createVertexArray(), buffer: gl.createBuffer(), uploaded: null });
     if (line.uploaded !== line.points) {
       line.uploaded = line.points;
-      line.array ??= gl.createVertexArray();
-      line.buffer ??= gl.createBuffer();
       gl.bindVertexArray(line.array);
       gl.bindBuffer(gl.ARRAY_BUFFER, line.buffer);
       gl.bufferData(gl.ARRAY_BUFFER, line.points, gl.STATIC_DRAW);

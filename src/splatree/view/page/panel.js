@@ -30,13 +30,17 @@ export function slider(name, { low, high, value, show, hint, digits = 2 }, onCha
     type: 'range', min: 0, max: 1000, step: 1, 'aria-label': name,
     oninput: () => {
       const v = rounded(low * (high / low) ** (input.value / 1000));
-      output.value = show(v);
+      tell(v);
       onChange(v);
     },
   });
+  const tell = (v) => {
+    output.value = show(v);
+    input.setAttribute('aria-valuetext', show(v)); // its own value is a place from 0 to 1000
+  };
   const set = (v) => {
     input.value = toPlace(v);
-    output.value = show(v);
+    tell(v);
   };
   set(value);
   const row = make('label', { class: 'slider', title: hint ?? '' }, make('span', {}, name), output, input);
@@ -47,7 +51,9 @@ export function slider(name, { low, high, value, show, hint, digits = 2 }, onCha
 /** A slider over a plain range of numbers from 0 to 1. */
 export function share(name, value, onChange) {
   const input = make('input', { type: 'range', min: 0, max: 1, step: 0.001, value, 'aria-label': name, oninput: () => onChange(Number(input.value)) });
-  return make('label', { class: 'slider short' }, make('span', {}, name), input);
+  const row = make('label', { class: 'slider short' }, make('span', {}, name), input);
+  row.setValue = (v) => (input.value = v);
+  return row;
 }
 
 /** One of several: buttons in a row. */

@@ -15,7 +15,8 @@ Drafts of 2025 are read too: attributes ``_ROTATION``, ``_SCALE``, ``_OPACITY`` 
 the extensions that `glb/names.py` lists. A file that requires an extension which is not known is refused.
 
 Our scenes are RDF: x and y change signs on the way, and with them quaternions and harmonics. All primitives that the nodes of the
-file's scene show are one scene; a node may move, turn and scale them. `glb/writer.py` writes. docs/reference/formats/glb.md.
+file's scene show are one scene; a node may move, turn, scale, mirror and stretch them. `glb/writer.py` writes.
+docs/reference/formats/glb.md.
 """
 
 import json
@@ -50,7 +51,7 @@ from splatree.io.formats.glb.names import (
 from splatree.io.formats.spz import format as spz
 from splatree.io.mirror import mirror
 from splatree.io.options import ReadOptions
-from splatree.io.placing import Piece, Place, placed_chunks
+from splatree.io.placing import STRETCHED, Piece, Place, placed_chunks, stretches
 from splatree.io.rows import FileRows, Fill, scene_of
 from splatree.maths.axes import AXES, signs_between
 from splatree.scene.gaussians import Gaussians
@@ -216,6 +217,8 @@ def _parts(gltf: GltfFile, *, repair: bool) -> tuple[list[_Part], list[str]]:
     extra = dict.fromkeys(name for names in attributes if isinstance(names, dict) for name in unknown_attributes(names))
     if extra:
         lost.append(f"the attributes {', '.join(extra)}: splatree does not know them, and draws without them")
+    if any(stretches(part.matrix) and part.rows.sh_degree > 0 for part in parts):
+        lost.append(STRETCHED)
     return parts, lost
 
 

@@ -25,7 +25,7 @@ from splatree.io.check import add_counts
 from splatree.io.chunks import Chunks, Counts
 from splatree.io.formats.glb import reader as gltf
 from splatree.io.options import ReadOptions
-from splatree.io.placing import Piece, Place, placed_chunks
+from splatree.io.placing import STRETCHED, Piece, Place, placed_chunks, stretches
 from splatree.io.rows import scene_of
 from splatree.maths.axes import signs_between
 from splatree.progress import track
@@ -106,6 +106,8 @@ def read_chunks(path: Path, options: ReadOptions) -> Chunks:
         pieces.append(_piece(content, chunks))
         modes.add(chunks.mode)
         lost += json.loads(chunks.metadata.get("lost", "[]"))
+        if stretches(content.matrix) and chunks.sh_degree > 0:
+            lost.append(STRETCHED)
     _check_contents(found, modes, where)
     if found.others:
         lost.append(f"tiles of other kinds: {_others(found)}")
