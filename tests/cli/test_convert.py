@@ -106,3 +106,15 @@ def test_compact_is_refused_where_it_means_nothing(splatree, small_ply, tmp_path
     assert code == 2 and "found the option compact = True, but this format takes only" in err
     code, _, err = splatree("build", small_ply, tmp_path / "a.splatree", "--compact", "--max-memory", "1G")
     assert code == 2 and "--compact" in err
+
+
+@pytest.mark.parametrize("compact", [(), ("--compact",)], ids=["in runs", "in memory"])
+def test_a_cut_counts_the_nodes_that_are_written(splatree, small_tree, tmp_path, compact):
+    """Of an exact tree a cut is written in runs; of a compact one in memory."""
+    splatree("convert", small_tree, tmp_path / "a.splatree", *compact)
+    code, words, _ = splatree("convert", tmp_path / "a.splatree", tmp_path / "top.ply", "--depth", "1")
+    num_nodes = len(read(tmp_path / "top.ply"))
+    assert code == 0 and num_nodes < NUM_GAUSSIANS
+    assert words.startswith(
+        f"wrote {tmp_path / 'top.ply'}: {num_nodes:,} nodes at depth 1 for {NUM_GAUSSIANS:,} Gaussians, "
+    )

@@ -151,3 +151,8 @@ def test_a_scene_with_levels_and_an_empty_one_are_described(splatree, small_scen
     found = described(splatree, tmp_path / "empty.ply")
     assert (found["up"], found["outliers"], found["num_gaussians"]) == (None, [], 0)
     assert splatree("info", tmp_path / "empty.ply")[0] == 0
+
+
+def test_logits_far_below_those_of_any_opacity_are_described(splatree, tmp_path):
+    write(Scene.flat(replace(random_gaussians(9), logit_opacities=np.full(9, -1e10, np.float32))), tmp_path / "a.ply")
+    assert described(splatree, tmp_path / "a.ply")["opacity"]["max"] == 0

@@ -52,7 +52,7 @@ def test_folders_of_parts_are_shown_without_reading_all_of_them(splatree, small_
         raise KeyboardInterrupt
 
     folder = tmp_path / "parts.splatree"
-    assert splatree("build", small_ply, folder, "--part-rows", "100", "-q")[0] == 0
+    assert splatree("build", small_ply, folder, "--part-rows", "500", "-q")[0] == 0
     monkeypatch.setattr("webbrowser.open", interrupt)
     monkeypatch.setattr("splatree.cli.opening.read_scene", None)  # nothing is read as a whole
     for words in ((), ("--max-memory", "1M"), ("--beside", folder)):

@@ -80,6 +80,10 @@ def test_a_cut_at_a_depth_has_the_bytes_of_the_cut_in_memory(trees, tmp_path, na
         wanted = st.edit(st.read(path), options)
         lost = st.write(wanted, tmp_path / f"b{suffix}", depth=depth, force=True)
         assert found.in_chunks and found.lost[-len(lost) or len(found.lost) :] == lost
+        assert (found.num_read, found.num_written) == (
+            st.read(path).tree.num_leaves,
+            len(st.read(tmp_path / f"a{suffix}")),
+        )
         assert (tmp_path / f"a{suffix}").read_bytes() == (tmp_path / f"b{suffix}").read_bytes()
     assert len(st.read(tmp_path / f"a{suffix}")) < wanted.tree.num_leaves
 

@@ -63,6 +63,19 @@ def test_the_kernel_is_the_reference(n, seed, method, with_extents, share_kept, 
         np.testing.assert_array_equal(getattr(found, name)[leaf], getattr(scene.gaussians, name)[leaf])
 
 
+def test_nodes_of_leaves_that_are_all_invisible_stay_finite():
+    """Some programs hide a Gaussian by a logit far below that of any opacity: nothing is shown, at any dilation."""
+    hidden = replace(cloud(20, 1), logit_opacities=np.full(20, -1e10, np.float32))
+    scene = tree_over(hidden, "pairs")
+    (found, curves), (wanted, expected) = both(
+        scene, np.ones(len(scene), np.float32), with_extents=True, kept_extent=1e9, dilations=(0.1, 0.1)
+    )
+    for g in (found, wanted):
+        assert np.isfinite(g.log_scales).all() and np.isfinite(g.logit_opacities).all()
+        assert g.opacities()[~scene.tree.is_leaf].max() < 2e-6  # the least opacity of a node
+    np.testing.assert_allclose(curves, expected, rtol=1e-6)
+
+
 def test_any_number_of_threads_gives_the_same_bits():
     """More rows than one thread takes at a time."""
     scene = tree_over(cloud(30_000, 3, log_scales=("normal", -4.0, 1.0)))

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 from tyro.conf import arg
 
-from splatree.cli.calibrate import Views, in_words, training_views, views_in_words
+from splatree.cli.calibrate import TrainingViews, Views, in_words, training_views, views_in_words
 from splatree.cli.comparison import Reporting, read_back
 from splatree.cli.comparison import in_words as comparison_in_words
 from splatree.cli.console import Console, UsageError, counted, size, table
@@ -129,32 +129,57 @@ class Built:
 
 def run(command: Command) -> Built | BuiltFolder | ClusteredFile:
     """Read, build, write."""
+    through_files = command.running != FolderOptions()
     only_clusters = command.flat and command.clusters is not None
-    if command.running != FolderOptions():
-        if needing := _in_memory(command):
-            then = (
-                "; clusters of levels are added afterwards: splatree build FOLDER out.splatree --flat --clusters auto"
-                if "--clusters" in needing
-                else ""
-            )
-            raise UsageError(
-                f"found --max-memory, --workers, --scheduler or the size of parts with {', '.join(needing)}, which need the "
-                f"scene in memory; wanted one of them{then}"
-            )
+    if through_files:
+        _check_through_files(command, only_clusters=only_clusters)
         if not only_clusters:
             return run_through_files(command.files, command.options, command.running, command.mode)
-        if command.running != FolderOptions(max_memory=command.running.max_memory):
-            raise UsageError(
-                "found --workers, --scheduler or the size of parts with --flat: clusters are made by one process, and not in "
-                "parts; wanted --max-memory alone"
-            )
-    writing = WriteOptions(compact=command.compact)
-    inputs, output = inputs_and_output(command.files, keeps_tree=True, options=writing)
+    inputs, output = inputs_and_output(command.files, keeps_tree=True, options=WriteOptions(compact=command.compact))
+    _check_levels(command)
+    command.reporting.check(force=command.files.force)
+    views = training_views(command.views)
+    if through_files:
+        return _clustered(command, inputs, output)
+    needs = needs_of(inputs, read_options(command.files.reading))
+    if needs is None or not needs.are_large:
+        return _in_memory(command, inputs, output, views)
+    if needing := [*_needing_memory(command), *([output.suffix] if output.suffix != ".splatree" else [])]:
+        short = f"{needs}, and it cannot go through files with {', '.join(needing)}"
+        return _in_memory(command, inputs, output, views, short)
+    if only_clusters:
+        made = _clustered(command, inputs, output)
+        return replace(made, notes=(f"{needs}: the clusters were made through files", *made.notes))
+    built = run_through_files(command.files, command.options, command.running, command.mode)
+    return replace(built, notes=(f"{needs}: a folder was built, through files", *built.notes))
+
+
+def _check_through_files(command: Command, *, only_clusters: bool) -> None:
+    """Refuse what a build through files cannot do."""
+    if needing := _needing_memory(command):
+        then = (
+            "; clusters of levels are added afterwards: splatree build FOLDER out.splatree --flat --clusters auto"
+            if "--clusters" in needing
+            else ""
+        )
+        raise UsageError(
+            f"found --max-memory, --workers, --scheduler or the size of parts with {', '.join(needing)}, which need the "
+            f"scene in memory; wanted one of them{then}"
+        )
+    if only_clusters and command.running != FolderOptions(max_memory=command.running.max_memory):
+        raise UsageError(
+            "found --workers, --scheduler or the size of parts with --flat: clusters are made by one process, and not in "
+            "parts; wanted --max-memory alone"
+        )
+
+
+def _check_levels(command: Command) -> None:
+    """Refuse options that contradict the levels that are asked for."""
     if command.flat and command.clusters is None:
         raise UsageError("found --flat without --clusters, which leaves nothing to build; wanted --clusters auto too")
     if command.flat and command.refine is not None:
         raise UsageError("found --flat and --refine, but without levels nothing can learn; wanted one of them")
-    learning = None if command.refine is None else RefineOptions(minutes=command.refine)
+    _learning(command)  # refuses minutes out of range
     if command.flat and command.levels == "file":
         raise UsageError("found --flat and --levels file, which contradict each other; wanted one of them")
     if command.fast and (command.flat or command.levels == "file" or command.options.method == "pairs"):
@@ -166,30 +191,14 @@ def run(command: Command) -> Built | BuiltFolder | ClusteredFile:
             f"found {'--flat' if command.flat else '--levels file'} and {', '.join(changed)}, which only levels that grow use; "
             "wanted one of them"
         )
-    command.reporting.check(force=command.files.force)
-    views = training_views(command.views)
-    short: tuple[str, ...] = ()
-    if only_clusters and command.running != FolderOptions():
-        return _clustered(command, inputs, output)
-    if (needs := needs_of(inputs, read_options(command.files.reading))) is not None and needs.are_large:
-        needing = [*_in_memory(command), *([output.suffix] if output.suffix != ".splatree" else [])]
-        if not needing and only_clusters:
-            made = _clustered(command, inputs, output)
-            return replace(made, notes=(f"{needs}: the clusters were made through files", *made.notes))
-        if not needing:
-            built = run_through_files(command.files, command.options, command.running, command.mode)
-            return replace(built, notes=(f"{needs}: a folder was built, through files", *built.notes))
-        short = (f"{needs}, and it cannot go through files with {', '.join(needing)}",)
+
+
+def _in_memory(
+    command: Command, inputs: Sequence[Path], output: Path, views: TrainingViews | None, short: str | None = None
+) -> Built:
+    """Read, build and write in memory; ``short`` says that there may be too little of it."""
     scene, warned = _with_levels(command, inputs)
-    learned: tuple[str, ...] = ()
-    if learning is not None:
-        refined = refine(scene, learning)
-        scene = refined.scene
-        learned = (
-            f"merged nodes learned for {refined.cpu_seconds:.0f} s: {refined.before.mean():.2f} to "
-            f"{refined.after.mean():.2f} dB in views kept to judge by",
-            *refined.notes,
-        )
+    scene, learned = _refined(command, scene)
     if command.clusters is not None:
         scene = build_clusters(scene, command.clusters, command.clustering)
     calibration = None
@@ -197,7 +206,9 @@ def run(command: Command) -> Built | BuiltFolder | ClusteredFile:
         views = views.relative_to(scene)
         calibration = calibrate(scene, views.cameras, command.calibration, photos=views.photos)
         scene = calibrated(scene, calibration, held_out=views.rule)
-    lost, notes = lost_and_noted(scene, write(scene, output, force=command.files.force, options=writing))
+    force = command.files.force
+    written = write(scene, output, force=force, options=WriteOptions(compact=command.compact))
+    lost, notes = lost_and_noted(scene, written)
     report = report_levels(scene)
     num_bytes, input_bytes = stored_bytes(output), sum(stored_bytes(Path(path)) for path in scene.source.paths)
     return Built(
@@ -218,10 +229,9 @@ def run(command: Command) -> Built | BuiltFolder | ClusteredFile:
         trial=None if scene.tree.record is None else scene.tree.record.trial,
         calibration=calibration,
         photographs=None if views is None else views.used,
-        notes=(*short, *notes, *warned, *learned, *(() if views is None else views.notes)),
-        comparison=read_back(  # whose leaves are the input, bit for bit
-            output, scene, command.reporting, made_from=", ".join(map(str, inputs)), force=command.files.force
-        ),
+        notes=(*([] if short is None else [short]), *notes, *warned, *learned, *([] if views is None else views.notes)),
+        # The leaves of what is read back are the input, bit for bit.
+        comparison=read_back(output, scene, command.reporting, made_from=", ".join(map(str, inputs)), force=force),
     )
 
 
@@ -239,7 +249,7 @@ def _clustered(command: Command, inputs: Sequence[Path], output: Path) -> Cluste
     )
 
 
-def _in_memory(command: Command) -> list[str]:
+def _needing_memory(command: Command) -> list[str]:
     """What is asked for that needs the scene in memory."""
     asked = {
         "--flat": command.flat and command.clusters is None,
@@ -298,6 +308,23 @@ def _linked(command: Command, inputs: Sequence[Path]) -> Scene:
 
 def _in_mode(scene: Scene, mode: Mode | None) -> Scene:
     return scene if mode is None else replace(scene, mode=mode)
+
+
+def _learning(command: Command) -> RefineOptions | None:
+    return None if command.refine is None else RefineOptions(minutes=command.refine)
+
+
+def _refined(command: Command, scene: Scene) -> tuple[Scene, tuple[str, ...]]:
+    """The scene, whose merged nodes have learned if that is asked for, and what they learned."""
+    learning = _learning(command)
+    if learning is None:
+        return scene, ()
+    refined = refine(scene, learning)
+    learned = (
+        f"merged nodes learned for {refined.cpu_seconds:.0f} s: {refined.before.mean():.2f} to "
+        f"{refined.after.mean():.2f} dB in views kept to judge by"
+    )
+    return refined.scene, (learned, *refined.notes)
 
 
 def _metadata(scene: Scene, key: str) -> dict[str, Any] | None:

@@ -53,7 +53,9 @@ class Result:
     num_read: int
     """Gaussians read, without merged ones."""
     num_gaussians: int
-    """Gaussians written, without merged ones."""
+    """Gaussians written, without merged ones; with a depth, nodes of the cut."""
+    depth: int | None
+    """Depth of the cut that was asked for."""
     bytes: int
     """Size of the file; of a folder of SOG, of all files that its meta.json names."""
     repairs: dict[str, int]
@@ -86,6 +88,7 @@ def run(command: Command) -> Result:
         output=output,
         num_read=done.num_read,
         num_gaussians=done.num_written,
+        depth=command.depth,
         bytes=stored_bytes(output),
         repairs=done.repairs,
         lost=done.lost,
@@ -118,6 +121,8 @@ def _comparison(command: Command, inputs: Sequence[Path], output: Path) -> Compa
 def show(result: Result) -> str:
     """The result in words."""
     of = f"{result.num_gaussians:,} of " if result.num_read != result.num_gaussians else ""
+    if result.depth is not None:
+        of = f"{counted(result.num_gaussians, 'node')} at depth {result.depth} for "
     wrote = f"wrote {result.output}: {of}{counted(result.num_read, 'Gaussian')}, {size(result.bytes)}"
     version = [] if result.version is None else [result.version]
     compared = [] if result.comparison is None else in_words(result.comparison)

@@ -128,7 +128,8 @@ def describe(outline: Outline) -> Info:
     scene = outline.scene
     leaves = np.flatnonzero(scene.tree.is_leaf)
     means, logits = (column[leaves] for column in (scene.gaussians.means, scene.gaussians.logit_opacities))
-    opacities = 1 / (1 + np.exp(-logits.astype(np.float64)))
+    with np.errstate(over="ignore"):  # exp(800) is infinite and gives 0, as it should
+        opacities = 1 / (1 + np.exp(-logits.astype(np.float64)))
     sizes = np.exp(scene.gaussians.log_scales.max(axis=1, initial=-np.inf)[leaves].astype(np.float64))
     centre, radius = bounds_of(scene) if len(scene) else (np.zeros(3), 0.0)
     distances = np.linalg.norm(means - centre.astype(np.float32), axis=1)

@@ -91,7 +91,8 @@ def _squares_meet_tiles(splats: _Splats, gaussians: Gaussians, camera: Camera) -
 
 
 def _boxes_meet_image(splats: _Splats, gaussians: Gaussians, camera: Camera) -> Array:
-    opacities = 1 / (1 + np.exp(-gaussians.logit_opacities))
+    with np.errstate(over="ignore"):  # exp(800) is infinite and gives 0, as it should
+        opacities = 1 / (1 + np.exp(-gaussians.logit_opacities))
     reach = np.sqrt(2 * np.log(np.maximum(opacities / np.float32(ALPHA_THRESHOLD), 1)))
     reach = np.minimum(reach, np.float32(GSPLAT_REACH_MAX))
     meets = opacities >= np.float32(ALPHA_THRESHOLD)

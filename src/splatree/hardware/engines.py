@@ -17,8 +17,6 @@ from splatree.shapes import Array, Int32, Int64
 __all__ = ["Bounds", "Work", "bounds_of", "dram_settings", "work_of"]
 
 FIDELITIES = {"L0": 0, "L1": 1, "L2": 2}
-ROWS_WITHOUT_CLUSTERS = 256
-"""Gaussians of a request where nothing is identified (Neo's chunks)."""
 
 
 @dataclass(frozen=True, eq=False)

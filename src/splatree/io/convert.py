@@ -19,6 +19,7 @@ from splatree.edit.options import EditOptions
 from splatree.errors import InputError
 from splatree.io.check import refuse_unusable
 from splatree.io.chunks import Chunks
+from splatree.io.cut import cut_at
 from splatree.io.inputs import find_inputs
 from splatree.io.joined import joined
 from splatree.io.joined_chunks import joined_chunks, opened_chunks
@@ -84,7 +85,7 @@ class Converted:
     num_read: int
     """Number of Gaussians read, without merged nodes."""
     num_written: int
-    """Number of Gaussians left after the edits, without merged nodes."""
+    """Number of Gaussians left after the edits, without merged nodes; with a depth, number of nodes of the cut."""
     lost: tuple[str, ...]
     """What the file does not hold of the inputs, a sentence each."""
     repairs: dict[str, int]
@@ -159,7 +160,9 @@ def _converted_from(found: Sequence[Path], target: Path, options: ConvertOptions
     scene = edit(scene, options.edit)
     if options.edit != EditOptions():
         refuse_unusable(scene.gaussians, "the scene after the edits")
-    lost = write(scene, target, depth=options.depth, force=force, options=options.write)
+    if options.depth is not None:
+        scene = cut_at(scene, options.depth)
+    lost = write(scene, target, force=force, options=options.write)
     return _converted(num_read, scene.tree.num_leaves, scene.source.metadata, lost, scene.source.origin)
 
 
@@ -178,11 +181,14 @@ def _in_runs(tree: TreeRuns, target: Path, options: ConvertOptions, force: bool)
     head = replace(edited.head, mode=options.mode or edited.head.mode, source=source)
     edited = replace(edited, head=head)
     lost: tuple[str, ...] = ()
+    num_written = edited.num_leaves
     if options.depth is None:
         write_runs(edited, target, force=force)
     else:
-        lost = write_chunks(cut_chunks(edited, options.depth), target, force=force, options=options.write)
-    converted = _converted(tree.num_leaves, edited.num_leaves, source.metadata, lost, source.origin)
+        cut = cut_chunks(edited, options.depth)
+        num_written = len(cut)
+        lost = write_chunks(cut, target, force=force, options=options.write)
+    converted = _converted(tree.num_leaves, num_written, source.metadata, lost, source.origin)
     return replace(converted, in_chunks=True)
 
 

@@ -84,7 +84,8 @@ def fit_curves(
                 np.exp(2 * np.minimum(node.log_scales[0].astype(np.float64), MERGED_LOG_SCALE_MAX)), LEAST_VARIANCE
             )
             alpha = min(float(node.opacities()[0]), ALPHA_MAX)
-            scale = alpha * areas(own[None], kept_dilation)[0] / shown(kept_dilation)
+            mass = shown(kept_dilation)  # 0 of leaves that are all invisible
+            scale = alpha * areas(own[None], kept_dilation)[0] / mass if mass > 0 else 1.0
         else:
             columns["means"][row] = mean
             columns["quats"][row] = quats_from_matrices((axes * [1, 1, np.sign(np.linalg.det(axes))])[None])[0]

@@ -135,7 +135,8 @@ class Fitter {
       variance[a] =
           std::max(std::exp(2 * std::min<double>(job_.log_scales[3 * row + a], constants::MERGED_LOG_SCALE_MAX)), LEAST_VARIANCE);
     const double alpha = std::min(1 / (1 + std::exp(-static_cast<double>(job_.logit_opacities[row]))), constants::ALPHA_MAX);
-    return alpha * area(variance, job_.kept_dilation) / shown(row, job_.kept_dilation);
+    const double mass = shown(row, job_.kept_dilation);
+    return mass > 0 ? alpha * area(variance, job_.kept_dilation) / mass : 1;  // 0 of leaves that are all invisible
   }
 
   // The variances of the moments of the leaves; writes their mean and axes.
