@@ -77,7 +77,7 @@ def test_damaged_points_are_refused(tmp_path):
     with pytest.raises(st.FormatError, match="cut off"):
         read_points(tmp_path)
     write_binary(folder, np.array([[1, 2, 3], [np.nan, 0, 0]]))
-    with pytest.raises(st.FormatError, match=r"point 1: found \[nan"):
+    with pytest.raises(st.FormatError, match=r"point 2 of 2: found \[nan"):
         read_points(tmp_path)
     (folder / "points3D.bin").unlink()
     (folder / "points3D.txt").write_text("1 2 3 4 300 0 0 0.5\n")

@@ -301,6 +301,13 @@ def test_one_photograph_is_too_few(photographs):
         st.train(photographs, st.TrainOptions(iterations=1, held_out=held_out))
 
 
+def test_a_model_of_one_view_leaves_none_to_train_on(photographs):
+    model = photographs / "sparse" / "0" / "images.txt"
+    model.write_text("\n".join(model.read_text().splitlines()[:2]) + "\n")
+    with pytest.raises(st.InputError, match="found 0 of 1 views to train on, wanted at least 2"):
+        st.train(photographs, OPTIONS)
+
+
 def test_a_run_without_points_says_so(photographs):
     (photographs / "sparse" / "0" / "points3D.txt").unlink()
     trained = st.train(photographs, st.TrainOptions(iterations=1, max_gaussians=100, held_out=4))

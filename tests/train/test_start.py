@@ -111,6 +111,13 @@ def test_beyond_the_border_lies_the_colour_of_the_border():
     np.testing.assert_array_equal(apron.sh[:, 0, 2] > 0, pixel[:, 0] >= 32)
 
 
+def test_photographs_of_fewer_pixels_than_cells_have_an_apron_too():
+    camera, start = facing(), plane_of(200)
+    photo = np.full((3, 3, 3), 255, np.uint8)  # white, in 16 × 16 cells
+    apron = add_apron(start, [camera], lambda i: photo, room=10**4).take(slice(len(start), None))
+    assert len(apron) and (apron.sh[:, 0] > 0).all() and np.isfinite(apron.sh).all()
+
+
 def inner_cells(gaussians, camera):
     """Cells beyond the picture in which points lie."""
     cells = np.unique(np.floor(pixels_of(gaussians.means.astype(np.float64), camera) / 4).astype(int), axis=0)

@@ -85,8 +85,8 @@ def prepare(folder: Path, options: TrainOptions, cameras: Path | None) -> Work:
     split = split_views(views.views, options.held_out)
     if len(split.training) < 2:
         raise InputError(
-            f"photos: found {len(views)} views of which {len(split.held_out)} are held out, wanted at least 2 to train on; hold "
-            "out fewer, or take more photographs"
+            f"photos: found {len(split.training)} of {len(views)} views to train on, wanted at least 2; hold out fewer, or take "
+            "more photographs"
         )
     targets = Targets(folder, split.training, masks=options.masks, alpha=options.alpha)
     if len(targets) < 2:

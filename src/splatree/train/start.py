@@ -291,7 +291,7 @@ def _cell_means(photo: UInt8[Array, "h w 3"], across: int, down: int) -> Float64
     rows, columns = (np.arange(n) * side // n for n, side in ((down, photo.shape[0]), (across, photo.shape[1])))
     sums = np.add.reduceat(np.add.reduceat(photo, rows, axis=0, dtype=np.float64), columns, axis=1)
     counts = np.diff([*rows, photo.shape[0]])[:, None] * np.diff([*columns, photo.shape[1]])
-    return np.asarray(sums / counts[..., None])
+    return np.asarray(sums / np.maximum(counts, 1)[..., None])  # a cell of less than a pixel has that of its neighbour
 
 
 def _median_depths(places: Array, camera: Camera, across: int, down: int) -> Float64[Array, "y x"]:

@@ -57,7 +57,9 @@ def read_points(root: Path) -> Points | None:
             points = read(models[0] / name)
             if not np.isfinite(points.places).all():
                 row = int(np.flatnonzero(~np.isfinite(points.places).all(axis=1))[0])
-                raise FormatError(f"{models[0] / name}: point {row}: found {points.places[row]}, wanted finite places")
+                raise FormatError(
+                    f"{models[0] / name}: point {row + 1} of {len(points)}: found {points.places[row]}, wanted finite places"
+                )
             matrix, scale = training_frame(root)
             places = scale * (points.places @ matrix[:3, :3].T + matrix[:3, 3])
             return Points(np.ascontiguousarray(places), points.colors, points.num_pictures) if len(points) else None
@@ -93,7 +95,7 @@ def _binary(path: Path) -> Points:
     for i in range(count):
         if at + _HEAD.size > len(data):
             raise FormatError(
-                f"{path}: found {len(data)} bytes, which end in point {i} of {count}; the file is cut off"
+                f"{path}: found {len(data)} bytes, which end in point {i + 1} of {count}; the file is cut off"
             )
         _, *numbers, _, pictures = _HEAD.unpack_from(data, at)
         places[i], colors[i], num_pictures[i] = numbers[:3], numbers[3:], min(pictures, 2**31 - 1)
