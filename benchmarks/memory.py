@@ -2,7 +2,8 @@
 
 ``python benchmarks/memory.py [--chunks 1 3] [--degree 3] [--only convert] [--folder /tmp]`` needs the shared city.
 Each verb runs on fewer and on more chunks of the city, as a command of its own. Memory is measured as in `scale.py`. Where it
-does not grow with the scene, rows go through in chunks or cells.
+does not grow with the scene, rows go through in chunks or cells. Inputs with levels by a radius, a `.hier`, a compact
+`.splatree` and a streamed SOG, are made first; a Gaussian is then one of the scene, without merged nodes (``--only of``).
 """
 
 import argparse
@@ -41,6 +42,26 @@ VERBS = {
     },
 }
 
+WITH_LEVELS = {
+    "of .hier": ("convert", "levels.hier"),
+    "of compact .splatree": ("convert", "compact.splatree", "--compact"),
+    "of streamed SOG": ("stream", "web"),
+}
+"""Verb and output of what makes each input with levels."""
+
+VERBS |= {
+    f"{source}, {what}": words
+    for source in WITH_LEVELS
+    for what, words in (
+        ("convert to .ply", ("convert", "out.ply")),
+        ("convert to .splatree", ("convert", "out.splatree")),
+        ("check", ("check",)),
+        ("clean", ("clean", "out.ply", "--floaters")),
+        ("build --max-memory 500M", ("build", "parts.splatree", "--method", "radius", "--max-memory", "500M")),
+    )
+    if source != "of compact .splatree" or what not in ("convert to .splatree", "check")  # which decode all of it
+}
+
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
@@ -61,8 +82,10 @@ def main() -> None:
         ]
         rows = []
         chosen = {what: words for what, words in VERBS.items() if what.startswith(arguments.only)}
-        for what, (verb, output, *words) in chosen.items():
-            less, more = (run(verb, scene, folder / output, *words, "-q", "--force") for scene in scenes)
+        for what, (verb, *words) in chosen.items():
+            inputs = [with_levels(scene, what.partition(",")[0], folder) for scene in scenes]
+            writes = [folder / words[0], *words[1:], "--force"] if words else []
+            less, more = (run(verb, source, *writes, "-q") for source in inputs)
             slope = (more.peak_bytes - less.peak_bytes) / (counts[1] - counts[0])
             rows.append(
                 {
@@ -78,6 +101,19 @@ def main() -> None:
     print(table(rows))
     name = f"memory_{arguments.only}" if arguments.only else "memory"
     save(name, rows, about="Memory of each verb on chunks of the real city")
+
+
+def with_levels(scene: Path, source: str, folder: Path) -> Path:
+    """The input of a verb: the scene, or a form of it with levels, which is made when it is first asked for."""
+    if source not in WITH_LEVELS:
+        return scene
+    (verb, name, *words), tree = WITH_LEVELS[source], folder / f"{scene.stem}.splatree"
+    made = folder / f"{scene.stem}_{name}"
+    if not tree.exists():
+        run("build", scene, tree, "--method", "radius", "-q")
+    if not made.exists():
+        run(verb, tree, made, *words, "-q")
+    return made
 
 
 if __name__ == "__main__":

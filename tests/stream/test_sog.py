@@ -51,7 +51,7 @@ def test_each_range_holds_the_rows_of_its_chunk_and_level_in_order(scene, folder
     manifest = manifest_of(folder)
     chunks = chunks_of_tree(scene, OPTIONS.chunk_leaves)
     levels = levels_of_tree(scene.tree, chunks, ratio=OPTIONS.ratio, num_levels=OPTIONS.levels)
-    units = [sog.read_unchecked(folder / name, ReadOptions()).gaussians for name in manifest["filenames"]]
+    units = [sog.open_rows(folder / name, ReadOptions()).unchecked_scene().gaussians for name in manifest["filenames"]]
     leaves = leaves_of(manifest["tree"])
     assert len(leaves) == len(chunks) and manifest["lodLevels"] == len(levels) == 4
     ranges = set()

@@ -31,7 +31,8 @@ from splatree.io.objects import located
 from splatree.io.options import ReadOptions, WriteOptions
 from splatree.io.reading import read_one
 from splatree.io.registry import detect, format_to_write
-from splatree.io.tree_runs import TreeRuns, kept_runs, open_runs, write_runs
+from splatree.io.runs import TreeRuns
+from splatree.io.tree_runs import kept_runs, open_runs, write_runs
 from splatree.io.writing import write, write_chunks
 from splatree.progress import track
 from splatree.scene.gaussians import Gaussians

@@ -31,8 +31,9 @@ from splatree.io.options import ReadOptions, WriteOptions
 from splatree.io.reading import needed_bytes, read_one
 from splatree.io.registry import detect, format_to_write
 from splatree.io.replacing import check_target
+from splatree.io.runs import TreeRuns
 from splatree.io.sorting import along_curve
-from splatree.io.tree_runs import TreeRuns, cut_chunks, kept_runs, moved_runs, open_runs, write_runs
+from splatree.io.tree_runs import cut_chunks, kept_runs, moved_runs, open_runs, write_runs
 from splatree.io.writing import write, write_chunks
 from splatree.progress import track
 from splatree.scene.gaussians import Gaussians
@@ -135,7 +136,7 @@ def convert(
 def _converted_from(found: Sequence[Path], target: Path, options: ConvertOptions, force: bool) -> Converted:
     chosen = format_to_write(target)
     by_runs = options.read.level is None and not options.write.compact
-    by_rows = by_runs and options.depth is None
+    by_rows = options.depth is None and not options.write.compact
     keeps_rows = options.edit.order == "kept" and not options.read.repair
     cuts = options.depth is not None and chosen.holds.levels != "tree" and chosen.write_chunks is not None
     takes_runs = cuts or (chosen.name == "splatree" and options.depth is None)
@@ -149,8 +150,8 @@ def _converted_from(found: Sequence[Path], target: Path, options: ConvertOptions
         needs = [(path, needed) for path in found if (needed := needed_bytes(path)) is not None]
         takes = "".join(f"; reading {path} takes about {needed // 10**6} MB" for path, needed in needs[:1])
         raise InputError(
-            f"max_memory: found {options.write.max_memory} for {target}, but this conversion holds the whole scene: a level is "
-            "asked for, or a depth of several inputs, the output is compact or keeps levels, or an input is not read in chunks "
+            f"max_memory: found {options.write.max_memory} for {target}, but this conversion holds the whole scene: a depth of "
+            "several inputs is asked for, the output is compact or keeps levels, or an input is not read in chunks "
             f"(see `splatree formats`){takes}; wanted --max-memory for conversions in chunks alone"
         )
     scene = joined(read_one(path, options.read) for path in found)

@@ -20,11 +20,16 @@ __all__ = ["joined_chunks", "opened_chunks"]
 
 
 def opened_chunks(paths: Sequence[Path], options: ReadOptions, *, leaves: bool = False) -> list[Chunks] | None:
-    """All inputs in chunks; None if one of them cannot be read so. With ``leaves``, those of a scene with levels will do."""
+    """All inputs in chunks; None if one of them cannot be read so, or has not the levels of which one is asked for.
+
+    With ``leaves``, those of a scene with levels will do.
+    """
     parts, budget = [], RowBudget(f"{paths[0]} and {len(paths) - 1} more")
     for path in paths:
         found = detect(path)
         chunks = None
+        if found is not None and options.level is not None and found.holds.levels != "one of":
+            return None
         if found is not None and (read := found.read_chunks or (found.read_leaves if leaves else None)) is not None:
             chunks = read(path, options)
         if chunks is None:

@@ -2,7 +2,8 @@
 
 Harmonics are three quarters of a scene at degree 3. A file that can be read in chunks is gone through once, and they are left
 behind: 56 bytes a Gaussian stay in memory, of 248 in a .ply. Of a folder of parts only the tree and the means are gone through,
-and leaves that are evenly spread over it are read, 250,000 at most. Other formats are read whole.
+and leaves that are evenly spread over it are read, 250,000 at most. So many leaves are kept of a file with levels, too, if its
+columns would take more than half of the free memory. Other files are read whole.
 """
 
 import json
@@ -16,15 +17,19 @@ import numpy as np
 
 from splatree.io.formats.folder.manifest import holds_parts
 from splatree.io.formats.folder.whole import open_whole
+from splatree.io.formats.splatree.head import SceneHead
 from splatree.io.formats.splatree.rows import StoredScene
 from splatree.io.inputs import find_inputs
 from splatree.io.joined import joined_source
 from splatree.io.joined_chunks import joined_chunks, opened_chunks
 from splatree.io.local import local_inputs
+from splatree.io.memory import free_bytes
 from splatree.io.notes import with_notes
 from splatree.io.options import ReadOptions
 from splatree.io.reading import read
 from splatree.io.registry import detect
+from splatree.io.runs import TreeRuns
+from splatree.io.tree_runs import open_runs
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Scene, Source
@@ -47,7 +52,8 @@ class Outline:
     """A scene, possibly without its harmonics."""
 
     scene: Scene
-    """Every row; of degree 0 if the file went through in chunks. Of a folder of parts, evenly spread leaves."""
+    """Every row; of degree 0 if the file went through in chunks. Of a folder of parts or a large file with levels, evenly spread
+    leaves."""
     sample: Scene
     """Rows with all their columns, spread evenly over the file; the scene itself where it was read whole."""
     in_chunks: bool
@@ -68,8 +74,11 @@ class Outline:
     @property
     def nbytes(self) -> int:
         """Memory of all columns of the scene, harmonics included, bytes."""
-        k: int = self.sample.gaussians.sh.shape[1]
-        return self.num_nodes * (11 * 4 + 12 * k)
+        return _nbytes(self.num_nodes, self.sample.gaussians.sh_degree)
+
+
+def _nbytes(num_nodes: int, sh_degree: int) -> int:
+    return num_nodes * (11 * 4 + 12 * (sh_degree + 1) ** 2)
 
 
 def outline_of(scene: Scene) -> Outline:
@@ -100,10 +109,8 @@ def read_outline(paths: Sequence[Path], options: ReadOptions) -> Outline:
     """
     with local_inputs(paths) as local:
         found = find_inputs(local.paths, lambda path: detect(path) is not None)
-        outline = None
-        if options.level is None:
-            is_folder = len(found.paths) == 1 and holds_parts(found.paths[0])
-            outline = _of_folder(found.paths[0]) if is_folder else _in_chunks(found.paths, options)
+        outline = _of_tree(found.paths[0], options) if len(found.paths) == 1 else None
+        outline = outline or _in_chunks(found.paths, options)
         if outline is None:
             outline = outline_of(
                 read(
@@ -117,6 +124,47 @@ def read_outline(paths: Sequence[Path], options: ReadOptions) -> Outline:
     source = outline.scene.source
     source = with_notes(replace(source, paths=tuple(map(local.named, source.paths))), found.notes)
     return replace(outline, scene=replace(outline.scene, source=source), sample=replace(outline.sample, source=source))
+
+
+def _of_tree(path: Path, options: ReadOptions) -> Outline | None:
+    """Of a folder of parts, or a file with levels that is large; None: of others."""
+    if options.level is not None or options.repair:
+        return None
+    if holds_parts(path):
+        return _of_folder(path)
+    tree = open_runs(path)
+    return _of_runs(tree) if tree is not None and 2 * _nbytes(len(tree), tree.head.sh_degree) > free_bytes() else None
+
+
+def _of_runs(tree: TreeRuns) -> Outline:
+    """As of a folder, but all rows are gone through."""
+    step, num_before = -(-tree.num_leaves // FOLDER_SAMPLE) or 1, 0
+    num_kept = -(-tree.num_leaves // step)
+    every = -(-num_kept // SAMPLE) or 1
+    per_depth, boxes = np.zeros(256, np.int64), []
+    plain, sampled = [Gaussians.empty()], [Gaussians.empty(tree.head.sh_degree)]
+    for run in tree.runs("read"):
+        per_depth += np.bincount(run.depth, minlength=256)
+        leaves = np.flatnonzero(run.subtree_end == np.arange(run.begin + 1, run.begin + len(run) + 1))
+        means = run.gaussians.means[leaves]
+        if len(leaves):
+            boxes.append(np.stack([means.min(axis=0), means.max(axis=0)]))
+        plain.append(run.gaussians.take(leaves[-num_before % step :: step]).with_sh_degree(0))
+        sampled.append(run.gaussians.take(leaves[-num_before % (step * every) :: step * every]))
+        num_before += len(leaves)
+    scene, sample = (_as_scene(Gaussians.concatenate(parts), tree.head) for parts in (plain, sampled))
+    return Outline(scene, sample, True, _nodes_of(per_depth), tree.num_leaves, _box_of(boxes))
+
+
+def _as_scene(gaussians: Gaussians, head: SceneHead) -> Scene:
+    """Leaves that are looked at, drawn as the tree is."""
+    flat = Scene.flat(gaussians, mode=head.mode, source=head.source)
+    flat = replace(flat, threshold=head.threshold, tile_rule=head.tile_rule)
+    return replace(flat, tree=replace(flat.tree, record=head.record))
+
+
+def _nodes_of(per_depth: Array) -> tuple[int, ...]:
+    return tuple(int(n) for n in np.trim_zeros(per_depth, "b"))
 
 
 def _of_folder(path: Path) -> Outline:
@@ -133,17 +181,13 @@ def _of_folder(path: Path) -> Outline:
             advance(float(len(ends)))
     rows = np.concatenate([np.zeros(0, np.int64), *leaves])
     few = rows[:: -(-len(rows) // SAMPLE) or 1]
-    head, source = tree.head, replace(tree.head.source, paths=(str(path),), format="splatree-folder")
     plain = _plain(len(rows))
     for begin in range(0, len(rows), FOLDER_RUN):
         _fill(plain, begin, tree.take(rows[begin : begin + FOLDER_RUN]))
-    scene, sample = (
-        replace(Scene.flat(g, mode=head.mode, source=source), threshold=head.threshold, tile_rule=head.tile_rule)
-        for g in (plain, tree.take(few))
-    )
-    scene = replace(scene, tree=replace(scene.tree, record=head.record))
-    nodes = tuple(int(n) for n in np.trim_zeros(per_depth, "b"))
-    return Outline(scene, sample, True, nodes, tree.num_leaves, _box_of(map(_leaf_means, tree.files[1:])))
+    head = replace(tree.head, source=replace(tree.head.source, paths=(str(path),), format="splatree-folder"))
+    scene, sample = (_as_scene(g, head) for g in (plain, tree.take(few)))
+    box = _box_of(map(_leaf_means, tree.files[1:]))
+    return Outline(scene, sample, True, _nodes_of(per_depth), tree.num_leaves, box)
 
 
 def _leaf_means(part: StoredScene) -> Array:

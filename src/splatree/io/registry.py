@@ -18,6 +18,7 @@ from splatree.io.holds import Holds
 from splatree.io.local import is_fetched_whole
 from splatree.io.objects import located
 from splatree.io.options import ReadOptions, WriteOptions
+from splatree.io.runs import TreeRuns
 from splatree.scene.scene import Scene
 
 if TYPE_CHECKING:
@@ -102,6 +103,8 @@ class Format:
     """Open a file to be read in chunks, with the values that ``read`` gives; it returns None for a file that cannot be."""
     read_leaves: Callable[[Path, ReadOptions], Chunks | None] | None = None
     """As ``read_chunks``, of the leaves of a scene with levels, in the order that they have in the whole scene."""
+    read_runs: Callable[[Path], TreeRuns | None] | None = None
+    """Open a file to be read in runs of rows, with its levels; it returns None for a file that cannot be."""
     whole_bytes: Callable[[Path], int] | None = None
     """Memory that ``read`` takes beside the program, by the head of a file; None: rows are read in chunks, or no head tells."""
     files: Callable[[Path], list[Path]] | None = None
@@ -129,6 +132,7 @@ FORMATS: tuple[Format, ...] = (
         sniff=store.sniff,
         read=store.read,
         read_leaves=store.read_leaves,
+        read_runs=store.read_runs,
         write=store.write,
         write_chunks=store.write_chunks,
         options=("compact",),
@@ -142,6 +146,7 @@ FORMATS: tuple[Format, ...] = (
         sniff=folder.sniff,
         read=folder.read,
         read_leaves=folder.read_leaves,
+        read_runs=folder.read_runs,
         files=folder.files,
     ),
     Format(
@@ -226,6 +231,7 @@ FORMATS: tuple[Format, ...] = (
         holds=Holds(levels="one of"),
         sniff=streamed_sog.sniff,
         read=streamed_sog.read,
+        read_chunks=streamed_sog.read_chunks,
         files=streamed_sog.files,
     ),
     Format(
@@ -259,6 +265,8 @@ FORMATS: tuple[Format, ...] = (
         holds=Holds(levels="tree", modes=("classic",)),
         sniff=hier.sniff,
         read=hier.read,
+        read_leaves=hier.read_leaves,
+        read_runs=hier.read_runs,
         whole_bytes=hier.whole_bytes,
         write=hier.write,
         options=("compression",),

@@ -8,34 +8,25 @@ Memory: 12 bytes a row where leaves are dropped, in a file where there is no roo
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from splatree.edit.similarity import Similarity
-from splatree.errors import FormatError, ShapeError
 from splatree.io.check import refuse_unusable
 from splatree.io.chunks import ROWS_PER_CHUNK, Chunks
-from splatree.io.formats.folder.manifest import MANIFEST, folder_of, is_manifest
-from splatree.io.formats.folder.whole import open_whole
-from splatree.io.formats.splatree.fields import column_types
-from splatree.io.formats.splatree.format import is_compact
-from splatree.io.formats.splatree.head import SceneHead
-from splatree.io.formats.splatree.rows import SceneRows, StoredScene, open_scene
+from splatree.io.formats.splatree.rows import SceneRows
 from splatree.io.formats.splatree.writer import create_scene
 from splatree.io.memory import Scratch
 from splatree.io.registry import detect
-from splatree.progress import task
+from splatree.io.runs import TreeRuns
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Scene
-from splatree.scene.tree import GaussianTree
 from splatree.shapes import Array, Bool
 
 __all__ = [
-    "TreeRuns",
     "cut_chunks",
-    "has_rows_alone",
     "kept_runs",
     "moved_runs",
     "open_runs",
@@ -44,71 +35,24 @@ __all__ = [
 ]
 
 
-@dataclass(frozen=True, eq=False)
-class TreeRuns:
-    """A tree whose rows come in runs, as often as they are asked for."""
-
-    head: SceneHead
-    """How many rows there are, and how they are drawn."""
-    num_leaves: int
-    """Leaves."""
-    runs: Callable[[str], Iterator[SceneRows]]
-    """All rows in order, a run at a time; the text names the work for who watches it."""
-
-    def __len__(self) -> int:
-        return self.head.num_rows
-
-
 def stored_runs(path: Path) -> TreeRuns | None:
-    """The rows of a folder of parts, or of an exact ``.splatree``, without its clusters; None: it is neither.
+    """The rows of a file or folder with levels, without its clusters; None: they are not read in runs.
 
     Raises:
-        FormatError: the rows are no tree, or a file of the folder is damaged.
+        FormatError: the rows are no tree, or a file is damaged.
     """
-    folder = folder_of(path)
-    if is_manifest(folder / MANIFEST):
-        whole = open_whole(folder)
-        source = replace(whole.head.source, paths=(str(folder),), format="splatree-folder")
-        return TreeRuns(replace(whole.head, source=source), whole.num_leaves, whole.runs)
-    if not _is_exact(path):
+    found = detect(path)
+    tree = None if found is None or found.read_runs is None else found.read_runs(path)
+    if found is None or tree is None:
         return None
-    stored = open_scene(path)
-    ends, depth, extents = (stored.file.rows(f"tree.{name}") for name in ("subtree_end", "depth", "extents"))
-    try:
-        tree = GaussianTree(ends, depth, extents)
-    except ShapeError as error:
-        raise FormatError(f"{path}: {error}; the file is damaged") from error
-    return TreeRuns(stored.head, tree.num_leaves, lambda what: _runs_of(stored, what))
+    source = replace(tree.head.source, paths=(str(path),), format=found.name)
+    return replace(tree, head=replace(tree.head, source=source))
 
 
 def open_runs(path: Path) -> TreeRuns | None:
     """As `stored_runs`; None too for what has no levels, or has clusters."""
-    if _is_exact(path) and not has_rows_alone(open_scene(path)):
-        return None
     tree = stored_runs(path)
-    return None if tree is None or tree.num_leaves == len(tree) else tree
-
-
-def _is_exact(path: Path) -> bool:
-    found = detect(path)
-    return found is not None and found.name == "splatree" and not is_compact(path)
-
-
-def has_rows_alone(stored: StoredScene) -> bool:
-    """Whether a file has nothing but columns of rows and the state of its roots, and no clusters."""
-    head = stored.head
-    known = column_types(len(stored), 1, has_ids=head.has_ids, has_curves=head.has_curves)
-    return all(name in known or name.startswith("tree.roots.") for name in stored.file.columns)
-
-
-def _runs_of(stored: StoredScene, what: str) -> Iterator[SceneRows]:
-    step = ROWS_PER_CHUNK * (8 if stored.file.is_elsewhere else 1)  # 30 MB at degree 3, by a request for each column
-    with task(what, float(len(stored))) as advance:
-        for begin in range(0, len(stored), step):
-            end = min(begin + step, len(stored))
-            yield stored.rows(begin, end)
-            stored.forget(begin, end)
-            advance(float(end - begin))
+    return None if tree is None or tree.has_more or tree.num_leaves == len(tree) else tree
 
 
 def kept_runs(tree: TreeRuns, drops: Callable[[Gaussians], Bool[Array, "n"]], scratch: Scratch) -> TreeRuns:

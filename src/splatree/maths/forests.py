@@ -101,16 +101,19 @@ def preorder_from_links(first_child: Array, num_children: Array, roots: Array) -
             roots, or one is deeper than 255.
     """
     n = len(first_child)
-    first, count = first_child.astype(np.int64), num_children.astype(np.int64)
-    wrong = (count < 0) | ((count > 0) & ((first < 0) | (first + count > n)))
+    wrong = (num_children < 0) | (num_children > n)
+    wrong |= (num_children > 0) & ((first_child < 0) | (first_child > n - num_children.astype(np.int64)))
     if wrong.any():
         i = int(np.argmax(wrong))
-        raise InputError(f"node {i}: found {count[i]} children from node {first[i]}, wanted nodes 0 to {n - 1}")
-    levels, fans = [roots.astype(np.int64)], []
+        raise InputError(
+            f"node {i}: found {num_children[i]} children from node {first_child[i]}, wanted nodes 0 to {n - 1}"
+        )
+    first, count = first_child.astype(np.int32), num_children.astype(np.int32)
+    levels, fans = [roots.astype(np.int32)], []
     num_reached = len(roots)
     while True:
         fan = count[levels[-1]]
-        num_reached += int(fan.sum())
+        num_reached += int(fan.sum(dtype=np.int64))
         if num_reached > n:
             raise InputError("links of nodes: found a node that is the child of two or its own ancestor, wanted a tree")
         fans.append(fan)
@@ -119,11 +122,15 @@ def preorder_from_links(first_child: Array, num_children: Array, roots: Array) -
         if len(levels) > DEPTH_MAX:
             raise InputError(f"links of nodes: found a node deeper than {DEPTH_MAX}, wanted at most {DEPTH_MAX}")
         levels.append(_ranges(first[levels[-1]], fan))
-    times_reached = np.bincount(np.concatenate(levels), minlength=n)
-    if num_reached < n or times_reached.max(initial=1) > 1:
+    is_reached = np.zeros(n, bool)
+    for nodes in levels:
+        is_reached[nodes] = True
+    if not is_reached.all():  # at most n ways lead to nodes, so if none is missed, none is met twice
+        times_reached = np.bincount(np.concatenate(levels), minlength=n)
         i = int(np.argmax(times_reached != 1))
         found = "no" if times_reached[i] == 0 else "several"
         raise InputError(f"node {i}: found {found} ways to it from the roots, wanted one: the nodes are no tree")
+    del is_reached
 
     size, row, depth = np.ones(n, np.int32), np.zeros(n, np.int32), np.zeros(n, np.uint8)
     for nodes, fan, children in zip(levels[-2::-1], fans[-2::-1], levels[:0:-1], strict=True):
@@ -143,8 +150,10 @@ def preorder_from_links(first_child: Array, num_children: Array, roots: Array) -
 
 def _ranges(first: Array, count: Array) -> Array:
     """first[0], first[0] + 1, … (count[0] of them), first[1], …"""
-    before = np.cumsum(count) - count
-    return np.repeat(first - before, count) + np.arange(int(count.sum()))
+    before = np.cumsum(count, dtype=np.int32) - count
+    ranges = np.repeat(first - before, count)
+    ranges += np.arange(len(ranges), dtype=np.int32)
+    return ranges
 
 
 def subtree_radii(means: Array, reach: Array, depth: Array) -> Float32[Array, "n"]:

@@ -4,8 +4,9 @@ What is drawn page by page is checked page by page, when it is touched. So a dam
 `check` touches all: digests, values, trees, and the index of a folder, which is made anew and compared.
 """
 
+import json
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
@@ -14,16 +15,16 @@ import numpy as np
 from splatree.errors import FormatError
 from splatree.io.formats.folder.manifest import MANIFEST, holds_parts, read_manifest
 from splatree.io.formats.folder.whole import open_whole
-from splatree.io.formats.splatree.format import is_compact
+from splatree.io.formats.splatree.format import has_rows_alone, is_compact
 from splatree.io.formats.splatree.rows import StoredScene, open_scene
 from splatree.io.formats.tiles3d.format import check_all
 from splatree.io.inputs import find_inputs
 from splatree.io.joined_chunks import opened_chunks
 from splatree.io.local import local_inputs
 from splatree.io.options import ReadOptions
-from splatree.io.reading import read_levels, read_one
+from splatree.io.reading import read_one
 from splatree.io.registry import detect, stored_bytes
-from splatree.io.tree_runs import has_rows_alone
+from splatree.io.tree_runs import stored_runs
 from splatree.outofcore.index import index_of_folder
 from splatree.outofcore.index_file import read_index
 from splatree.outofcore.page import Page
@@ -99,15 +100,26 @@ def _checked(path: Path, options: ReadOptions) -> Checked:
     if name == "splatree" and not is_compact(path) and has_rows_alone(stored := open_scene(path)):
         pages = _pages(stored)
         return Checked(str(path), name, pages.num_leaves, len(stored), num_bytes, True)
-    if found is not None and found.holds.levels == "one of" and options.level is None:
-        levels = [len(level) for level in read_levels(path, repair=bool(options.repair))]
-        return Checked(str(path), name, levels[0], sum(levels), num_bytes, False)
     chunks = opened_chunks([path], options)
     if chunks is not None:
-        count = sum(map(len, track(chunks[0], f"check {path.name}")))
-        return Checked(str(path), name, count, count, num_bytes, True)
+        counts = [sum(map(len, track(chunks[0], f"check {path.name}")))]
+        if found is not None and found.holds.levels == "one of" and options.level is None:
+            counts += _coarser(path, options, len(json.loads(chunks[0].metadata["level_counts"])))
+        return Checked(str(path), name, counts[0], sum(counts), num_bytes, True)
+    tree = None if options.repair or options.level is not None else stored_runs(path)
+    if tree is not None and not tree.has_more:
+        for _ in tree.runs(f"check {path.name}"):  # checks their values
+            pass
+        return Checked(str(path), name, tree.num_leaves, len(tree), num_bytes, True)
     scene = read_one(path, options)
     return Checked(str(path), name, scene.tree.num_leaves, len(scene), num_bytes, False)
+
+
+def _coarser(path: Path, options: ReadOptions, num_levels: int) -> Iterator[int]:
+    """Gaussians of each level above the finest, which are gone through."""
+    for level in range(1, num_levels):
+        for chunks in opened_chunks([path], replace(options, level=level)) or ():
+            yield sum(map(len, track(chunks, f"check level {level} of {path.name}")))
 
 
 def _pages(stored: StoredScene, *, checksums: bool = False) -> FilePages:

@@ -38,8 +38,9 @@ from splatree.io.objects import located
 from splatree.io.options import ReadOptions
 from splatree.io.registry import detect, format_to_write, stored_bytes
 from splatree.io.replacing import check_target
+from splatree.io.runs import TreeRuns
 from splatree.io.sorting import Sorter
-from splatree.io.tree_runs import TreeRuns, stored_runs
+from splatree.io.tree_runs import stored_runs
 from splatree.kernels.cpu.build.spheres import bound_clusters
 from splatree.maths.morton import frame_of_sample, morton_codes, morton_sample
 from splatree.progress import task

@@ -80,20 +80,20 @@ class Cut:
 def opened_inputs(
     inputs: str | os.PathLike[str] | Sequence[str | os.PathLike[str]], reading: ReadOptions, mode: Mode | None
 ) -> Iterator[Opened]:
-    """One path or several as one scene in chunks, for as long as the context is open.
+    """One path or several as one scene in chunks, for as long as the context is open; of scenes with levels their leaves.
 
     Raises:
         InputError: an input is missing, or of a format that is not read in chunks.
     """
     with local_inputs(inputs) as local:
         found = find_inputs(local.paths, lambda path: detect(path) is not None)
-        parts = opened_chunks(found.paths, reading)
+        parts = opened_chunks(found.paths, reading, leaves=True)
         if parts is None:
             named = ", ".join(local.named(str(path)) for path in found.paths)
             raise InputError(f"{named}: found a format that is not read in chunks; convert it to .ply first")
         chunks = joined_chunks(parts, found.paths)
-        if mode is not None:
-            chunks = replace(chunks, mode=mode)
+        kept = {key: text for key, text in chunks.metadata.items() if key not in ("levels", "clusters")}
+        chunks = replace(chunks, mode=chunks.mode if mode is None else mode, metadata=kept)
         yield Opened(chunks, parts, found.paths, found.notes)
 
 

@@ -61,7 +61,7 @@ def needs_of(inputs: Sequence[Path], options: ReadOptions) -> Needs | None:
     heads = ReadOptions(
         axes=options.axes, ignore_properties=options.ignore_properties
     )  # to repair them is to read all rows
-    parts = opened_chunks(found.paths, heads)
+    parts = opened_chunks(found.paths, heads, leaves=True)
     if parts is None:
         return None
     num_rows = sum(map(len, parts))

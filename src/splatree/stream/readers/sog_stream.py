@@ -82,7 +82,7 @@ class SogStream:
 
     def _unit(self, file: int) -> Scene:
         if file not in self._decoded:
-            self._decoded[file] = sog.read_unchecked(self.folder / self._names[file], ReadOptions())
+            self._decoded[file] = sog.open_rows(self.folder / self._names[file], ReadOptions()).unchecked_scene()
         return self._decoded[file]
 
 

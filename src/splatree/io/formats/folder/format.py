@@ -12,6 +12,7 @@ from splatree.io.chunks import Chunks
 from splatree.io.formats.folder.manifest import MANIFEST, folder_of, holds_parts, is_manifest, read_manifest
 from splatree.io.formats.folder.whole import open_whole
 from splatree.io.options import ReadOptions
+from splatree.io.runs import TreeRuns
 from splatree.kernels.cpu.frame.blocks import index_blocks
 from splatree.scene.scene import Scene
 
@@ -43,3 +44,9 @@ def read(path: Path, options: ReadOptions) -> Scene:
 def read_leaves(path: Path, options: ReadOptions) -> Chunks | None:
     """The leaves in chunks, as they lie in the whole tree; None where values may be repaired, which trees do not bear."""
     return None if options.repair else open_whole(folder_of(path)).leaves()
+
+
+def read_runs(path: Path) -> TreeRuns:
+    """The rows of the whole tree."""
+    whole = open_whole(folder_of(path))
+    return TreeRuns(whole.head, whole.num_leaves, whole.runs)

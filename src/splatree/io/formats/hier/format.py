@@ -27,7 +27,9 @@ Gaussians are written in preorder, nodes breadth-first, so that writing and read
 
 import json
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -35,18 +37,24 @@ import numpy as np
 
 from splatree.constants import SIGMAS
 from splatree.errors import FormatError, InputError
-from splatree.io.check import refuse_unusable
+from splatree.io.check import checked_rows, refuse_unusable
+from splatree.io.chunks import ROWS_PER_CHUNK, Chunks
+from splatree.io.formats.splatree.head import SceneHead
+from splatree.io.formats.splatree.rows import SceneRows
 from splatree.io.levels import FileLevels, preorder_of_file, scene_with_levels
 from splatree.io.notes import gaussians_in_words
+from splatree.io.objects import ObjectPath
 from splatree.io.opacities import areas_of_clamped, logits_from_opacities, opacities_from_logits
 from splatree.io.options import ReadOptions, WriteOptions
-from splatree.io.rows import records_of
-from splatree.maths.forests import family_extremes, links_from_preorder, parents_by_level
+from splatree.io.rows import FileRows, records_of
+from splatree.io.runs import TreeRuns
+from splatree.maths.forests import family_extremes, links_from_preorder, parents_by_level, subtree_radii
 from splatree.maths.rotations import matrices_from_quats
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
-from splatree.scene.scene import Scene
-from splatree.shapes import Array
+from splatree.scene.levels import UNKNOWN_LEVELS
+from splatree.scene.scene import Scene, Source
+from splatree.shapes import Array, Bool, Float32, Int32, UInt8
 
 _NODE = np.dtype([(name, "<i4") for name in ("depth", "parent", "start", "leafs", "merged", "first_child", "children")])
 _HALF_NODE = np.dtype(
@@ -59,8 +67,8 @@ _WIDTHS = (3, 4, 3, 1, 48)
 _HALF_MAX = 65504.0
 """Largest finite half-precision number."""
 
-_READ_BYTES = 450
-"""What reading takes for each Gaussian at most, in either layout: nodes and Gaussians are put into another order at once."""
+_READ_BYTES = 300
+"""What reading takes for each Gaussian at most, in either layout: 236 for its columns, the rest to put nodes into preorder."""
 
 _ROWS_AT_ONCE = 1 << 16
 
@@ -94,6 +102,103 @@ def whole_bytes(path: Path) -> int:
 
 def read(path: Path, options: ReadOptions) -> Scene:
     """Read either layout; its nodes become the tree."""
+    tree = _open(path)
+    gaussians, levels = tree.file_rows().unchecked_scene().gaussians, FileLevels(tree.subtree_end, tree.depth)
+    scene = scene_with_levels(gaussians, levels, str(path), repair=options.repair, num_opaque=0)
+    return replace(scene, source=replace(scene.source, metadata={**tree.metadata, **scene.source.metadata}))
+
+
+def read_leaves(path: Path, options: ReadOptions) -> Chunks | None:
+    """The leaves in chunks; None for an object of a store, and where values may be repaired, which trees do not bear."""
+    if options.repair or isinstance(path, ObjectPath):
+        return None
+    tree = _open(path)
+    leaves = tree.file_rows(tree.gaussian_from_row[tree.is_leaf]).chunks(options)
+    return replace(leaves, num_merged=len(tree) - len(leaves))
+
+
+def read_runs(path: Path) -> TreeRuns | None:
+    """The rows with their levels; None for an object of a store."""
+    if isinstance(path, ObjectPath):
+        return None
+    tree, where = _open(path), str(path)
+    n = len(tree)
+    rows, has_levels = tree.file_rows(), bool(tree.depth.any())
+    extents = _extents(tree, rows) if has_levels else None
+
+    def runs(what: str) -> Iterator[SceneRows]:
+        begin = 0
+        with task(what, float(n)) as advance:
+            for part, _ in rows.parts():
+                end = begin + len(part)
+                part, _ = checked_rows(part, where, repair=False, first_row=begin)
+                own = Scene.flat(part).tree.extents if extents is None else extents[begin:end]
+                yield SceneRows(begin, part, tree.subtree_end[begin:end], tree.depth[begin:end], own, ids=None)
+                begin = end
+                advance(float(len(part)))
+
+    record, source = UNKNOWN_LEVELS if has_levels else None, Source(metadata=tree.metadata)
+    head = SceneHead(n, rows.sh_degree, record=record, source=source)
+    return TreeRuns(head, int(np.count_nonzero(tree.is_leaf)), runs)
+
+
+def _extents(tree: "_Tree", rows: FileRows) -> Float32[Array, "n"]:
+    """Balls around what is below each row; 40 bytes a row while they are found."""
+    means, reach, begin = np.empty((len(tree), 3), np.float32), np.empty(len(tree)), 0
+    for part, _ in rows.parts():
+        part, _ = checked_rows(part, rows.where, repair=False, first_row=begin)
+        end = begin + len(part)
+        means[begin:end], reach[begin:end] = part.means, part.reach()
+        begin = end
+    return subtree_radii(means, reach, tree.depth)
+
+
+@dataclass(frozen=True, eq=False)
+class _Tree:
+    """A file whose nodes have been put into preorder, and whose Gaussians are read when they are asked for."""
+
+    path: Path
+    is_half: bool
+    columns: list[Array]
+    """The arrays of the Gaussians, mapped; of an object of a store, in memory."""
+    gaussian_from_row: Int32[Array, "n"]
+    subtree_end: Int32[Array, "n"]
+    depth: UInt8[Array, "n"]
+    metadata: dict[str, str]
+
+    def __len__(self) -> int:
+        return len(self.gaussian_from_row)
+
+    @property
+    def is_leaf(self) -> Bool[Array, "n"]:
+        """Whether each row is a leaf."""
+        return np.asarray(self.subtree_end == np.arange(1, len(self) + 1, dtype=np.int32))
+
+    def file_rows(self, chosen: Array | None = None) -> FileRows:
+        """Some Gaussians by their numbers in the file; None: all rows."""
+        numbers = self.gaussian_from_row if chosen is None else chosen
+
+        def fill(begin: int, out: Gaussians) -> None:
+            _decode([_taken(column, numbers[begin : begin + len(out)]) for column in self.columns], out, self.is_half)
+
+        return FileRows(
+            *(str(self.path), len(numbers), self._sh_degree, lambda: nullcontext(fill)), metadata=self.metadata
+        )
+
+    @cached_property
+    def _sh_degree(self) -> int:
+        """Scenes of lower degree are padded with zeros; as a rule the first rows tell."""
+        degree = 0
+        for begin in range(0, len(self), ROWS_PER_CHUNK):
+            values = _taken(self.columns[4], self.gaussian_from_row[begin : begin + ROWS_PER_CHUNK]).reshape(-1, 16, 3)
+            degree = max([degree, *(d for d in (1, 2, 3) if values[:, d * d : (d + 1) ** 2].any())])
+            if degree == 3:
+                break
+        return degree
+
+
+def _open(path: Path) -> _Tree:
+    """Check the frame of the file, and put its nodes into preorder."""
     num_bytes = path.stat().st_size
     with path.open("rb") as file, task(f"read {path.name}", num_bytes) as advance:
         num_gaussians = _read_count(path, file)
@@ -106,7 +211,7 @@ def read(path: Path, options: ReadOptions) -> Scene:
             )
         types = ("<f4", *4 * ("<f2",)) if is_half else 5 * ("<f4",)
         columns = [
-            records_of(file, np.dtype(dtype), num_gaussians * width).reshape(num_gaussians, width)
+            _array_of(path, file, np.dtype(dtype), num_gaussians * width).reshape(num_gaussians, width)
             for dtype, width in zip(types, _WIDTHS, strict=True)
         ]
         num_nodes = _read_count(path, file)
@@ -116,17 +221,37 @@ def read(path: Path, options: ReadOptions) -> Scene:
                 f"{path}: found {num_bytes} bytes, wanted {wanted} for {num_gaussians} Gaussians and {num_nodes} nodes; the file "
                 "is cut off or damaged"
             )
-        nodes = records_of(file, _HALF_NODE if is_half else _NODE, num_nodes)  # the boxes are not asked for
+        nodes = _array_of(path, file, _HALF_NODE if is_half else _NODE, num_nodes)  # the boxes are not asked for
         advance(num_bytes)
     gaussian_from_row, subtree_end, depth, num_left_out = _rows(nodes, num_gaussians, str(path))
-    gaussians, num_opaque = _gaussians(columns, gaussian_from_row, is_half=is_half)
-    scene = scene_with_levels(
-        gaussians, FileLevels(subtree_end, depth), str(path), repair=options.repair, num_opaque=num_opaque
+    num_opaque = sum(
+        int(np.count_nonzero(_taken(columns[3], gaussian_from_row[begin : begin + _ROWS_AT_ONCE]) > 1))
+        for begin in range(0, len(gaussian_from_row), _ROWS_AT_ONCE)
     )
-    metadata = {**scene.source.metadata, "precision": "half" if is_half else "float32"}
+    metadata = {"precision": "half" if is_half else "float32"}
+    if num_opaque:
+        metadata["opacities_above_one"] = json.dumps({"read_as_wider": num_opaque})
     if num_left_out:
         metadata["joining_nodes"] = json.dumps({"gaussians_left_out": num_left_out})
-    return replace(scene, source=replace(scene.source, metadata=metadata))
+    return _Tree(path, is_half, columns, gaussian_from_row, subtree_end, depth, metadata)
+
+
+def _array_of(path: Path, file: BinaryIO, dtype: "np.dtype[Any]", count: int) -> Array:
+    """The next values of a file: mapped, so that those are read that are asked for; of an object of a store, fetched."""
+    if count == 0 or isinstance(path, ObjectPath):
+        return records_of(file, dtype, count)
+    begin = file.tell()
+    mapped = np.memmap(file, dtype, "r", begin, (count,))
+    file.seek(begin + mapped.nbytes)
+    return np.asarray(mapped)
+
+
+def _taken(column: Array, numbers: Array) -> Array:
+    """Rows of a column; those that follow each other are not gathered."""
+    first = int(numbers[0]) if len(numbers) else 0
+    if np.array_equal(numbers, np.arange(first, first + len(numbers))):
+        return column[first : first + len(numbers)]
+    return np.take(column, numbers, axis=0)
 
 
 def _bytes_before_nodes(num_gaussians: int) -> int:
@@ -149,32 +274,20 @@ def _read_count(path: Path, file: BinaryIO) -> int:
 
 
 def _rows(nodes: Array, num_gaussians: int, where: str) -> tuple[Array, Array, Array, int]:
-    """Gaussian, subtree end and depth of each row, and how many stand-ins of joining nodes are left out."""
-    start, leafs, merged = (nodes[name].astype(np.int64) for name in ("start", "leafs", "merged"))
-    children = nodes["children"].astype(np.int64)
+    """Gaussian, subtree end and depth of each row, and how many stand-ins of joining nodes are left out.
 
-    def refuse(wrong: Array, found: str, wanted: str) -> None:
-        if wrong.any():
-            i = int(np.argmax(wrong))
-            record = " ".join(f"{name} {nodes[name][i]}" for name in nodes.dtype.names or ())
-            raise FormatError(f"{where}: node {i}: found {found} ({record}), wanted {wanted}; the file is damaged")
-
-    refuse((leafs < 0) | (merged < 0), "a negative count", "0 or more")
-    refuse((leafs > 0) & ((merged > 0) | (children > 0)), "Gaussians of the scene at an inner node", "them at leaves")
-    is_own = merged == 1
-    owned = np.where(is_own, 1, leafs)
-    claimed = leafs + merged
-    refuse(
-        (claimed > 0) & ((start < 0) | (start + claimed > num_gaussians)),
-        "a range",
-        f"Gaussians 0 to {num_gaussians - 1}",
+    Memory: some 60 bytes a node at most.
+    """
+    num_owned = sum(
+        _checked_nodes(nodes[first : first + _ROWS_AT_ONCE], first, num_gaussians, where)
+        for first in range(0, len(nodes), _ROWS_AT_ONCE)
     )
-    if int(owned.sum()) > num_gaussians:
+    if num_owned > num_gaussians:
         raise FormatError(
-            f"{where}: found nodes that own {owned.sum()} Gaussians, wanted at most the {num_gaussians} there are"
+            f"{where}: found nodes that own {num_owned} Gaussians, wanted at most the {num_gaussians} there are"
         )
-    is_root = nodes["parent"] < 0
-    order = preorder_of_file(nodes["first_child"], children, np.flatnonzero(is_root), where)
+    roots = np.flatnonzero(nodes["parent"] < 0)
+    order = preorder_of_file(nodes["first_child"], nodes["children"], roots, where)
 
     for rows, parent_rows in parents_by_level(order.depth):
         wrong = nodes["parent"][order.node_from_row[rows]] != order.node_from_row[parent_rows]
@@ -185,45 +298,61 @@ def _rows(nodes: Array, num_gaussians: int, where: str) -> tuple[Array, Array, A
             )
 
     row = order.node_from_row  # of nodes; below, rows are those of Gaussians
-    end = np.append(0, np.cumsum(owned[row]))
-    is_joining = (~is_own & (children > 0))[row]
+    is_own = (nodes["merged"] == 1)[row]
+    owned = np.where(is_own, 1, nodes["leafs"][row]).astype(np.int32)
+    end = np.zeros(len(row) + 1, np.int32)
+    np.cumsum(owned, out=end[1:])
+    is_joining = ~is_own & (nodes["children"] > 0)[row]
     # A joining node lifts the nodes below it by one level: +1 behind it, −1 at the end of its subtree.
-    steps = np.zeros(len(row) + 1, np.int64)
+    steps = np.zeros(len(row) + 1, np.int16)
     steps[1:] += is_joining
     np.subtract.at(steps, order.subtree_end[is_joining], 1)
-    lifted = order.depth - np.cumsum(steps)[:-1]
+    lifted = (order.depth - np.cumsum(steps, dtype=np.int16)[:-1]).astype(np.uint8)
+    del steps
 
-    node_row = np.repeat(np.arange(len(row)), owned[row])
-    within = np.arange(len(node_row)) - end[node_row]
-    gaussian_from_row = start[row][node_row] + within
-    subtree_end = np.where(is_own[row][node_row], end[order.subtree_end[node_row]], np.arange(1, len(node_row) + 1))
-    num_left_out = int(merged[~is_own].sum())
-    return gaussian_from_row, subtree_end.astype(np.int32), lifted[node_row].astype(np.uint8), num_left_out
+    gaussian_from_row = np.repeat(nodes["start"][row] - end[:-1], owned)
+    numbers = np.arange(len(gaussian_from_row), dtype=np.int32)
+    gaussian_from_row += numbers
+    numbers += 1
+    subtree_end = np.where(np.repeat(is_own, owned), np.repeat(end[order.subtree_end], owned), numbers)
+    num_left_out = int(nodes["merged"].sum(dtype=np.int64)) - int(np.count_nonzero(is_own))
+    return gaussian_from_row, subtree_end, np.repeat(lifted, owned), num_left_out
 
 
-def _gaussians(columns: list[Array], gaussian_from_row: Array, *, is_half: bool) -> tuple[Gaussians, int]:
-    """The columns in the order of the rows, and how many opacities above 1 they held."""
-    n = len(gaussian_from_row)
-    if not np.array_equal(gaussian_from_row, np.arange(n)):
-        columns = [np.take(column, gaussian_from_row, axis=0) for column in columns]
-    means, quats, log_scales, opacities, harmonics = (column[:n] for column in columns)
-    coefficients = harmonics.reshape(n, 16, 3)
-    # Scenes of lower degree are padded with zeros.
-    k = next((k for k in (16, 9, 4) if coefficients[:, int(k**0.5 - 1) ** 2 : k].any()), 1)
-    opacities = opacities.reshape(n)
-    above = np.flatnonzero(opacities > 1)
-    log_scales = log_scales.astype(np.float32)
-    with np.errstate(invalid="ignore"):  # an infinite opacity: the check of values names its row
-        log_scales[above] += 0.5 * np.log(areas_of_clamped(opacities[above]))[:, None]
-    step_low, step_high = (2.0**-24, 2.0**-11) if is_half else (2.0**-148, 2.0**-24)
-    gaussians = Gaussians(
-        np.ascontiguousarray(means, np.float32),
-        np.ascontiguousarray(quats, np.float32),
-        log_scales,
-        logits_from_opacities(opacities, step_low=step_low, step_high=step_high),
-        np.ascontiguousarray(coefficients[:, :k], np.float32),
+def _checked_nodes(nodes: Array, first: int, num_gaussians: int, where: str) -> int:
+    """How many Gaussians nodes own, of which ``first`` is the first."""
+    start, leafs, merged, children = (nodes[name].astype(np.int64) for name in ("start", "leafs", "merged", "children"))
+
+    def refuse(wrong: Array, found: str, wanted: str) -> None:
+        if wrong.any():
+            i = int(np.argmax(wrong))
+            record = " ".join(f"{name} {nodes[name][i]}" for name in nodes.dtype.names or ())
+            raise FormatError(
+                f"{where}: node {first + i}: found {found} ({record}), wanted {wanted}; the file is damaged"
+            )
+
+    refuse((leafs < 0) | (merged < 0), "a negative count", "0 or more")
+    refuse((leafs > 0) & ((merged > 0) | (children > 0)), "Gaussians of the scene at an inner node", "them at leaves")
+    claimed = leafs + merged
+    refuse(
+        (claimed > 0) & ((start < 0) | (start + claimed > num_gaussians)),
+        "a range",
+        f"Gaussians 0 to {num_gaussians - 1}",
     )
-    return gaussians, len(above)
+    return int(np.where(merged == 1, 1, leafs).sum())
+
+
+def _decode(columns: list[Array], out: Gaussians, is_half: bool) -> None:
+    """Values of the file into columns of a scene."""
+    means, quats, log_scales, opacities, harmonics = columns
+    opacities = opacities.reshape(len(out))
+    out.means[:], out.quats[:], out.log_scales[:] = means, quats, log_scales
+    above = np.flatnonzero(opacities > 1)
+    with np.errstate(invalid="ignore"):  # an infinite opacity: the check of values names its row
+        out.log_scales[above] += 0.5 * np.log(areas_of_clamped(opacities[above]))[:, None]
+    step_low, step_high = (2.0**-24, 2.0**-11) if is_half else (2.0**-148, 2.0**-24)
+    out.logit_opacities[:] = logits_from_opacities(opacities, step_low=step_low, step_high=step_high)
+    out.sh[:] = harmonics.reshape(len(out), 16, 3)[:, : out.sh.shape[1]]
 
 
 def write(scene: Scene, path: Path, options: WriteOptions) -> tuple[str, ...]:

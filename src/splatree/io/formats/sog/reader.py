@@ -15,9 +15,10 @@ docs/reference/formats/sog.md.
 
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext
+from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -37,6 +38,8 @@ from splatree.shapes import Array
 if TYPE_CHECKING:
     import zipfile
 
+    from PIL.Image import Image
+
 _GAUSSIANS_PER_BYTE = 16
 """More Gaussians than this for a byte of the pictures (real ones hold one in 16 to 40 bytes) is a decompression bomb …"""
 
@@ -52,6 +55,8 @@ _NUM_REST = {1: 3, 2: 8, 3: 15}
 _PALETTE_MAX = 1 << 16
 
 ReadBytes = Callable[[str], bytes]
+
+T = TypeVar("T")
 
 
 def sniff(path: Path, head: bytes) -> bool:
@@ -89,42 +94,76 @@ def files(path: Path) -> list[Path]:
     return [folder / "meta.json", *(untrusted.inner_file(folder, name, "meta.json") for name in names)]
 
 
-def read_unchecked(path: Path, options: ReadOptions) -> Scene:
-    """Read all rows, whatever their values: a range of a streamed scene counts on their places."""
-    return _open(path, options).unchecked_scene()
+def open_rows(path: Path, options: ReadOptions) -> FileRows:
+    """All rows, whatever their values: a range of a streamed scene counts on their places. Any of them may be asked for."""
+    return _open(path, options)
 
 
-def read_files(files: Mapping[str, bytes], where: str) -> Gaussians:
-    """The Gaussians of a meta.json and its pictures, which another file holds, by their names."""
+@dataclass(frozen=True)
+class Head:
+    """What a SOG says of itself before its pictures are decoded."""
+
+    num_rows: int
+    """Gaussians."""
+    sh_degree: int
+    """Degree of the harmonics."""
+    mode: Mode
+    """How the scene is drawn."""
+
+
+def read_head(path: Path) -> Head:
+    """The head of a folder, its meta.json, or a .sog bundle."""
+    return _opened(path, _head)
+
+
+def rows_of_files(files: Mapping[str, bytes], where: str) -> FileRows:
+    """The rows of a meta.json and its pictures, which another file holds, by their names."""
 
     def read_bytes(name: str) -> bytes:
         if name not in files:
             raise FormatError(f"{where}: found no picture {name!r}, only {sorted(files)}; the file is damaged")
         return files[name]
 
-    return _rows(Path(where), where, read_bytes, ReadOptions()).scene(ReadOptions()).gaussians
+    return _rows(Path(where), where, read_bytes, ReadOptions())
 
 
 def _open(path: Path, options: ReadOptions) -> FileRows:
+    return _opened(path, lambda where, read_bytes: _rows(path, where, read_bytes, options))
+
+
+def _opened(path: Path, use: Callable[[str, ReadBytes], T]) -> T:
+    """What ``use`` makes of the files of a folder or bundle; it is given its name in errors, and how a file is read."""
     if path.is_file() and path.name != "meta.json":
         import zipfile
 
         try:
             with path.open("rb") as file, zipfile.ZipFile(file) as bundle:
-                return _rows(path, str(path), lambda name: _zip_entry(path, bundle, name), options)
+                return use(str(path), lambda name: _zip_entry(path, bundle, name))
         except (zipfile.BadZipFile, EOFError, NotImplementedError, ValueError) as error:
             if isinstance(error, FormatError):
                 raise
             raise FormatError(f"{path}: not a whole ZIP bundle ({error}); fetch it again") from error
     folder = path if path.is_dir() else path.parent
-    return _rows(path, str(folder), lambda name: _folder_file(folder, name), options)
+    return use(str(folder), lambda name: _folder_file(folder, name))
+
+
+def _head(where: str, read_bytes: ReadBytes) -> Head:
+    sog = _Meta(_meta_of(where, read_bytes), f"{where}/meta.json")
+    degree = 0
+    if "shN" in sog.files:
+        name = sog.files["shN"][0]
+        degree = sog.rest_degree or _degree(sog, _picture(f"{sog.where}: {name}", read_bytes(name), lambda p: p.width))
+    return Head(sog.count, degree, sog.mode)
+
+
+def _meta_of(where: str, read_bytes: ReadBytes) -> dict[str, Any]:
+    path = f"{where}/meta.json"
+    return untrusted.as_object(untrusted.parse_json(read_bytes("meta.json"), path), path)
 
 
 def _rows(path: Path, where: str, read_bytes: ReadBytes, options: ReadOptions) -> FileRows:
     """Read and decode all pictures."""
-    meta = untrusted.as_object(
-        untrusted.parse_json(read_bytes("meta.json"), f"{where}/meta.json"), f"{where}/meta.json"
-    )
+    meta = _meta_of(where, read_bytes)
     sog = _Meta(meta, f"{where}/meta.json")
     data = {name: read_bytes(name) for name in sog.file_names}
     num_bytes = sum(map(len, data.values()))
@@ -272,12 +311,7 @@ def _decode(sog: _Meta, data: dict[str, bytes]) -> tuple[dict[str, Array], Array
 def _palette(sog: _Meta, image: Array) -> tuple[int, Array]:
     """Degree of the harmonics, and the codes "p 3K" of the palette that the labels point into."""
     height, width = image.shape[:2]
-    degree = sog.rest_degree or {64 * k: d for d, k in _NUM_REST.items()}.get(width, 0)
-    if degree == 0 or width != 64 * _NUM_REST[degree]:
-        raise FormatError(
-            f"{sog.where}: {sog.files['shN'][0]}: found {width} px across, wanted 64 entries of 3, 8 or 15 px "
-            f"{f'({64 * _NUM_REST[degree]} px at {degree} bands) ' if degree else ''}for the palette of harmonics"
-        )
+    degree = _degree(sog, width)
     count = height * 64 if sog.rest_count is None else sog.rest_count
     if count > min(height * 64, _PALETTE_MAX) and sog.rest_count is not None:
         raise FormatError(
@@ -286,8 +320,26 @@ def _palette(sog: _Meta, image: Array) -> tuple[int, Array]:
     return degree, image.reshape(height * 64, -1)[:count]
 
 
+def _degree(sog: _Meta, width: int) -> int:
+    """Degree of the harmonics of a palette whose picture has this width."""
+    degree = sog.rest_degree or {64 * k: d for d, k in _NUM_REST.items()}.get(width, 0)
+    if degree == 0 or width != 64 * _NUM_REST[degree]:
+        raise FormatError(
+            f"{sog.where}: {sog.files['shN'][0]}: found {width} px across, wanted 64 entries of 3, 8 or 15 px "
+            f"{f'({64 * _NUM_REST[degree]} px at {degree} bands) ' if degree else ''}for the palette of harmonics"
+        )
+    return degree
+
+
 def _image(where: str, data: bytes) -> Array:
     """Decode a picture to "h w c" uint8, c = 3 or 4."""
+    return _picture(
+        where, data, lambda image: np.asarray(image if image.mode in ("RGB", "RGBA") else image.convert("RGBA"))
+    )
+
+
+def _picture(where: str, data: bytes, use: "Callable[[Image], T]") -> T:
+    """What ``use`` makes of an opened picture, of which only the head has been read."""
     from PIL import Image, PngImagePlugin, WebPImagePlugin
 
     # Not Image.open, which loads the readers of all formats first.
@@ -299,7 +351,7 @@ def _image(where: str, data: bytes) -> Array:
                     f"{where}: found a picture of {image.width} × {image.height} px in {len(data)} bytes: "
                     "its header is wrong or it is a decompression bomb"
                 )
-            return np.asarray(image if image.mode in ("RGB", "RGBA") else image.convert("RGBA"))
+            return use(image)
     except FormatError:
         raise
     except (

@@ -15,7 +15,7 @@ Left out are the order of equal depths (`ids`) and what merging has to know to g
 import json
 import zlib
 from collections.abc import Mapping
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any, cast, get_args
 
 import numpy as np
@@ -25,7 +25,7 @@ from splatree.io import untrusted
 from splatree.io.budget import RowBudget
 from splatree.io.check import checked_rows, refuse_unusable
 from splatree.io.chunks import chunks_of
-from splatree.io.formats.sog.reader import read_files
+from splatree.io.formats.sog.reader import rows_of_files
 from splatree.io.formats.sog.writer import encode
 from splatree.io.formats.splatree.container import COMPACT_VERSION, Container
 from splatree.io.formats.splatree.fields import NOT_STORED, columns_of, values_of
@@ -38,7 +38,8 @@ from splatree.io.formats.splatree.inner import (
     suggested,
 )
 from splatree.io.formats.splatree.packing import WIDTHS, inflated, pack, unpack
-from splatree.io.options import WriteOptions
+from splatree.io.options import ReadOptions, WriteOptions
+from splatree.io.rows import FileRows
 from splatree.maths.forests import ends_from_depth, subtree_radii
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.names import EXTENT_PROFILES
@@ -47,7 +48,7 @@ from splatree.scene.thinning import Weight
 from splatree.scene.tree import GaussianTree
 from splatree.shapes import Array, Float32
 
-__all__ = ["compacted", "lost_by_it", "uncompacted"]
+__all__ = ["CompactLeaves", "compacted", "leaves_alone", "lost_by_it", "uncompacted"]
 
 _EXTENT_STEP = 1 / 1024
 """Octaves: 0.07 %."""
@@ -60,8 +61,8 @@ _VALUES = {"levels": 1, "curves": 3, "means": 3, "shapes": 6, "opacities": 1, "e
 
 _OPTIONAL = ("levels", "curves", "extents")
 
-_LEAVES, _NODES = "leaves/", "nodes/"
-"""Where the names of columns begin that hold pictures of leaves, and tables of merged nodes."""
+_LEAVES, _NODES, _CLUSTERS = "leaves/", "nodes/", "clusters."
+"""Where the names of columns begin that hold pictures of leaves, tables of merged nodes, and clusters."""
 
 
 def lost_by_it(scene: Scene) -> tuple[str, ...]:
@@ -91,7 +92,7 @@ def compacted(scene: Scene) -> tuple[dict[str, Array], dict[str, str]]:
         record = scene.tree.record
         weight = "opacity" if record is None or record.merge is None else record.merge.weight or "opacity"
         packed = {
-            name: pack(table, name) for name, table in _tables_of(scene, read_files(files, "leaves"), weight).items()
+            name: pack(table, name) for name, table in _tables_of(scene, _gaussians_of(files, "leaves"), weight).items()
         }
         about |= {"weight": weight, "steps": STEPS, "bytes": {name: width for name, (_, width) in packed.items()}}
         blobs |= {_NODES + name: data for name, (data, _) in packed.items()}
@@ -128,31 +129,68 @@ def uncompacted(file: Container) -> dict[str, Array]:
     Raises:
         FormatError: the file is damaged.
     """
+    where, (about, num_rows) = str(file.path), _about(file)
+    leaves, nodes = (_blobs(file, prefix) for prefix in (_LEAVES, _NODES))
+    clusters = {name: file.rows(name) for name in file.columns if name.startswith(_CLUSTERS)}
+    return _columns_from(_gaussians_of(leaves, where), nodes, about, num_rows, where) | clusters
+
+
+@dataclass(frozen=True, eq=False)
+class CompactLeaves:
+    """The leaves of a compact file, decoded when they are asked for."""
+
+    rows: FileRows
+    """The leaves; their pictures are decoded and kept, 17 to 20 bytes a leaf."""
+    num_rows: int
+    """Rows of the scene, merged nodes included."""
+    num_clusters: int
+    """Clusters of the scene."""
+
+
+def leaves_alone(file: Container) -> CompactLeaves:
+    """The leaves, in the order of the tree; merged nodes are not read.
+
+    Raises:
+        FormatError: the file is damaged.
+    """
+    where, (_, num_rows), centers = str(file.path), _about(file), file.columns.get(f"{_CLUSTERS}centers")
+    rows = rows_of_files(_blobs(file, _LEAVES), where)
+    if rows.num_rows > num_rows:
+        raise FormatError(f"{where}: found {rows.num_rows} leaves in pictures, wanted at most {num_rows} rows")
+    return CompactLeaves(rows, num_rows, 0 if centers is None else centers.shape[0])
+
+
+def _about(file: Container) -> tuple[dict[str, Any], int]:
+    """What the header says of a compact file, and how many rows the scene has."""
     where = str(file.path)
+    for name in file.columns:
+        if not name.startswith((_LEAVES, _NODES, _CLUSTERS)):
+            raise FormatError(
+                f"{where}: found the column {name[:80]!r}, which no compact file has; the file is damaged"
+            )
     text = untrusted.text(file.values, "compact", where)
     about = untrusted.as_object(untrusted.parse_json(text.encode(), where), f"{where}: compact")
     num_rows = untrusted.integer(about, "rows", f"{where}: compact")
     budget = RowBudget(where)
     budget.add_file(file.path)
     budget.take(num_rows)
-    parts: dict[str, dict[str, Any]] = {"leaves": {}, "nodes": {}, "clusters": {}}
+    return about, num_rows
+
+
+def _blobs(file: Container, prefix: str) -> dict[str, bytes]:
+    """Columns of bytes by what follows the prefix in their names."""
+    blobs = {}
     for name in file.columns:
-        part, _, inside = name.partition("/") if "/" in name else name.partition(".")
-        if part not in parts:
-            raise FormatError(
-                f"{where}: found the column {name[:80]!r}, which no compact file has; the file is damaged"
-            )
-        parts[part][inside] = file.rows(name)
-    clusters = {f"clusters.{name}": column for name, column in parts.pop("clusters").items()}
-    for part, blobs in parts.items():
-        for name, blob in blobs.items():
+        if name.startswith(prefix):
+            blob = file.rows(name)
             if blob.dtype != np.uint8 or blob.ndim != 1:
-                raise FormatError(
-                    f"{where}: {part}/{name}: found {blob.dtype.name} of shape {blob.shape}, wanted bytes"
-                )
-            blobs[name] = blob.tobytes()
-    leaves = read_files(parts["leaves"], where)
-    return _columns_from(leaves, parts["nodes"], about, num_rows, where) | clusters
+                raise FormatError(f"{file.path}: {name}: found {blob.dtype.name} of shape {blob.shape}, wanted bytes")
+            blobs[name.removeprefix(prefix)] = blob.tobytes()
+    return blobs
+
+
+def _gaussians_of(files: Mapping[str, bytes], where: str) -> Gaussians:
+    return rows_of_files(files, where).scene(ReadOptions()).gaussians
 
 
 def _columns_from(

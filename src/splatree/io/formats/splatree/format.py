@@ -17,22 +17,32 @@ from pathlib import Path
 
 import numpy as np
 
-from splatree.errors import FormatError, InputError
+from splatree.errors import FormatError, InputError, ShapeError
 from splatree.io.check import checked
 from splatree.io.chunks import ROWS_PER_CHUNK, Chunks
-from splatree.io.formats.splatree.container import header_bytes, open_container, placed
-from splatree.io.formats.splatree.fields import NOT_STORED, columns_of, struct_from, values_of
+from splatree.io.formats.splatree.container import Container, header_bytes, open_container, placed
+from splatree.io.formats.splatree.fields import (
+    NOT_STORED,
+    column_types,
+    columns_of,
+    source_from,
+    struct_from,
+    value_of,
+    values_of,
+)
 from splatree.io.formats.splatree.head import SceneHead
 from splatree.io.formats.splatree.older import record_of_provenance
-from splatree.io.formats.splatree.rows import StoredScene, open_scene
+from splatree.io.formats.splatree.rows import SceneRows, StoredScene, open_scene
 from splatree.io.formats.splatree.writer import SceneWriter
 from splatree.io.levels import check_extents
 from splatree.io.options import ReadOptions, WriteOptions
+from splatree.io.runs import TreeRuns
 from splatree.kernels.cpu.build.spheres import bound_clusters
 from splatree.kernels.cpu.frame.blocks import index_blocks
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Scene
+from splatree.scene.tree import GaussianTree
 from splatree.shapes import Array
 
 
@@ -86,9 +96,11 @@ def write_chunks(chunks: Chunks, path: Path, options: WriteOptions) -> tuple[str
 
 
 def read_leaves(path: Path, options: ReadOptions) -> Chunks | None:
-    """The leaves in chunks; None for a compact file, and where values may be repaired, which trees do not bear."""
-    if is_compact(path) or options.repair:
+    """The leaves in chunks; None where values may be repaired, which trees do not bear."""
+    if options.repair:
         return None
+    if (file := open_container(path)).is_compact:
+        return _compact_leaves(file, options)
     stored = open_scene(path)
     end = stored.file.rows("tree.subtree_end")
     num_leaves = sum(
@@ -102,6 +114,67 @@ def read_leaves(path: Path, options: ReadOptions) -> Chunks | None:
         threshold=head.threshold,
         num_merged=len(stored) - num_leaves,
         num_clusters=0 if clusters is None else clusters.shape[0],
+    )
+
+
+def read_runs(path: Path) -> TreeRuns | None:
+    """The rows, without clusters; None for a compact file.
+
+    Raises:
+        FormatError: the rows are no tree.
+    """
+    if is_compact(path):
+        return None
+    stored = open_scene(path)
+    ends, depth, extents = (stored.file.rows(f"tree.{name}") for name in ("subtree_end", "depth", "extents"))
+    try:
+        tree = GaussianTree(ends, depth, extents)
+    except ShapeError as error:
+        raise FormatError(f"{path}: {error}; the file is damaged") from error
+    return TreeRuns(
+        stored.head, tree.num_leaves, lambda what: _runs_of(stored, what), has_more=not has_rows_alone(stored)
+    )
+
+
+def has_rows_alone(stored: StoredScene) -> bool:
+    """Whether a file has nothing but columns of rows and the state of its roots, and no clusters."""
+    head = stored.head
+    known = column_types(len(stored), 1, has_ids=head.has_ids, has_curves=head.has_curves)
+    return all(name in known or name.startswith("tree.roots.") for name in stored.file.columns)
+
+
+def _runs_of(stored: StoredScene, what: str) -> Iterator[SceneRows]:
+    step = ROWS_PER_CHUNK * (8 if stored.file.is_elsewhere else 1)  # 30 MB at degree 3, by a request for each column
+    with task(what, float(len(stored))) as advance:
+        for begin in range(0, len(stored), step):
+            end = min(begin + step, len(stored))
+            yield stored.rows(begin, end)
+            stored.forget(begin, end)
+            advance(float(end - begin))
+
+
+def _compact_leaves(file: Container, options: ReadOptions) -> Chunks:
+    from splatree.io.formats.splatree.compact import leaves_alone
+
+    where, found = str(file.path), leaves_alone(file)
+    try:
+        head = SceneHead(
+            found.num_rows,
+            found.rows.sh_degree,
+            value_of(file.values, "mode", where),
+            value_of(file.values, "threshold", where),
+            source=source_from(file.values, "source", where),
+        )
+    except (InputError, TypeError) as error:
+        raise FormatError(f"{where}: {error}") from error
+    return replace(
+        found.rows.chunks(options),
+        mode=head.mode,
+        metadata=head.source.metadata,
+        origin=head.source.origin,
+        threshold=head.threshold,
+        num_merged=found.num_rows - found.rows.num_rows,
+        num_clusters=found.num_clusters,
     )
 
 

@@ -7,19 +7,22 @@ is all of its ranges in the order of the tree, so its rows lie close together in
 """
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from splatree.errors import FormatError, InputError
 from splatree.io import untrusted
 from splatree.io.budget import RowBudget
-from splatree.io.check import checked
+from splatree.io.check import checked_rows
+from splatree.io.chunks import ROWS_PER_CHUNK, Chunks, Counts, counted_chunks
 from splatree.io.formats.sog import reader as sog
 from splatree.io.options import ReadOptions
+from splatree.io.rows import FileRows, columns_to_fill, scene_of
 from splatree.scene.gaussians import Gaussians
-from splatree.scene.scene import Scene, Source
+from splatree.scene.names import Mode
+from splatree.scene.scene import Scene
 
 MANIFEST = "lod-meta.json"
 """Name of the manifest."""
@@ -47,6 +50,11 @@ def files(path: Path) -> list[Path]:
 
 def read(path: Path, options: ReadOptions) -> Scene:
     """Read one level: all ranges of all units."""
+    return scene_of(read_chunks(path, options), f"read {path.name}")
+
+
+def read_chunks(path: Path, options: ReadOptions) -> Chunks:
+    """One level in chunks: a unit is decoded when its first range comes, and let go of behind its last one."""
     manifest = path / MANIFEST if path.is_dir() else path
     where = str(manifest)
     meta = untrusted.as_object(untrusted.read_json(manifest), where)
@@ -61,42 +69,72 @@ def read(path: Path, options: ReadOptions) -> Scene:
     ranges = [r for r in _ranges(tree, str(level), len(names), where) if r[2] > 0]
     _check_counts(meta, level, num_levels, sum(count for _, _, count in ranges), where)
 
-    budget, read_units = RowBudget(where), dict[Path, Scene]()
+    budget, heads = RowBudget(where), dict[Path, sog.Head]()
     places = {index: _unit_of(manifest.parent / names[index]) for index in sorted({r[0] for r in ranges})}
     for index, place in places.items():
-        if place not in read_units:  # a unit may be named twice
-            read_units[place] = _read_unit(manifest.parent, names[index], options, budget)
-    units = {index: read_units[place] for index, place in places.items()}
-    parts = []
-    covered: dict[Path, list[tuple[int, int]]] = {}
+        if place not in heads:  # a unit may be named twice
+            heads[place] = _head_of(manifest.parent, names[index], budget)
+    spans = list[_Span]()
     for index, offset, count in ranges:
-        gaussians = units[index].gaussians
-        if offset + count > len(gaussians):
+        if offset + count > heads[places[index]].num_rows:
             raise FormatError(
                 f"{where}: level {level}: found rows {offset} to {offset + count} of {names[index]}, "
-                f"wanted at most its {len(gaussians)}"
+                f"wanted at most its {heads[places[index]].num_rows}"
             )
-        covered.setdefault(places[index], []).append((offset, offset + count))
-        parts.append(_rows(gaussians, offset, count))
-    for place, spans in covered.items():
-        spans.sort()
-        if any(end > begin for (_, end), (begin, _) in pairwise(spans)):
-            raise FormatError(f"{where}: level {level}: ranges of {place.name} overlap; its rows would be drawn twice")
-
-    scenes = list(read_units.values())
+        spans.append(_Span(places[index], offset, offset + count))
+    for one, other in pairwise(sorted(spans)):
+        if one.unit == other.unit and one.end > other.begin:
+            raise FormatError(
+                f"{where}: level {level}: ranges of {one.unit.name} overlap; its rows would be drawn twice"
+            )
     if meta.get("environment") is not None:
-        scenes.append(_read_unit(manifest.parent, _environment(meta, where), options, budget))
-        parts.append(scenes[-1].gaussians)
-    modes = {scene.mode for scene in scenes} or {"classic"}
+        name = _environment(meta, where)
+        place = _unit_of(manifest.parent / name)
+        heads[place] = _head_of(manifest.parent, name, budget)
+        spans.append(_Span(place, 0, heads[place].num_rows))
+    modes: set[Mode] = {head.mode for head in heads.values()} or {"classic"}
     if len(modes) > 1:
         raise FormatError(f"{where}: found units trained in different modes {sorted(modes)}, wanted one")
     metadata = {
         "level": str(level),
         "level_counts": json.dumps([_num_rows(tree, i, len(names), where) for i in range(num_levels)]),
-        "units": json.dumps([names[i] for i in units]),
+        "units": json.dumps([names[i] for i in places]),
     }
-    scene = Scene.flat(Gaussians.concatenate(parts), mode=modes.pop(), source=Source(metadata=metadata))
-    return checked(scene, where, repair=options.repair)
+    degree = max((head.sh_degree for head in heads.values()), default=0)
+
+    def parts() -> Iterator[tuple[Gaussians, Counts]]:
+        first = 0
+        for gaussians in _gone_through(spans, options):
+            yield checked_rows(gaussians.with_sh_degree(degree), where, repair=options.repair, first_row=first)
+            first += len(gaussians)
+
+    num_rows = sum(span.end - span.begin for span in spans)
+    return counted_chunks(parts, num_rows, degree, modes.pop(), metadata, drops_rows=bool(options.repair))
+
+
+class _Span(NamedTuple):
+    """Rows of a unit that follow each other in a level."""
+
+    unit: Path
+    begin: int
+    end: int
+
+
+def _gone_through(spans: Sequence[_Span], options: ReadOptions) -> Iterator[Gaussians]:
+    """The rows of all spans, a chunk at a time."""
+    last = {span.unit: number for number, span in enumerate(spans)}
+    units = dict[Path, FileRows]()
+    for number, (unit, first, end) in enumerate(spans):
+        if unit not in units:
+            units[unit] = sog.open_rows(unit, options)
+        rows = units[unit]
+        with rows.open() as fill:
+            for begin in range(first, end, ROWS_PER_CHUNK):
+                part = columns_to_fill(min(ROWS_PER_CHUNK, end - begin), rows.sh_degree)
+                fill(begin, part)
+                yield part
+        if last[unit] == number:
+            del units[unit], rows, fill
 
 
 def _file_names(meta: dict[str, Any], where: str) -> list[str]:
@@ -116,7 +154,7 @@ def _unit_of(path: Path) -> Path:
     return real.parent if real.name == "meta.json" else real
 
 
-def _read_unit(folder: Path, name: str, options: ReadOptions, budget: RowBudget) -> Scene:
+def _head_of(folder: Path, name: str, budget: RowBudget) -> sog.Head:
     path = folder / name
     if not path.exists():
         raise FormatError(f"{path}: not found, but lod-meta.json names it; fetch the whole folder")
@@ -126,17 +164,9 @@ def _read_unit(folder: Path, name: str, options: ReadOptions, budget: RowBudget)
         raise FormatError(f"{path}: is neither a folder nor a plain file, but lod-meta.json names it")
     for file in sog.files(path):
         budget.add_file(file)
-    scene = sog.read_unchecked(path, options)
-    budget.take(len(scene))
-    return scene
-
-
-def _rows(gaussians: Gaussians, offset: int, count: int) -> Gaussians:
-    if count == len(gaussians):
-        return gaussians
-    rows = slice(offset, offset + count)
-    g = gaussians
-    return Gaussians(g.means[rows], g.quats[rows], g.log_scales[rows], g.logit_opacities[rows], g.sh[rows])
+    head = sog.read_head(path)
+    budget.take(head.num_rows)
+    return head
 
 
 def _ranges(root: dict[str, Any], level: str, num_files: int, where: str) -> Iterator[tuple[int, int, int]]:
