@@ -4,7 +4,9 @@ import json
 
 import pytest
 
-from splatree import PathOptions, orbit, read, write_cameras
+from splatree import PathOptions, Scene, orbit, read, write, write_cameras
+
+from ..scenes import random_gaussians
 
 
 def test_a_dry_run_says_what_would_go_and_writes_nothing(splatree, small_ply, tmp_path):
@@ -41,3 +43,16 @@ def test_distances_to_cameras(splatree, small_ply, tmp_path):
 def test_lines_that_do_nothing_are_refused(splatree, small_ply, tmp_path, options, said):
     code, _, err = splatree("clean", small_ply, tmp_path / "a.ply", *options)
     assert code == 2 and said in err
+
+
+@pytest.mark.parametrize("words", [("--dry-run",), ()])
+def test_a_scene_that_is_mostly_floaters_is_doubted(splatree, small_ply, tmp_path, words):
+    g = random_gaussians(400)
+    g.log_scales[:] = -4
+    write(Scene.flat(g), tmp_path / "loose.ply")
+    code, out, err = splatree(
+        "clean", tmp_path / "loose.ply", tmp_path / "a.ply", "--floaters", "--cell", "0.02", *words
+    )
+    assert code == 0, err
+    assert "note: most of the scene counts as floaters" in out and "cubes of 0.02 radii" in out
+    assert "note" not in splatree("clean", small_ply, tmp_path / "b.ply", "--floaters", *words)[1]

@@ -274,6 +274,16 @@ def test_an_error_in_a_chunk_names_the_row_of_the_file(tmp_path, monkeypatch):
         chunked(tmp_path / "a.ply")
 
 
+@pytest.mark.parametrize("repair", [False, True])
+@pytest.mark.parametrize("name", ["a.ply", "a.compressed.ply"])
+def test_values_whose_line_ends_were_converted_are_refused(tmp_path, name, repair):
+    """As a transfer in text mode does: with repair the rows would be read askew."""
+    splatree.write(Scene.flat(random_gaussians(200, 1)), tmp_path / name)
+    (tmp_path / name).write_bytes((tmp_path / name).read_bytes().replace(b"\n", b"\r\n"))
+    with pytest.raises(FormatError, match=r"carriage return before each line feed of its binary values, .* as binary"):
+        splatree.read(tmp_path / name, repair=repair)
+
+
 def test_a_truncated_file_is_repaired_to_its_whole_rows(tmp_path):
     gaussians = random_gaussians(5)
     splatree.write(Scene.flat(gaussians), tmp_path / "a.ply")

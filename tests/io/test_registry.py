@@ -1,4 +1,7 @@
+import bz2
+import gzip
 import json
+import lzma
 import os
 import resource
 import shutil
@@ -379,6 +382,18 @@ def test_chunks_that_do_not_keep_their_promise_are_refused():
         ("set/images/a.txt", b"", "set: holds photographs or their cameras"),
         ("set/transforms.json", b"{}", "set: holds photographs or their cameras"),
         ("set/notes.txt", b"x", "set: found no scene in this folder"),
+        ("a.webp", b"RIFF0000WEBPVP8 ", "is a picture, not a scene"),
+        ("a.heic", b"\0\0\0 ftypheic", "is a picture, not a scene"),
+        ("a.mp4", b"\0\0\0 ftypisom", "is a video, not a scene; take pictures out of it"),
+        ("a.avi", b"RIFF0000AVI LIST", "is a video, not a scene"),
+        ("a.ply.bz2", bz2.compress(b"ply"), "is packed as bzip2, which is not read; unpack it with `bunzip2`"),
+        ("a.ply", lzma.compress(b"ply"), "is packed as xz"),
+        ("a.7z", b"7z\xbc\xaf\x27\x1c\0\4", "is packed as 7z"),
+        ("a.tar", b"a.ply".ljust(257, b"\0") + b"ustar\0", "is a tar archive"),
+        ("a.tar.gz", gzip.compress(b"a.ply".ljust(257, b"\0") + b"ustar\0"), r"a.tar.gz: is a tar archive"),
+        ("a.splatv", b"\x76\x84", "is a moving scene of antimatter15's viewer"),
+        ("city/meta.lcc", b"{}", "city: is a scene of XGRIDS .LCC., which is not read; `splat-transform"),
+        ("meta.lcc", b"{}", "is a scene of XGRIDS"),
     ],
 )
 def test_what_a_scene_is_trained_from_is_told_from_a_scene(tmp_path, name, content, message):

@@ -1,6 +1,7 @@
 import gzip
 import json
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -405,3 +406,25 @@ def test_colors_of_codes_are_those_of_the_eye(tmp_path):
     g = random_gaussians(2, 0)
     g.sh[:] = np.array([[[-0.5], [0.5]]]).reshape(2, 1, 1) / SH_C0
     np.testing.assert_allclose(written(g, tmp_path / "a.spz").gaussians.sh * SH_C0, g.sh * SH_C0, atol=0.004)
+
+
+@pytest.mark.parametrize(("scale", "bits"), [(1.0, 12), (0.03, 12), (0.003, 15), (1e-6, 16)])
+def test_small_things_keep_their_places(tmp_path, scale, bits):
+    """Steps of an eighth of a standard deviation move what 12 bits would move by more than its size; 16 serve e^-10."""
+    g = random_gaussians(50)
+    log_scales = np.full((50, 3), np.log(0.06 * scale), np.float32)
+    small = replace(g, means=g.means * np.float32(scale), log_scales=log_scales)
+    found = written(small, tmp_path / "a.spz").gaussians
+    data = (tmp_path / "a.spz").read_bytes()
+    assert data[13] == bits
+    step = 2.0**-bits
+    assert np.abs(found.means - small.means).max() <= step / 2 * (1 + 1e-6)
+    assert bits == 16 or step <= 0.25 * 0.06 * scale
+
+
+def test_a_small_thing_with_a_far_outlier_gets_fewer_bits(tmp_path):
+    g = random_gaussians(50)
+    means = g.means * np.float32(0.001)
+    means[7] = 5000
+    written(replace(g, means=means, log_scales=np.full((50, 3), -9, np.float32)), tmp_path / "a.spz")
+    assert (tmp_path / "a.spz").read_bytes()[13] == 10

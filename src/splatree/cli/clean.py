@@ -1,5 +1,6 @@
 """``splatree clean``: a scene without floaters and outliers."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
@@ -94,7 +95,17 @@ def run(command: Command) -> Result:
         repairs=done.repairs,
         lost=done.lost,
         in_chunks=done.in_chunks,
-        notes=done.notes,
+        notes=(*done.notes, *_doubts(done.num_read, done.dropped, command.options.cell)),
+    )
+
+
+def _doubts(num_read: int, dropped: Mapping[str, int], cell: float) -> tuple[str, ...]:
+    """What to say where most of a scene was dropped as floaters: then there is no body that they float around."""
+    if dropped.get("floaters", 0) <= num_read / 2:
+        return ()
+    return (
+        f"most of the scene counts as floaters: its Gaussians are farther apart than cubes of {cell:g} radii; a larger --cell "
+        "keeps more",
     )
 
 
@@ -113,7 +124,7 @@ def show(result: Result) -> str:
     lines = [f"{name}: {would} {count:,} ({100 * count / of:.2f} %)" for name, count in result.dropped.items()]
     left = f"{result.num_gaussians:,} of {counted(result.num_read, 'Gaussian')}"
     if result.output is None:
-        return "\n".join([*lines, f"{left} would be left"])
+        return "\n".join([*lines, f"{left} would be left", *told({}, (), result.notes)])
     return "\n".join(
         [
             *lines,

@@ -26,6 +26,7 @@ from splatree.errors import FormatError
 from splatree.io.check import LOGIT_FROM_BYTE, refuse_unusable
 from splatree.io.chunks import Chunks
 from splatree.io.formats.ply.header import HEADER_MAX, Element, Text, parse_text
+from splatree.io.formats.ply.skip import refuse_converted_lines
 from splatree.io.memory import Scratch
 from splatree.io.notes import gaussians_in_words
 from splatree.io.options import ReadOptions, WriteOptions
@@ -192,6 +193,8 @@ def _open(path: Path, options: ReadOptions) -> _Packed:
             starts[element.name] = at
             at += element.num_bytes
         degree = _check_elements(path, text, elements)
+        if num_bytes > at:
+            refuse_converted_lines(file, text.num_bytes, path)
         metadata = _check_size(path, num_bytes, at, options)
         types = {name: np.dtype(element.properties) for name, element in elements.items()}
         bounds = np.zeros((elements["chunk"].count, len(_BOUNDS)), np.float32)

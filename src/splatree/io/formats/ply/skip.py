@@ -1,4 +1,4 @@
-"""The bytes of elements before the vertices, also of those that hold lists."""
+"""The bytes of elements before the vertices, also of those that hold lists, and binary values that were taken for text."""
 
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -8,7 +8,11 @@ import numpy as np
 from splatree.errors import FormatError
 from splatree.io.formats.ply.header import Element
 
-__all__ = ["bytes_of"]
+__all__ = ["bytes_of", "refuse_converted_lines"]
+
+_BYTES_OF_SAMPLE = 1 << 20
+_FEEDS_MIN = 4
+"""Line feeds that must follow carriage returns: by chance they do so in one file of 2^32."""
 
 
 def bytes_of(file: BinaryIO, start: int, elements: list[Element], path: Path) -> int:
@@ -28,6 +32,22 @@ def bytes_of(file: BinaryIO, start: int, elements: list[Element], path: Path) ->
                 f"{path}: found {size} bytes, which end within the element {element.name!r}; it is cut off"
             )
     return at - start
+
+
+def refuse_converted_lines(file: BinaryIO, start: int, path: Path) -> None:
+    """Refuse a binary file that is too long and in which, from the byte ``start`` on, every line feed follows a carriage return.
+
+    Raises:
+        FormatError: it is so.
+    """
+    file.seek(start)
+    values = file.read(_BYTES_OF_SAMPLE)
+    feeds = values.count(b"\n")
+    if feeds >= _FEEDS_MIN and values.count(b"\r\n") == feeds:
+        raise FormatError(
+            f"{path}: found a carriage return before each line feed of its binary values, and more bytes than its header "
+            "announces: a transfer in text mode or a tool for texts has changed them; fetch the file again, as binary"
+        )
 
 
 def _after_lists(file: BinaryIO, at: int, element: Element, size: int, path: Path) -> int:

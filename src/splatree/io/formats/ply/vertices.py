@@ -21,7 +21,7 @@ from splatree.io.check import Magnitudes, magnitudes_of
 from splatree.io.formats.ply.filter3d import fuse_filter
 from splatree.io.formats.ply.header import HEADER_MAX, Header, parse_header
 from splatree.io.formats.ply.properties import DC, RGB, Fields, fields_of
-from splatree.io.formats.ply.skip import bytes_of
+from splatree.io.formats.ply.skip import bytes_of, refuse_converted_lines
 from splatree.io.formats.ply.text import lines_of, records_of
 from splatree.io.objects import ObjectPath
 from splatree.io.options import ReadOptions
@@ -255,6 +255,8 @@ def _check_size(file: BinaryIO, path: Path, header: Header, start: int, *, repai
         return whole, {"missing_rows": header.count - whole}
     if header.bytes_after is not None and num_bytes != wanted + header.bytes_after:
         excess = num_bytes - wanted - header.bytes_after
+        if excess > 0:
+            refuse_converted_lines(file, start, path)
         if not repair:
             behind = f", {header.bytes_after} bytes behind them" if header.bytes_after else ""
             raise FormatError(

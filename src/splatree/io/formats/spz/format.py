@@ -20,6 +20,7 @@ scene is a thing that stands on y = 0 with y up (`y_of_a_thing`), else for RDF. 
 """
 
 import json
+import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -54,6 +55,12 @@ _POSITION_MAX = (1 << 23) - 1
 
 _FRACTIONAL_BITS = 12
 """Of positions, where they fit: the choice of the format's own writer, a step of 0.24 mm in scenes measured in metres."""
+
+_FRACTIONAL_BITS_MAX = 16
+"""Of positions of small things: steps of a third of e^-10, the smallest scale that the format holds."""
+
+_STEP_MAX = 0.25
+"""Step of positions in standard deviations of the median Gaussian, above which a thing is small: means move by an eighth."""
 
 _LOOKED_AT = 100_000
 """Rows whose means are looked at where a file does not name its axes: quantiles then err by a few tenths of a percent."""
@@ -166,7 +173,7 @@ def _decode(header: Header, plane: str, codes: Array, out: Gaussians) -> None:
 
 
 def write_chunks(chunks: Chunks, path: Path, options: WriteOptions) -> tuple[str, ...]:
-    """Write a file in one pass, or in two where the means are too far out for 12 fractional bits."""
+    """Write a file in one pass, or in two where the means are too far out for the fractional bits that their sizes ask for."""
     version = DEFAULT_VERSION if options.format_version is None else options.format_version
     if version not in VERSIONS:
         raise InputError(f"{path}: found version {version}, wanted 2, 3 or 4 of .spz")
@@ -193,7 +200,7 @@ def encode(
 
     ``path`` is named in errors and progress, its folder holds temporary files.
     """
-    bits: int | None = _FRACTIONAL_BITS
+    bits: int | None = _fractional_bits(chunks)
     while bits is not None:
         header = Header(version, len(chunks), chunks.sh_degree, bits, chunks.mode == "antialiased", axes)
         with PlaneWriter(header, path.parent, options.compression) as writer:
@@ -202,6 +209,16 @@ def encode(
             if bits is None:
                 writer.finish(file)
     return encoder.losses()
+
+
+def _fractional_bits(chunks: Chunks) -> int:
+    """12, or more for a small thing, by the median of the longest standard deviations in its first chunk."""
+    first = next(iter(chunks), None)
+    if first is None or not len(first):
+        return _FRACTIONAL_BITS
+    size = float(np.median(first.log_scales.max(axis=1)))
+    wanted = math.ceil(-(size + math.log(_STEP_MAX)) / math.log(2)) if math.isfinite(size) else 0
+    return min(max(wanted, _FRACTIONAL_BITS), _FRACTIONAL_BITS_MAX)
 
 
 class _Encoder:
