@@ -2,7 +2,8 @@
 
 The page sends views faster than they can be answered. For each kind of answer only the newest view is kept, in a slot and not in
 a queue, and a thread of the client's own answers: points first, then cuts, then pictures. A first cut comes in steps of 18,000,
-80,000 and 300,000 nodes, so that there is a picture after 0.65 MB; a newer view ends the steps of an older one.
+80,000 and 300,000 nodes, so that there is a picture after 0.65 MB; a newer view ends the steps of an older one. Over a slow line
+there are more steps, of what the line carries in two seconds (pace.py), and a view that is new for the most part begins again.
 """
 
 import threading
@@ -18,10 +19,11 @@ from splatree.render.moving import Motion, guarded_by
 from splatree.render.quality import Carried
 from splatree.scene.cameras import Camera
 from splatree.scene.frame import Selection
-from splatree.scene.options import RenderOptions
+from splatree.scene.options import RenderOptions, SelectOptions
 from splatree.shapes import Array
 from splatree.view.exhibit import Exhibit
 from splatree.view.messages import Ack, Request, Want, pack_message, parse
+from splatree.view.pace import Pace
 from splatree.view.pictures import encode, layer_of, pixels_of
 from splatree.view.slots import Slots
 
@@ -33,8 +35,18 @@ LADDER: Final = (18_000, 80_000, 300_000)
 FIRST_TAU_PX: Final = 32.0
 """Where the search of the first budget begins: a cut of few nodes, whatever the scene."""
 
-UNDER_WAY: Final = 2
-"""Messages that the page need not have acknowledged for the next to be sent."""
+NODE_BYTES: Final = 36
+"""A node that is added, with the number of its slot."""
+
+PNG_BYTES: Final = 2
+"""Bytes of a PNG a pixel, about."""
+
+LONG_STEPS: Final = 4
+"""A view is begun again with few nodes if the line needs so many steps for its new ones: 8 s. Fewer are sent as they are: a cut of
+few nodes shares none with the one that the page holds."""
+
+LONG: Final[tuple[Want, ...]] = ("cut", "frame")
+"""What a page acknowledges; it is sent once there is room."""
 
 PATIENCE_S: Final = 30.0
 """Time after which a page that takes nothing in is given up."""
@@ -58,14 +70,15 @@ class Client:
         self._wanted: dict[Want, Request] = {}
         self._news: list[bytes] = []
         self._new_exhibit: Exhibit | None = exhibit
-        self._sent = self._acked = 0
+        self._pace = Pace()
         self._is_open = True
         self._slots = Slots(exhibit.shown, exhibit.centre, capacity)
         self._last = FIRST_TAU_PX  # τ_R of the last cut
         self._last_of_frames = FIRST_TAU_PX
         self._motion: Motion | None = None
         self._quality = Carried(exhibit.session)
-        self._rung = 0
+        self._reached = 0  # nodes that the last step was allowed
+        self._stepping: Request | None = None  # the view that comes in steps
         self._unfinished: tuple[Request, Selection] | None = None
         self.camera: Camera | None = None
         """The newest view of the page."""
@@ -82,7 +95,7 @@ class Client:
         with self._turn:
             self.seen_s = time.monotonic()
             if isinstance(said, Ack):
-                self._acked = max(self._acked, min(said.count, self._sent))
+                self._pace.acknowledge(said.count, self.seen_s)
             else:
                 self._wanted[said.want] = said
                 self.camera = said.camera
@@ -113,13 +126,11 @@ class Client:
         """Answer until the page is gone; ends by itself if the page takes nothing in for 30 s."""
         while True:
             with self._turn:
-                while self._is_open and not (self._news or self._new_exhibit or self._wanted):
-                    self._turn.wait()
+                want = self._next()
                 if not self._is_open:
                     return
                 news, self._news = self._news, []
                 new, self._new_exhibit = self._new_exhibit, None
-                want = next((want for want in ORDER if want in self._wanted), None)
                 request = self._wanted.pop(want) if want and not new else None
             if new is not None:
                 self._begin(new)
@@ -131,9 +142,31 @@ class Client:
                 except SplatreeError as error:
                     self._send(pack_message({"kind": "error", "seq": request.seq, "text": str(error)}))
 
+    def _next(self) -> Want | None:
+        """Wait for what there is to do; None: the page is told something, or is gone. A view is taken when it can be answered at
+        once, so it is the newest.
+
+        Raises:
+            TimeoutError: there is no room for an answer within half a minute.
+        """
+        deadline = None
+        while self._is_open and not (self._news or self._new_exhibit):
+            want = next((want for want in ORDER if want in self._wanted and (want not in LONG or self._pace.has_room)), None)
+            if want is not None:
+                return want
+            if self._wanted:
+                now = time.monotonic()
+                deadline = now + PATIENCE_S if deadline is None else deadline
+                if now >= deadline:
+                    raise TimeoutError(f"the page has taken nothing in for {PATIENCE_S:g} s")
+                self._turn.wait(deadline - now)
+            else:
+                self._turn.wait()
+        return None
+
     def _begin(self, exhibit: Exhibit) -> None:
         if exhibit is not self._exhibit:  # another scene in the place of one that was shown: no steps, no flicker
-            self._rung = len(LADDER)
+            self._reached = self._capacity
         self._exhibit, self._motion, self._quality = exhibit, None, Carried(exhibit.session)
         self._slots = Slots(exhibit.shown, exhibit.centre, self._capacity)
         self._unfinished = None
@@ -154,34 +187,24 @@ class Client:
 
         A request that is put back for the rest of its colours has its cut already.
         """
-        budget = min(request.select.budget or self._capacity, self._capacity)
-        is_step = self._rung < len(LADDER) and LADDER[self._rung] < budget
-        if is_step:
-            budget = LADDER[self._rung]
-        camera, eye = guarded_by(request.camera, request.guard), request.camera.position
+        asked = min(request.select.budget or self._capacity, self._capacity)
         start = time.process_time()
         unfinished, self._unfinished = self._unfinished, None
-        try:
-            if unfinished is not None and unfinished[0] is request:
-                chosen = unfinished[1]
-            else:
-                select = self._quality.settled(request.camera, request.select)
-                chosen = self._exhibit.cut(camera, replace(select, budget=budget), self._last)
-        except InputError:
-            if not is_step:
-                raise
-            self._rung += 1  # the scene has more roots in view than this step has nodes
-            return self._cut(request)
+        if unfinished is not None and unfinished[0] is request:
+            chosen, is_step = unfinished[1], False
+        else:
+            chosen, is_step = self._chosen(request, asked)
         selected = time.process_time()
-        change = self._slots.move(chosen.rows, eye, self._exhibit.session.view(request.camera))
+        change = self._slots.move(
+            chosen.rows, request.camera.position, self._exhibit.session.view(request.camera)
+        )
         packed = time.process_time()
         self._last = chosen.pixel_error
-        is_step = is_step and len(chosen) > 0.5 * budget
         if is_step:
-            self._rung += 1
-            self._last = _next_guess(chosen, LADDER[self._rung] if self._rung < len(LADDER) else 4 * budget)
+            self._stepping = request
+            self._last = _next_guess(chosen, min(self._after_step(), asked))
         else:
-            self._rung = len(LADDER)
+            self._reached = self._capacity
             self._unfinished = (request, chosen) if change.is_behind else None
         is_last = not (is_step or change.is_behind)
         depths = np.bincount(self._exhibit.shown.depths(chosen.rows), minlength=1)
@@ -204,6 +227,35 @@ class Client:
         if not is_last:
             with self._turn:
                 self._wanted.setdefault("cut", request)
+
+    def _chosen(self, request: Request, asked: int) -> tuple[Selection, bool]:
+        """The rows of a view that the page may be sent next, and whether more of them follow."""
+        select = self._quality.settled(request.camera, request.select)
+        camera = guarded_by(request.camera, request.guard)
+        chosen = self._within(camera, select, min(self._after_step(), asked), asked)
+        # Over a slow line, a view that is new for the most part begins with fewer nodes. A step of one and the same view goes on.
+        carried = self._pace.step_bytes / NODE_BYTES
+        most = max(LADDER[0], LONG_STEPS * carried)
+        if len(chosen) > most and self._stepping is not request and self._slots.num_new(chosen.rows) > most:
+            chosen = self._within(camera, select, int(max(LADDER[0], carried)), asked)
+        return chosen, self._reached < asked and len(chosen) > 0.5 * self._reached
+
+    def _within(self, camera: Camera, select: SelectOptions, budget: int, asked: int) -> Selection:
+        """The cut of a view within a step's budget, or within that of the first step that holds the scene's roots."""
+        self._reached = budget
+        try:
+            return self._exhibit.cut(camera, replace(select, budget=budget), self._last)
+        except InputError:
+            if budget == asked:
+                raise
+            return self._within(camera, select, min(self._after_step(), asked), asked)
+
+    def _after_step(self) -> int:
+        """Nodes of the next step: more than of the last by what the line carries; half of what comes takes the place of others."""
+        rung = next((rung for rung in LADDER if rung > self._reached), self._capacity)
+        if self._reached == 0:
+            return rung
+        return int(min(rung, self._reached + max(LADDER[0] / 4, 0.7 * self._pace.step_bytes / NODE_BYTES)))
 
     def _frame(self, request: Request) -> None:
         start = time.perf_counter()
@@ -234,13 +286,16 @@ class Client:
         self, request: Request, pixels: Array, chosen: Selection, num_pairs: int, start: float
     ) -> None:
         drawn = time.perf_counter()
-        picture = encode(pixels, request.packing, request.quality)
+        packing = request.packing
+        if packing == "png" and PNG_BYTES * pixels.size / 3 > self._pace.step_bytes:
+            packing = "jpeg"  # nearly exact in a fifth of the bytes, and views that follow wait less
+        picture = encode(pixels, packing, request.quality)
         header = {
             "kind": "frame",
             "seq": request.seq,
             "width": request.camera.width,
             "height": request.camera.height,
-            "type": f"image/{request.packing}",
+            "type": f"image/{packing}",
             "rows": len(chosen),
             "visited": chosen.num_visited,
             "tau": finite(chosen.pixel_error),
@@ -275,17 +330,11 @@ class Client:
         self._send(pack_message(header, boxes.tobytes()))
 
     def _deliver(self, message: bytes) -> None:
-        """Send once the page has taken in all but the last two messages.
-
-        Raises:
-            TimeoutError: it does not.
-        """
+        """Send what the page acknowledges."""
         with self._turn:
-            if not self._turn.wait_for(lambda: not self._is_open or self._sent - self._acked < UNDER_WAY, PATIENCE_S):
-                raise TimeoutError(f"the page has taken nothing in for {PATIENCE_S:g} s")
-            self._sent += 1
             if not self._is_open:
                 return
+            self._pace.send(len(message), time.monotonic())
         self._send(message)
 
 

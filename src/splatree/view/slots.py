@@ -102,6 +102,10 @@ class Slots:
         dropped, added, changed, tinted = (places.view(np.uint32) for places in (drop, add, shaped, tint))
         return Change(dropped, added, nodes, changed, shapes, tinted, colors, self._is_behind)
 
+    def num_new(self, rows: Int32[Array, "v"]) -> int:
+        """How many of these rows the page does not hold."""
+        return int(np.count_nonzero(self._slot_after[rows] == 0))
+
     def _nodes(
         self, rows: Int32[Array, "a"], slots: Int32[Array, "a"], eye: Array, depths: Depths | None
     ) -> UInt32[Array, "a 8"]:

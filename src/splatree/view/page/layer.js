@@ -42,6 +42,7 @@ export class Layer {
     this.header = null;
     this.isSettled = this.isWaiting = false; // what was asked before is not answered any more
     this.store?.clear();
+    this.link.ack(); // of what was just forgotten too
     this.drop();
     this.on.scene(this, isFirst);
   }
