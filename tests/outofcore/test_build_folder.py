@@ -32,6 +32,9 @@ from ..scenes import random_gaussians
 from .conftest import check_is_drawn_as_the_whole_tree, small_pages
 
 SMALL = st.FolderOptions(part_rows=200)
+LITTLE = st.BuildOptions(radius=0.05, max_roots=1, follow=False)
+TIERS = st.FolderOptions(part_rows=60, part_levels=2)
+"""Cells so small that the levels above them are grown in cells, too, where memory is short."""
 
 
 def room_for(num_roots):
@@ -180,21 +183,29 @@ def test_a_killed_build_goes_on(tmp_path, ply):
     assert files_in(tmp_path / "out.splatree") == files_in(tmp_path / "whole.splatree")
 
 
+@pytest.fixture(scope="module")
+def of_five_tiers(tmp_path_factory, ply):
+    """The files of a build whose levels above the parts are grown in cells, tier by tier."""
+    folder = tmp_path_factory.mktemp("tiers") / "whole.splatree"
+    with room_for(20):
+        st.build_folder(ply, folder, LITTLE, TIERS)
+    check_is_tree_of(folder, ply, LITTLE)
+    return files_in(folder)
+
+
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGKILL")
 @pytest.mark.parametrize("pieces", [30, 55])  # of 24 in the first tier, 19, 12 and 2 in those above, and the crown
-def test_a_build_that_is_killed_above_its_parts_goes_on(tmp_path, ply, pieces):
-    running, target = st.FolderOptions(part_rows=60, part_levels=2), tmp_path / "out.splatree"
+def test_a_build_that_is_killed_above_its_parts_goes_on(tmp_path, ply, of_five_tiers, pieces):
+    target = tmp_path / "out.splatree"
     with room_for(20):
         context = multiprocessing.get_context("fork")
-        process = context.Process(target=_build_and_die, args=(ply, target, pieces, LITTLE, running))
+        process = context.Process(target=_build_and_die, args=(ply, target, pieces, LITTLE, TIERS))
         process.start()
         process.join()
         assert process.exitcode == -signal.SIGKILL
         assert len(folders_of_tiers(tmp_path / "out.splatree.work")) > 1
-        st.build_folder(ply, target, LITTLE, running)
-        st.build_folder(ply, tmp_path / "whole.splatree", LITTLE, running)
-    assert files_in(target) == files_in(tmp_path / "whole.splatree")
-    check_is_tree_of(target, ply, LITTLE)
+        st.build_folder(ply, target, LITTLE, TIERS)
+    assert files_in(target) == of_five_tiers
 
 
 def _build_and_die_at_rename(ply, output, number):
@@ -333,9 +344,6 @@ def test_what_a_build_needs_is_known_from_the_heads(tmp_path, ply, monkeypatch):
     assert needs_of([ply], st.ReadOptions()) is None  # whatever it holds, it is small
 
 
-LITTLE = st.BuildOptions(radius=0.05, max_roots=1, follow=False)
-
-
 def folders_of_tiers(folder):
     """The folders of a build that is under way: each is the work on the levels above the one before."""
     found = [folder]
@@ -347,9 +355,8 @@ def folders_of_tiers(folder):
 @pytest.mark.parametrize(("most", "num_tiers"), [(10**9, 2), (500, 3), (100, 4), (20, 5)])
 def test_what_does_not_fit_above_the_parts_is_grown_in_cells_of_its_own(tmp_path, ply, monkeypatch, most, num_tiers):
     monkeypatch.setattr("splatree.outofcore.work.Work.clear", lambda self: None)
-    running = st.FolderOptions(part_rows=60, part_levels=2)
     with room_for(most):
-        built = st.build_folder(ply, tmp_path / "out.splatree", LITTLE, running)
+        built = st.build_folder(ply, tmp_path / "out.splatree", LITTLE, TIERS)
     check_is_tree_of(built.path, ply, LITTLE)
     tiers = folders_of_tiers(tmp_path / "out.splatree.work")
     assert len(tiers) == num_tiers
@@ -359,7 +366,7 @@ def test_what_does_not_fit_above_the_parts_is_grown_in_cells_of_its_own(tmp_path
 
 def test_a_crown_of_many_tiers_is_drawn_from_disk_as_the_whole_tree(tmp_path, ply):
     with room_for(20), small_pages(60):
-        built = st.build_folder(ply, tmp_path / "out.splatree", LITTLE, st.FolderOptions(part_rows=60, part_levels=2))
+        built = st.build_folder(ply, tmp_path / "out.splatree", LITTLE, TIERS)
         st.check(built.path)
     check_is_drawn_as_the_whole_tree(built.path)
 

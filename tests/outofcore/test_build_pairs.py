@@ -41,7 +41,7 @@ def test_one_cell_has_the_tree_of_a_build_in_memory(tmp_path_factory, gaussians,
 
 
 @settings(max_examples=12, deadline=None)
-@given(hard_scenes(most=300, degree=1), hs.sampled_from([16, 60]), MODES, hs.sampled_from([None, 1, 4]))
+@given(hard_scenes(most=200, degree=1), hs.sampled_from([16, 60]), MODES, hs.sampled_from([None, 1, 4]))
 def test_cells_make_one_sound_tree_whose_files_do_not_depend_on_who_makes_them(
     tmp_path_factory, gaussians, part_rows, mode, part_levels
 ):
@@ -81,7 +81,7 @@ def test_what_is_seen_is_what_is_seen_in_memory_bit_for_bit(tmp_path, ply, monke
 
 
 @settings(max_examples=6, deadline=None)
-@given(hard_scenes(most=300, degree=1), hs.sampled_from([16, 60]), hs.sampled_from([None, 1]))
+@given(hard_scenes(most=200, degree=1), hs.sampled_from([16, 60]), hs.sampled_from([None, 1]))
 def test_all_nodes_follow_the_pixel_by_what_their_leaves_show(tmp_path_factory, gaussians, part_rows, part_levels):
     path = tmp_path_factory.mktemp("scene") / "in.ply"
     st.write(st.Scene.flat(gaussians), path)

@@ -37,11 +37,12 @@ def address(cluster):
     return cluster.scheduler_address
 
 
-@pytest.fixture
-def here(tmp_path, ply):
+@pytest.fixture(scope="module")
+def here(tmp_path_factory, ply):
     """The files that a build of this process makes."""
-    st.build_folder(ply, tmp_path / "here.splatree", running=st.FolderOptions(part_rows=200))
-    return files_in(tmp_path / "here.splatree")
+    folder = tmp_path_factory.mktemp("here")
+    st.build_folder(ply, folder / "here.splatree", running=st.FolderOptions(part_rows=200))
+    return files_in(folder / "here.splatree")
 
 
 def test_a_cluster_makes_the_same_files(tmp_path, ply, address, here):

@@ -1,5 +1,6 @@
 """Photographs to train on: pictures of a known scene, in the folders that COLMAP and nerfstudio leave."""
 
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -52,10 +53,10 @@ def write_colmap(folder, cameras, points=None, colors=None):
         (model / "points3D.txt").write_text("\n".join(rows) + "\n")
 
 
-@pytest.fixture
-def photographs(truth, tmp_path):
+@pytest.fixture(scope="session")
+def kept_photographs(truth, tmp_path_factory):
     """Four photographs of the ball, of which the first is held out by every rule of n ≥ 4, and points near the Gaussians."""
-    folder = tmp_path / "photographs"
+    folder = tmp_path_factory.mktemp("ball") / "photographs"
     (folder / "images").mkdir(parents=True)
     cameras = views(4)
     for camera in cameras:
@@ -64,3 +65,9 @@ def photographs(truth, tmp_path):
     points = truth.gaussians.means + rng.normal(0, 0.05, (len(truth), 3))
     write_colmap(folder, cameras, points, rng.integers(0, 256, (len(truth), 3)))
     return folder
+
+
+@pytest.fixture
+def photographs(kept_photographs, tmp_path):
+    """The photographs in a folder that the test may change."""
+    return shutil.copytree(kept_photographs, tmp_path / "photographs")

@@ -21,10 +21,15 @@ def stop_after(steps):
     return lambda: next(left) == 0
 
 
+@pytest.fixture(scope="module")
+def whole(kept_photographs):
+    """A run that was not stopped."""
+    return st.train(kept_photographs, OPTIONS)
+
+
 @pytest.mark.parametrize("step", [1, 37, 100, 117])
-def test_a_run_that_stopped_goes_on_with_the_same_bits(photographs, tmp_path, step):
+def test_a_run_that_stopped_goes_on_with_the_same_bits(whole, photographs, tmp_path, step):
     """In the middle of a round, and right after births."""
-    whole = st.train(photographs, OPTIONS)
     folder = tmp_path / "a.run"
     stopped = st.train(photographs, OPTIONS, files=st.RunFiles(folder), stop=stop_after(step))
     assert stopped.stopped and json.loads(stopped.scene.source.metadata["training"])["iterations"] == step

@@ -118,8 +118,13 @@ def test_published_methods_choose_from_it():
         assert set(exact) <= set(cut) and 0 < len(cut) < scene.tree.num_leaves
 
 
-def test_a_run_grows_a_tree_with_the_same_bits_after_a_stop(photographs, tmp_path):
-    whole = st.train(photographs, OPTIONS)
+@pytest.fixture(scope="module")
+def whole(kept_photographs):
+    """A run that was not stopped."""
+    return st.train(kept_photographs, OPTIONS)
+
+
+def test_a_run_grows_a_tree_with_the_same_bits_after_a_stop(whole, photographs, tmp_path):
     scene = whole.scene
     assert scene.tree.record.rule == "grown" and scene.tree.record.profile == "exact"
     assert scene.tree.num_levels > 1 and scene.tree.num_leaves == whole.history[-1].num_gaussians <= 400
@@ -132,7 +137,7 @@ def test_a_run_grows_a_tree_with_the_same_bits_after_a_stop(photographs, tmp_pat
     assert st.read(tmp_path / "grown.splatree").tree.record == scene.tree.record
 
 
-def test_refinement_takes_it(photographs):
-    scene = st.train(photographs, OPTIONS).scene
+def test_refinement_takes_it(whole):
+    scene = whole.scene
     refined = st.refine(scene, st.RefineOptions(iterations=20, made_views=8))
     assert refined.gain >= 0 and len(refined.scene) == len(scene)

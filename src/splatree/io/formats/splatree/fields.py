@@ -7,6 +7,7 @@ import json
 import types
 from collections.abc import Iterator, Mapping
 from dataclasses import fields, is_dataclass
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 
@@ -110,7 +111,7 @@ def source_text(source: Source) -> str:
 def struct_from(kind: type, prefix: str, columns: dict[str, Array], values: Mapping[str, Any], where: str) -> Any:
     """A struct from the columns and values under a prefix; takes what it uses out of ``columns``."""
     arguments: dict[str, Any] = {}
-    for name, hint in get_type_hints(kind, include_extras=True).items():
+    for name, hint in _hints_of(kind).items():
         key = prefix + STORED_AS.get(name, name)
         if key in NOT_STORED:
             continue
@@ -137,6 +138,11 @@ def struct_from(kind: type, prefix: str, columns: dict[str, Array], values: Mapp
         return kind(**arguments)
     except TypeError as error:  # a number where a string is wanted, or the like
         raise FormatError(f"{where}: {prefix or 'scene'}: {error}") from error
+
+
+@cache
+def _hints_of(kind: type) -> dict[str, Any]:
+    return get_type_hints(kind, include_extras=True)
 
 
 def source_from(values: Mapping[str, Any], key: str, where: str) -> Source:
