@@ -42,8 +42,8 @@ PNG_BYTES: Final = 2
 """Bytes of a PNG a pixel, about."""
 
 LONG_STEPS: Final = 4
-"""A view is begun again with few nodes if the line needs so many steps for its new ones: 8 s. Fewer are sent as they are: a cut of
-few nodes shares none with the one that the page holds."""
+"""A view is begun again with few nodes if the line needs so many steps for its new ones: 8 s. Fewer are sent as they are: a cut
+of few nodes shares none with the one that the page holds."""
 
 LONG: Final[tuple[Want, ...]] = ("cut", "frame")
 """What a page acknowledges; it is sent once there is room."""
@@ -251,7 +251,7 @@ class Client:
             return self._within(camera, select, min(self._after_step(), asked), asked)
 
     def _after_step(self) -> int:
-        """Nodes of the next step: more than of the last by what the line carries; half of what comes takes the place of others."""
+        """Nodes of the next step: more than of the last by what the line carries; half of what comes replaces others."""
         rung = next((rung for rung in LADDER if rung > self._reached), self._capacity)
         if self._reached == 0:
             return rung
