@@ -158,7 +158,9 @@ def test_over_a_slow_line_a_cut_comes_in_more_steps_each_of_what_the_line_carrie
     assert len(sizes) > 6 and sizes == sorted(sizes) and 1800 < sizes[-1] <= 2500
     added = [header["add"] for header, _ in page.messages if header["kind"] == "cut"]
     assert max(added[1:]) <= 2 * 300
-    assert [header["last"] for header, _ in page.messages if header["kind"] == "cut"] == (len(sizes) - 1) * [False] + [True]
+    assert [header["last"] for header, _ in page.messages if header["kind"] == "cut"] == (len(sizes) - 1) * [False] + [
+        True
+    ]
 
 
 def test_over_a_slow_line_another_view_begins_with_fewer_nodes(monkeypatch):

@@ -151,7 +151,9 @@ class Client:
         """
         deadline = None
         while self._is_open and not (self._news or self._new_exhibit):
-            want = next((want for want in ORDER if want in self._wanted and (want not in LONG or self._pace.has_room)), None)
+            want = next(
+                (want for want in ORDER if want in self._wanted and (want not in LONG or self._pace.has_room)), None
+            )
             if want is not None:
                 return want
             if self._wanted:
@@ -195,9 +197,7 @@ class Client:
         else:
             chosen, is_step = self._chosen(request, asked)
         selected = time.process_time()
-        change = self._slots.move(
-            chosen.rows, request.camera.position, self._exhibit.session.view(request.camera)
-        )
+        change = self._slots.move(chosen.rows, request.camera.position, self._exhibit.session.view(request.camera))
         packed = time.process_time()
         self._last = chosen.pixel_error
         if is_step:
