@@ -260,7 +260,9 @@ def test_factors_are_means_over_the_cuts_of_a_range(size):
     ends, light = chain()
     drawn = size < 2
     coarser = CutRange(
-        np.int32([0, 1, 2][not drawn :]), np.float32([size, 0.5, 1][not drawn :]), np.float32([9, size, size][not drawn :])
+        np.int32([0, 1, 2][not drawn :]),
+        np.float32([size, 0.5, 1][not drawn :]),
+        np.float32([9, size, size][not drawn :]),
     )
     cover = cover_of(light, coarser, (1.0, 2.0), ends)
     part = min(np.log2(size), 1)  # of the range, in which C′ is the cut

@@ -235,9 +235,7 @@ def light_of(splats: Splats, bins: TileBins, contributions: Float32[Array, "m"],
     return Light(splats.rows, seen, alone * inside.prod(axis=1))
 
 
-def cover_of(
-    light: Light, coarser: CutRange, limits: tuple[float, float], subtree_end: Int32[Array, "n"]
-) -> Cover:
+def cover_of(light: Light, coarser: CutRange, limits: tuple[float, float], subtree_end: Int32[Array, "n"]) -> Cover:
     """The subtrees of the nodes of C′ and their factors s: means over the cuts between two limits, from that of C′ on."""
     num_nodes = len(light.rows)
     first, last = np.searchsorted(light.rows, coarser.rows), np.searchsorted(light.rows, subtree_end[coarser.rows])
