@@ -4,6 +4,9 @@
 each scene (levels.py) at 960 × 540 px. A budget is a share of the leaves in view. Both pictures are compared with that of all
 leaves; better ones than 60 dB count as that. Milliseconds are of the processor, for the selection of a view alone, the cheaper of
 two.
+
+``--pixel-error 2 4 8`` asks instead whether a τ_R means the same with occlusion as without: both cuts of each τ_R, their PSNR
+and their nodes.
 """
 
 import argparse
@@ -24,6 +27,7 @@ def main() -> None:
     parser.add_argument("--scenes", nargs="+", choices=SCENES, default=["city 5_9", "city 5_3", "playbot", "biker"])
     parser.add_argument("--method", choices=get_args(Method), default="pairs")
     parser.add_argument("--shares", nargs="+", type=float, default=[2, 5, 10, 20, 40])
+    parser.add_argument("--pixel-error", nargs="+", type=float, default=[])
     arguments = parser.parse_args()
     rows: list[dict[str, object]] = []
     for name in arguments.scenes:
@@ -32,8 +36,16 @@ def main() -> None:
         views = {key: view.resized(960, 540) for key, view in views_of(flat).items()}
         with st.open_session(st.build_lod(flat, st.BuildOptions(arguments.method))) as session:
             for key, view in views.items():
-                rows += of_view(session, view, arguments.shares, {"scene": name, "view": key})
+                what: dict[str, object] = {"scene": name, "view": key}
+                if arguments.pixel_error:
+                    rows += by_size(session, view, arguments.pixel_error, what)
+                else:
+                    rows += of_view(session, view, arguments.shares, what)
     print(table(rows))
+    if arguments.pixel_error:
+        print(table(means(rows)))
+        save("occlusion_meaning", rows, about="Cuts of a τ_R with occlusion and without")
+        return
     gains = np.array([row["gain, dB"] for row in rows])
     print(
         f"mean {gains.mean():+.2f} dB, worst {gains.min():+.2f}, cells that lose {int((gains < -0.05).sum())} of {len(gains)}"
@@ -62,6 +74,34 @@ def of_view(
         rows.append(row | {"gain, dB": decibels[1] - decibels[0]})
         print(rows[-1], flush=True)
     return rows
+
+
+def by_size(
+    session: st.Session, view: st.Camera, pixel_errors: list[float], what: dict[str, object]
+) -> list[dict[str, object]]:
+    """A row for each τ_R."""
+    leaves = session.draw(view, select=st.SelectOptions(pixel_error=0))
+    truth, num_leaves = np.clip(leaves.image, 0, 1), leaves.counters.num_selected
+    rows = []
+    for pixel_error in pixel_errors:
+        row: dict[str, object] = what | {"τ_R, px": pixel_error}
+        for name, occlusion in (("plain", False), ("occlusion", True)):
+            drawn = session.draw(view, select=st.SelectOptions(pixel_error, occlusion=occlusion))
+            row[f"{name}, dB"] = min(st.psnr(np.clip(drawn.image, 0, 1), truth), BEST_DB)
+            row[f"{name}, % of leaves"] = 100 * drawn.counters.num_selected / num_leaves
+        rows.append(row)
+        print(rows[-1], flush=True)
+    return rows
+
+
+def means(rows: list[dict[str, object]]) -> list[dict[str, object]]:
+    """A row for each τ_R, the mean of the views."""
+    lines = []
+    for pixel_error in dict.fromkeys(row["τ_R, px"] for row in rows):
+        of = [row for row in rows if row["τ_R, px"] == pixel_error]
+        keys = [key for key in of[0] if "dB" in key or "%" in key]
+        lines.append({"τ_R, px": pixel_error} | {key: float(np.mean([row[key] for row in of])) for key in keys})
+    return lines
 
 
 def selected(scene: st.Scene, view: st.Camera, options: st.SelectOptions) -> tuple[Selection, float]:

@@ -25,7 +25,7 @@ from splatree.kernels.cpu.frame import stages as cpu_stages
 from splatree.kernels.cpu.frame.blocks import index_blocks
 from splatree.kernels.reference import select as reference
 from splatree.lod.budget import fill_budget, meet_budget, meet_budget_from
-from splatree.lod.occlusion import Cover, cover_of, first_look, select_eased
+from splatree.lod.occlusion import Cover, blurred, cover_of, first_look, light_of, select_eased
 from splatree.lod.quality import Gauge
 from splatree.lod.serial import select_serial
 from splatree.scene.cameras import Camera, check_is_camera
@@ -181,13 +181,15 @@ def _eased(
     blocks = scene.blocks or index_blocks(scene.gaussians, scene.tree, threads=threads)
     find = partial(cpu.select_range, scene.gaussians, scene.tree, blocks, view, runs=runs, threads=threads)
 
-    def look(rows: Array) -> Cover:
+    def look(rows: Array, coarser: CutRange, limits: tuple[float, float]) -> Cover:
         small = first_look(view)
-        splats = cpu_stages.project(scene.gaussians, scene.ids, rows, small, curves=scene.tree.curves, threads=threads)
+        sharp = cpu_stages.project(scene.gaussians, scene.ids, rows, small, curves=scene.tree.curves, threads=threads)
+        splats = blurred(sharp)
         bins = cpu_stages.bin(splats, small, threads=threads)
         contributions = cpu_stages.blend(splats, bins, small, threads=threads).contributions
         assert contributions is not None
-        return cover_of(splats, bins, contributions, small, scene.tree.subtree_end)
+        light = light_of(splats, bins, contributions, small)
+        return cover_of(light, coarser, limits, scene.tree.subtree_end)
 
     range_at = partial(_range_at, find, scene, view, options, threads)
     return select_eased(plain, range_at, look, options, every=_sampled(blocks))
