@@ -156,3 +156,31 @@ def test_a_scene_with_levels_and_an_empty_one_are_described(splatree, small_scen
 def test_logits_far_below_those_of_any_opacity_are_described(splatree, tmp_path):
     write(Scene.flat(replace(random_gaussians(9), logit_opacities=np.full(9, -1e10, np.float32))), tmp_path / "a.ply")
     assert described(splatree, tmp_path / "a.ply")["opacity"]["max"] == 0
+
+
+def test_values_that_another_meaning_fits_better_are_doubted(splatree, small_scene, tmp_path):
+    """Opacities in the place of logits, and standard deviations in the place of their logarithms."""
+    city = small_scene.gaussians
+    g = replace(city, means=city.means / 100, log_scales=city.log_scales - np.float32(np.log(100)))
+    plain = replace(g, logit_opacities=g.opacities().astype(np.float32), log_scales=np.exp(g.log_scales))
+    write(Scene.flat(plain), tmp_path / "plain.ply")
+    assert [
+        ("opacities" in d, "standard deviations" in d) for d in described(splatree, tmp_path / "plain.ply")["doubts"]
+    ] == [
+        (True, False),
+        (False, True),
+    ]
+    assert "doubtful" in splatree("info", tmp_path / "plain.ply")[1]
+    huge = replace(g, log_scales=g.log_scales + 9, means=8000 * g.means)
+    for scene in (small_scene, Scene.flat(g.rows(0, 5)), Scene.flat(huge)):
+        assert describe(outline_of(scene)).doubts == ()
+
+
+def test_comments_are_shown_in_their_letters_and_cannot_steer_the_terminal(splatree, small_scene, tmp_path):
+    comments = json.dumps(["Größe", "\x1b[31mred"])
+    write(
+        replace(small_scene, source=replace(small_scene.source, metadata={"comments": comments})),
+        tmp_path / "a.splatree",
+    )
+    words = splatree("info", tmp_path / "a.splatree")[1]
+    assert "Größe, \\x1b[31mred" in words and "\x1b" not in words

@@ -26,6 +26,37 @@ class Outliers:
     """Command that shows or drops them; INPUT and OUTPUT stand for the files."""
 
 
+_DOUBT_MIN = 100
+"""Gaussians from which on it is no chance that all opacities are from 0 to 1."""
+
+_THICK = 0.1
+"""Median standard deviation, in radii of half the scene, from which logarithms that are all above 0 are doubted."""
+
+
+def doubts_of(scene: Scene, logits: Array, sizes: Array, half_radius: float) -> tuple[str, ...]:
+    """What of a scene looks as if its file held other values than its format says, a sentence each.
+
+    Trained logits reach below 0 and above 1, and logarithms of standard deviations below 0 unless the scene is huge.
+
+    Args:
+        scene: the scene.
+        logits: of the opacity of each leaf.
+        sizes: longest standard deviation of each leaf, world units.
+        half_radius: radius that holds half of the leaves, world units.
+    """
+    if len(sizes) < _DOUBT_MIN or half_radius == 0:
+        return ()
+    doubts = []
+    least, largest = float(logits.min()), float(logits.max())
+    if least >= 0 and largest <= 1 and least < largest:
+        doubts.append("its logits are all from 0 to 1: they may be opacities, and the picture wrong")
+    if float(scene.gaussians.log_scales.min()) > 0 and float(np.median(sizes)) > _THICK * half_radius:
+        doubts.append(
+            "its Gaussians are all larger than 1, and as large as the scene: their logarithms may be plain standard deviations"
+        )
+    return tuple(doubts)
+
+
 def outliers_of(scene: Scene, sizes: Array, opacities: Array, half_radius: float) -> tuple[Outliers, ...]:
     """The kinds of outliers that a scene has.
 

@@ -1,7 +1,9 @@
 """``splatree info``: what a scene holds."""
 
+import json
 import math
 import shlex
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
@@ -9,7 +11,7 @@ from typing import Annotated
 import numpy as np
 from tyro.conf import Positional, arg
 
-from splatree.cli.advice import Outliers, outliers_of
+from splatree.cli.advice import Outliers, doubts_of, outliers_of
 from splatree.cli.console import Console, counted, size, table
 from splatree.cli.files import Reading, check_inputs, read_options
 from splatree.cli.histogram import Histogram, in_lines, linear, logarithmic
@@ -105,6 +107,8 @@ class Info:
     """Whether the hints for it agree."""
     outliers: tuple[Outliers, ...]
     """Gaussians that look as if they did not belong into the scene, and what drops them."""
+    doubts: tuple[str, ...]
+    """What looks as if the file held other values than its format says, a sentence each."""
     estimated_bytes: dict[str, int]
     """Estimated size of the leaves in other formats, by suffix, bytes."""
     in_chunks: bool
@@ -133,6 +137,7 @@ def describe(outline: Outline) -> Info:
     sizes = np.exp(scene.gaussians.log_scales.max(axis=1, initial=-np.inf)[leaves].astype(np.float64))
     centre, radius = bounds_of(scene) if len(scene) else (np.zeros(3), 0.0)
     distances = np.linalg.norm(means - centre.astype(np.float32), axis=1)
+    half_radius = float(np.median(distances)) if len(leaves) else 0.0
     upright = guess_up(survey_of(outline.sample), scene.source) if len(scene) else None
     origin = np.asarray(scene.source.origin)
     degree = outline.sample.gaussians.sh_degree
@@ -169,7 +174,8 @@ def describe(outline: Outline) -> Info:
         up=None if upright is None else upright.up,
         up_reason="" if upright is None else upright.reason,
         up_is_sure=upright is not None and upright.lead > 1,
-        outliers=outliers_of(scene, sizes, opacities, float(np.median(distances)) if len(leaves) else 0.0),
+        outliers=outliers_of(scene, sizes, opacities, half_radius),
+        doubts=doubts_of(scene, logits, sizes, half_radius),
         estimated_bytes=estimated_bytes(outline.num_leaves, degree),
         in_chunks=outline.in_chunks,
         next=_next(scene, has_levels=len(outline.nodes_per_depth) > 1),
@@ -207,6 +213,15 @@ def _clusters(scene: Scene) -> dict[str, float] | None:
     return {"number": len(scene.clusters), "rows": float(rows), "radius": float(radius)}
 
 
+def _shortened(value: str) -> str:
+    """A value of the metadata; of a list the words, in which only what would steer a terminal is escaped."""
+    with suppress(ValueError):
+        words = json.loads(value)
+        if isinstance(words, list) and all(isinstance(word, str) for word in words):
+            value = "".join(c if c.isprintable() else repr(c)[1:-1] for c in ", ".join(words))
+    return value if len(value) < 200 else value[:197] + "..."
+
+
 def show(info: Info) -> str:
     """The description in words."""
     digits = _digits(info)
@@ -233,9 +248,10 @@ def show(info: Info) -> str:
         ("coordinates", _step_words(info)),
         *([("up", _up_words(info.up, info))] if info.up else []),
         *(("outliers", f"{o.number:,} {o.kind}: {o.advice}") for o in info.outliers),
+        *(("doubtful", doubt) for doubt in info.doubts),
         *([("other formats", _formats_words(info.estimated_bytes))] if info.num_gaussians else []),
         *(({"notes": "note", "lost": "lost"}[key], text) for key, text in sentences),
-        *((f"  {key}", value if len(value) < 200 else value[:197] + "...") for key, value in rest.items()),
+        *((f"  {key}", _shortened(value)) for key, value in rest.items()),
     ]
     described = table([{"": name, " ": value} for name, value in rows]).strip("\n ")
     titles = {

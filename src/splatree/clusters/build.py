@@ -24,6 +24,7 @@ from splatree.kernels.cpu.build.spheres import bound_clusters
 from splatree.kernels.cpu.frame.blocks import index_blocks
 from splatree.kernels.devices import DeviceName
 from splatree.maths.morton import morton_codes
+from splatree.scene.given import given
 from splatree.scene.literals import check_literals
 from splatree.scene.scene import Scene, Source
 from splatree.shapes import Array, Bool, Float32, Float64, Int32, UInt8
@@ -108,7 +109,7 @@ def build_clusters(
         >>> len(clustered.clusters)
         9
     """
-    options = options or ClusterOptions()
+    options = given(options, ClusterOptions, "options of clusters")
     n = len(scene)
     count = chosen_number(num_clusters, n)
     is_flat = scene.tree.num_leaves == n

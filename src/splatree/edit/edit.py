@@ -14,8 +14,9 @@ from splatree.edit.rows import in_morton_order, keep_leaves
 from splatree.edit.similarity import Move, move_from_options
 from splatree.kernels.cpu.frame.blocks import index_blocks
 from splatree.scene.gaussians import Gaussians
+from splatree.scene.given import given
 from splatree.scene.origin import Origin
-from splatree.scene.scene import Scene, Source
+from splatree.scene.scene import Scene, Source, check_is_scene
 from splatree.shapes import Array, Bool, Float32
 
 __all__ = ["edit", "edit_rows", "kept_rows", "merged_lost", "move_from_options", "with_loss"]
@@ -41,6 +42,8 @@ def edit(scene: Scene, options: EditOptions) -> Scene:
         >>> len(turned) <= len(scene)
         True
     """
+    check_is_scene(scene, "edit")
+    options = given(options, EditOptions, "edit: options")
     move = move_from_options(options, scene.source.origin)
     similarity = move.similarity
     clusters = scene.clusters

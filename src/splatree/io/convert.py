@@ -37,6 +37,7 @@ from splatree.io.tree_runs import cut_chunks, kept_runs, moved_runs, open_runs, 
 from splatree.io.writing import write, write_chunks
 from splatree.progress import track
 from splatree.scene.gaussians import Gaussians
+from splatree.scene.given import given
 from splatree.scene.literals import check_literals
 from splatree.scene.names import Mode
 from splatree.scene.origin import Origin
@@ -126,7 +127,7 @@ def convert(
         >>> st.convert("city.ply", "city.splat", force=True).num_written
         253
     """
-    options, target = options or ConvertOptions(), located(output)
+    options, target = given(options, ConvertOptions, "convert: options"), located(output)
     with local_inputs(inputs) as local:
         found = find_inputs(local.paths, lambda p: detect(p) is not None)
         done = _converted_from(found.paths, target, options, force)

@@ -13,6 +13,7 @@ from splatree.io.objects import ObjectPath, located
 from splatree.io.options import WriteOptions
 from splatree.io.registry import FOLDER_FILE, Format, format_to_write
 from splatree.io.replacing import replacing
+from splatree.scene.given import given
 from splatree.scene.scene import Scene, check_is_scene
 
 
@@ -48,7 +49,7 @@ def write(
         ()
     """
     check_is_scene(scene, "write")
-    target, options = located(path), options or WriteOptions()
+    target, options = located(path), given(options, WriteOptions, "write: options")
     chosen = format_to_write(target)
     options.check_taken(chosen.options, f"{target} ({chosen.name})")
     num_merged, clusters = 0, scene.clusters
@@ -100,7 +101,7 @@ def write_chunks(
     options: WriteOptions | None = None,
 ) -> tuple[str, ...]:
     """As `write`, of Gaussians in chunks, in a format that is written so."""
-    target, options = located(path), options or WriteOptions()
+    target, options = located(path), given(options, WriteOptions, "write: options")
     chosen = format_to_write(target)
     options.check_taken(chosen.options, f"{target} ({chosen.name})")
     lost: Iterable[str] = losses(

@@ -31,6 +31,7 @@ from splatree.lod.serial import select_serial
 from splatree.scene.cameras import Camera, check_is_camera
 from splatree.scene.clusters import Culling
 from splatree.scene.frame import CutRange, Selection
+from splatree.scene.given import given
 from splatree.scene.names import EXTENT_PROFILES, Profile
 from splatree.scene.options import Cull, SelectOptions
 from splatree.scene.scene import Scene
@@ -106,7 +107,7 @@ def select(
     if not isinstance(view, View):
         check_is_camera(view)
         view = view_of(scene, view)
-    options = for_levels(options or SelectOptions(), scene)
+    options = for_levels(given(options, SelectOptions, "select"), scene)
     if options.quality is not None:
         options = _measured(scene, view, options, last, threads=threads)
     if culling is None:

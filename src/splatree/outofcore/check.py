@@ -30,6 +30,7 @@ from splatree.outofcore.index_file import read_index
 from splatree.outofcore.page import Page
 from splatree.outofcore.pages import FilePages, table_of
 from splatree.progress import task, track
+from splatree.scene.given import given
 
 __all__ = ["Checked", "check"]
 
@@ -81,7 +82,7 @@ def check(
         >>> [checked.num_gaussians for checked in st.check(["city.ply", "city.splatree"])]
         [253, 253]
     """
-    options = options or ReadOptions()
+    options = given(options, ReadOptions, "check: options")
     with local_inputs(path) as local:
         found = find_inputs(local.paths, lambda p: detect(p) is not None)
         checked = [_checked(path, options) for path in found.paths]

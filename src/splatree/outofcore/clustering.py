@@ -46,6 +46,7 @@ from splatree.maths.morton import frame_of_sample, morton_codes, morton_sample
 from splatree.progress import task
 from splatree.scene.clusters import ClusterIndex
 from splatree.scene.gaussians import Gaussians
+from splatree.scene.given import given
 from splatree.scene.names import Mode
 from splatree.scene.scene import Scene
 from splatree.shapes import Array, Float32, Int32
@@ -133,7 +134,7 @@ def cluster_file(
         >>> len(st.read("clusters.splatree").clusters)
         9
     """
-    options, target = options or ClusterOptions(), located(output)
+    options, target = given(options, ClusterOptions, "cluster_file: options"), located(output)
     if format_to_write(target).name != "splatree":
         raise InputError(f"{target}: found a format without clusters, wanted a name that ends in .splatree")
     check_target(target)

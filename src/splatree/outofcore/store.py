@@ -27,6 +27,7 @@ from splatree.outofcore.paging import Cut, cut_at
 from splatree.scene.cameras import Camera
 from splatree.scene.frame import Selection
 from splatree.scene.gaussians import Gaussians
+from splatree.scene.given import given
 from splatree.scene.options import SelectOptions
 from splatree.scene.scene import Scene
 from splatree.scene.tree import GaussianTree
@@ -169,7 +170,7 @@ class Store:
         scene = self.scene
         if isinstance(view, Camera):
             view = view_of(scene, view)
-        options = for_levels(options or SelectOptions(), scene)
+        options = for_levels(given(options, SelectOptions, "select"), scene)
         _check_options(options)
 
         def cut_of(pixel_error: float) -> tuple[Cut, int]:

@@ -28,6 +28,7 @@ from splatree.outofcore.plan import Plan
 from splatree.outofcore.run import run_cells
 from splatree.outofcore.work import Work, read_array
 from splatree.scene.gaussians import Gaussians
+from splatree.scene.given import given
 from splatree.scene.names import Mode
 from splatree.scene.thinning import ThinOptions
 from splatree.simplify.thin import radius_of_count
@@ -110,7 +111,11 @@ def thin_file(
         >>> st.thin_file("city.ply", "thin.ply", st.ThinOptions(method="radius", keep=0.5), force=True).num_written
         127
     """
-    options, running, reading = options or ThinOptions(), running or FolderOptions(), reading or ReadOptions()
+    options, reading = (
+        given(options, ThinOptions, "thin_file: options"),
+        given(reading, ReadOptions, "thin_file: reading"),
+    )
+    running = given(running, FolderOptions, "thin_file: running")
     if options.chosen_method != "radius":
         raise InputError(
             "method: found 'pairs' for thinning through files, wanted 'radius': pairs are chosen from the whole scene"

@@ -5,6 +5,7 @@ import dataclasses
 from splatree.lod.build import build_levels, leaves_of
 from splatree.lod.options import BuildOptions
 from splatree.render.trial import FEWEST, SAMPLE, middle_of, try_both
+from splatree.scene.given import given
 from splatree.scene.scene import Scene, check_is_scene
 from splatree.scene.trial import MethodTrial
 
@@ -37,7 +38,7 @@ def build_lod(scene: Scene, options: BuildOptions | None = None, *, threads: int
         'radius-thinning'
     """
     check_is_scene(scene, "build_lod")
-    options, flat = options or BuildOptions(), leaves_of(scene)
+    options, flat = given(options, BuildOptions, "build_lod: options"), leaves_of(scene)
     method = options.only_method or ("radius" if len(flat) < FEWEST else None)
     if method is not None:
         return build_levels(flat, dataclasses.replace(options, method=method), threads=threads)

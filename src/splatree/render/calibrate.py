@@ -39,6 +39,7 @@ from splatree.render.calibration import CalibrateOptions, Calibration
 from splatree.render.session import open_session
 from splatree.render.studio import BISECTIONS, FOUND_BY_LOSS, Studio
 from splatree.scene.cameras import Camera
+from splatree.scene.given import given
 from splatree.scene.options import RenderOptions, SelectOptions
 from splatree.scene.scene import Scene, TileRule
 from splatree.shapes import Array
@@ -86,7 +87,11 @@ def calibrate(
         >>> found.loss_db <= 0.1
         True
     """
-    options, render, select = options or CalibrateOptions(), render or RenderOptions(), select or SelectOptions()
+    options = given(options, CalibrateOptions, "calibrate: options")
+    render, select = (
+        given(render, RenderOptions, "calibrate: render"),
+        given(select, SelectOptions, "calibrate: select"),
+    )
     if render.tile_rule == "3sigma":
         raise InputError("tile_rule: found '3sigma', which does not depend on τ; wanted another")
     tile_rule: TileRule = render.tile_rule or ("balanced" if options.policy in FOUND_BY_LOSS else "ellipse")

@@ -21,6 +21,7 @@ from splatree.progress import track
 from splatree.render.session import open_session
 from splatree.scene.cameras import Camera
 from splatree.scene.frame import Frame
+from splatree.scene.given import given
 from splatree.scene.options import RenderOptions, SelectOptions
 from splatree.scene.scene import Scene
 from splatree.shapes import Array
@@ -96,7 +97,8 @@ def evaluate(
         >>> for found in st.evaluate(scene, cameras, select=st.SelectOptions(pixel_error=0)):
         ...     assert found.cut_vs_leaves.psnr > 40
     """
-    lossless = replace(options or RenderOptions(), tile_rule="ellipse", pixels="hard", threshold=ALPHA_THRESHOLD)
+    drawn = given(options, RenderOptions, "evaluate: options")
+    lossless = replace(drawn, tile_rule="ellipse", pixels="hard", threshold=ALPHA_THRESHOLD)
     all_leaves = SelectOptions(pixel_error=0.0, cull="none")
     with open_session(scene, device=device, options=options, select=select) as session:
         for camera in track(list(cameras), "evaluate views"):

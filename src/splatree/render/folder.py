@@ -11,6 +11,7 @@ from splatree.outofcore.build import BuiltFolder, check_target, grow_folder
 from splatree.outofcore.cut import opened_inputs
 from splatree.outofcore.options import FolderOptions
 from splatree.render.trial import FEWEST, middle_of_chunks, try_both
+from splatree.scene.given import given
 from splatree.scene.names import Mode
 
 __all__ = ["build_folder"]
@@ -67,7 +68,11 @@ def build_folder(
         >>> len(st.read("city_parts.splatree")) == built.num_nodes
         True
     """
-    options, running, reading = options or BuildOptions(), running or FolderOptions(), reading or ReadOptions()
+    options, reading = (
+        given(options, BuildOptions, "build_folder: options"),
+        given(reading, ReadOptions, "build_folder: reading"),
+    )
+    running = given(running, FolderOptions, "build_folder: running")
     check_target(output, force=force)
     trial = None
     if options.only_method is None:

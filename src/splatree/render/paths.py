@@ -19,6 +19,7 @@ from splatree.render.framing.survey import survey_of
 from splatree.render.framing.upright import guess_up
 from splatree.scene.cameras import Camera, Cameras
 from splatree.scene.gaussians import Gaussians
+from splatree.scene.given import given
 from splatree.scene.scene import Scene
 from splatree.shapes import Array, Float64
 
@@ -101,7 +102,7 @@ def orbit(scene: Scene, options: PathOptions | None = None) -> Cameras:
         >>> bool(np.linalg.norm(first.position - second.position) > 0)
         True
     """
-    options = options or PathOptions()
+    options = given(options, PathOptions, "options of a path")
     sample = _sample(scene)
     centre, radius = bounds_of_sample(sample)
     means, weights = sample.means.astype(np.float64), sample.opacities()
@@ -137,7 +138,7 @@ def flyout(scene: Scene, options: PathOptions | None = None, *, nearest: float =
         >>> drawn[-1] <= len(scene)
         True
     """
-    options = options or PathOptions()
+    options = given(options, PathOptions, "options of a path")
     if not 0 < nearest <= farthest:
         raise InputError(f"flyout: found nearest {nearest} and farthest {farthest}, wanted 0 < nearest <= farthest")
     centre, radius = bounds_of(scene)
@@ -238,7 +239,7 @@ def turn(framing: Framing, options: PathOptions | None = None) -> Cameras:
         >>> len(st.turn(st.frame_scene(scene), st.PathOptions(views=12)))
         12
     """
-    options = options or PathOptions()
+    options = given(options, PathOptions, "options of a path")
     if options.elevation_deg is not None:
         framing = framing.raised(options.elevation_deg)
     first = framing.camera(options.width, options.height, fov_y_deg=options.fov_y_deg)

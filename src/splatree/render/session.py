@@ -342,5 +342,7 @@ class Session:
         wanted: Wanted = NOTHING,
     ) -> tuple[View, SelectOptions | Selector]:
         """The view and the choice of nodes for one call."""
-        view = self.view(camera, options, wanted)
-        return view, self._engine.settled(select or self._select or SelectOptions(), view)
+        view, chosen = self.view(camera, options, wanted), select or self._select or SelectOptions()
+        if not isinstance(chosen, SelectOptions) and not callable(chosen):
+            raise InputError(f"select: found {type(chosen).__name__}, wanted SelectOptions, or a baseline")
+        return view, self._engine.settled(chosen, view)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from splatree.constants import ALPHA_THRESHOLD, DILATION_PX2, SHRINK_AREA_POWER
 from splatree.errors import InputError
 from splatree.scene.cameras import Camera
+from splatree.scene.given import given
 from splatree.scene.literals import check_literals
 from splatree.scene.names import Mode
 from splatree.scene.options import Pixels, RenderOptions
@@ -118,7 +119,7 @@ def as_view(view: Camera | View) -> View:
 
 def view_of(scene: Scene, camera: Camera, options: RenderOptions | None = None, wanted: Wanted = Wanted()) -> View:
     """A view of a scene: what the options leave open is filled in from the scene."""
-    options = options or RenderOptions()
+    options = given(options, RenderOptions, "options")
     return View(
         camera=camera,
         mode=options.mode if options.mode is not None else scene.mode,

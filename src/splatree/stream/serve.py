@@ -25,6 +25,7 @@ from starlette.routing import BaseRoute, Mount, Route
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from splatree.errors import InputError, SplatreeError
+from splatree.scene.given import given
 from splatree.stream.first_view import first_view
 from splatree.stream.http import LOOPBACK, HttpServer, host_name
 from splatree.stream.pages import index_page, viewer_page
@@ -221,7 +222,7 @@ def serve(folder: str | os.PathLike[str], options: ServeOptions | None = None) -
         True
         >>> server.stop()
     """
-    server = StreamServer(Path(folder), options or ServeOptions())
+    server = StreamServer(Path(folder), given(options, ServeOptions, "serve: options"))
     server.start()
     return server
 

@@ -8,7 +8,8 @@ from typing import get_args
 from splatree.errors import InputError
 from splatree.lod.options import BuildOptions
 from splatree.render.build import build_lod
-from splatree.scene.scene import Scene
+from splatree.scene.given import given
+from splatree.scene.scene import Scene, check_is_scene
 from splatree.stream.archive import write_archive
 from splatree.stream.options import StreamFormat, StreamOptions
 from splatree.stream.rad import write_rad
@@ -57,7 +58,8 @@ def stream(
         >>> len(st.read("city_stream", level=0)) == scene.tree.num_leaves
         True
     """
-    options = options or StreamOptions()
+    check_is_scene(scene, "stream")
+    options = given(options, StreamOptions, "stream: options")
     if len(scene) == 0:
         raise InputError("stream: found an empty scene, wanted at least one Gaussian")
     if format not in get_args(StreamFormat):

@@ -31,6 +31,7 @@ from splatree.lod.select import select
 from splatree.progress import task
 from splatree.scene.cameras import Camera
 from splatree.scene.frame import Picture, Splats, TileBins
+from splatree.scene.given import given
 from splatree.scene.gradients import PictureGradients, SplatGradients
 from splatree.scene.options import SelectOptions
 from splatree.scene.scene import Scene
@@ -127,7 +128,7 @@ def refine(
         >>> len(refined.scene) == len(scene), refined.iterations
         (True, 20)
     """
-    options = options or RefineOptions()
+    options = given(options, RefineOptions, "refine: options")
     began = time.process_time()
     if scene.tree.is_leaf.all():
         raise InputError("refine: found a scene without levels, wanted inner nodes that can learn; build levels first")
@@ -135,7 +136,7 @@ def refine(
         raise InputError(
             f"refine: found {len(cameras)} camera, wanted at least 2: one to learn from and one to judge by"
         )
-    given, stages = scene, training_stages_of(device)
+    original, stages = scene, training_stages_of(device)
     scene, notes = _bare(scene)
     scene = with_blocks(scene)
     views = made_views(scene, options.made_views, options.seed) if cameras is None else list(cameras)
@@ -160,7 +161,7 @@ def refine(
         whole, after = school.proxies.scene(), careful
     differs = _num_different(scene, whole)
     if after.mean() <= before.mean() or not differs:
-        whole, after, differs, notes = given, before, 0, ()
+        whole, after, differs, notes = original, before, 0, ()
     else:
         metadata = {**whole.source.metadata, "refined": _record(options, iterations, float(np.mean(after - before)))}
         whole = replace(whole, source=replace(whole.source, metadata=metadata))

@@ -10,6 +10,7 @@ from types import TracebackType
 from splatree.errors import InputError
 from splatree.outofcore.store import Store
 from splatree.scene.cameras import Camera, Cameras
+from splatree.scene.given import given
 from splatree.scene.scene import Scene
 from splatree.shapes import Array
 from splatree.view.exhibit import exhibit
@@ -87,7 +88,7 @@ class Viewer:
         cameras: Cameras | None = None,
         photos: Mapping[str, Array] | None = None,
     ) -> None:
-        self.options = options or ViewOptions()
+        self.options = given(options, ViewOptions, "view: options")
         device = self.options.device
         exhibits = [exhibit(scene, names[0], up=self.options.up, device=device)]
         if beside is not None:

@@ -17,7 +17,7 @@ from splatree.io import untrusted
 from splatree.io.cameras import camera_path, colmap, foreign, llff, nerfstudio
 from splatree.io.cameras.poses import Rotations
 from splatree.io.replacing import replacing
-from splatree.scene.cameras import Camera, Cameras
+from splatree.scene.cameras import Camera, Cameras, check_is_camera
 from splatree.scene.scene import Source
 
 _SPLITS = ("transforms_train.json", "transforms_val.json", "transforms_test.json")
@@ -151,6 +151,7 @@ def write_cameras(cameras: Cameras | Sequence[Camera], path: str | os.PathLike[s
         force: replace the file if it exists.
 
     Raises:
+        InputError: there is no camera, or one has a lens, which the file cannot hold.
         OutputError: the file exists and ``force`` is not set, or it cannot be written.
 
     Example:
@@ -158,8 +159,14 @@ def write_cameras(cameras: Cameras | Sequence[Camera], path: str | os.PathLike[s
         >>> len(st.read_cameras("views.json")) == len(cameras)
         True
     """
+    views = [] if isinstance(cameras, Camera) else list(cameras)
+    if not views:
+        raise InputError(
+            f"{path}: found {'one' if isinstance(cameras, Camera) else 'no'} Camera, wanted a list with some"
+        )
     records = []
-    for i, camera in enumerate(cameras):
+    for i, camera in enumerate(views):
+        check_is_camera(camera)
         if camera.lens is not None:
             raise InputError(
                 f"{path}: camera {camera.name!r} has a lens, which cameras.json cannot hold; wanted pinholes"

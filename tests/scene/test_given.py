@@ -1,0 +1,53 @@
+"""Options of another function are named at every public function that takes some, not met as a missing attribute within."""
+
+import pytest
+
+import splatree as st
+
+from ..scenes import random_gaussians
+
+SCENE = st.Scene.flat(random_gaussians(30))
+CAMERA = st.Camera.look_at([0, 0, -6], [0, 0, 0], width=16, height=16)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (
+            lambda path: st.render(SCENE, CAMERA, st.SelectOptions()),
+            "options: found SelectOptions, wanted RenderOptions",
+        ),
+        (lambda path: st.trace(SCENE, CAMERA, st.SelectOptions()), "found SelectOptions, wanted RenderOptions"),
+        (
+            lambda path: st.render(SCENE, CAMERA, None, st.RenderOptions()),
+            "select: found RenderOptions, wanted SelectOptions",
+        ),
+        (lambda path: st.select(SCENE, CAMERA, st.RenderOptions()), "found RenderOptions, wanted SelectOptions"),
+        (
+            lambda path: list(st.evaluate(SCENE, [CAMERA], st.SelectOptions())),
+            "found SelectOptions, wanted RenderOptions",
+        ),
+        (lambda path: st.calibrate(SCENE, [CAMERA], options=st.RenderOptions()), "wanted CalibrateOptions"),
+        (lambda path: st.build_lod(SCENE, {"method": "pairs"}), "build_lod: options: found dict, wanted BuildOptions"),
+        (lambda path: st.thin(SCENE, 0.5), "thin: options: found float, wanted ThinOptions"),
+        (lambda path: st.clean(SCENE, st.EditOptions()), "clean: options: found EditOptions, wanted CleanOptions"),
+        (lambda path: st.edit(SCENE, st.CleanOptions()), "edit: options: found CleanOptions, wanted EditOptions"),
+        (lambda path: st.edit(SCENE.gaussians, st.EditOptions()), "edit: found Gaussians, wanted a Scene"),
+        (lambda path: st.clean(SCENE.gaussians, st.CleanOptions()), "clean: found Gaussians, wanted a Scene"),
+        (lambda path: st.orbit(SCENE, st.RenderOptions()), "found RenderOptions, wanted PathOptions"),
+        (
+            lambda path: st.write(SCENE, path / "a.ply", options=st.ReadOptions()),
+            "found ReadOptions, wanted WriteOptions",
+        ),
+        (lambda path: st.convert(path / "a.ply", path / "b.ply", st.EditOptions()), "wanted ConvertOptions"),
+        (lambda path: st.stream(SCENE, path / "s", options=st.BuildOptions()), "wanted StreamOptions"),
+        (lambda path: st.stream(SCENE.gaussians, path / "s"), "stream: found Gaussians, wanted a Scene"),
+        (lambda path: st.write_cameras(CAMERA, path / "c.json"), "found one Camera, wanted a list"),
+        (lambda path: st.write_cameras([], path / "c.json"), "found no Camera, wanted a list"),
+        (lambda path: st.write_cameras([SCENE], path / "c.json"), "camera: found Scene, wanted one Camera"),
+    ],
+)
+def test_options_of_another_kind_are_named(tmp_path, call, message):
+    with pytest.raises(st.InputError, match=message):
+        call(tmp_path)
+    assert not list(tmp_path.iterdir())
