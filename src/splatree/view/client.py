@@ -42,8 +42,8 @@ PNG_BYTES: Final = 2
 """Bytes of a PNG a pixel, about."""
 
 LONG_STEPS: Final = 4
-"""A view is begun again with few nodes if the line needs so many steps for its new ones: 8 s. Fewer are sent as they are: a cut of
-few nodes shares none with the one that the page holds."""
+"""A view is begun again with few nodes if the line needs so many steps for its new ones: 8 s. Fewer are sent as they are: a cut
+of few nodes shares none with the one that the page holds."""
 
 LONG: Final[tuple[Want, ...]] = ("cut", "frame")
 """What a page acknowledges; it is sent once there is room."""
@@ -80,6 +80,7 @@ class Client:
         self._reached = 0  # nodes that the last step was allowed
         self._stepping: Request | None = None  # the view that comes in steps
         self._unfinished: tuple[Request, Selection] | None = None
+        self._held: Selection | None = None  # the cut that the page holds
         self.camera: Camera | None = None
         """The newest view of the page."""
         self.seen_s = time.monotonic()
@@ -151,7 +152,9 @@ class Client:
         """
         deadline = None
         while self._is_open and not (self._news or self._new_exhibit):
-            want = next((want for want in ORDER if want in self._wanted and (want not in LONG or self._pace.has_room)), None)
+            want = next(
+                (want for want in ORDER if want in self._wanted and (want not in LONG or self._pace.has_room)), None
+            )
             if want is not None:
                 return want
             if self._wanted:
@@ -169,7 +172,7 @@ class Client:
             self._reached = self._capacity
         self._exhibit, self._motion, self._quality = exhibit, None, Carried(exhibit.session)
         self._slots = Slots(exhibit.shown, exhibit.centre, self._capacity)
-        self._unfinished = None
+        self._unfinished = self._held = None
         self._send(pack_message({"kind": "scene", "capacity": self._capacity, **exhibit.facts}))
 
     def _answer(self, request: Request) -> None:
@@ -195,11 +198,9 @@ class Client:
         else:
             chosen, is_step = self._chosen(request, asked)
         selected = time.process_time()
-        change = self._slots.move(
-            chosen.rows, request.camera.position, self._exhibit.session.view(request.camera)
-        )
+        change = self._slots.move(chosen.rows, request.camera.position, self._exhibit.session.view(request.camera))
         packed = time.process_time()
-        self._last = chosen.pixel_error
+        self._held, self._last = chosen, chosen.pixel_error
         if is_step:
             self._stepping = request
             self._last = _next_guess(chosen, min(self._after_step(), asked))
@@ -251,7 +252,7 @@ class Client:
             return self._within(camera, select, min(self._after_step(), asked), asked)
 
     def _after_step(self) -> int:
-        """Nodes of the next step: more than of the last by what the line carries; half of what comes takes the place of others."""
+        """Nodes of the next step: more than of the last by what the line carries; of what comes, half replaces others."""
         rung = next((rung for rung in LADDER if rung > self._reached), self._capacity)
         if self._reached == 0:
             return rung
@@ -262,13 +263,16 @@ class Client:
         is_plain = request.layer == "color" and request.box is None
         if request.is_moving and is_plain and self._exhibit.session.has_motion:
             return self._moving_frame(request, start)
-        # A budget is searched from the last picture's τ_R; an exact picture names the τ_R of its cut and has no other limit.
+        if request.is_held and self._held is None:
+            return  # another scene has come meanwhile: the page asks again
+        held = self._held if request.is_held else None
+        # A budget is searched from the last picture's τ_R.
         is_limited = request.select.budget is not None and request.select.budget < self._capacity
         last = self._last_of_frames if is_limited else None
         result, chosen = self._exhibit.draw(
-            request.camera, request.select, request.background, box=request.box, last=last
+            request.camera, held or request.select, request.background, box=request.box, last=last
         )
-        if is_limited:
+        if is_limited and held is None:
             self._last_of_frames = chosen.pixel_error
         pixels = layer_of(result, request.layer)
         self._deliver_picture(request, pixels, chosen, result.counters.num_pairs, start)
@@ -278,7 +282,8 @@ class Client:
         if self._motion is None:
             self._motion = self._exhibit.session.motion()
         options = RenderOptions(background=request.background)
-        frame = self._motion.draw(request.camera, options=options, select=request.select)
+        select = replace(request.select, occlusion=False)  # a first picture of each view would take as long as this one
+        frame = self._motion.draw(request.camera, options=options, select=select)
         self._last_of_frames = frame.selection.pixel_error
         self._deliver_picture(request, pixels_of(frame.image), frame.selection, frame.counters.num_pairs, start)
 
@@ -311,7 +316,7 @@ class Client:
         K[0, 2] += POINT_PX / 2 - request.at[0]
         K[1, 2] += POINT_PX / 2 - request.at[1]
         camera = replace(request.camera, K=K, width=POINT_PX, height=POINT_PX)
-        select = replace(request.select, quality=None)  # of these few pixels it says nothing
+        select = replace(request.select, quality=None, occlusion=False)  # of these few pixels they say nothing
         result, _ = self._exhibit.draw(camera, select, (0.0, 0.0, 0.0), box=request.box)
         covered = result.alpha > 0.3
         point = None

@@ -98,6 +98,7 @@ class Server:
             "budget": self._options.budget,
             "tau": self._options.pixel_error,
             "db": self._options.quality,
+            "occlusion": self._options.occlusion,
             "frames": self._options.frames,
             "scenes": [exhibit.name for exhibit in self.exhibits],
             "capacity": CAPACITY,
