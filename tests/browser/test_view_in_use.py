@@ -45,6 +45,23 @@ def stepped(browser, viewer):
     return page
 
 
+def test_what_is_hidden_is_drawn_coarsely_where_that_is_asked_for(browser, viewer):
+    page = opened(browser, viewer, "&renderer=webgl")
+    page.evaluate("splatree.camera.zoom(0.25), splatree.camera.orbit(0.3, 0.25)")
+    distances = []
+    for is_on in (False, True):
+        page.evaluate(
+            f"splatree.page.occlusion.input.checked = {str(not is_on).lower()}, splatree.page.occlusion.input.click()"
+        )
+        page.wait_for("splatree.isExact && splatree.stats.psnr")
+        shown(page)
+        assert page.evaluate("splatree.state.occlusion") is is_on
+        assert page.evaluate("splatree.stats.psnr") >= 40  # the exact picture is of the cut that the browser draws
+        distances.append(psnr(page.screenshot(), picture(viewer, page, pixel_error=0)))
+    assert distances[1] > distances[0] + 1.5
+    assert page.errors == []
+
+
 def test_shift_flies_three_times_as_fast(stepped):
     slow = held_for(stepped, 0.1, code="KeyW", key="w")
     fast = held_for(stepped, 0.1, code="KeyW", key="W", modifiers=8)

@@ -1,9 +1,10 @@
 """The server of streams: what it answers, and what it does not."""
 
+import gzip
 import http.client
 import socket
 import threading
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import parse_qs, quote, urlsplit
 
 import numpy as np
 import pytest
@@ -70,6 +71,74 @@ def test_units_are_kept_for_ever_and_manifests_are_asked_for_again(server, folde
     assert headers["cache-control"] == "no-cache"
     status, _, body = ask(server, "/city/lod-meta.json", If_None_Match=headers["etag"])
     assert (status, body) == (304, b"")
+
+
+def test_manifests_are_packed_for_whoever_takes_that(server, folder):
+    data = (folder / "city" / "lod-meta.json").read_bytes()
+    for method in ("GET", "HEAD"):
+        status, headers, body = ask(server, "/city/lod-meta.json", method, Accept_Encoding="br, gzip;q=0.8")
+        assert (status, headers["content-encoding"]) == (200, "gzip")
+        assert "accept-encoding" in headers["vary"].lower()
+        assert int(headers["content-length"]) < len(data)
+        assert method == "HEAD" or gzip.decompress(body) == data
+    assert ask(server, "/city/lod-meta.json", Accept_Encoding="gzip", If_None_Match=headers["etag"])[0] == 304
+    for more in ({"Accept_Encoding": "gzip;q=0"}, {"Accept_Encoding": "br"}, {"If_None_Match": headers["etag"]}):
+        status, plain, body = ask(server, "/city/lod-meta.json", **more)
+        assert (status, body) == (200, data) and "content-encoding" not in plain
+        assert plain["etag"] != headers["etag"] and "accept-encoding" in plain["vary"].lower()
+    status, _, body = ask(server, "/city/lod-meta.json", Accept_Encoding="gzip", Range="bytes=0-9")
+    assert (status, body) == (206, data[:10])
+    _, headers, body = ask(server, "/city.rad", Accept_Encoding="gzip")
+    assert "content-encoding" not in headers and body == (folder / "city.rad").read_bytes()
+
+
+def test_names_in_any_script_and_many_ranges_are_served(folder, tmp_path):
+    name = "Straße 都市.rad"
+    data = (folder / "city.rad").read_bytes()
+    (tmp_path / name).write_bytes(data)
+    with st.serve(tmp_path, st.ServeOptions(port=0)) as server:
+        path = f"/{quote(name)}"
+        assert ask(server, path)[2] == data
+        assert quote(name) in ask(server, "/")[2].decode()
+        status, headers, body = ask(server, path, Range="bytes=0-3,8-9")
+        assert status == 206 and headers["content-type"].startswith("multipart/byteranges")
+        assert data[:4] in body and data[8:10] in body and len(body) < 400
+        status, _, body = ask(server, path, Range="bytes=" + ",".join(["0-"] * 3000))
+        assert len(body) == len(data)  # ranges that overlap are sent once
+
+
+def test_a_range_of_a_file_that_has_changed_is_the_whole_file(folder, tmp_path):
+    """A page goes on with the file that it began with, or begins again (If-Range)."""
+    path = tmp_path / "city.rad"
+    data = (folder / "city.rad").read_bytes()
+    path.write_bytes(data)
+    with st.serve(tmp_path, st.ServeOptions(port=0)) as server:
+        tag = ask(server, "/city.rad")[1]["etag"]
+        assert ask(server, "/city.rad", Range="bytes=0-9", If_Range=tag)[0] == 206
+        path.write_bytes(data[::-1] + b"0")
+        status, headers, body = ask(server, "/city.rad", Range="bytes=0-9", If_Range=tag)
+        assert (status, body) == (200, data[::-1] + b"0") and headers["etag"] != tag
+
+
+def test_other_sites_may_ask_before_they_fetch(server):
+    asked = {"Origin": "https://example.org", "Access_Control_Request_Method": "GET"}
+    asked |= {"Access_Control_Request_Headers": "range", "Access_Control_Request_Private_Network": "true"}
+    status, headers, _ = ask(server, "/city.rad", "OPTIONS", **asked)
+    assert (status, headers["access-control-allow-origin"]) == (200, "*")
+    assert "range" in headers["access-control-allow-headers"]
+    assert headers["access-control-allow-private-network"] == "true"
+    assert ask(server, "/city.rad", "POST")[0] == 405
+
+
+def test_idle_connections_hold_nobody_up(server):
+    parts = urlsplit(server.address)
+    idle = [socket.create_connection((parts.hostname, parts.port), timeout=10) for _ in range(200)]
+    idle[0].sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\n")  # and never more
+    try:
+        assert ask(server, "/")[0] == 200
+    finally:
+        for connection in idle:
+            connection.close()
 
 
 def test_the_address_lists_what_there_is(server):

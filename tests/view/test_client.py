@@ -1,5 +1,6 @@
 """The worker of a page, without a network."""
 
+import io
 import json
 import struct
 import threading
@@ -7,6 +8,7 @@ import time
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from splatree.clusters.build import build_clusters
 from splatree.errors import InputError
@@ -124,6 +126,28 @@ def test_a_cut_of_a_quality_is_that_of_select():
     page.close()
 
 
+def test_a_cut_with_occlusion_is_that_of_select_and_its_picture_that_of_the_cut(page):
+    camera = page.exhibit.framing.camera(160, 90)
+    page.ask(camera, tau=0.0, budget=1200, occlusion=True, guard=0.1)
+    header, _ = page.wait_for("cut", 1)
+    guarded = guarded_by(camera, 0.1)
+    expected = select(page.exhibit.scene, guarded, SelectOptions(0.0, 1200, occlusion=True))
+    np.testing.assert_array_equal(page.client._slots.rows, expected.rows)
+    assert not np.array_equal(expected.rows, select(page.exhibit.scene, guarded, SelectOptions(0.0, 1200)).rows)
+    page.ask(camera, want="frame", held=True, packing="png", seq=2, tau=0.0, budget=1 << 16)
+    found, data = page.wait_for("frame", 2)
+    assert (found["rows"], found["tau"]) == (header["rows"], header["tau"])
+    chosen = render(page.exhibit.scene, camera, select=lambda view, *, threads=0: expected)
+    np.testing.assert_array_equal(np.asarray(Image.open(io.BytesIO(data))), np.rint(255 * np.clip(chosen.image, 0, 1)))
+
+
+def test_a_picture_of_a_cut_that_is_forgotten_is_not_sent(page):
+    page.ask(want="frame", held=True)
+    page.ask(want="frame", seq=2)
+    page.wait_for("frame", 2)
+    assert [header["seq"] for header, _ in page.messages if header["kind"] == "frame"] == [2]
+
+
 def test_a_first_cut_comes_in_steps(monkeypatch):
     monkeypatch.setattr(module, "LADDER", (1000, 1500))
     page = FakePage()
@@ -230,14 +254,11 @@ def test_a_page_that_stops_reading_is_given_up_and_others_go_on(monkeypatch):
 
 
 def test_a_picture_is_that_of_render(page):
-    from io import BytesIO
-
-    from PIL import Image
 
     camera = page.exhibit.framing.camera(160, 90)
     page.ask(camera, want="frame", packing="png", tau=2.0, budget=50_000, background=[0, 0, 0])
     header, payload = page.wait_for("frame", 1)
-    found = np.asarray(Image.open(BytesIO(payload)))
+    found = np.asarray(Image.open(io.BytesIO(payload)))
     image = render(page.exhibit.scene, camera, select=SelectOptions(pixel_error=2.0)).image
     # The camera goes through JSON and back: the last bits of its pose may differ.
     assert np.abs(found.astype(int) - np.rint(255 * np.clip(image, 0, 1))).max() <= 1
@@ -245,9 +266,6 @@ def test_a_picture_is_that_of_render(page):
 
 
 def test_a_picture_of_a_moving_camera_keeps_the_cut(page):
-    from io import BytesIO
-
-    from PIL import Image
 
     camera = page.exhibit.framing.camera(160, 90)
     visited = []
@@ -256,7 +274,7 @@ def test_a_picture_of_a_moving_camera_keeps_the_cut(page):
         header, payload = page.wait_for("frame", seq)
         visited.append(header["rows"])
     assert visited[0] == visited[1] > len(select(page.exhibit.scene, camera, SelectOptions(pixel_error=2.0)))
-    found = np.asarray(Image.open(BytesIO(payload))) / 255
+    found = np.asarray(Image.open(io.BytesIO(payload))) / 255
     image = render(page.exhibit.scene, camera, select=SelectOptions(pixel_error=2.0)).image
     assert np.abs(found - np.clip(image, 0, 1)).max() < 3 / 255  # the last 1/255 of the light is not drawn, and 8 bits
     page.ask(camera, want="frame", packing="png", tau=2.0, budget=50_000, moving=True, layer="depth", seq=3)

@@ -229,12 +229,17 @@ def test_there_are_at_most_sixteen_pages(viewer, monkeypatch):
     deadline = time.monotonic() + 10
     while viewer._server.clients() and time.monotonic() < deadline:
         time.sleep(0.02)  # those of other tests leave
-    with join(viewer) as one, join(viewer) as two, join(viewer) as late:
-        with pytest.raises(ConnectionClosed) as closed:
+    made = []
+    with join(viewer) as one, join(viewer) as two:
+        next_of(one, "scene"), next_of(two, "scene")
+        monkeypatch.setattr(module, "Client", lambda *more: made.append(more))  # one that is refused costs nothing
+        late = join(viewer)
+        with late, pytest.raises(ConnectionClosed) as closed:
             late.recv(timeout=30)
-        assert closed.value.rcvd.code == 1013
+        assert closed.value.rcvd.code == 1013 and made == []
         for page in (one, two):
-            assert next_of(page, "scene")
+            page.send(json.dumps(VIEW))
+            assert next_of(page, "cut")
 
 
 def test_a_page_that_stops_reading_harms_nobody(viewer):

@@ -51,8 +51,8 @@ def answers(shown, **more):
             page.client.receive(asked(shown.framing, want, seq, distance, height, **more))
             page.wait_for(want, seq)
     page.client.close()
-    # Times differ, how many rows were looked at, and the window, which follows from a sample.
-    drops = {"select_ms", "pack_ms", "draw_ms", "encode_ms", "measured", "visited", "aspect"}
+    # Times differ, how many rows were looked at, the window, which follows from a sample, and what stores do not offer.
+    drops = {"occlusion", "select_ms", "pack_ms", "draw_ms", "encode_ms", "measured", "visited", "aspect"}
     return [({k: v for k, v in head.items() if k not in drops}, payload) for head, payload in page.messages]
 
 
@@ -65,6 +65,14 @@ def test_a_page_gets_the_messages_of_the_scene_in_memory(stored, more):
     for (head, payload), (wanted_head, wanted_payload) in zip(found, wanted, strict=True):
         assert head == wanted_head
         assert payload == wanted_payload
+
+
+def test_a_store_is_not_shown_with_occlusion(stored):
+    store, scene = stored
+    assert not exhibit(store).facts["occlusion"] and exhibit(scene).facts["occlusion"]
+    for scenes in ({"scene": store}, {"scene": scene, "beside": store}):
+        with pytest.raises(st.InputError, match=r"^occlusion: found \w+ read page by page, wanted a scene in memory"):
+            st.view(**scenes, options=st.ViewOptions(occlusion=True), block=False)
 
 
 def test_nodes_of_any_rows_are_packed_alike(stored):

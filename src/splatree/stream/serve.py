@@ -6,6 +6,7 @@ of this machine only, so that no other site can point a name of its own here. Re
 with a random token.
 """
 
+import gzip
 import os
 import re
 import secrets
@@ -43,6 +44,9 @@ TYPES: Final = {
 }
 """Suffixes of streams."""
 
+GZIP_LEVEL: Final = 6
+"""Of manifests, which come down to a fifth."""
+
 _PAGE_TYPES: Final = {
     ".js": "text/javascript",
     ".mjs": "text/javascript",
@@ -50,6 +54,7 @@ _PAGE_TYPES: Final = {
     ".wasm": "application/wasm",
 }
 _DIGEST = re.compile(r"-[0-9a-f]{12}([./]|$)")
+_GZIP = re.compile(r"\bgzip\b(?!\s*;\s*q=0(\.0*)?\s*(,|$))")
 _FOR_EVER = "public, max-age=31536000, immutable"
 
 
@@ -197,7 +202,7 @@ class StreamServer:
             return _not_found()
         return _answer(self._packages, request, TYPES | _PAGE_TYPES | {".svg": "image/svg+xml", ".png": "image/png"})
 
-    async def _file(self, request: Request) -> Response:
+    def _file(self, request: Request) -> Response:
         return _answer(self.folder, request, TYPES)
 
 
@@ -262,9 +267,18 @@ def _answer(root: Path, request: Request, types: dict[str, str]) -> Response:
         "X-Content-Type-Options": "nosniff",
     }
     found = FileResponse(target, headers=headers, media_type=types[target.suffix], stat_result=target.stat())
-    if found.headers["etag"] in request.headers.get("if-none-match", ""):
-        return Response(status_code=304, headers=headers | {"ETag": found.headers["etag"]})
-    return found
+    tag, is_text = found.headers["etag"], target.suffix == ".json"  # all else is compressed already
+    if is_text:
+        headers["Vary"] = found.headers["vary"] = "Accept-Encoding"
+    is_packed = is_text and "range" not in request.headers and _GZIP.search(request.headers.get("accept-encoding", ""))
+    if is_packed:
+        tag = f'{tag[:-1]}-gzip"'  # other bytes
+    if tag in request.headers.get("if-none-match", ""):
+        return Response(status_code=304, headers=headers | {"ETag": tag})
+    if not is_packed:
+        return found
+    packed = gzip.compress(target.read_bytes(), GZIP_LEVEL, mtime=0)
+    return Response(packed, headers=headers | {"Content-Encoding": "gzip", "ETag": tag}, media_type=types[".json"])
 
 
 def _not_found() -> Response:

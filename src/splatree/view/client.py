@@ -80,6 +80,7 @@ class Client:
         self._reached = 0  # nodes that the last step was allowed
         self._stepping: Request | None = None  # the view that comes in steps
         self._unfinished: tuple[Request, Selection] | None = None
+        self._held: Selection | None = None  # the cut that the page holds
         self.camera: Camera | None = None
         """The newest view of the page."""
         self.seen_s = time.monotonic()
@@ -171,7 +172,7 @@ class Client:
             self._reached = self._capacity
         self._exhibit, self._motion, self._quality = exhibit, None, Carried(exhibit.session)
         self._slots = Slots(exhibit.shown, exhibit.centre, self._capacity)
-        self._unfinished = None
+        self._unfinished = self._held = None
         self._send(pack_message({"kind": "scene", "capacity": self._capacity, **exhibit.facts}))
 
     def _answer(self, request: Request) -> None:
@@ -199,7 +200,7 @@ class Client:
         selected = time.process_time()
         change = self._slots.move(chosen.rows, request.camera.position, self._exhibit.session.view(request.camera))
         packed = time.process_time()
-        self._last = chosen.pixel_error
+        self._held, self._last = chosen, chosen.pixel_error
         if is_step:
             self._stepping = request
             self._last = _next_guess(chosen, min(self._after_step(), asked))
@@ -262,13 +263,16 @@ class Client:
         is_plain = request.layer == "color" and request.box is None
         if request.is_moving and is_plain and self._exhibit.session.has_motion:
             return self._moving_frame(request, start)
-        # A budget is searched from the last picture's τ_R; an exact picture names the τ_R of its cut and has no other limit.
+        if request.is_held and self._held is None:
+            return  # another scene has come meanwhile: the page asks again
+        held = self._held if request.is_held else None
+        # A budget is searched from the last picture's τ_R.
         is_limited = request.select.budget is not None and request.select.budget < self._capacity
         last = self._last_of_frames if is_limited else None
         result, chosen = self._exhibit.draw(
-            request.camera, request.select, request.background, box=request.box, last=last
+            request.camera, held or request.select, request.background, box=request.box, last=last
         )
-        if is_limited:
+        if is_limited and held is None:
             self._last_of_frames = chosen.pixel_error
         pixels = layer_of(result, request.layer)
         self._deliver_picture(request, pixels, chosen, result.counters.num_pairs, start)
@@ -278,7 +282,8 @@ class Client:
         if self._motion is None:
             self._motion = self._exhibit.session.motion()
         options = RenderOptions(background=request.background)
-        frame = self._motion.draw(request.camera, options=options, select=request.select)
+        select = replace(request.select, occlusion=False)  # a first picture of each view would take as long as this one
+        frame = self._motion.draw(request.camera, options=options, select=select)
         self._last_of_frames = frame.selection.pixel_error
         self._deliver_picture(request, pixels_of(frame.image), frame.selection, frame.counters.num_pairs, start)
 
@@ -311,7 +316,7 @@ class Client:
         K[0, 2] += POINT_PX / 2 - request.at[0]
         K[1, 2] += POINT_PX / 2 - request.at[1]
         camera = replace(request.camera, K=K, width=POINT_PX, height=POINT_PX)
-        select = replace(request.select, quality=None)  # of these few pixels it says nothing
+        select = replace(request.select, quality=None, occlusion=False)  # of these few pixels they say nothing
         result, _ = self._exhibit.draw(camera, select, (0.0, 0.0, 0.0), box=request.box)
         covered = result.alpha > 0.3
         point = None

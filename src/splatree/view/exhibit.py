@@ -25,7 +25,7 @@ from splatree.scene.scene import Scene
 from splatree.scene.view import View
 from splatree.shapes import Array, Float64
 from splatree.simplify.merge import check_finite
-from splatree.view.shown import Shown, shown_of
+from splatree.view.shown import InMemory, Shown, shown_of
 
 __all__ = ["Exhibit", "exhibit", "has_levels", "with_levels"]
 
@@ -69,13 +69,13 @@ class Exhibit:
     def draw(
         self,
         camera: Camera,
-        options: SelectOptions,
+        what: SelectOptions | Selection,
         background: tuple[float, float, float],
         *,
         box: Array | None = None,
         last: float | None = None,
     ) -> tuple[RenderResult, Selection]:
-        """The picture of a view and what it drew.
+        """The picture of a view and what it drew: what options choose, or rows that were chosen before.
 
         Of a ``box`` "2 3" only what has its centre inside is drawn, world units; the search of a budget begins at ``last``, px.
         """
@@ -83,7 +83,9 @@ class Exhibit:
         drawn = RenderOptions(background=background)
 
         def within(view: View, *, threads: int = 0) -> Selection:
-            chosen = self.session.select(camera, options=drawn, select=options, last=last)
+            chosen = what
+            if isinstance(chosen, SelectOptions):
+                chosen = self.session.select(camera, options=drawn, select=chosen, last=last)
             if box is not None:
                 means = self.shown.means(chosen.rows)
                 chosen = replace(chosen, rows=chosen.rows[((means >= box[0]) & (means <= box[1])).all(axis=1)])
@@ -114,6 +116,7 @@ class Exhibit:
             "eye": (framing.eye - framing.centre).tolist(),
             "target": (framing.target - framing.centre).tolist(),
             "aspect": self._aspect(),
+            "occlusion": isinstance(self.shown, InMemory),
             "clusters": 0 if scene.clusters is None else len(scene.clusters),
         }
 

@@ -73,6 +73,8 @@ class Request:
     """Quality of a JPEG, 1 to 100."""
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Colour behind everything, RGB 0 to 1."""
+    is_held: bool = False
+    """Whether a picture is of the cut that the page holds, whatever chose it; else ``select`` chooses."""
     box: Float64[Array, "2 3"] | None = None
     """Corners of a box in world coordinates, outside of which nothing is drawn."""
     at: tuple[float, float] = (0.0, 0.0)
@@ -112,6 +114,7 @@ def parse(text: str, centre: Float64[Array, "3"]) -> Request | Ack:
         layer=_name(record, "layer", Layer, "color"),
         packing=_name(record, "packing", Packing, "jpeg"),
         is_moving=_flag(record, "moving"),
+        is_held=_flag(record, "held"),
         quality=int(_number(record, "quality", 1, 100, 80)),
         background=(max(red, 0.0), max(green, 0.0), max(blue, 0.0)),
         box=box,
@@ -123,9 +126,11 @@ def parse(text: str, centre: Float64[Array, "3"]) -> Request | Ack:
 def _select(record: dict[str, Any]) -> SelectOptions:
     """A quality, where one is wanted, goes before τ_R."""
     pixel_error, budget = _number(record, "tau", 0, 1e4), int(_number(record, "budget", 1_000, CAPACITY))
+    occlusion = _flag(record, "occlusion")
     if record.get("db") is None:
-        return SelectOptions(pixel_error, budget)
-    return SelectOptions(budget=budget, quality=_number(record, "db", LEAST_QUALITY_DB, MOST_QUALITY_DB))
+        return SelectOptions(pixel_error, budget, occlusion=occlusion)
+    quality = _number(record, "db", LEAST_QUALITY_DB, MOST_QUALITY_DB)
+    return SelectOptions(budget=budget, quality=quality, occlusion=occlusion)
 
 
 def pack_message(header: dict[str, Any], payload: bytes = b"") -> bytes:

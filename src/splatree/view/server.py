@@ -98,6 +98,7 @@ class Server:
             "budget": self._options.budget,
             "tau": self._options.pixel_error,
             "db": self._options.quality,
+            "occlusion": self._options.occlusion,
             "frames": self._options.frames,
             "scenes": [exhibit.name for exhibit in self.exhibits],
             "capacity": CAPACITY,
@@ -144,14 +145,14 @@ class Server:
             return
         await socket.accept()
         loop = asyncio.get_running_loop()
-        client = Client(self.exhibits[which], lambda data: send_from_thread(loop, socket, data), capacity)
-        with self._lock:
-            is_full = len(self._clients) >= CLIENTS_MAX
-            if not is_full:
-                self._clients.append((which, client))
-        if is_full:
+        if (
+            len(self._clients) >= CLIENTS_MAX
+        ):  # before anything is made for this one; the loop's thread alone adds pages
             await socket.close(1013, f"{CLIENTS_MAX} pages are connected already; close one")
             return
+        client = Client(self.exhibits[which], lambda data: send_from_thread(loop, socket, data), capacity)
+        with self._lock:
+            self._clients.append((which, client))
         try:
             await carry(socket, client)
         finally:

@@ -48,7 +48,8 @@ def view(
         The viewer; as the last value of a notebook's cell it shows the scene there.
 
     Raises:
-        InputError: the scene is empty, or was not read from a file and holds what is not finite.
+        InputError: the scene is empty, was not read from a file and holds what is not finite, or is a store and occlusion is
+            asked for.
         OutputError: the port cannot be listened on.
 
     Example:
@@ -89,6 +90,12 @@ class Viewer:
         photos: Mapping[str, Array] | None = None,
     ) -> None:
         self.options = given(options, ViewOptions, "view: options")
+        for shown, name in zip((scene, beside), names, strict=False):
+            if self.options.occlusion and isinstance(shown, Store):
+                raise InputError(
+                    f"occlusion: found {name} read page by page, wanted a scene in memory, of which a first picture is drawn; "
+                    "leave it out, or read the scene whole"
+                )
         device = self.options.device
         exhibits = [exhibit(scene, names[0], up=self.options.up, device=device)]
         if beside is not None:

@@ -9,6 +9,7 @@ export function readAddress(camera, state) {
   if (isPoint(up)) camera.up = up;
   if (Number(given.get('fov')) > 1) camera.fov = Math.min(170, Number(given.get('fov')));
   if (isPoint(eye) && isPoint(target)) camera.set(eye, target);
+  if (given.has('occlusion')) state.occlusion = given.get('occlusion') === '1';
   for (const name of ['tau', 'budget', 'db']) if (Number(given.get(name)) > 0) state[name] = Number(given.get(name));
 }
 
@@ -19,6 +20,6 @@ export function writeAddress(camera, state) {
 /** The address of this view. */
 export function address(camera, state) {
   const url = new URL(location.href);
-  url.hash = `eye=${short(camera.eye)}&target=${short(camera.target)}&up=${short(camera.up)}&fov=${camera.fov}&tau=${state.tau}&budget=${state.budget}${state.db ? `&db=${state.db}` : ''}`;
+  url.hash = `eye=${short(camera.eye)}&target=${short(camera.target)}&up=${short(camera.up)}&fov=${camera.fov}&tau=${state.tau}&budget=${state.budget}${state.db ? `&db=${state.db}` : ''}${state.occlusion ? '&occlusion=1' : ''}`;
   return url.href;
 }

@@ -23,6 +23,7 @@ class App {
     this.state = {
       budget: Number(query.get('budget')) || (isPhone ? Math.min(settings.budget, 150_000) : settings.budget),
       tau: settings.tau,
+      occlusion: settings.occlusion, // what is hidden is drawn more coarsely
       db: settings.db, // PSNR that is wanted of each cut, in place of τ; null: by τ
       layer: 'color',
       background: 'theme',
@@ -156,6 +157,7 @@ class App {
       budget: Math.min(this.state.budget, layer.facts.capacity),
       tau: this.state.tau,
       db: layer.facts.levels > 1 ? this.state.db : null,
+      occlusion: layer.facts.occlusion && this.state.occlusion,
       guard: GUARD,
     };
   }
@@ -182,14 +184,12 @@ class App {
 
   askPicture(layer, factor, isExact) {
     const request = this.request(layer);
-    const tau = this.frames ? this.state.tau : this.state.leaves ? 0 : (layer.header?.tau ?? 1e4);
     layer.askFrame({
       ...request,
       w: Math.max(1, Math.round(request.w * factor)),
       h: Math.max(1, Math.round(request.h * factor)),
       f: request.f * factor,
-      tau,
-      db: this.frames ? request.db : null, // the exact picture is of the cut that is on the screen
+      ...(this.frames ? {} : { held: !this.state.leaves, tau: 0, db: null, occlusion: false }), // of the cut on the screen, or of all leaves
       budget: this.frames ? Math.max(1000, Math.round(request.budget * (isExact ? 1 : factor))) : layer.facts.capacity,
       layer: this.state.layer,
       background: this.page.background(),

@@ -105,6 +105,7 @@ export class Page {
     });
     this.exact = tick('Exact picture when still', state.exact, set('exact'), 'The server draws the same cut with splatree itself');
     this.leaves = tick('… of all leaves', state.leaves, set('leaves'), 'The full scene, without levels of detail');
+    this.occlusion = tick('Hidden parts coarsely', state.occlusion, set('occlusion'), 'What nearer ones hide gets fewer nodes, what is seen gets more; the server takes longer for a view');
     this.histogram = make('div', { class: 'histogram', title: 'Nodes of the cut by depth in the tree' });
     this.facts = make('dl', { class: 'facts' });
     const up = choice('Up', Object.keys(UPS).map((name) => [name, name]), '−y', (name) => {
@@ -122,7 +123,7 @@ export class Page {
     this.clip = tick('Clipping box', false, (isOn) => this.setClip(isOn));
     this.clipRows = make('div', { class: 'clip', hidden: true });
     at('panel').append(
-      section('Detail', true, this.budget, this.detail, this.tau, this.db, resolution, this.exact, this.leaves, this.histogram),
+      section('Detail', true, this.budget, this.detail, this.tau, this.db, this.occlusion, resolution, this.exact, this.leaves, this.histogram),
       section('Show', true, named('Layer', this.layers), ...(this.app.painter ? [named('Boxes', boxes), named('Drawn by', this.drawer)] : []), named('Background', background)),
       section('Scene', false, named('Up', up), fov, this.clip, this.clipRows, this.facts),
       section('Cameras', false, ...this.views.rows()),
@@ -138,6 +139,7 @@ export class Page {
     this.facts.replaceChildren(...Object.entries(rows).flatMap(([name, value]) => [make('dt', {}, name), make('dd', {}, String(value))]));
     this.budget.setValue(this.app.state.budget);
     this.tau.setValue(Math.max(0.5, this.app.state.tau));
+    this.occlusion.input.checked = this.app.state.occlusion;
     this.db.setValue(this.app.state.db ?? 40);
     this.showDetail();
     if (!facts.sure) this.notice('Which way is up is a guess. “Up” under Scene in the settings changes it.', 6000);
@@ -156,6 +158,7 @@ export class Page {
     const hasLevels = this.app.facts?.levels > 1, isByQuality = hasLevels && Boolean(this.app.state.db);
     this.by.pick(isByQuality ? 'db' : 'tau', true);
     this.detail.hidden = !hasLevels;
+    this.occlusion.hidden = !(hasLevels && this.app.layers.some((layer) => layer.facts?.occlusion));
     this.tau.hidden = isByQuality;
     this.db.hidden = !isByQuality;
   }
