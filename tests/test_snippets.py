@@ -1,7 +1,9 @@
 """What the pages show runs as it stands there: Python blocks, lines of commands, names of benchmarks."""
 
+import importlib
 import re
 import shlex
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,6 +13,7 @@ import splatree as st
 from splatree.cli import bench
 from splatree.cli.main import VERBS, main
 
+compare = importlib.import_module("splatree.render.compare")  # splatree.render is the function
 ROOT = Path(__file__).parent.parent
 PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *ROOT.glob("docs/**/*.md")])
 PAGES = [page for page in PAGES if page.name not in ("cli.md", "use-a-gpu.md")]  # generated; needs a GPU
@@ -52,7 +55,9 @@ WITH_PYTHON = [page for page in PAGES if blocks(page, "python")]
 
 
 @pytest.mark.parametrize("page", WITH_PYTHON, ids=lambda page: page.name)
-def test_python_runs_as_shown(page, shown_folder, capsys):
+def test_python_runs_as_shown(page, shown_folder, monkeypatch, capsys):
+    small = replace(compare.MADE, width=64, height=36)  # FLIP of eight views at full size takes 15 s
+    monkeypatch.setattr(compare, "MADE", small)
     scene = st.read("city.splatree")
     names = {"scene": scene, "camera": st.flyout(scene, st.PathOptions(views=1, width=64, height=36))[0]}
     for block in blocks(page, "python"):

@@ -65,8 +65,8 @@ def test_what_a_console_lacks_is_spelled_out():
 @UNIX
 @pytest.mark.parametrize("closed", ["2>&-", ">&-", ">&- 2>&-", "<&-", "2>/dev/full"])
 def test_closed_streams_stop_no_work(small_ply, tmp_path, closed):
-    for flags in ("", "--verbose", "--json"):
-        target = tmp_path / f"out{flags}.ply"
+    for flags in ("", "--verbose --json"):
+        target = tmp_path / f"out{len(flags)}.ply"
         line = f"{shlex.join(COMMAND)} convert {small_ply} {target} {flags} {closed}"
         run = subprocess.run(["sh", "-c", line], capture_output=True, text=True)
         assert run.returncode == 0 and clean(run.stderr), run.stderr

@@ -151,9 +151,37 @@ def _purpose_of(command: Any) -> str:
 
 
 def _run(verb: str, words: list[str], module: Any, command_type: Any, description: str | None) -> int:
+    from splatree.cli.console import UsageError, progress_shown
+
+    command = _parsed(verb, words, command_type, description)
+    if isinstance(command, int):
+        return command
+    console = command.console
+    if not gc.isenabled():
+        gc.freeze()
+        gc.enable()
+    try:
+        with progress_shown(console):
+            result = module.run(command)
+        text = _text_of(result, module, console)
+    except UsageError as error:
+        _complain(f"splatree {verb}: error: {error}")
+        return 2
+    except Exception as error:
+        if console.verbose and sys.stderr is not None:
+            traceback.print_exc()
+        _complain(f"splatree {verb}: error: {_message(error)}")
+        return 1
+    if text:
+        _say(text)
+    return 0
+
+
+def _parsed(verb: str, words: list[str], command_type: Any, description: str | None) -> Any:
+    """The command that the words ask for; or an exit code, if the help was asked for or a word is wrong."""
     import tyro
 
-    from splatree.cli.console import UsageError, progress_shown
+    from splatree.cli.console import UsageError
     from splatree.cli.words import options_of, sorted_words
 
     try:
@@ -168,7 +196,7 @@ def _run(verb: str, words: list[str], module: Any, command_type: Any, descriptio
         return 0
     try:
         with _defaults_trusted():
-            command = tyro.cli(
+            return tyro.cli(
                 command_type,
                 prog=f"splatree {verb}",
                 description=description,
@@ -184,32 +212,19 @@ def _run(verb: str, words: list[str], module: Any, command_type: Any, descriptio
         raise
     except OSError as error:  # the help could not be printed
         raise _unwritable(error) from error
-    console = command.console
-    text = ""
-    if not gc.isenabled():
-        gc.freeze()
-        gc.enable()
-    try:
-        with progress_shown(console):
-            result = module.run(command)
-        if console.json:
-            text = json.dumps(_plain(result), indent=2, ensure_ascii=False, allow_nan=False)
-            if sys.stdout is not None and not holds_all(sys.stdout, text):
-                text = json.dumps(_plain(result), indent=2, allow_nan=False)  # JSON has a spelling for all characters
-        elif not console.quiet:
-            says_more = console.verbose and "verbose" in inspect.signature(module.show).parameters
-            text = module.show(result, verbose=True) if says_more else module.show(result)
-    except UsageError as error:
-        _complain(f"splatree {verb}: error: {error}")
-        return 2
-    except Exception as error:
-        if console.verbose and sys.stderr is not None:
-            traceback.print_exc()
-        _complain(f"splatree {verb}: error: {_message(error)}")
-        return 1
-    if text:
-        _say(text)
-    return 0
+
+
+def _text_of(result: Any, module: Any, console: Any) -> str:
+    """What is printed of a result: JSON, or words, or nothing."""
+    if console.json:
+        text = json.dumps(_plain(result), indent=2, ensure_ascii=False, allow_nan=False)
+        if sys.stdout is None or holds_all(sys.stdout, text):
+            return text
+        return json.dumps(_plain(result), indent=2, allow_nan=False)  # JSON has a spelling for all characters
+    if console.quiet:
+        return ""
+    says_more = console.verbose and "verbose" in inspect.signature(module.show).parameters
+    return str(module.show(result, verbose=True) if says_more else module.show(result))
 
 
 @contextmanager
