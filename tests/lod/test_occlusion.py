@@ -227,6 +227,15 @@ def test_the_first_picture_lets_as_much_light_through_as_the_picture():
     assert light_left(replace(small, dilation_px2=view.dilation_px2)) < wanted - 0.2
 
 
+def test_a_view_in_which_nothing_is_drawn_has_a_cut():
+    """The first picture has no pairs: C′ is in view by its box alone."""
+    scene = cube(1)
+    away = Camera.look_at([0, 0, -3], [0, 0, -9], width=64, height=48)
+    for options in (SelectOptions(4, occlusion=True), SelectOptions(4, occlusion=True, view_test="none")):
+        assert count_nested(scene.tree, select(scene, away, options).rows) == 0
+    assert len(select(scene, away, SelectOptions(4, occlusion=True))) == 0
+
+
 def test_blurred_splats_keep_their_mass_and_gain_the_variance():
     rng = np.random.default_rng(5)
     round_ones = scene_of(rng.uniform(-1, 1, (50, 3)), 0.1, 0.7).gaussians

@@ -226,7 +226,7 @@ def blurred(splats: Splats, added_px2: float = ADDED_PX2) -> Splats:
 
 def light_of(splats: Splats, bins: TileBins, contributions: Float32[Array, "m"], view: View) -> Light:
     """What a picture shows of its splats, and would show of each alone."""
-    seen = np.bincount(bins.splat_from_pair, contributions, len(splats))
+    seen = np.bincount(bins.splat_from_pair, contributions, len(splats)).astype(np.float64)  # of no pairs it counts
     a, c = splats.factors[:, 0].astype(np.float64), splats.factors[:, 2].astype(np.float64)
     alone = 2 * np.pi * np.maximum(splats.opacities - ALPHA_THRESHOLD, 0) / (a * c)
     size = np.array([view.camera.width, view.camera.height])

@@ -41,7 +41,7 @@ class SelectOptions:
     leaves. Measuring it takes one to four times as long as drawing all leaves. A budget goes before it. None: by pixel_error."""
     occlusion: bool = False
     """Draw what nearer Gaussians hide more coarsely: within a budget, near views come 1 to 10 dB nearer to all leaves, and far
-    ones 1 dB. A small picture of the view is drawn first, on the processor. Not for stores."""
+    ones 1 dB. A picture of half the size is drawn first, on the processor. Not for stores."""
     rule: Rule = "cut"
     """Rule of the selection: `cut` is exact and draws nothing twice; the others reproduce published methods."""
     profile: Profile | None = None
