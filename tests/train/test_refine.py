@@ -10,7 +10,7 @@ from splatree.kernels.devices import training_stages_of
 from splatree.scene.frame import Splats
 from splatree.scene.gradients import GaussianGradients, PictureGradients, SplatGradients
 from splatree.train import refine as school
-from splatree.train.lessons import lessons_of, made_views
+from splatree.train.lessons import Lesson, lessons_of, made_views
 from splatree.train.proxies import Proxies
 
 from ..scenes import cloud, surface
@@ -117,6 +117,7 @@ def test_a_node_that_forgets_has_its_first_bits(tree):
         ),
     )
     training_stages_of("cpu").step(proxies.learned, found, proxies.moments, proxies.rates(1.0))
+    proxies.paint(found, np.ones(len(proxies.rows), np.float32), 1.0)
     proxies.forget(rows)
     changed = proxies.scene().gaussians.sh[:, 0] != tree.gaussians.sh[:, 0]
     assert not changed[rows].any() and changed[proxies.rows[1::2]].any(axis=1).all()
@@ -132,6 +133,46 @@ def test_nodes_of_all_sizes_are_looked_at_before_they_keep_what_they_learned(tre
     before, after = ([tau for _, tau in lessons] for lessons in looked_at)
     assert before == after  # or they could not be compared
     assert np.bincount(np.log2(before).astype(int), minlength=5)[1:].min() >= len(before) // 5  # of four octaves
+
+
+@pytest.mark.parametrize("tau", [4, 12])
+def test_a_step_of_all_colours_at_once_never_overshoots(tree, tau):
+    """Even the longest one: the picture that it was made for comes nearer to the teacher's."""
+    pupils = school._School(tree, training_stages_of("cpu"), 1)
+    lesson = lessons_of(tree, made_views(tree, 1, seed=2), "same")[0]
+    proxies, errors = pupils.proxies, []
+    for _ in range(4):
+        view, drawn, splats, bins, picture = pupils._draw(lesson.camera, tau)
+        errors.append(np.square(picture.image - lesson.picture / 255.0).sum())
+        few, sums = pupils._inner(splats, pupils._compared(lesson, view, splats, bins, picture))
+        found = proxies.derivatives(drawn, few, pupils._stages.project_backward(proxies.drawn, few, sums, view))
+        proxies.paint(found, sums.weights, 100.0)
+    assert (np.diff(errors) < 0).all()
+
+
+def test_slopes_that_are_no_numbers_move_nothing(tree):
+    pupils = school._School(tree, training_stages_of("cpu"), 1)
+    lesson = lessons_of(tree, made_views(tree, 1, seed=2), "same")[0]
+    pupils.proxies.learned.sh[::7] = 3e38  # a sum over some pixels overflows
+    with np.errstate(all="ignore"):
+        pupils._step(lesson, 8, 1.0)
+    for name in ("quats", "log_scales", "logit_opacities", "sh"):
+        assert np.isfinite(getattr(pupils.proxies.learned, name)).all()
+
+
+def test_nodes_around_which_pictures_are_right_keep_their_opacity_and_shape(tree):
+    """The teacher shows what the cut shows, but for rounding, which Adam alone would take for a slope as any other."""
+    camera = made_views(tree, 1, seed=2)[0]
+
+    def moved(by):
+        pupils = school._School(tree, training_stages_of("cpu"), 1)
+        image = pupils._draw(camera, 8)[4].image
+        lesson = Lesson(camera, np.rint(255 * np.clip(image + by, 0, 1)).astype(np.uint8))
+        first = pupils.proxies.learned.logit_opacities.copy()
+        pupils._step(lesson, 8, 1.0)
+        return np.abs(pupils.proxies.learned.logit_opacities - first).max()
+
+    assert 0 < moved(0) < 0.04 * moved(0.3)
 
 
 @pytest.mark.parametrize("tree", ["pairs"], indirect=True)

@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from splatree.constants import ALPHA_MAX
+from splatree.constants import ALPHA_MAX, SH_C0
 from splatree.scene.frame import Splats
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.gradients import GaussianGradients, Moments
@@ -33,8 +33,14 @@ from splatree.shapes import Array, Bool, Float32, Int32
 
 __all__ = ["Drawn", "Proxies"]
 
-RATES = {"quats": 8e-3, "log_scales": 4e-2, "logit_opacities": 0.2, "sh": 4e-2}
+RATES = {"quats": 8e-3, "log_scales": 4e-2, "logit_opacities": 0.2}
 """At the beginning of a run, of a node that has made `RAMP_STEPS` (train/refine.py); means do not move."""
+
+PAINTED = 0.7
+"""Share of the way that a colour goes at the beginning of a run."""
+
+LEAST_PX = 1.0
+"""Added to the pixels that a node covers: colours of nodes that cover less hardly move."""
 
 OPACITY_MIN = 1e-6
 
@@ -98,7 +104,7 @@ class Proxies:
         shape = float(self._learns_shape)
         rates = np.zeros(self.moments.values.shape[2], np.float32)
         rates[3:7], rates[7:10] = shape * RATES["quats"], shape * RATES["log_scales"]
-        rates[10], rates[11:14] = RATES["logit_opacities"], RATES["sh"]
+        rates[10] = RATES["logit_opacities"]
         return rates * np.float32(factor)
 
     def draw(self, view: View, rows: Int32[Array, "v"]) -> Drawn:
@@ -156,6 +162,34 @@ class Proxies:
             mass.astype(np.float32),
             np.ascontiguousarray(found.sh[:, :1]),
         )
+
+    def paint(self, found: GaussianGradients, weights: Float32[Array, "d"], factor: float) -> None:
+        """Move the colours of nodes towards what the teacher shows in a view.
+
+        A picture is linear in the colours: X = Σ w c with Σ w ≤ 1 in each pixel. So no step c ← c − Σ w (X − Y) / Σ w of all
+        nodes at once overshoots: the matrix WᵀW of the normal equations, its rows divided by Σ w, has no eigenvalue above 1,
+        since the sum of its row i is Σ w_i Σ_j w_j ≤ Σ w_i. Here it is shorter: by `PAINTED` times the factor.
+
+        Args:
+            found: derivatives of ½ Σ |X − Y|².
+            weights: Σ w of each node, px.
+            factor: of this step.
+        """
+        length = np.float32(min(1.0, PAINTED * factor) / SH_C0**2) / (weights + np.float32(LEAST_PX))
+        step = length[:, None] * found.sh[:, 0]
+        self.learned.sh[found.rows, 0] -= np.where(np.isfinite(step), step, np.float32(0))
+
+    def shapes(self, nodes: Int32[Array, "d"]) -> tuple[Array, ...]:
+        """Opacities and shapes of nodes, copied."""
+        return tuple(column[nodes] for column in self._shapes())
+
+    def hold_back(self, nodes: Int32[Array, "d"], before: tuple[Array, ...], share: Float32[Array, "d"]) -> None:
+        """Let opacities and shapes of nodes go but a share of the way from what they were before."""
+        for column, old in zip(self._shapes(), before, strict=True):
+            column[nodes] = old + share.reshape((-1,) + (1,) * (old.ndim - 1)) * (column[nodes] - old)
+
+    def _shapes(self) -> tuple[Array, ...]:
+        return self.learned.quats, self.learned.log_scales, self.learned.logit_opacities
 
     def is_node(self, rows: Array) -> Bool[Array, "v"]:
         """Whether rows are inner nodes."""

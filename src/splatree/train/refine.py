@@ -2,12 +2,13 @@
 
 A merged node is made from the moments of what it stands for. It knows nothing of what hides what, of gaps, of the colours
 that are seen. Here it learns that: a view is drawn from the cut at a random τ_R, compared with the teacher's picture of the
-same view (`Lesson`), and the nodes of the cut take a step of Adam along the derivative (kernels/reference/backward.py).
+same view (`Lesson`), and the nodes of the cut take a step along the derivative of ½ Σ |X − Y|² (kernels/reference/backward.py).
 
 - Leaves stay bit for bit, and so do the tree, its extents and the order of rows: the cut of a view is the same before and after.
 - The cuts are those of the scene as it came. A node learns its opacity and colour, and its shape where the cut does not look
   at it (train/proxies.py).
-- A node's first 64 steps are shorter, so that one that is seen three times is not thrown off a good start.
+- Colours take the step that cannot overshoot (`Proxies.paint`); opacity and shape take one of Adam.
+- A node's first steps are shorter, and all of them where pictures are nearly right, so that none is thrown off a good start.
 - A node around which pictures did not get better goes back to what it was.
 - Every eighth view is kept to judge by. If pictures of these did not get better in the mean, the scene is given back as it came.
 
@@ -46,8 +47,12 @@ __all__ = ["Refined", "refine"]
 HELD_OUT = 8
 """Every so many views one is kept to judge by."""
 
-RAMP_STEPS = 64
-"""Steps until a node moves at the full rate. With fewer, nodes that few views show get worse in the others."""
+RAMP_STEPS = 16
+"""Steps until a node moves at the full rate."""
+
+WRONG = 0.07
+"""Mean error of the pixels that a node covers from which on its opacity and shape move at the full rate; nearer to the teacher
+they move in proportion. Adam alone moves a node that is right as far as one that is wrong."""
 
 LAST_RATE = 0.1
 """Of the first rate, at the end; in between it falls evenly."""
@@ -243,13 +248,14 @@ class _School:
 
     def _step(self, lesson: Lesson, tau: float, rate: float) -> None:
         view, drawn, splats, bins, picture = self._draw(lesson.camera, tau)
-        loss = self._stages.photo_loss(picture.image, lesson.picture, np.ones(3), threads=self._threads)
-        sums = self._stages.blend_backward(
-            splats, bins, view, picture, PictureGradients(loss.image), threads=self._threads
-        )
+        sums = self._compared(lesson, view, splats, bins, picture)
         few, of_few = self._inner(splats, sums)
+        assert of_few.weights is not None and of_few.errors is not None
         found = self._stages.project_backward(self.proxies.drawn, few, of_few, view, threads=self._threads)
         derivatives = self.proxies.derivatives(drawn, few, found)
+        self.proxies.paint(derivatives, of_few.weights, rate)
+        nodes = derivatives.rows
+        before = self.proxies.shapes(nodes)
         self._stages.step(
             self.proxies.learned,
             derivatives,
@@ -258,6 +264,14 @@ class _School:
             ramp_steps=RAMP_STEPS,
             threads=self._threads,
         )
+        wrong = np.nan_to_num(of_few.errors / np.maximum(of_few.weights, np.float32(1e-9)), posinf=0)
+        self.proxies.hold_back(nodes, before, np.minimum(1, wrong / np.float32(WRONG)))
+
+    def _compared(self, lesson: Lesson, view: View, splats: Splats, bins: TileBins, picture: Picture) -> SplatGradients:
+        """Derivatives of ½ Σ |X − Y|² by the splats, with the errors of the pixels that each covers."""
+        wrong = picture.image - lesson.picture * np.float32(1 / 255)
+        upstream = PictureGradients(wrong, errors=np.abs(wrong).mean(axis=2))
+        return self._stages.blend_backward(splats, bins, view, picture, upstream, threads=self._threads)
 
     def _draw(self, camera: Camera, tau: float) -> tuple[View, Drawn, Splats, TileBins, Picture]:
         view = view_of(self._scene, camera)
@@ -272,7 +286,11 @@ class _School:
         chosen = self.proxies.is_node(splats.rows)
         count = int(chosen.sum())
         few = Splats(splats.rows[chosen], splats.records[chosen], np.arange(count, dtype=np.int32))
-        return few, SplatGradients(sums.moments[chosen], sums.colors[chosen])
+        assert sums.weights is not None and sums.errors is not None
+        of_few = SplatGradients(
+            sums.moments[chosen], sums.colors[chosen], None, sums.weights[chosen], sums.errors[chosen]
+        )
+        return few, of_few
 
     def judge(self, lessons: list[tuple[Lesson, float]]) -> Float64[Array, "j"]:
         """PSNR of the cut of each view at its τ_R."""
@@ -288,9 +306,6 @@ class _School:
         total = np.zeros(len(self._scene))
         for lesson, tau in lessons:
             view, _, splats, bins, picture = self._draw(lesson.camera, tau)
-            loss = self._stages.photo_loss(picture.image, lesson.picture, np.ones(3), threads=self._threads)
-            upstream = PictureGradients(loss.image, errors=loss.errors)
-            sums = self._stages.blend_backward(splats, bins, view, picture, upstream, threads=self._threads)
-            total[splats.rows] += np.asarray(sums.errors)
+            total[splats.rows] += np.asarray(self._compared(lesson, view, splats, bins, picture).errors)
         total[self._scene.tree.is_leaf] = 0
         return total
