@@ -29,6 +29,7 @@ VERBS = {
     "convert to .splatree, cropped": ("convert", "-o", "cropped.splatree", "--crop-sphere", "0", "0", "0", "100"),
     "clean to .splatree": ("clean", "-o", "clean.splatree", "--floaters"),
     "stream": ("stream", "-o", "web"),
+    "stream, chunks of 16,384": ("stream", "-o", "web", "--chunk-leaves", "16384"),
 }
 """Words of each verb; outputs lie in the folder."""
 

@@ -1,10 +1,15 @@
 """Records in the order of their keys: as one sort of all of them gives them, whatever the room."""
 
+import errno
+import os
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as hs
 
+from splatree.errors import OutputError
+from splatree.io import memory
 from splatree.io.memory import Scratch
 from splatree.io.sorting import Sorter
 
@@ -38,3 +43,29 @@ def test_scratch_is_zero_and_leaves_no_file(tmp_path, room):
     assert not arrays[0].any() and arrays[1].shape == (0,)
     arrays[0][:] = 1
     assert (scratch.room, list(tmp_path.iterdir())) == (max(0, room - 1200), [])
+
+
+def test_a_full_disk_is_an_error_and_no_signal(tmp_path, monkeypatch):
+    """What waits in a mapped file has its room on the disk before it is written."""
+    with (tmp_path / "a").open("w+b") as file:
+        file.write(b"head")
+        memory.reserve(file, 3_000_001)
+        file.flush()
+        assert os.fstat(file.fileno()).st_size == 3_000_005
+        assert os.fstat(file.fileno()).st_blocks * 512 >= 3_000_005  # none of it is a hole
+    assert not Scratch(0, tmp_path).zeros((1000, 2), np.int32).any()
+
+    def full(file, num_bytes):
+        raise OSError(errno.ENOSPC, f"No space left on device for {num_bytes}")
+
+    monkeypatch.setattr(memory, "reserve", full)
+    with pytest.raises(OutputError, match=r"found no room for 1 MB that wait in a file \(No space left .* 1048576\)"):
+        Scratch(0, tmp_path).zeros((1 << 18,), np.int32)
+
+
+def test_where_room_cannot_be_reserved_zeros_are_written(tmp_path, monkeypatch):
+    monkeypatch.setattr(memory.sys, "platform", "darwin")
+    with (tmp_path / "a").open("w+b") as file:
+        file.write(b"head")
+        memory.reserve(file, 3_000_001)
+        assert (tmp_path / "a").stat().st_size == 3_000_005

@@ -28,7 +28,6 @@ from splatree.progress import listen
 
 from ..laws.hard_scenes import hard_scene, hard_scenes
 from ..laws.test_parts import check_same_tree
-from ..scenes import random_gaussians
 from .conftest import check_is_drawn_as_the_whole_tree, small_pages
 
 SMALL = st.FolderOptions(part_rows=200)
@@ -287,7 +286,7 @@ def test_outputs_are_replaced_only_with_force(tmp_path, ply):
 
 
 def test_what_cannot_be_built_is_refused_before_any_work(tmp_path, ply):
-    tree = tmp_path / "tree.splatree"
+    tree = tmp_path / "tree.rad"
     st.write(st.build_lod(st.read(ply)), tree)
     with pytest.raises(st.InputError, match="not read in chunks"):
         st.build_folder(tree, tmp_path / "a.splatree")
@@ -462,9 +461,9 @@ def test_a_folder_is_drawn_as_the_tree_in_memory(built, ply):
         assert pictures[0].tobytes() == pictures[1].tobytes()
 
 
-def test_formats_that_are_not_read_in_chunks_are_named_as_the_user_did(tmp_path):
-    st.write(st.build_lod(st.Scene.flat(random_gaussians(40, degree=3))), tmp_path / "a.hier")
+def test_formats_that_are_not_read_in_chunks_are_named_as_the_user_did(tmp_path, ply):
+    st.write(st.build_lod(st.read(ply)), tmp_path / "a.rad")
     with pytest.raises(
-        st.InputError, match=r"^.*a\.hier: found a format that is not read in chunks; convert it to \.ply first"
+        st.InputError, match=r"^.*a\.rad: found a format that is not read in chunks; convert it to \.ply first"
     ):
-        st.build_folder(tmp_path / "a.hier", tmp_path / "parts.splatree")
+        st.build_folder(tmp_path / "a.rad", tmp_path / "parts.splatree")

@@ -152,3 +152,12 @@ def test_what_does_not_fit_is_refused(tmp_path, ply, monkeypatch):
     monkeypatch.setattr(sight, "plane_bytes", lambda plane: 10**18)
     with pytest.raises(st.InputError, match="leave it out with --no-visibility"):
         st.build_folder(ply, tmp_path / "other.splatree", PAIRS, SMALL)
+
+
+def test_what_is_seen_has_its_room_on_the_disk_before_it_is_written(tmp_path):
+    """Pages of a hole that is mapped would end the program by a signal where the disk is full."""
+    array = sight._new_array(tmp_path / "seen.npy", 100_001)
+    assert not array.any() and (tmp_path / "seen.npy").stat().st_blocks * 512 >= array.nbytes
+    array[-1] = 7
+    array.flush()
+    assert np.load(tmp_path / "seen.npy")[-1] == 7 and len(np.load(tmp_path / "seen.npy")) == 100_001

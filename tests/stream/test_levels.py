@@ -1,6 +1,7 @@
 """Chunks hold every leaf once, levels are cuts, and any mix of levels over chunks is a cut."""
 
 from itertools import pairwise
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -9,8 +10,9 @@ from hypothesis import strategies as some
 
 from splatree import InputError
 from splatree.lod.select import count_nested, count_uncovered
+from splatree.stream import levels
 from splatree.stream.chunks import chunks_of_tree, leaves_of_chunk
-from splatree.stream.levels import intervals_of, levels_of_tree
+from splatree.stream.levels import cuts_of, intervals_of, levels_of_tree
 
 from .conftest import forest
 
@@ -71,6 +73,21 @@ def test_any_mix_of_levels_over_chunks_is_a_cut(scene, chunk_leaves, ratio, rand
     chosen = np.concatenate([random.choice(levels).of_chunk(chunk) for chunk in range(len(chunks))])
     assert count_nested(scene.tree, chosen) == 0
     assert count_uncovered(scene.tree, chosen) == 0
+
+
+@given(forests, some.integers(1, 40), some.floats(0.5, 300.0))
+@settings(max_examples=60, deadline=None)
+def test_all_cuts_are_counted_and_the_nearest_is_found(scene, chunk_leaves, target):
+    intervals = intervals_of(scene.tree, chunks_of_tree(scene, chunk_leaves))
+    with mock.patch.object(levels, "_ROWS_AT_ONCE", 7):
+        sizes, counts = cuts_of(intervals)
+        cuts = [intervals.rows_at(float(size)) for size in sizes]
+    is_used = intervals.from_size < intervals.to_size
+    np.testing.assert_array_equal(sizes, np.unique(intervals.from_size[is_used & (intervals.from_size > 0)]))
+    assert counts.tolist() == [len(cut) for cut in cuts] == sorted(counts.tolist(), reverse=True)
+    assert all((np.diff(cut) > 0).all() for cut in cuts)
+    if len(sizes):
+        assert levels._nearest(counts, target) == np.argmin(np.abs(np.log(counts / target)))
 
 
 def test_levels_shrink_by_the_ratio_to_a_sixty_fourth(city_tree):

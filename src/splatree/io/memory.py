@@ -7,14 +7,15 @@ import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 
-from splatree.errors import InputError
+from splatree.errors import InputError, OutputError
 from splatree.io.objects import ObjectPath
 from splatree.shapes import Array
 
-__all__ = ["PROCESS_BYTES", "SMALLEST_MEMORY", "Scratch", "bytes_of", "free_bytes"]
+__all__ = ["PROCESS_BYTES", "SMALLEST_MEMORY", "Scratch", "bytes_of", "free_bytes", "reserve"]
 
 SMALLEST_MEMORY = 250_000_000
 """Bytes that may be asked for at least: less do not hold the program and some rows."""
@@ -44,13 +45,42 @@ class Scratch:
         return Scratch(max(0, allowed - PROCESS_BYTES), Path(tempfile.gettempdir()) if is_elsewhere else target.parent)
 
     def zeros(self, shape: tuple[int, ...], dtype: type) -> Array:
-        """An array of zeros, in memory or in a file."""
+        """An array of zeros, in memory or in a file.
+
+        Raises:
+            OutputError: the disk has no room for it.
+        """
         num_bytes = math.prod(shape) * np.dtype(dtype).itemsize
         if num_bytes <= self.room:
             self.room -= num_bytes
             return np.zeros(shape, dtype)
-        with tempfile.TemporaryFile(dir=self.folder) as file:
-            return np.asarray(np.memmap(file, dtype, "w+", shape=shape))
+        try:
+            with tempfile.TemporaryFile(dir=self.folder) as file:
+                reserve(file, num_bytes)
+                return np.asarray(np.memmap(file, dtype, "r+", shape=shape))
+        except OSError as error:
+            raise OutputError(
+                f"{self.folder}: found no room for {num_bytes / 1e6:.0f} MB that wait in a file ({error.strerror or error}); "
+                "free some, or allow more memory with --max-memory"
+            ) from error
+
+
+def reserve(file: IO[bytes], num_bytes: int) -> None:
+    """Give a new file so many bytes of zeros from where it is now, with their room on the disk.
+
+    A file that is only said to be so large gets its room when its pages are written. If the disk is full then, a program that has
+    mapped it is ended by a signal.
+
+    Raises:
+        OSError: the disk is full.
+    """
+    if sys.platform == "linux" and num_bytes > 0:
+        os.posix_fallocate(file.fileno(), file.tell(), num_bytes)
+        return
+    zeros = bytes(min(num_bytes, 1 << 20))
+    for begin in range(0, num_bytes, 1 << 20):
+        file.write(zeros[: num_bytes - begin])
+    file.flush()
 
 
 def bytes_of(text: str) -> int:

@@ -16,6 +16,7 @@ gains nothing. So the ladder takes the cuts that the tree has.
 Cost: a pass over the tree and two sorts, about a second for 7 M nodes.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,6 +51,8 @@ _NODES_PER_CHUNK_MIN = 12
 _SMALLER_MIN = 0.8
 """A level has at most this share of the nodes of the level before it."""
 
+_ROWS_AT_ONCE = 1 << 16
+
 
 @dataclass(frozen=True, eq=False)
 class Intervals:
@@ -65,8 +68,11 @@ class Intervals:
 
     def rows_at(self, size: float) -> Int32[Array, "v"]:
         """Rows of the cut, ascending."""
-        e = np.float32(size)
-        return np.flatnonzero((self.from_size <= e) & (e < self.to_size)).astype(np.int32)
+        e, parts = np.float32(size), [np.zeros(0, np.int32)]
+        for run in _runs(len(self.from_size)):
+            rows = np.flatnonzero((self.from_size[run] <= e) & (e < self.to_size[run])).astype(np.int32)
+            parts.append(rows + np.int32(run.start))
+        return np.concatenate(parts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +131,7 @@ def levels_of_tree(
     sizes, counts = cuts_of(intervals)
     levels = [_level(intervals, chunks, 0.0)]
     for target in _targets(len(levels[0]), len(chunks), ratio, num_levels) if len(sizes) else ():
-        nearest = int(np.argmin(np.abs(np.log(counts / target))))
+        nearest = _nearest(counts, target)
         if len(levels) == num_levels:
             break
         if counts[nearest] <= _SMALLER_MIN * len(levels[-1]):
@@ -142,17 +148,43 @@ def _targets(num_leaves: int, num_chunks: int, ratio: float, num_levels: int | N
     return targets if targets[-1] >= fewest else []
 
 
-def cuts_of(intervals: Intervals) -> tuple[Array, Array]:
-    """Every size at which the cut changes, above 0, and the number of nodes from there on."""
-    is_used = intervals.from_size < intervals.to_size
-    begins, ends = intervals.from_size[is_used], intervals.to_size[is_used]
-    begins.sort()
-    ends.sort()
-    zero, most = np.float32(0), np.float32(np.inf)  # float64 would make a copy of all sizes
-    above = begins[np.searchsorted(begins, zero, side="right") : np.searchsorted(begins, most)]
-    sizes = above[np.append(True, above[1:] != above[:-1])[: len(above)]]
-    counts = np.searchsorted(begins, sizes, side="right") - np.searchsorted(ends, sizes, side="right")
+def cuts_of(intervals: Intervals) -> tuple[Float32[Array, "d"], Int32[Array, "d"]]:
+    """Every size at which the cut changes, above 0, and the number of nodes from there on, which never grows.
+
+    A size at which nodes end is one at which the node above them begins. Memory: 16 bytes for each merged node.
+    """
+    num_used, begins = 0, [np.zeros(0, np.float32)]
+    for run in _runs(len(intervals.from_size)):
+        used = intervals.from_size[run][intervals.from_size[run] < intervals.to_size[run]]
+        num_used += len(used)
+        begins.append(used[used > 0])
+    sizes = np.concatenate(begins)
+    del begins
+    num_nodes = num_used - len(sizes)  # of the finest cut
+    sizes.sort()
+    is_first = np.append(True, sizes[1:] != sizes[:-1])[: len(sizes)]
+    first = np.flatnonzero(is_first).astype(np.int32)
+    counts = np.diff(first, append=np.int32(len(sizes)))
+    sizes = sizes[is_first]
+    del first, is_first
+    for run in _runs(len(intervals.from_size)):
+        ends = intervals.to_size[run][intervals.from_size[run] < intervals.to_size[run]]
+        np.subtract.at(counts, np.searchsorted(sizes, ends[ends < np.inf]), 1)
+    np.cumsum(counts, out=counts)
+    counts += np.int32(num_nodes)
     return sizes, counts
+
+
+def _nearest(counts: Array, target: float) -> int:
+    """Where the ratio of a number of nodes to the wanted one is nearest to 1, the first such place; numbers never grow."""
+    below = min(len(counts) - int(np.searchsorted(counts[::-1], target, side="right")), len(counts) - 1)
+    value = min(counts[max(below - 1, 0)], counts[below], key=lambda count: abs(float(np.log(count / target))))
+    return len(counts) - int(np.searchsorted(counts[::-1], value, side="right"))
+
+
+def _runs(num_rows: int) -> Iterator[slice]:
+    """Rows in runs, so that what is made of them beside takes little."""
+    return (slice(first, min(first + _ROWS_AT_ONCE, num_rows)) for first in range(0, num_rows, _ROWS_AT_ONCE))
 
 
 def _level(intervals: Intervals, chunks: TreeChunks, size: float) -> Level:
