@@ -111,6 +111,17 @@ def test_beyond_the_border_lies_the_colour_of_the_border():
     np.testing.assert_array_equal(apron.sh[:, 0, 2] > 0, pixel[:, 0] >= 32)
 
 
+def test_photographs_with_fewer_pixels_than_cells_have_the_colours_of_their_pixels():
+    """Of 16 cells across, whose sums would be divided by no pixel."""
+    camera, start = facing(), plane_of(200)
+    photo = np.zeros((3, 2, 3), np.uint8)
+    photo[:, 0, 0], photo[:, 1, 2] = 255, 255
+    apron = add_apron(start, [camera], lambda i: photo, room=10**4).take(slice(len(start), None))
+    pixel = pixels_of(apron.means.astype(np.float64), camera)
+    np.testing.assert_array_equal(apron.sh[:, 0, 0] > 0, pixel[:, 0] < 32)
+    np.testing.assert_array_equal(apron.sh[:, 0, 2] > 0, pixel[:, 0] >= 32)
+
+
 def inner_cells(gaussians, camera):
     """Cells beyond the picture in which points lie."""
     cells = np.unique(np.floor(pixels_of(gaussians.means.astype(np.float64), camera) / 4).astype(int), axis=0)
