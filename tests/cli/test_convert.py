@@ -118,3 +118,12 @@ def test_a_cut_counts_the_nodes_that_are_written(splatree, small_tree, tmp_path,
     assert words.startswith(
         f"wrote {tmp_path / 'top.ply'}: {num_nodes:,} nodes at depth 1 for {NUM_GAUSSIANS:,} Gaussians, "
     )
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".hier"])
+def test_a_crop_that_leaves_nothing_is_told(splatree, small_ply, tmp_path, suffix):
+    """In chunks and in memory."""
+    crop = ("--crop-sphere", "9000", "9000", "9000", "1")
+    code, words, _ = splatree("convert", small_ply, tmp_path / f"a{suffix}", *crop)
+    assert code == 0 and "note: nothing is left of the scene" in words
+    assert "nothing is left" not in splatree("convert", small_ply, tmp_path / f"b{suffix}")[1]

@@ -48,7 +48,10 @@ def test_one_picture_may_be_named_and_chosen_by_number_or_name(draw, small_ply, 
     write_cameras(flyout(read(small_ply), PathOptions(views=3, width=64, height=36)), "cameras.json")
     result = draw("--cameras", "cameras.json", "-o", "given.png", "--view", "1")
     assert [view["name"] for view in result["views"]] == ["view_0001"]
-    assert result["reasons"] == []
+    assert result["reasons"] == [] and result["notes"] == []
+    result = draw("--cameras", "cameras.json", "-o", "first.png")
+    assert [view["name"] for view in result["views"]] == ["view_0000"]
+    assert result["notes"] == ["the first of 3 views is drawn; --view N draws another, -o FOLDER all of them"]
 
 
 def test_view_that_is_not_there_is_refused(splatree, small_ply, tmp_path):

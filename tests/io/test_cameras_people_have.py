@@ -282,7 +282,7 @@ def with_rotation(tmp_path, matrix, kind):
     ("change", "note"),
     [
         (lambda m: m, None),
-        (lambda m: 2.5 * m, "1 cameras are scaled"),
+        (lambda m: 2.5 * m, "1 camera are scaled"),
         (lambda m: m.round(2), "no exact rotations"),
         (lambda m: (0.01 * m).round(4), "scaled"),
     ],

@@ -141,11 +141,15 @@ def test_several_files_are_one_scene_in_chunks_too(tmp_path, small_chunks, suffi
     assert (tmp_path / f"b{suffix}").read_bytes() == (tmp_path / f"c{suffix}").read_bytes()
 
 
-def test_files_of_different_modes_are_not_joined(tmp_path):
+@pytest.mark.parametrize("suffix", [".ply", ".hier"], ids=["in chunks", "in memory"])
+def test_files_of_different_modes_are_joined_only_in_a_mode_that_is_told(tmp_path, suffix):
     splatree.write(Scene.flat(random_gaussians(1)), tmp_path / "a.ply")
     splatree.write(Scene.flat(random_gaussians(1), mode="antialiased"), tmp_path / "b.ply")
-    with pytest.raises(InputError, match="differ in their mode"):
-        convert([tmp_path / "a.ply", tmp_path / "b.ply"], tmp_path / "c.ply")
+    paths, target = [tmp_path / "a.ply", tmp_path / "b.ply"], tmp_path / f"c{suffix}"
+    with pytest.raises(InputError, match=r"differ in their mode.*--mode"):
+        convert(paths, target)
+    assert convert(paths, target, ConvertOptions(mode="antialiased")).num_written == 2
+    assert splatree.read(target).mode == ("antialiased" if suffix == ".ply" else "classic")
 
 
 @pytest.mark.parametrize("repair", [True, "drop"])

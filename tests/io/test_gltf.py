@@ -47,6 +47,10 @@ def primitive(content):
     return content["meshes"][0]["primitives"][0]
 
 
+def splats(content):
+    return primitive(content)["extensions"]["KHR_gaussian_splatting"]
+
+
 def check_same_picture(a: Gaussians, b: Gaussians):
     """As exact as exp, log and a norm in float32 are."""
     assert same_bits(a.means, b.means) and same_bits(a.sh, b.sh)
@@ -217,6 +221,38 @@ def test_nodes_mirror_and_stretch_what_they_show(tmp_path, node, is_exact):
     )
     lost = json.loads(scene.source.metadata.get("lost", "[]"))
     assert (np.abs(after - before).max() < 1e-5) == is_exact == (not lost)
+
+
+def test_hidden_nodes_are_not_shown(tmp_path):
+    def hide(content):
+        hidden = {"KHR_node_visibility": {"visible": False}}
+        content["nodes"] = [{"mesh": 0}, {"mesh": 0, "translation": [9, 0, 0], "extensions": hidden}]
+        content["nodes"] += [{"children": [3], "extensions": hidden}, {"mesh": 0}]
+        content["scenes"][0]["nodes"] = [0, 1, 2]
+        content["extensionsRequired"] = ["KHR_node_visibility"]
+
+    assert same_bits(splatree.read(changed(tmp_path, hide)).gaussians.means, random_gaussians(40).means)
+    with pytest.raises(FormatError, match="shows no Gaussians"):
+        splatree.read(
+            changed(tmp_path, lambda c: c["nodes"][0].update(extensions={"KHR_node_visibility": {"visible": False}}))
+        )
+
+
+@pytest.mark.parametrize(
+    ("change", "lost"),
+    [
+        (lambda c: c.update(animations=[{"channels": [], "samplers": []}]), "the animations"),
+        (
+            lambda c: c["nodes"][0].update(extensions={"EXT_mesh_gpu_instancing": {"attributes": {"TRANSLATION": 0}}}),
+            "the copies of EXT_mesh_gpu_instancing",
+        ),
+        (lambda c: splats(c).update(projection="orthographic"), "the projection 'orthographic'"),
+        (lambda c: splats(c).update(sortingMethod="zDepth"), "the sortingMethod 'zDepth'"),
+    ],
+)
+def test_what_changes_the_picture_and_is_not_followed_is_told(tmp_path, change, lost):
+    (sentence,) = json.loads(splatree.read(changed(tmp_path, change)).source.metadata["lost"])
+    assert sentence.startswith(lost)
 
 
 def test_a_stretched_thing_without_harmonics_loses_nothing(tmp_path):

@@ -148,6 +148,57 @@ def test_gz_and_a_zip_of_one_file_are_read(ply, tmp_path):
     assert len(st.read(tmp_path / "d.zip")) == 20
 
 
+def packed(folder, path, prefix=""):
+    """A ZIP of a folder, as file managers make it."""
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as bundle:
+        for file in sorted(folder.rglob("*")):
+            if file.is_file():
+                bundle.write(file, prefix + file.relative_to(folder).as_posix())
+        bundle.writestr(f"__MACOSX/{prefix}._meta.json", b"litter")
+    return path
+
+
+@pytest.mark.parametrize("prefix", ["", "scene/", "a/b/"])
+@pytest.mark.parametrize("kind", ["sog", "stream", "tiles", "gltf", "training"])
+def test_a_zip_of_a_folder_is_read_as_the_folder(ply, tmp_path, kind, prefix):
+    folder, named = tmp_path / "made", tmp_path / "made"
+    if kind == "sog":
+        st.convert(ply, folder / "meta.json")
+    elif kind == "stream":
+        st.stream(st.read(ply), folder)
+    elif kind == "tiles":
+        st.stream(st.read(ply), folder, "3dtiles")
+    elif kind == "gltf":
+        glb, named = folder / "a.glb", folder / "a.gltf"
+        folder.mkdir()
+        st.convert(ply, glb)
+        size = int.from_bytes(glb.read_bytes()[12:16], "little")
+        content = json.loads(glb.read_bytes()[20 : 20 + size])
+        content["buffers"][0]["uri"] = "a.bin"
+        (folder / "a.bin").write_bytes(glb.read_bytes()[28 + size :])
+        named.write_text(json.dumps(content))
+        glb.unlink()
+    else:
+        for state in (7000, 30000):
+            (folder / f"point_cloud/iteration_{state}").mkdir(parents=True)
+            (folder / f"point_cloud/iteration_{state}/point_cloud.ply").write_bytes(ply.read_bytes())
+        (folder / "cameras.json").write_text("[]")
+        (folder / "input.ply").write_bytes(b"ply")
+    wanted = st.read(named)
+    for suffix in ("zip", "3tz") if kind == "tiles" else ("zip",):
+        found = st.read(packed(folder, tmp_path / f"a.{suffix}", prefix))
+        assert same_bits(found.gaussians.means, wanted.gaussians.means) and len(found) == 20
+        assert found.source.paths == (str(tmp_path / f"a.{suffix}"),) or kind in ("training", "gltf")
+
+
+def test_a_zip_of_several_folders_is_refused(ply, tmp_path):
+    (tmp_path / "made").mkdir()
+    for name in ("one", "two"):
+        st.convert(ply, tmp_path / "made" / name / "meta.json")
+    with pytest.raises(FormatError, match="wanted one scene file, or one folder of SOG"):
+        st.read(packed(tmp_path / "made", tmp_path / "a.zip"))
+
+
 def test_other_archives_are_refused(ply, tmp_path):
     with zipfile.ZipFile(tmp_path / "two.zip", "w") as bundle:
         for name in ("a.ply", "b.ply"):

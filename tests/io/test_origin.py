@@ -98,6 +98,18 @@ def test_joined_inputs_have_the_origin_of_the_first(utm, world, tmp_path):
     np.testing.assert_allclose(in_world(st.read(tmp_path / "joined.ply")), in_world(both), atol=1e-3)
 
 
+@pytest.mark.parametrize("in_memory", [False, True])
+def test_inputs_far_from_the_first_are_told_to_lose_their_places(utm, tmp_path, in_memory):
+    """Half a metre there: a scene near zero and one of UTM have no place in one float32 scene."""
+    near = save(tmp_path / "near.ply", columns_of(GAUSSIANS))
+    for paths, far in (([near, utm], utm), ([utm, near], near)):
+        if in_memory:
+            lost = json.loads(st.read(paths).source.metadata["lost"])
+        else:
+            lost = st.convert(paths, tmp_path / "both.ply", force=True).lost
+        assert len(lost) == 1 and f"the places of {far}: so far" in lost[0] and "steps of 0.5 world units" in lost[0]
+
+
 def test_text_and_big_endian_files_too(utm, world, tmp_path):
     head, _, data = utm.read_bytes().partition(b"end_header\n")
     names = [line.split()[2].decode() for line in head.split(b"\n") if line.startswith(b"property")]

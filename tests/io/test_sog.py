@@ -146,6 +146,15 @@ def test_a_picture_that_inflates_is_refused(tmp_path):
         splatree.read(tmp_path / "s")
 
 
+def test_a_bundle_of_the_folder_as_a_whole_is_read(tmp_path):
+    write_sog(tmp_path / "s")
+    with zipfile.ZipFile(tmp_path / "a.sog", "w") as out:
+        for file in (tmp_path / "s").iterdir():
+            out.write(file, f"s/{file.name}")
+        out.writestr("__MACOSX/s/._meta.json", "x")
+    assert same_bits(splatree.read(tmp_path / "a.sog").gaussians.means, splatree.read(tmp_path / "s").gaussians.means)
+
+
 def test_a_bundle_without_meta_is_refused(tmp_path):
     with zipfile.ZipFile(tmp_path / "a.sog", "w") as out:
         out.writestr("other.txt", "x")

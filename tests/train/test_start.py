@@ -111,11 +111,15 @@ def test_beyond_the_border_lies_the_colour_of_the_border():
     np.testing.assert_array_equal(apron.sh[:, 0, 2] > 0, pixel[:, 0] >= 32)
 
 
-def test_photographs_of_fewer_pixels_than_cells_have_an_apron_too():
+def test_photographs_with_fewer_pixels_than_cells_have_the_colours_of_their_pixels():
+    """Of 16 cells across, whose sums would be divided by no pixel."""
     camera, start = facing(), plane_of(200)
-    photo = np.full((3, 3, 3), 255, np.uint8)  # white, in 16 × 16 cells
+    photo = np.zeros((3, 2, 3), np.uint8)
+    photo[:, 0, 0], photo[:, 1, 2] = 255, 255
     apron = add_apron(start, [camera], lambda i: photo, room=10**4).take(slice(len(start), None))
-    assert len(apron) and (apron.sh[:, 0] > 0).all() and np.isfinite(apron.sh).all()
+    pixel = pixels_of(apron.means.astype(np.float64), camera)
+    np.testing.assert_array_equal(apron.sh[:, 0, 0] > 0, pixel[:, 0] < 32)
+    np.testing.assert_array_equal(apron.sh[:, 0, 2] > 0, pixel[:, 0] >= 32)
 
 
 def inner_cells(gaussians, camera):

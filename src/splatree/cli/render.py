@@ -150,7 +150,9 @@ def _run(
         made = replace(made, views=TURNTABLE_VIEWS)
     views = relative_to(named, sample) if named else views_of(sample, command.viewpoint, made)
     if output is not None and is_picture(output) and video is None:
-        views = replace(views, cameras=views.cameras[:1])
+        others = f"the first of {len(views.cameras)} views is drawn; --view N draws another, -o FOLDER all of them"
+        notes = (others,) if named and len(views.cameras) > 1 else ()
+        views = replace(views, cameras=views.cameras[:1], notes=(*views.notes, *notes))
     targets = targets_of(file_names(views.cameras), output, command.counters, depth=command.depth, alpha=command.alpha)
     for folder in (output if output and not is_picture(output) else None, command.counters):
         if folder is not None:

@@ -10,7 +10,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from splatree.cli.console import Console, UsageError
+from splatree.cli.console import Console, UsageError, counted
 from splatree.cli.files import Reading, check_inputs, in_mode
 from splatree.cli.opening import opened
 from splatree.io.cameras.files import read_cameras
@@ -121,4 +121,4 @@ def _say(command: Command, line: str) -> None:
 
 def show(viewed: Viewed) -> str:
     """The result in words."""
-    return f"showed {viewed.num_nodes:,} nodes at {viewed.url}"
+    return f"showed {counted(viewed.num_nodes, 'node')} at {viewed.url}"

@@ -155,9 +155,10 @@ def _converted_from(found: Sequence[Path], target: Path, options: ConvertOptions
             "several inputs is asked for, the output is compact or keeps levels, or an input is not read in chunks "
             f"(see `splatree formats`){takes}; wanted --max-memory for conversions in chunks alone"
         )
-    scene = joined(read_one(path, options.read) for path in found)
+    scenes = (read_one(path, options.read) for path in found)
     if options.mode is not None:
-        scene = replace(scene, mode=options.mode)
+        scenes = (replace(scene, mode=options.mode) for scene in scenes)
+    scene = joined(scenes)
     num_read = scene.tree.num_leaves
     scene = edit(scene, options.edit)
     if options.edit != EditOptions():
@@ -197,9 +198,9 @@ def _in_runs(tree: TreeRuns, target: Path, options: ConvertOptions, force: bool)
 def _in_chunks(
     paths: Sequence[Path], parts: Sequence[Chunks], target: Path, options: ConvertOptions, force: bool
 ) -> Converted:
-    chunks = joined_chunks(parts, paths)
     if options.mode is not None:
-        chunks = replace(chunks, mode=options.mode)
+        parts = [replace(part, mode=options.mode) for part in parts]
+    chunks = joined_chunks(parts, paths)
     edited = _edited_chunks(chunks, options.edit)
     with ExitStack() as stack:
         ordered = edited
@@ -223,7 +224,13 @@ def _converted(
     repairs: Counter[str] = Counter(json.loads(metadata.get("repairs", "{}")))
     for part in parts:
         repairs.update(part.repairs)
-    return Converted(num_read, num_written, lost, dict(repairs), bool(parts), notes_in(metadata, origin))
+    notes = notes_in(metadata, origin)
+    if num_read and not num_written:
+        notes = (
+            *notes,
+            "nothing is left of the scene: no Gaussian passes all filters; `splatree info` has its numbers",
+        )
+    return Converted(num_read, num_written, lost, dict(repairs), bool(parts), notes)
 
 
 def _edited_chunks(chunks: Chunks, options: EditOptions) -> Chunks:

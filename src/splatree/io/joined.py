@@ -5,7 +5,7 @@ A chunk is appended as it arrives and then given back, so the peak is the joined
 """
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import fields, replace
 from itertools import chain
 
@@ -16,10 +16,13 @@ from splatree.io.notes import with_notes
 from splatree.maths.axes import AXES
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.levels import UNKNOWN_LEVELS, LevelRecord, common_record
-from splatree.scene.origin import Origin
+from splatree.scene.origin import Origin, coarsest_step
 from splatree.scene.scene import NEAR_KEY, Scene, Source
 from splatree.scene.tree import GaussianTree
 from splatree.shapes import Array
+
+_STEP_MAX = 1e-3
+"""World units: coordinates that have an origin of their own are metres on a map, and a step of a millimetre is seen near by."""
 
 
 def joined(scenes: Iterable[Scene]) -> Scene:
@@ -49,7 +52,7 @@ def joined(scenes: Iterable[Scene]) -> Scene:
             if (found := getattr(scene, name)) != wanted:
                 raise InputError(
                     f"inputs differ in their {name}: {' '.join(scene.source.paths)} has {found}, those before it {wanted}; "
-                    "wanted scenes of one training, read them one by one"
+                    "wanted scenes of one training, read them one by one; `splatree convert --mode` writes one in another mode"
                 )
         part, end = relative_to(scene.gaussians, scene.source.origin, origin), start + len(scene)
         if end >= 2**31:
@@ -128,9 +131,23 @@ def joined_source(sources: Sequence[Source]) -> Source:
                 _refuse_mixed(values)
             same = len(set(values)) == 1 and len(values) == len(sources)
             metadata[key] = values[0] if same else json.dumps(values)
+    if coarse := list(_coarse(sources)):
+        metadata["lost"] = json.dumps([*json.loads(metadata.get("lost", "[]")), *coarse])
     formats = dict.fromkeys(source.format for source in sources)
     paths = tuple(path for source in sources for path in source.paths)
     return Source(paths, " + ".join(formats), metadata, sources[0].origin)
+
+
+def _coarse(sources: Sequence[Source]) -> Iterator[str]:
+    """What is lost of inputs that lie so far from the origin of the first one that float32 rounds their places visibly."""
+    first = sources[0].origin
+    steps = [coarsest_step(max(abs(a - b) for a, b in zip(source.origin, first, strict=True))) for source in sources]
+    if (step := max(steps)) > _STEP_MAX:
+        names = [" ".join(source.paths) for source, each in zip(sources, steps, strict=True) if each > _STEP_MAX]
+        yield (
+            f"the places of {', '.join(names)}: so far from the first input that float32 keeps them to steps of {step:g} world "
+            "units; read such inputs one by one"
+        )
 
 
 def _refuse_mixed(axes: Sequence[str]) -> None:

@@ -54,7 +54,7 @@ def joined_chunks(parts: Sequence[Chunks], paths: Sequence[Path]) -> Chunks:
             if (found := getattr(part, name)) != (wanted := getattr(first, name)):
                 raise InputError(
                     f"inputs differ in their {name}: {path} has {found}, those before it {wanted}; wanted scenes of one "
-                    "training, convert them one by one"
+                    "training, convert them one by one: `splatree convert --mode` writes one in another mode"
                 )
 
     def make() -> Iterator[Gaussians]:

@@ -6,7 +6,8 @@ Other inputs are brought into a temporary folder under their own names, and that
 - one file of ``https://…`` and ``http://…``, by the standard library, whether or not the server gives ranges;
 - ``-``, standard input, which has to be a .ply or an .spz;
 - ``a.ply.gz``, and a ``.zip`` that holds one scene file (a .sog is a ZIP of its own and stays as it is);
-- a ``.ssog`` or ``.zip`` that holds the folder of a streamed SOG.
+- a ``.ssog`` or ``.zip`` that holds the folder of a streamed SOG, and a ``.zip`` of a folder of SOG, of 3D Tiles, of a training
+  or of parts, or of a .gltf with its buffers.
 
 Each has a limit: what a server sends, and what a few compressed bytes may become.
 """
@@ -46,10 +47,12 @@ INFLATED_ALWAYS = 64 << 20
 """… unless it becomes no more than so many bytes."""
 
 _PIECE = 1 << 20
-_STREAM = "lod-meta.json"
-"""Its presence says that a ZIP holds a streamed SOG."""
-_OF_FOLDERS = (_STREAM, "meta.json", MANIFEST)
+_OF_FOLDERS = ("lod-meta.json", "meta.json", MANIFEST)
 """Names of files that stand for a folder of others."""
+_ZIPPED = (".zip", ".ssog", ".3tz")
+"""Suffixes of ZIPs: of a streamed SOG, and of 3D Tiles."""
+_ROOTS = (*_OF_FOLDERS, "tileset.json")
+"""Names of files whose folder is a scene, also within a ZIP."""
 _STANDARD_INPUT = "-"
 
 
@@ -141,7 +144,7 @@ def _is_of_server(path: Path) -> bool:
 
 def is_brought(path: Path) -> bool:
     """Whether an input has to be fetched or unpacked before anything is known of it."""
-    return _is_of_server(path) or path.suffix.lower() in (".gz", ".zip", ".ssog")
+    return _is_of_server(path) or path.suffix.lower() in (".gz", *_ZIPPED)
 
 
 def _how_to_bring(path: Path) -> Callable[[Path], Path] | None:
@@ -157,7 +160,7 @@ def _how_to_inflate(path: Path) -> Callable[[Path], Path] | None:
     suffix = path.suffix.lower()
     if suffix == ".gz" and path.is_file():
         return lambda folder: _gunzip(path, folder, path.name[: -len(".gz")])
-    if suffix in (".zip", ".ssog") and path.is_file():
+    if suffix in _ZIPPED and path.is_file():
         return _unzip(path)
     return None
 
@@ -240,14 +243,14 @@ def _unzip(path: Path) -> Callable[[Path], Path] | None:
     except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as error:
         raise FormatError(f"{path}: not a whole ZIP ({error}); fetch it again") from error
     names = [entry.filename for entry in entries]
-    if _STREAM in names:
-        return lambda folder: _unzip_all(path, entries, folder)
-    if any(name == "meta.json" or name.endswith("/data.pkl") for name in names):
+    if "meta.json" in names or any(name.endswith("/data.pkl") for name in names):
         return None
+    if (root := _root_of(names)) is not None:
+        return lambda folder: _unzip_all(path, entries, folder).joinpath(*root)
     if len(entries) != 1:
         raise FormatError(
             f"{path}: found {len(names)} files in it ({', '.join(names[:5])}{', ...' if len(names) > 5 else ''}), wanted one "
-            f"scene file or a {_STREAM}; unpack it and name what to read"
+            "scene file, or one folder of SOG, 3D Tiles, glTF or a training; unpack it and name what to read"
         )
     (entry,) = entries
 
@@ -258,6 +261,24 @@ def _unzip(path: Path) -> Callable[[Path], Path] | None:
         return target
 
     return unpack
+
+
+def _root_of(names: Iterable[str]) -> tuple[str, ...] | None:
+    """Where in a ZIP the one scene lies that is a folder, or a file with others beside it; None without one, or of several.
+
+    A stream has folders of SOG within, so the least deep counts.
+    """
+    found = set[tuple[str, ...]]()
+    for name in names:
+        *folders, last = parts = name.replace("\\", "/").split("/")
+        if last in _ROOTS:
+            found.add(tuple(folders))
+        elif last.lower().endswith(".gltf"):
+            found.add(tuple(parts))
+        elif re.fullmatch(r"(.*/)?point_cloud/iteration_\d+/point_cloud\.ply", "/".join(parts)):
+            found.add(tuple(folders[:-2]))
+    least = [root for root in found if len(root) == min(map(len, found))]
+    return least[0] if len(least) == 1 else None
 
 
 def _unzip_all(path: Path, entries: Sequence[zipfile.ZipInfo], folder: Path) -> Path:

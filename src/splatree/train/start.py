@@ -290,8 +290,10 @@ def _cell_means(photo: UInt8[Array, "h w 3"], across: int, down: int) -> Float64
     """The mean colour of each cell of a photograph."""
     rows, columns = (np.arange(n) * side // n for n, side in ((down, photo.shape[0]), (across, photo.shape[1])))
     sums = np.add.reduceat(np.add.reduceat(photo, rows, axis=0, dtype=np.float64), columns, axis=1)
-    counts = np.diff([*rows, photo.shape[0]])[:, None] * np.diff([*columns, photo.shape[1]])
-    return np.asarray(sums / np.maximum(counts, 1)[..., None])  # a cell of less than a pixel has that of its neighbour
+    # Of a photograph with fewer pixels than cells a cell without one has the sum of the pixel that it lies in.
+    high, wide = (np.maximum(np.diff([*at, n]), 1) for at, n in ((rows, photo.shape[0]), (columns, photo.shape[1])))
+    counts = high[:, None] * wide
+    return np.asarray(sums / counts[..., None])
 
 
 def _median_depths(places: Array, camera: Camera, across: int, down: int) -> Float64[Array, "y x"]:

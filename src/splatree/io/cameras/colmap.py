@@ -75,7 +75,9 @@ def read(folder: Path) -> Cameras:
             if isinstance(error, FormatError):
                 raise
             raise FormatError(f"{where}: {error}") from error
-    note = f"the quaternions of {num_long} pictures are far from the length 1: their directions are taken"
+    note = (
+        f"the quaternions of {num_long} of {len(views)} pictures are far from the length 1: their directions are taken"
+    )
     return Cameras(tuple(views), (note,) if num_long else ())
 
 

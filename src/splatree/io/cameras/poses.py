@@ -52,10 +52,14 @@ class Rotations:
         """What was mended, a sentence each."""
         notes = []
         if self._num_scaled:
-            notes.append(f"the matrices of {self._num_scaled} cameras are scaled: their rotations are taken")
+            notes.append(f"the matrices of {_cameras(self._num_scaled)} are scaled: their rotations are taken")
         if self._num_rounded:
             notes.append(
-                f"the matrices of {self._num_rounded} cameras are no exact rotations (off by up to {100 * self._most:.2g} %): "
+                f"the matrices of {_cameras(self._num_rounded)} are no exact rotations (off by up to {100 * self._most:.2g} %): "
                 "the nearest ones are taken"
             )
         return tuple(notes)
+
+
+def _cameras(number: int) -> str:
+    return f"{number} camera{'s' * (number != 1)}"

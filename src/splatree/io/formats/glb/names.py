@@ -13,10 +13,12 @@ from splatree.io import untrusted
 
 __all__ = [
     "EXTENSION",
+    "INSTANCES_EXTENSION",
     "PACKED_EXTENSIONS",
     "RTC_EXTENSION",
     "SPLAT_EXTENSIONS",
     "SPZ_EXTENSION",
+    "VISIBILITY_EXTENSION",
     "attribute_names",
     "check_required",
     "unknown_attributes",
@@ -38,8 +40,11 @@ PACKED_EXTENSIONS: Final = (
 )
 """Extensions of a primitive, or of its splat extension, that hold an SPZ."""
 
-_UNDERSTOOD = {*SPLAT_EXTENSIONS, *PACKED_EXTENSIONS, RTC_EXTENSION, "KHR_mesh_quantization"}
-_HARMLESS = re.compile(r"KHR_(materials|texture|lights|xmp|node_visibility)\w*|EXT_(texture|lights)\w*")
+VISIBILITY_EXTENSION: Final = "KHR_node_visibility"
+INSTANCES_EXTENSION: Final = "EXT_mesh_gpu_instancing"
+
+_UNDERSTOOD = {*SPLAT_EXTENSIONS, *PACKED_EXTENSIONS, RTC_EXTENSION, VISIBILITY_EXTENSION, "KHR_mesh_quantization"}
+_HARMLESS = re.compile(r"KHR_(materials|texture|lights|xmp)\w*|EXT_(texture|lights)\w*")
 """Extensions of what is not drawn here."""
 
 

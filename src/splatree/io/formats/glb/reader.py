@@ -41,9 +41,11 @@ from splatree.io.chunks import ROWS_PER_CHUNK, Chunks
 from splatree.io.formats.glb.container import MAGIC, Accessor, GltfFile, Window
 from splatree.io.formats.glb.names import (
     EXTENSION,
+    INSTANCES_EXTENSION,
     PACKED_EXTENSIONS,
     RTC_EXTENSION,
     SPLAT_EXTENSIONS,
+    VISIBILITY_EXTENSION,
     attribute_names,
     check_required,
     unknown_attributes,
@@ -70,6 +72,9 @@ SPZ_AXES_KEY: Final = "splatree_spz_axes"
 
 _ROWS_PER_BYTE = 0.25
 """Rows that a byte of a glTF may stand for: a row takes 17 bytes and more, so a mesh may be shown four times and more often."""
+
+_USUAL = {"projection": "perspective", "sortingMethod": "cameraDistance"}
+"""How Gaussians are drawn, by the keys of the extension that name other ways."""
 
 _NODES_MAX = 1 << 16
 """More nodes than this in a scene are refused."""
@@ -192,7 +197,7 @@ class _Part:
 
 def _parts(gltf: GltfFile, *, repair: bool) -> tuple[list[_Part], list[str]]:
     """All primitives with Gaussians that the scene shows, and what else it shows, a sentence each."""
-    parts, num_others = [], 0
+    parts, num_others, others = [], 0, dict[str, None]()
     for name, mesh, matrix in _shown_meshes(gltf):
         primitives = untrusted.as_list(untrusted.field(mesh, "primitives", name), f"{name}: primitives")
         for i, value in enumerate(primitives):
@@ -209,10 +214,14 @@ def _parts(gltf: GltfFile, *, repair: bool) -> tuple[list[_Part], list[str]]:
             kernel = extension.get("kernel", "ellipse")
             if kernel != "ellipse":
                 raise FormatError(f"{where}: found kernel {kernel!r}, wanted 'ellipse'")
+            for key, usual in _USUAL.items():
+                if (found := extension.get(key, usual)) != usual:
+                    others[f"the {key} {str(found)[:40]!r}: splatree draws by {usual!r}"] = None
             parts.append(_Part(gltf, where, primitive, extension, packed, matrix, repair))
     if not parts:
         raise FormatError(f"{gltf.where}: found no primitive with {EXTENSION}: this glTF shows no Gaussians")
     lost = [f"{num_others} primitives without Gaussians"] if num_others else []
+    lost += [*others, *_unfollowed(gltf)]
     attributes = (part.primitive.get("attributes", {}) for part in parts if part.packed is None)
     extra = dict.fromkeys(name for names in attributes if isinstance(names, dict) for name in unknown_attributes(names))
     if extra:
@@ -220,6 +229,25 @@ def _parts(gltf: GltfFile, *, repair: bool) -> tuple[list[_Part], list[str]]:
     if any(stretches(part.matrix) and part.rows.sh_degree > 0 for part in parts):
         lost.append(STRETCHED)
     return parts, lost
+
+
+def _unfollowed(gltf: GltfFile) -> Iterator[str]:
+    """What of the file changes what is shown and is not followed."""
+    if gltf.json.get("animations"):
+        yield "the animations: everything is shown as it stands at rest"
+    nodes = untrusted.as_list(gltf.json.get("nodes", []), f"{gltf.where}: nodes")
+    if any(INSTANCES_EXTENSION in _extensions(node, f"{gltf.where}: nodes") for node in nodes):
+        yield f"the copies of {INSTANCES_EXTENSION}: each mesh is shown once"
+
+
+def _extensions(node: Any, where: str) -> dict[str, Any]:
+    return untrusted.as_object(untrusted.as_object(node, where).get("extensions", {}), f"{where}: extensions")
+
+
+def _is_hidden(node: dict[str, Any], where: str) -> bool:
+    """Whether a node and all below it are not shown."""
+    visibility = untrusted.as_object(_extensions(node, where).get(VISIBILITY_EXTENSION, {}), where)
+    return visibility.get("visible", True) is False
 
 
 def _shown_meshes(gltf: GltfFile) -> Iterator[tuple[str, dict[str, Any], Float64[Array, "4 4"]]]:
@@ -241,6 +269,8 @@ def _shown_meshes(gltf: GltfFile) -> Iterator[tuple[str, dict[str, Any], Float64
             )
         node = gltf.item("nodes", index, f"{gltf.where}: a node")
         name = f"{gltf.where}: nodes[{index}]"
+        if _is_hidden(node, name):
+            continue
         matrix = above @ _matrix(node, name)
         children = untrusted.as_list(node.get("children", []), f"{name}.children")
         waiting += [(child, matrix) for child in reversed(children)]

@@ -68,7 +68,7 @@ def sniff(path: Path, head: bytes) -> bool:
 
         try:
             with path.open("rb") as file, zipfile.ZipFile(file) as bundle:
-                return "meta.json" in bundle.namelist()
+                return _meta_in(bundle) is not None
         except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError):
             return path.suffix.lower() == ".sog"
     return path.name == "meta.json" and head.lstrip()[:1] == b"{"
@@ -138,7 +138,8 @@ def _opened(path: Path, use: Callable[[str, ReadBytes], T]) -> T:
 
         try:
             with path.open("rb") as file, zipfile.ZipFile(file) as bundle:
-                return use(str(path), lambda name: _zip_entry(path, bundle, name))
+                place = (_meta_in(bundle) or "meta.json").removesuffix("meta.json")
+                return use(str(path), lambda name: _zip_entry(path, bundle, place + name))
         except (zipfile.BadZipFile, EOFError, NotImplementedError, ValueError) as error:
             if isinstance(error, FormatError):
                 raise
@@ -388,6 +389,12 @@ def _folder_file(folder: Path, name: str) -> bytes:
         return path.read_bytes()
     except OSError as error:
         raise FormatError(f"{path}: cannot be read ({error.strerror}); meta.json names it") from error
+
+
+def _meta_in(bundle: "zipfile.ZipFile") -> str | None:
+    """The name of the meta.json of a bundle: at its top, or where a folder was packed as a whole, in the one that is there."""
+    names = [name for name in bundle.namelist() if name.split("/")[-1] == "meta.json"]
+    return "meta.json" if "meta.json" in names else names[0] if len(names) == 1 and names[0].count("/") == 1 else None
 
 
 def _zip_entry(path: Path, bundle: "zipfile.ZipFile", name: str) -> bytes:
