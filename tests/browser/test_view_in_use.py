@@ -5,6 +5,7 @@ import time
 import numpy as np
 import pytest
 
+import splatree as st
 from splatree.scene.thinning import ThinOptions
 from splatree.simplify.thin import thin
 from splatree.view.options import ViewOptions
@@ -206,6 +207,40 @@ def test_a_page_that_rested_goes_on_at_a_key(browser, viewer):
     page.wait_for("splatree.layers[0].link.isOpen")
     settled(page)
     assert page.evaluate("document.getElementById('notice').hidden")
+
+
+def test_a_photograph_stays_while_the_camera_does(browser, city_tree):
+    camera = st.flyout(city_tree, st.PathOptions(views=2, width=64, height=36))[0]
+    photos, options = {camera.name: np.ones((36, 64, 3), np.float32)}, ViewOptions(budget=20_000)
+    with Viewer(city_tree, options, cameras=st.Cameras((camera,)), photos=photos) as made:
+        page = opened(browser, made, "&renderer=webgl&exact=0")
+        page.wait_for("splatree.page.views.given.length")
+        page.evaluate("splatree.page.views.take(splatree.page.views.given[0], 0, 'camera')")
+        settled(page)
+        photo = "document.getElementById('photo')"
+        assert not page.evaluate(f"{photo}.hidden")
+        page.call("Emulation.setDeviceMetricsOverride", width=400, height=180, deviceScaleFactor=1, mobile=False)
+        page.wait_for("splatree.layers[0].isSettled && document.getElementById('stage').height === 180")
+        settled(page)
+        assert not page.evaluate(f"{photo}.hidden") and page.evaluate(f"{photo}.style.width") == "320px"
+        page.evaluate("splatree.page.toggleTheme()")
+        settled(page)
+        assert not page.evaluate(f"{photo}.hidden")
+        page.evaluate("splatree.camera.orbit(0.01, 0)")
+        settled(page)
+        assert page.evaluate(f"{photo}.hidden")
+        page.close()
+
+
+def test_boxes_of_many_let_the_scene_shine_through(browser, viewer):
+    page = opened(browser, viewer, "&renderer=webgl&exact=0")
+    plain = page.screenshot()
+    page.evaluate("splatree.page.showBoxes('blocks')")
+    page.wait_for("splatree.lines.boxes?.uploaded")
+    shown(page)
+    changed = np.abs(page.screenshot() - plain).mean()
+    assert 0.005 < changed < 0.12
+    page.evaluate("splatree.page.showBoxes('none')")
 
 
 def test_a_side_of_the_clipping_box_takes_the_other_along(stepped):

@@ -233,7 +233,7 @@ export class Page {
   boxesCame(header, boxes) {
     if (header.of !== this.boxes) return;
     if (!header.count) this.notice(`This scene has no ${this.boxes}.`, 3000);
-    this.app.lines.boxes = { points: boxLines(boxes), alpha: Math.min(0.8, Math.max(0.25, 20 / Math.sqrt(header.count))) };
+    this.app.lines.boxes = { points: boxLines(boxes), alpha: Math.min(0.8, 5 / Math.sqrt(header.count)) }; // of many, the scene shines through
     this.app.isDirty = true;
   }
 

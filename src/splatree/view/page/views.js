@@ -65,9 +65,14 @@ export class Views {
     this.chosen = camera;
     this.photo = kind === 'camera' && camera.photo ? i : null;
     this.app.camera.setPose(camera.c2w, (2 * Math.atan((0.5 * camera.h) / camera.f) * 180) / Math.PI);
+    this.placeOfChosen = this.place();
     this.versionOfChosen = this.app.camera.version;
     this.showFrusta();
     this.showPhoto();
+  }
+
+  place() {
+    return [...this.app.camera.pose(), this.app.camera.fov].join();
   }
 
   showFrusta() {
@@ -93,7 +98,8 @@ export class Views {
 
   step(now) {
     if (this.photo != null && this.app.camera.version !== this.versionOfChosen) {
-      this.photo = null;
+      this.versionOfChosen = this.app.camera.version;
+      if (this.place() !== this.placeOfChosen) this.photo = null; // else the window has another size, or a setting has changed
       this.showPhoto();
     }
     if (this.path && now - (this.recordedAt ?? 0) >= RECORD_MS) {
