@@ -16,7 +16,7 @@ from splatree.hardware.config import Machine
 from splatree.hardware.paper import traces_of_table_i
 from splatree.hardware.presets import changed, machine_from_toml, machine_to_toml, preset
 from splatree.hardware.report import ablation_rows, frame_rows, page_of, summary_row, unit_rows
-from splatree.hardware.study import Simulation, ablation, draw_traces, on_machine
+from splatree.hardware.study import ablation, draw_traces, on_machine
 from splatree.hardware.trace import FrameTrace, read_trace, write_trace
 from splatree.io.cameras.files import read_cameras
 from splatree.io.replacing import replacing
@@ -88,10 +88,11 @@ class Result:
 def run(command: Command) -> Result:
     """Draw or read the frames, simulate, write the report."""
     machine = _machine_of(command)
+    swept = _sweep_of(command.sweep, machine) if command.sweep else None
     traces = _traces_of(command, machine)
     simulation = on_machine(machine, traces)
     ablations = list(ablation(machine, traces))
-    sweep = _swept(command.sweep, machine, traces) if command.sweep else None
+    sweep = (swept[0], [(value, on_machine(other, traces)) for value, other in swept[1]]) if swept else None
     written: list[Path] = []
     if command.traces is not None:
         _folder(command.traces)
@@ -174,18 +175,19 @@ def _one_scene(paths: Sequence[Path]) -> tuple[FrameTrace, ...]:
     return traces
 
 
-def _swept(sweep: str, machine: Machine, traces: Sequence[FrameTrace]) -> tuple[str, list[tuple[float, Simulation]]]:
+def _sweep_of(sweep: str, machine: Machine) -> tuple[str, list[tuple[float, Machine]]]:
+    """The setting that is swept, and the machine at each of its values."""
     name, separator, values = sweep.partition("=")
     if not separator or not values:
         raise UsageError(f"sweep: found {sweep!r}, wanted NAME=VALUE,VALUE,…")
-    found = []
+    machines = []
     for value in values.split(","):
-        simulation = on_machine(changed(machine, [f"{name}={value}"]), traces)
+        other = changed(machine, [f"{name}={value}"])
         try:
-            found.append((float(value), simulation))
+            machines.append((float(value), other))
         except ValueError:
             raise UsageError(f"sweep: found the value {value!r}, wanted numbers; use --set for words") from None
-    return name, found
+    return name, machines
 
 
 def _source_of(command: Command) -> str:
