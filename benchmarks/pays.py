@@ -1,9 +1,9 @@
 """What a cut saves at a quality: nodes and frame time of the cut of 40 and of 33 dB against all leaves, at 1080p.
 
-``python benchmarks/pays.py [--scenes ...] [--quality 33 40]`` needs the shared scenes. Levels by a radius and by pairs are built.
-In a near, a middle and a far view (levels.py), all leaves and the cut that each quality chooses are drawn, without and with
-occlusion (lod/occlusion.py); a time is that of the cheapest of three frames. *frame* is the processor time from culling to the
-picture for a τ_R that is known; *chosen* has the search for τ_R in it, from a view alone.
+``python benchmarks/pays.py [--scenes ...] [--quality 33 40] [--method radius pairs]`` needs the shared scenes. Levels are built
+by each method. In a near, a middle and a far view (levels.py), all leaves and the cut that each quality chooses are drawn,
+without and with occlusion (lod/occlusion.py); a time is that of the cheapest of three frames. *frame* is the processor time from
+culling to the picture for a τ_R that is known; *chosen* has the search for τ_R in it, from a view alone.
 """
 
 import argparse
@@ -25,13 +25,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scenes", nargs="+", choices=SCENES, default=["city 5_9"])
     parser.add_argument("--quality", nargs="+", type=float, default=[33.0, 40.0])
+    parser.add_argument("--method", nargs="+", choices=get_args(Method), default=get_args(Method))
     arguments = parser.parse_args()
     rows: list[dict[str, object]] = []
     for name in arguments.scenes:
         read = st.read(SCENES[name])
         flat = st.Scene.flat(read.gaussians.take(read.tree.is_leaf), mode=read.mode)
         views = {key: large(view) for key, view in views_of(flat).items() if key in CLASSES}
-        for method in get_args(Method):
+        for method in arguments.method:
             with st.open_session(st.build_lod(flat, st.BuildOptions(method))) as session:
                 for key, view in views.items():
                     leaves, leaves_s, picture = drawn(session, view, st.SelectOptions(pixel_error=0.0))
@@ -49,7 +50,8 @@ def main() -> None:
                         )
                         print(rows[-1], flush=True)
     print(table(rows))
-    save("pays", rows, about="Nodes and frame time of cuts of a quality against all leaves, 1080p")
+    kept_as = "pays" if len(arguments.method) > 1 else f"pays_{arguments.method[0]}"
+    save(kept_as, rows, about="Nodes and frame time of cuts of a quality against all leaves, 1080p")
 
 
 def large(view: st.Camera) -> st.Camera:
