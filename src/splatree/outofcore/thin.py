@@ -84,8 +84,8 @@ def thin_file(
     again in the same way. Until it ends, its files are in a folder beside the output, with ``.work`` after its name.
 
     Args:
-        inputs: one path or several of one scene, of formats that are read in chunks: .ply, .spz, .splat, .sog, .ksplat, .glb, 3D
-            Tiles.
+        inputs: one path or several of one scene, of formats that are read in chunks (`splatree formats`); of scenes with levels
+            the leaves are taken.
         output: the new file, of a format that is written in chunks: .ply, .spz, .splat, .ksplat and others.
         options: a radius, or a share or count that is met by one; None: the automatic radius.
         running: memory and processes; None: half of the free memory and this process.

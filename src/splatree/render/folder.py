@@ -39,8 +39,8 @@ def build_folder(
     folder beside the output, with ``.work`` after its name.
 
     Args:
-        inputs: one path or several of one scene, of formats that are read in chunks: .ply, .spz, .splat, .sog, .ksplat, .glb, 3D
-            Tiles.
+        inputs: one path or several of one scene, of formats that are read in chunks (`splatree formats`); of scenes with levels
+            the leaves are taken.
         output: the new folder.
         options: how levels grow. None: the defaults.
         running: memory, processes and the size of parts; None: half of the free memory and this process.
