@@ -151,6 +151,18 @@ def test_a_thing_between_the_rows_of_an_even_sample_is_measured(first, backgroun
     assert set(drawn) == {68, 16}  # the thumbnail and strips, never the whole picture
 
 
+def test_with_occlusion_whole_pictures_are_measured():
+    """What hides a node of a strip may lie outside of the strip."""
+    camera, drawn = st.Camera.look_at([0, 0, -6], [0, 0, 0], width=1920, height=1088), []
+
+    def draw(view, select):
+        drawn.append(view.camera.height)
+        return np.full((view.camera.height, view.camera.width, 3), select.pixel_error / 1000, np.float32)
+
+    Gauge(draw).settled(st.SelectOptions(quality=48, occlusion=True), View(camera), point_px=0.0)
+    assert set(drawn) == {1088}
+
+
 def test_a_session_and_select_choose_the_same_cut():
     scene = levels("pairs")
     options = st.SelectOptions(quality=34)

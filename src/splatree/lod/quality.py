@@ -3,7 +3,7 @@
 The quality is a PSNR against all leaves, and it is measured: a `Gauge` draws all leaves and the cuts that are tried, and compares
 their pictures. Of a large picture it draws eight rows of tiles, evenly spread over those that show anything: a thumbnail, a pixel
 a tile, says which. A squared error is a mean over pixels, and rows that show nothing have none. Eight rows say it to 0.6 dB (rms)
-where the scene fills the picture, and exactly where it is in no more rows than these.
+where the scene fills the picture, and exactly where it is in no more rows than these. With occlusion whole pictures are drawn.
 
 The PSNR falls nearly evenly with ln size, where size² = τ_R² − (the radius of a point)². The search steps along ln size until two
 cuts enclose the quality, and interpolates between them.
@@ -99,7 +99,10 @@ class Gauge:
         view = replace(view, wanted=Wanted(), least_light=0.0)
         if self._asked is None or self._asked[1] != by_size or not _are_equal(self._asked[0], view):
             self._asked, self._known = (view, by_size), {}
-            self._sample = sample_of(view, self._is_shown(view, by_size))
+            # With occlusion the cut of a strip is not the strip of the cut: what hides it may lie outside.
+            self._sample = (
+                Sample([view], 1.0) if by_size.occlusion else sample_of(view, self._is_shown(view, by_size))
+            )
             self._leaves = self._pictures(0.0)
 
         def psnr_at(pixel_error: float) -> float:
