@@ -169,6 +169,8 @@ export class Page {
     const each = (show) => headers.map(show).join(' | '); // of two scenes side by side
     const total = app.layers.reduce((sum, l) => sum + l.link.bytes, 0);
     const isExact = app.layers.every((l) => l.isExact);
+    const isPacked = app.layers.some((l) => l.frameHeader?.type === 'image/jpeg'); // for a slow line or a phone
+    const ofSplatree = `This is the picture of splatree itself${isPacked ? ', packed as JPEG' : ''}`;
     const parts = [
       ['nodes', each((h) => count(h.rows))], ['visited', each((h) => count(h.visited))],
       ['τ', `${each((h) => (h.tau == null ? '∞' : h.tau.toPrecision(3)))} px`], ['loaded', bytes(total)],
@@ -176,7 +178,7 @@ export class Page {
       ['fps', app.stats.fps ? app.stats.fps.toFixed(app.stats.fps < 10 ? 1 : 0) : '–'],
     ];
     at('status').replaceChildren(
-      make('span', { class: 'lamp', 'data-on': String(isExact), title: isExact ? 'This is the picture of splatree itself' : 'Drawn by the browser' }),
+      make('span', { class: 'lamp', 'data-on': String(isExact), title: isExact ? ofSplatree : 'Drawn by the browser' }),
       make('span', { class: 'exact' }, isExact ? 'exact' : app.frames ? 'moving' : 'live'),
       ...(isExact && app.stats.psnr && !app.frames ? [make('span', { class: 'stat psnr', title: 'How near the picture of the browser was' }, make('em', {}, 'browser'), `${app.stats.psnr.toFixed(1)} dB`)] : []),
       ...parts.map(([name, value]) => make('span', { class: `stat ${name}` }, make('em', {}, name), value)),
