@@ -100,9 +100,7 @@ class Gauge:
         if self._asked is None or self._asked[1] != by_size or not _are_equal(self._asked[0], view):
             self._asked, self._known = (view, by_size), {}
             # With occlusion the cut of a strip is not the strip of the cut: what hides it may lie outside.
-            self._sample = (
-                Sample([view], 1.0) if by_size.occlusion else sample_of(view, self._is_shown(view, by_size))
-            )
+            self._sample = Sample([view], 1.0) if by_size.occlusion else sample_of(view, self._is_shown(view, by_size))
             self._leaves = self._pictures(0.0)
 
         def psnr_at(pixel_error: float) -> float:
