@@ -1,8 +1,8 @@
 """What refinement adds to the levels of a scene: PSNR against all leaves, before and after, at equal nodes drawn.
 
 ``python benchmarks/refine.py [scene …] [--minutes 1] [--methods pairs radius]``; without a scene, two chunks of the shared city
-and two objects; rows of other scenes are kept. Rates were chosen on levels by pairs of 5_1, 5_3 and the biker. Six views from near
-to far (benchmarks/quality.py), none of which refinement sees. ``gain`` is the mean over them, ``worst`` the view that gains
+and two objects; rows of other scenes are kept. Rates were chosen on levels by pairs of 5_1, 5_3 and the biker. Six views from
+near to far (benchmarks/quality.py), none of which refinement sees. ``gain`` is the mean over them, ``worst`` the view that gains
 least. Rows are selected anew after refinement; the change of their number is printed. Seconds are of the processor.
 """
 

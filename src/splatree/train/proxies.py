@@ -37,8 +37,8 @@ RATES = {"quats": 8e-3, "log_scales": 4e-2, "logit_opacities": 0.2}
 """At the beginning of a run, of a node that has made `RAMP_STEPS` (train/refine.py); means do not move."""
 
 PAINTED = 0.3
-"""Share of the way that a colour goes at the beginning of a run. With 0.7 a city gains 0.05 dB more at a tenth of its leaves, but the
-nearest view of few nodes loses 0.3 dB."""
+"""Share of the way that a colour goes at the beginning of a run. With 0.7 a city gains 0.05 dB more at a tenth of its leaves, but
+the nearest view of few nodes loses 0.3 dB."""
 
 LEAST_PX = 1.0
 """Added to the pixels that a node covers: colours of nodes that cover less hardly move."""
