@@ -124,6 +124,13 @@ def test_opacities_above_one_become_wider_and_are_counted(tmp_path):
     np.testing.assert_allclose(sigmoid(back.gaussians.logit_opacities[:2]), 0.999, rtol=1e-6)
 
 
+def test_harmonics_that_are_signalling_nan_are_refused_without_a_warning(tmp_path):
+    file = record(forest(DEPTHS["one root"]))
+    file["g"].sh.view(np.uint32)[2, 1] = 0x7F800001
+    with pytest.raises(FormatError, match="row 2"):
+        splatree.read(assemble(tmp_path / "a.hier", **file))
+
+
 def test_a_node_without_a_stand_in_lifts_its_children(tmp_path):
     scene = forest(DEPTHS["one root"])
     file = record(scene)

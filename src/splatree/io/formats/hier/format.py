@@ -191,7 +191,8 @@ class _Tree:
         degree = 0
         for begin in range(0, len(self), ROWS_PER_CHUNK):
             values = _taken(self.columns[4], self.gaussian_from_row[begin : begin + ROWS_PER_CHUNK]).reshape(-1, 16, 3)
-            degree = max([degree, *(d for d in (1, 2, 3) if values[:, d * d : (d + 1) ** 2].any())])
+            is_used = values != 0  # `any` of floats warns of signalling NaN
+            degree = max([degree, *(d for d in (1, 2, 3) if is_used[:, d * d : (d + 1) ** 2].any())])
             if degree == 3:
                 break
         return degree
