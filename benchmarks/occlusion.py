@@ -59,8 +59,7 @@ def of_view(
     session: st.Session, view: st.Camera, shares: list[float], what: dict[str, object]
 ) -> list[dict[str, object]]:
     """A row for each share."""
-    leaves = session.draw(view, select=st.SelectOptions(pixel_error=0))
-    truth, num_leaves = np.clip(leaves.image, 0, 1), leaves.counters.num_selected
+    truth, num_leaves = all_leaves(session, view)
     rows = []
     for share in shares:
         row: dict[str, object] = what | {"share, %": share, "nodes": max(1, int(num_leaves * share / 100))}
@@ -80,8 +79,7 @@ def by_size(
     session: st.Session, view: st.Camera, pixel_errors: list[float], what: dict[str, object]
 ) -> list[dict[str, object]]:
     """A row for each τ_R."""
-    leaves = session.draw(view, select=st.SelectOptions(pixel_error=0))
-    truth, num_leaves = np.clip(leaves.image, 0, 1), leaves.counters.num_selected
+    truth, num_leaves = all_leaves(session, view)
     rows = []
     for pixel_error in pixel_errors:
         row: dict[str, object] = what | {"τ_R, px": pixel_error}
@@ -92,6 +90,12 @@ def by_size(
         rows.append(row)
         print(rows[-1], flush=True)
     return rows
+
+
+def all_leaves(session: st.Session, view: st.Camera) -> tuple[np.ndarray, int]:
+    """Their picture, and how many are in view."""
+    drawn = session.draw(view, select=st.SelectOptions(pixel_error=0))
+    return np.clip(drawn.image, 0, 1), drawn.counters.num_selected
 
 
 def means(rows: list[dict[str, object]]) -> list[dict[str, object]]:

@@ -9,6 +9,7 @@ from PIL import Image
 
 import splatree as st
 from splatree import Camera, FormatError, InputError
+from splatree.io.cameras.poses import Rotations
 from splatree.io.cameras.split import split_views
 from splatree.render.overlap import overlap_hint
 
@@ -356,3 +357,17 @@ def test_lenses_of_colmap_4_matter_only_where_a_picture_uses_them(tmp_path, numb
     assert lens is not None and lens.model == "fisheye" and not lens.radial
     with pytest.raises(FormatError, match=f"found camera model '{name}'.*first"):
         used(1)
+
+
+def test_notes_count_the_rotations_that_were_mended():
+    rotations, exact = Rotations(), near(0.7)
+    stretched = exact @ np.diag([1.0, 1.001, 1.003])
+    for matrix in (exact, 2 * exact, 0.98 * exact, stretched, exact @ np.diag([1.0, 1, 1.01])):
+        np.testing.assert_allclose(rotations.of(matrix, "a"), exact, atol=0.01)
+    assert rotations.notes == (
+        "the matrices of 2 cameras are scaled: their rotations are taken",
+        "the matrices of 2 cameras are no exact rotations (off by up to 1 %): the nearest ones are taken",
+    )
+    rotations = Rotations()
+    rotations.of(exact, "a")
+    assert rotations.notes == ()

@@ -10,6 +10,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 import splatree
+from splatree.constants import DILATION_PX2
 from splatree.errors import InputError
 from splatree.kernels.cpu.frame import select as cpu
 from splatree.kernels.cpu.frame import stages as cpu_stages
@@ -256,6 +257,13 @@ def test_blurred_splats_keep_their_mass_and_gain_the_variance():
     sides = np.sqrt(np.diagonal(covariances(after), axis1=1, axis2=2))
     assert after.half_sizes_px == pytest.approx(k[:, None] * sides, rel=1e-4)
     assert np.exp2(after.records[:, 6]) == pytest.approx(after.opacities, rel=1e-5)
+
+
+def test_a_point_of_the_first_picture_has_the_width_that_a_point_of_any_picture_has():
+    point = scene_of(np.zeros((1, 3)), 1e-6, 0.9)
+    small = first_look(view_of(point, CAMERA))
+    splats = blurred(cpu_stages.project(point.gaussians, point.ids, np.zeros(1, np.int32), small))
+    assert splats.conics[0] == pytest.approx([1 / DILATION_PX2, 0, 1 / DILATION_PX2], rel=1e-4, abs=1e-6)
 
 
 def chain() -> tuple[np.ndarray, Light]:

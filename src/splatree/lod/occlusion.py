@@ -1,4 +1,4 @@
-"""Draw what nearer Gaussians hide more coarsely.
+"""Draw with fewer nodes what nearer Gaussians hide.
 
 From near by, half of the Gaussians in view show less than a fiftieth of what they would show alone. A cut by size draws them as
 finely as the others. So a coarser cut C′ of the view, at τ′ > τ_R, is drawn first, at half of its size. It tells of each of its

@@ -178,7 +178,7 @@ def _eased(
     runs: Array | None,
     threads: int,
 ) -> tuple[Array, int, float]:
-    """The rows of a cut that draws what is hidden more coarsely (lod/occlusion.py), on the processor."""
+    """The rows of a cut that has fewer nodes where things are hidden (lod/occlusion.py), on the processor."""
     blocks = scene.blocks or index_blocks(scene.gaussians, scene.tree, threads=threads)
     find = partial(cpu.select_range, scene.gaussians, scene.tree, blocks, view, runs=runs, threads=threads)
 

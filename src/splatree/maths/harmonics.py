@@ -68,10 +68,10 @@ def colors_from_harmonics(sh: Array, directions: Array, degree: int) -> Float64[
 
 
 def rotations_of_harmonics(R: Float64[Array, "3 3"], degree: int) -> list[Float64[Array, "m m"]]:
-    """For each degree 1 … ``degree`` the matrix D that turns its 2l + 1 coefficients with the scene (Wigner).
+    """For each degree 1 … ``degree`` the matrix D that turns its 2l + 1 coefficients with the scene (Wigner); R may mirror, too.
 
     The turned scene shows in direction d what the scene showed in Rᵀd: Y(d)ᵀ D sh = Y(Rᵀd)ᵀ sh for all d. A degree is closed
-    under rotations, so the equations of a few directions determine D exactly, up to rounding.
+    under rotations and mirrors, so the equations of a few directions determine D exactly, up to rounding.
     """
     # Directions spread evenly (Fibonacci's spiral): the equations are as well conditioned as the functions are orthogonal.
     i = np.arange(32)

@@ -40,7 +40,7 @@ class SelectOptions:
     """PSNR against all leaves that a view shall have, dB, in place of a pixel error: 30 is rough, 40 hard to tell from all
     leaves. Measuring it takes one to four times as long as drawing all leaves. A budget goes before it. None: by pixel_error."""
     occlusion: bool = False
-    """Draw what nearer Gaussians hide more coarsely: within a budget, near views come 1 to 10 dB nearer to all leaves, and far
+    """Draw with fewer nodes what nearer Gaussians hide: within a budget, near views come 1 to 10 dB nearer to all leaves, and far
     ones 1 dB. A picture of half the size is drawn first, on the processor. Not for stores."""
     rule: Rule = "cut"
     """Rule of the selection: `cut` is exact and draws nothing twice; the others reproduce published methods."""

@@ -37,8 +37,8 @@ class ViewOptions:
     """PSNR against all leaves that each view shall have, dB, in place of a pixel error; a slider of the page changes it. It is
     measured where the camera has moved by a tenth of the distance. The budget goes before it. None: by pixel_error."""
     occlusion: bool = False
-    """Draw what nearer Gaussians hide more coarsely: near views of as many nodes come 1 to 10 dB nearer to all leaves. A view
-    takes 25 to 60 CPU-milliseconds more; a box of the page changes it. Not for scenes that are read page by page."""
+    """Draw with fewer nodes what nearer Gaussians hide: near views of as many nodes come 1 to 10 dB nearer to all leaves. A view
+    takes 20 to 105 CPU-milliseconds more; a box of the page changes it. Not for scenes that are read page by page."""
     device: DeviceName = "cpu"
     """Where the nodes are chosen and exact pictures drawn: `cuda` is an NVIDIA GPU."""
     up: tuple[float, float, float] | None = None

@@ -42,7 +42,7 @@ class Rotations:
                 f"{where}: its rotation is not orthonormal with determinant +1, up to one scale: the matrix "
                 f"{matrix.round(6).tolist()} {what}"
             )
-        self._num_scaled += abs(scale - 1) > _OFF_MAX
+        self._num_scaled += abs(scale - 1) > max(off, ROTATION_TOLERANCE)  # more than what rounding explains
         self._num_rounded += off > ROTATION_TOLERANCE
         self._most = max(self._most, off)
         return np.asarray(rotation)
