@@ -1,5 +1,6 @@
 import hashlib
 import json
+import shutil
 import zipfile
 
 import numpy as np
@@ -241,6 +242,28 @@ def test_the_environment_belongs_to_every_level(tmp_path):
     for level, n in ((0, 30), (1, 5)):
         scene = splatree.read(tmp_path, level=level)
         assert len(scene) == n + 4 and same_bits(scene.gaussians.means[n:].copy(), far.means)
+
+
+def test_units_of_different_degrees_make_a_level_of_the_highest(tmp_path):
+    streamed(tmp_path, environment=True)
+    shutil.rmtree(tmp_path / "unit2")
+    write_sog(tmp_path / "unit2", n=4, bands=2)
+    near, far, level = (splatree.read(tmp_path / name).gaussians.sh for name in ("unit0", "unit2", "."))
+    assert level.shape == (34, 9, 3) and same_bits(level[30:].copy(), far)
+    assert same_bits(level[:20, :4].copy(), near[10:].copy()) and not level[:30, 4:].any()
+
+
+def test_a_bad_value_is_told_by_its_row_of_the_level(tmp_path):
+    """Row 3 of unit 0 is row 23 of the level: 20 rows of another leaf come first."""
+    streamed(tmp_path)
+    shutil.rmtree(tmp_path / "unit0")
+    written = write_sog(tmp_path / "unit0", n=30)
+    codes, meta = written["scales"], written["meta"]
+    lonely = next(c for c in codes[3] if (codes == c).sum() == 1)
+    meta["scales"]["codebook"][int(lonely)] = 1e6
+    (tmp_path / "unit0/meta.json").write_text(json.dumps(meta))
+    with pytest.raises(FormatError, match="row 23, log_scales"):
+        splatree.read(tmp_path)
 
 
 def test_the_bytes_of_a_streamed_scene_are_those_of_the_files_it_names(tmp_path):
