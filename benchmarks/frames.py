@@ -64,8 +64,8 @@ def main() -> None:
         save(
             "frames",
             rows,
-            about=f"Processor milliseconds of a frame, cheapest of {arguments.repeat}: a city of {city.tree.num_leaves:,} leaves, "
-            "a robot of 500,000 and a biker of 150,000. `select` to `alone` are of one thread; `next` is the frame after it in "
+            about=f"Processor milliseconds of a frame, cheapest of {arguments.repeat}: a city of "
+            f"{city.tree.num_leaves:,} leaves, a robot of 500,000 and a biker of 150,000. `select` to `alone` are of one thread; `next` is the frame after it in "
             "one session, `moving` the same while the camera moves",
         )
     print(table(rows))
@@ -92,7 +92,7 @@ def choices(scene: st.Scene, camera: st.Camera) -> Iterator[tuple[str, st.Select
 
 
 def costs_of(scene: st.Scene, camera: st.Camera, select: st.SelectOptions, repeat: int) -> dict[str, Any]:
-    """The costs of one view: of ``repeat`` rounds, in each of which all kinds of frames take their turn, the cheapest of a kind."""
+    """The costs of one view: all kinds of frames take turns ``repeat`` times, and the cheapest of each counts."""
     turned = turned_by(camera, TURN_DEG)
     alone = partial(st.render, scene, select=select)
     with st.open_session(scene, select=select, threads=2) as session:
