@@ -64,8 +64,8 @@ def main() -> None:
         save(
             "frames",
             rows,
-            about=f"Processor milliseconds of a frame, cheapest of {arguments.repeat}: a city of "
-            f"{city.tree.num_leaves:,} leaves, a robot of 500,000 and a biker of 150,000. `select` to `alone` are of one thread; `next` is the frame after it in "
+            about=f"Processor milliseconds of a frame, cheapest of {arguments.repeat}: a city of {city.tree.num_leaves:,} leaves"
+            ", a robot of 500,000 and a biker of 150,000. `select` to `alone` are of one thread; `next` is the frame after it in "
             "one session, `moving` the same while the camera moves",
         )
     print(table(rows))
