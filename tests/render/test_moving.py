@@ -91,6 +91,26 @@ def test_while_the_camera_moves_little_the_cut_is_kept(scene: st.Scene) -> None:
             assert motion.draw(far).has_chosen
 
 
+def test_a_camera_that_moves_fast_gets_cuts_of_its_own_pictures(scene: st.Scene) -> None:
+    """Turning by half a degree a picture, a larger cut serves three more; by 4° it would serve one."""
+    select = st.SelectOptions(pixel_error=4)
+
+    def turned_again_and_again(degrees: float) -> list[tuple[bool, int]]:
+        motion = session.motion()
+        frames = [motion.draw(stepped(camera(), turn_deg=(i * degrees, 0))) for i in range(6)]
+        return [(frame.has_chosen, len(frame.selection)) for frame in frames]
+
+    with st.open_session(scene, select=select) as session:
+        slow, fast = turned_again_and_again(0.5), turned_again_and_again(4)
+        rests = session.motion()
+        for degrees in (0, 4, 8, 8):
+            kept = rests.draw(stepped(camera(), turn_deg=(degrees, 0)))
+        assert not rests.draw(kept.camera).has_chosen  # it waits: from now on the cut is kept
+    own = [len(st.select(scene, stepped(camera(), turn_deg=(i * 4.0, 0)), select)) for i in range(6)]
+    assert [chosen for chosen, _ in slow] == [True] + 5 * [False]
+    assert fast[0][1] > own[0] and fast[2:] == [(True, nodes) for nodes in own[2:]]
+
+
 def test_whatever_changes_the_cut_chooses_it_anew(scene: st.Scene) -> None:
     with st.open_session(scene) as session:
         motion = session.motion()
@@ -120,6 +140,9 @@ def test_pictures_follow_the_time_that_they_take(scene: st.Scene) -> None:
         hurried = session.motion(st.Moving(target_ms=1e-6, least_scale=0.5))
         widths = [hurried.draw(view).image.shape[1] for _ in range(12)]
         assert widths[0] == 160 and widths[-1] == 80 and sorted(widths, reverse=True) == widths
+        turning = session.motion(st.Moving(target_ms=1e-6, least_scale=0.5))
+        turned = [turning.draw(stepped(view, turn_deg=(4.0 * i, 0))).image.shape[1] for i in range(12)]
+        assert turned[-1] == 80  # though each picture has a cut of its own
         patient = session.motion(st.Moving(target_ms=1e9))
         assert {patient.draw(view).image.shape for _ in range(3)} == {(90, 160, 3)}
 

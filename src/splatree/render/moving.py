@@ -3,7 +3,8 @@
 What an exact frame makes anew and this one keeps:
 
 - *The cut.* It is chosen for a picture that is larger by `Moving.guard` on each side. While the picture lies within the larger
-  one and the eye has moved by at most `Moving.step` of the distance, no node is looked at.
+  one and the eye has moved by at most `Moving.step` of the distance, no node is looked at. A camera that would leave it within
+  `AHEAD` pictures, by the motion between the last two, gets a cut of its own picture: a third fewer nodes.
 - *The budget.* The search begins at the τ_R of the last cut: 1 to 1.1 cuts on a path.
 - *Columns.* From the fourth picture of a cut on, those of its nodes lie together, with 3 numbers of colour in place of 48.
 - *Colours.* They are then those seen from where the cut was chosen: 10 % of the distance is an angle of 6°.
@@ -51,6 +52,9 @@ SLOW, FAST = 1.2, 0.6
 
 SHRINK, GROW = 0.85, 1.15
 """… by these factors along each side."""
+
+AHEAD: Final = 3
+"""Pictures after its own that a cut of a larger picture has to serve: its nodes, half as many again, cost what three save."""
 
 GATHER_AFTER: Final = 3
 """Pictures of a cut after which its columns are gathered: that costs what three more pictures save."""
@@ -132,6 +136,11 @@ class _Cut:
     selection: Selection
     """The nodes."""
 
+    @property
+    def is_guarded(self) -> bool:
+        """Whether it may serve pictures after its own."""
+        return self.view.camera.width > self.asked[1].camera.width
+
 
 @dataclass(frozen=True, eq=False)
 class _Columns:
@@ -172,6 +181,7 @@ class Motion:
         self._num_drawn = 0  # pictures of this cut
         self._scale = 1.0
         self._last: float | None = None  # τ_R of the last cut
+        self._seen: Camera | None = None  # the last view
 
     def draw(
         self, camera: Camera, *, options: RenderOptions | None = None, select: SelectOptions | None = None
@@ -196,7 +206,8 @@ class Motion:
             kept = self._cut
             cut = self._cut_of(view, select or self._select or SelectOptions(), clock)
             frame = self._drawn(cut, replace(view, least_light=LEAST_LIGHT), clock, cut is not kept)
-            if not frame.has_chosen:
+            self._seen = camera
+            if not (frame.has_chosen and cut.is_guarded):
                 self._follow(sum(frame.milliseconds.values()))
             return frame
 
@@ -210,7 +221,7 @@ class Motion:
             and may_keep(kept.view.camera, view.camera, distance=kept.distance, step=self._moving.step)
         ):
             return kept
-        guarded = replace(view, camera=guarded_by(view.camera, self._moving.guard))
+        guarded = replace(view, camera=guarded_by(view.camera, self._guard_of(view.camera)))
         wanted = select
         if select.budget is not None:
             area = (guarded.camera.width * guarded.camera.height) / (view.camera.width * view.camera.height)
@@ -220,6 +231,16 @@ class Motion:
         self._cut = _Cut(engine.scene, (select, view), guarded, distance, chosen)
         self._columns, self._num_drawn, self._last = None, 0, chosen.pixel_error
         return self._cut
+
+    def _guard_of(self, camera: Camera) -> float:
+        """By what share the picture of a new cut is larger: by none if the camera moves on too fast for that to pay."""
+        guard, seen, cut = self._moving.guard, self._seen, self._cut
+        if seen is None or cut is None:
+            return guard
+        motion = camera.camera_from_world @ np.linalg.inv(seen.camera_from_world)
+        ahead = replace(camera, camera_from_world=np.linalg.matrix_power(motion, AHEAD) @ camera.camera_from_world)
+        larger = guarded_by(camera, guard)
+        return guard if may_keep(larger, ahead, distance=cut.distance, step=self._moving.step) else 0.0
 
     def _drawn(self, cut: _Cut, view: View, clock: Clock, has_chosen: bool) -> MovedFrame:
         stages, threads = self._engine.reusing, self._engine.threads
