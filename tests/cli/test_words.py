@@ -70,6 +70,9 @@ def test_numbers_below_zero_and_commas_are_values(splatree, small_ply, tmp_path)
         ("thin a b --zebra", "which is no option of this verb"),
         ("convert a b --rotate 1 2", "wanted 3 numbers, such as --rotate 0 1 2"),
         ("convert a b --output", "--output: found nothing after it, wanted a value"),
+        ("train a -o ''", "-o: found '', wanted a path; is a variable of the shell unset?"),
+        ("serve a --packages ''", "--packages: found '', wanted a word; is a variable of the shell unset?"),
+        ("render a --width ' '", "--width: found ' ', wanted a whole number; is a variable of the shell unset?"),
         ("convert a b --scale --force", "--scale: found '--force' after it, wanted a value"),
         ("rendr a", "did you mean render?"),
         ("bench tabel1", "did you mean table1?"),
@@ -84,7 +87,7 @@ def test_numbers_below_zero_and_commas_are_values(splatree, small_ply, tmp_path)
     ],
 )
 def test_wrong_words_are_one_line_with_a_hint(splatree, line, said):
-    code, out, err = splatree(*line.split())
+    code, out, err = splatree(*shlex.split(line))
     assert (code, out, err.count("\n")) == (2, "", 1), err
     assert said in err
 

@@ -27,6 +27,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from splatree.errors import InputError, SplatreeError
 from splatree.scene.given import given
+from splatree.scene.literals import check_literals
 from splatree.stream.first_view import first_view
 from splatree.stream.http import LOOPBACK, HttpServer, host_name
 from splatree.stream.pages import index_page, viewer_page
@@ -75,8 +76,13 @@ class ServeOptions:
     """Where the browser loads PlayCanvas, Spark and Cesium from: an address with npm packages, or a folder node_modules."""
 
     def __post_init__(self) -> None:
+        check_literals(self)
         if not 0 <= self.port <= 65535:
             raise InputError(f"port: found {self.port}, wanted 0 to 65535")
+        if not self.host or not self.packages:
+            raise InputError(
+                f"host, packages: found {self.host!r}, {self.packages!r}, wanted addresses, such as 127.0.0.1"
+            )
 
     @property
     def is_local(self) -> bool:
