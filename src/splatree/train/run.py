@@ -21,7 +21,7 @@ from splatree.render.build import build_lod
 from splatree.scene.given import check_threads, given
 from splatree.scene.scene import NEAR_KEY, Scene, Source
 from splatree.shapes import Array, Float64
-from splatree.train.checkpoint import Identity, load, read_log, save
+from splatree.train.checkpoint import Identity, load, make_folder, read_log, save
 from splatree.train.densify import Rows, Sightings, densified
 from splatree.train.exposure import Exposures
 from splatree.train.lineage import Lineage
@@ -123,6 +123,8 @@ def train(
         state = load(files.folder, identity)
     else:
         state = _beginning(work)
+    if files.folder is not None:
+        make_folder(files.folder)
     stopped = False
     with task("train", 1.0) as advance:
         advance(state.share)
