@@ -3,7 +3,7 @@
 ``python benchmarks/budget.py [--mode classic antialiased] [--share 0.1]`` needs the shared city and its flight of 16 views, which
 sinks from 180 to 50 m. Each view is drawn from a cut of at most ``share`` of the city's leaves, from levels by pairs and by a
 radius and, in mode `classic`, from levels by pairs that were merged for pixels much smaller than themselves
-(``--merge.dilation 0``); beside them the whole city thinned once to the same share, of which a view sees only its part. PSNRs are
+(``--dilation 0``); beside them the whole city thinned once to the same share, of which a view sees only its part. PSNRs are
 against all leaves, drawn by the same renderer.
 """
 
@@ -73,9 +73,7 @@ def of_mode(city: splatree.Scene, cameras: list[splatree.Camera], share: float) 
         "cut, radius": splatree.BuildOptions("radius"),
     }
     if city.mode == "classic":
-        ways["cut, pairs, --merge.dilation 0"] = splatree.BuildOptions(
-            "pairs", merge=splatree.MergeOptions(dilation=0.0)
-        )
+        ways["cut, pairs, --dilation 0"] = splatree.BuildOptions("pairs", merge=splatree.MergeOptions(dilation=0.0))
     budget = splatree.SelectOptions(budget=int(share * num_leaves))
     for way, options in ways.items():
         yield from rows_of(way, splatree.build_lod(city, options), budget)

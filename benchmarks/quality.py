@@ -140,7 +140,7 @@ def main() -> None:
     parser.add_argument("--mode", nargs="+", choices=("classic", "antialiased"), default=["classic", "antialiased"])
     parser.add_argument("--peer", action="store_true", help="also run splat-transform through npx")
     parser.add_argument("--cuts", action="store_true", help="table 2 alone")
-    parser.add_argument("--dilation", type=float, help="table 2 alone, for a tree made with this --merge.dilation")
+    parser.add_argument("--dilation", type=float, help="table 2 alone, for a tree made with this --dilation")
     arguments = parser.parse_args()
     if arguments.peer and shutil.which("npx") is None:
         parser.error("--peer: found no npx, wanted Node with npm")

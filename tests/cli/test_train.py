@@ -105,7 +105,8 @@ def test_a_run_is_never_overwritten_unasked(splatree, data, tmp_path):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="no signals between processes there")
-def test_an_interruption_leaves_a_scene_and_a_run_that_goes_on(splatree, data, tmp_path):
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["SIGINT", "SIGTERM"])
+def test_an_interruption_leaves_a_scene_and_a_run_that_goes_on(splatree, data, tmp_path, number):
     words = ["train", data, "--iterations", "400", "--max-gaussians", "300", "--json"]
     whole = result_of(splatree(*words, "-o", tmp_path / "whole.ply"))
     program = [sys.executable, "-m", "splatree", *map(str, words[:-1]), "-o", str(tmp_path / "a.ply"), "-v"]
@@ -114,7 +115,7 @@ def test_an_interruption_leaves_a_scene_and_a_run_that_goes_on(splatree, data, t
     ) as child:
         for line in child.stderr:  # after the first score there is a run to interrupt
             if line.startswith("25%") or "%:" in line:
-                child.send_signal(signal.SIGINT)
+                child.send_signal(number)
                 break
         out, err = child.communicate()
     assert child.returncode == 0, err

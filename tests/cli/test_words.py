@@ -4,6 +4,7 @@ import json
 import re
 import shlex
 from importlib import import_module
+from typing import get_args, get_origin
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ import pytest
 from splatree import read
 from splatree.cli.examples import BASIC
 from splatree.cli.help import examples_of
-from splatree.cli.main import GROUPS, VERBS, commands_of
+from splatree.cli.main import GROUPS, VERBS, _parsed, commands_of
 from splatree.cli.words import options_of, sorted_words
 
 COMMANDS = [*(v for v in VERBS if v not in GROUPS), *(f"{g} {c}" for g in GROUPS for c in commands_of(g))]
@@ -69,6 +70,9 @@ def test_numbers_below_zero_and_commas_are_values(splatree, small_ply, tmp_path)
         ("thin a b --zebra", "which is no option of this verb"),
         ("convert a b --rotate 1 2", "wanted 3 numbers, such as --rotate 0 1 2"),
         ("convert a b --output", "--output: found nothing after it, wanted a value"),
+        ("train a -o ''", "-o: found '', wanted a path; is a variable of the shell unset?"),
+        ("serve a --packages ''", "--packages: found '', wanted a word; is a variable of the shell unset?"),
+        ("render a --width ' '", "--width: found ' ', wanted a whole number; is a variable of the shell unset?"),
         ("convert a b --scale --force", "--scale: found '--force' after it, wanted a value"),
         ("rendr a", "did you mean render?"),
         ("bench tabel1", "did you mean table1?"),
@@ -83,7 +87,7 @@ def test_numbers_below_zero_and_commas_are_values(splatree, small_ply, tmp_path)
     ],
 )
 def test_wrong_words_are_one_line_with_a_hint(splatree, line, said):
-    code, out, err = splatree(*line.split())
+    code, out, err = splatree(*shlex.split(line))
     assert (code, out, err.count("\n")) == (2, "", 1), err
     assert said in err
 
@@ -125,6 +129,42 @@ def test_examples_are_command_lines(name):
     for example in examples_of(name, command_of(name)):
         words = shlex.split(example)[1 + len(name.split()) :]
         sorted_words(words, options_of(command_of(name)))
+
+
+def some_words(option):
+    """An option with values of its kind, which need not make sense."""
+    kinds = get_args(option.kind) if get_origin(option.kind) is tuple else (option.kind,)
+    if option.kind is bool:
+        return [option.name]
+    return [option.name, *(some_value(kind) for kind in kinds if kind is not Ellipsis)]
+
+
+def some_value(kind):
+    kind = next(iter(get_args(kind)), kind)
+    return str(kind) if isinstance(kind, str) else "1"
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_option_of_the_help_is_taken(capsys, name):
+    """Those of structs within structs, too: their values may be refused, their names may not."""
+    options = options_of(command_of(name))
+    words = ["a.ply"] * any(option.is_positional for option in options)
+    words += [word for option in options if not option.is_positional for word in some_words(option)]
+    _parsed(name, words, command_of(name), None)
+    said = capsys.readouterr().err
+    assert "options" not in said and "╭" not in said, said
+
+
+def test_options_of_merging_have_no_prefix():
+    for verb in ("thin", "build"):
+        words = ["in.ply", "out.splatree", "--mass-limit", "3", "--scale-bound", "2"]
+        merge = _parsed(verb, words, command_of(verb), None).options.merge
+        assert (merge.mass_limit, merge.scale_bound) == (3, 2)
+
+
+def test_refused_values_within_structs_are_one_line(splatree):
+    code, _, err = splatree("thin", "in.ply", "out.ply", "--mass-limit", "0")
+    assert (code, err) == (2, "splatree thin: error: mass_limit: found 0.0, wanted 1 or more\n")
 
 
 def test_basic_options_exist():

@@ -69,7 +69,7 @@ def test_no_points_are_none(tmp_path):
 def test_damaged_points_are_refused(tmp_path):
     folder = model(tmp_path / "sparse" / "0")
     whole = write_binary(folder)
-    for size in (3, 20, len(whole) - 60):
+    for size in (3, 20, len(whole) - 60, len(whole) - 1):
         (folder / "points3D.bin").write_bytes(whole[:size])
         with pytest.raises(st.FormatError, match=r"points3D.bin: .*the file is cut off"):
             read_points(tmp_path)
@@ -78,6 +78,9 @@ def test_damaged_points_are_refused(tmp_path):
         read_points(tmp_path)
     write_binary(folder, np.array([[1, 2, 3], [np.nan, 0, 0]]))
     with pytest.raises(st.FormatError, match=r"point 2 of 2: found \[nan"):
+        read_points(tmp_path)
+    write_binary(folder, np.array([[1, 2, 3], [0, -1e300, 0]]))
+    with pytest.raises(st.FormatError, match=r"point 2 of 2: found .*, wanted places within 1e\+18 of zero"):
         read_points(tmp_path)
     (folder / "points3D.bin").unlink()
     (folder / "points3D.txt").write_text("1 2 3 4 300 0 0 0.5\n")

@@ -38,8 +38,9 @@ def test_lists_that_do_not_fit_are_refused(tmp_path):
         listed.write_text(text)
         with pytest.raises(error, match=match):
             split_views([*CAMERAS, *views("x/a.jpg", "y/a.png")], listed)
-    with pytest.raises(InputError, match="not found"):
-        split_views(CAMERAS, tmp_path / "none.txt")
+    for path in (tmp_path / "none.txt", tmp_path):
+        with pytest.raises(InputError, match="found no such file, wanted a list of the held-out views"):
+            split_views(CAMERAS, path)
     with pytest.raises(InputError, match="found 0"):
         split_views(CAMERAS, 0)
 

@@ -3,6 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import splatree as st
 from splatree import Camera, InputError
 
 
@@ -50,3 +51,13 @@ def test_a_camera_that_cannot_be_is_refused():
     for wrong in ([np.nan, 1.0, 1.0], [1.0, 1.0], [np.inf, 0.0, 0.0]):
         with pytest.raises(InputError, match=r"found position .* wanted x y z of each, finite"):
             Camera.look_at(wrong, [0.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("factor", [0, -1, float("nan"), float("inf"), 1e308, 1e12])
+def test_a_scale_that_leaves_no_picture_is_refused(factor):
+    camera = st.Camera.look_at([0, 0, -6], [0, 0, 0], width=16, height=16)
+    with pytest.raises(
+        st.InputError, match=r"scale: found .*, wanted more than 0 and sides of at most 2,147,483,647 px"
+    ):
+        camera.scaled(factor)
+    assert camera.scaled(1e-9).width == 1

@@ -51,3 +51,23 @@ def test_options_of_another_kind_are_named(tmp_path, call, message):
     with pytest.raises(st.InputError, match=message):
         call(tmp_path)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("threads", [-1, 4097, 10**20, 1.0, "2", True])
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda path, threads: st.render(SCENE, CAMERA, threads=threads),
+        lambda path, threads: st.build_lod(SCENE, threads=threads),
+        lambda path, threads: st.build_clusters(SCENE, 2, threads=threads),
+        lambda path, threads: st.thin(SCENE, st.ThinOptions(keep=0.5), threads=threads),
+        lambda path, threads: st.refine(SCENE, threads=threads),
+        lambda path, threads: st.stream(SCENE, path / "s", threads=threads),
+        lambda path, threads: st.train(path, threads=threads),
+    ],
+    ids=["render", "build_lod", "build_clusters", "thin", "refine", "stream", "train"],
+)
+def test_what_is_no_number_of_threads_is_refused(tmp_path, call, threads):
+    with pytest.raises(st.InputError, match=r"threads: found .*, wanted 1 to 4096, or 0 for all"):
+        call(tmp_path, threads)
+    assert not list(tmp_path.iterdir())

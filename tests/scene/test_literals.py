@@ -2,6 +2,8 @@ import dataclasses
 import importlib
 import inspect
 import pkgutil
+import re
+from pathlib import Path
 from typing import Literal, get_type_hints
 
 import numpy as np
@@ -9,7 +11,7 @@ import pytest
 
 import splatree
 from splatree import InputError, Scene
-from splatree.scene.literals import _choices_from_field, check_literals
+from splatree.scene.literals import _Choices, _choices_from_field, check_literals
 from splatree.scene.options import RenderOptions
 
 from ..scenes import gaussians
@@ -22,6 +24,11 @@ class Struct:
     size: float | Literal["auto"] | None = None
     repair: bool | Literal["drop"] = False
     several: tuple[Literal["x", "y"], ...] = ()
+    count: int = 1
+    share: float | None = None
+    place: tuple[float, float, float] | None = None
+    file: int | Path = 8
+    host: str = "here"
 
     def __post_init__(self) -> None:
         check_literals(self)
@@ -37,6 +44,14 @@ class Struct:
         {"size": "auto"},
         {"repair": True},
         {"repair": "drop"},
+        {"repair": np.True_},
+        {"count": np.int64(3)},
+        {"share": 1},
+        {"share": np.float64("nan")},
+        {"place": [1, 2.5, np.float32(3)]},
+        {"place": np.zeros(3)},
+        {"file": 3},
+        {"file": Path("names.txt")},
     ],
 )
 def test_values_of_the_annotation_pass(fields):
@@ -52,12 +67,27 @@ def test_values_of_the_annotation_pass(fields):
         ({"other": "blue"}, "Struct.other: found 'blue', wanted 'red', 'green' or None"),
         ({"size": "atuo"}, "Struct.size: found 'atuo', wanted 'auto', a number or None; did you mean 'auto'?"),
         ({"repair": 1}, "Struct.repair: found 1, wanted 'drop' or True or False"),
+        ({"count": 1.0}, "Struct.count: found 1.0, wanted a whole number"),
+        ({"count": True}, "Struct.count: found True, wanted a whole number"),
+        ({"count": "3"}, "Struct.count: found '3', wanted a whole number"),
+        ({"count": 2**63}, "Struct.count: found 9223372036854775808, wanted a whole number"),
+        ({"count": None}, "Struct.count: found None, wanted a whole number"),
+        ({"share": "0.5"}, "Struct.share: found '0.5', wanted a number or None"),
+        ({"place": (1, 2)}, "Struct.place: found (1, 2), wanted 3 numbers or None"),
+        ({"place": "xyz"}, "Struct.place: found 'xyz', wanted 3 numbers or None"),
+        ({"place": (1, 2, "3")}, "Struct.place: found (1, 2, '3'), wanted 3 numbers or None"),
+        ({"file": 1.5}, "Struct.file: found 1.5, wanted a whole number or a path"),
+        ({"host": Path("here")}, f"Struct.host: found {Path('here')!r}, wanted a text"),
     ],
 )
 def test_other_values_are_named_with_what_was_wanted(fields, message):
     with pytest.raises(InputError) as error:
         Struct(**fields)
     assert str(error.value) == message
+
+
+def test_a_path_may_be_a_text():
+    assert Struct(file="names.txt").file == Path("names.txt")
 
 
 def _structs_that_users_build() -> list[type]:
@@ -75,7 +105,8 @@ def _structs_that_users_build() -> list[type]:
         for name, value in vars(loaded).items():
             if inspect.isclass(value) and dataclasses.is_dataclass(value) and value.__module__ == module.name:
                 is_public = name.endswith("Options") or name in splatree.__all__
-                if is_public and any("Literal" in str(hint) for hint in get_type_hints(value).values()):
+                has_names = any("Literal" in str(hint) for hint in get_type_hints(value).values())
+                if is_public and (has_names or (name.endswith(("Options", "RunFiles")) and name in splatree.__all__)):
                     found.add(value)
     return sorted(found, key=lambda struct: struct.__name__)
 
@@ -90,9 +121,17 @@ def _example(struct: type) -> object:
     for field in dataclasses.fields(struct):
         if field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
             choices = _choices_from_field(struct).get(field.name)
-            is_count = get_type_hints(struct)[field.name] is int
-            values[field.name] = choices.values[0] if choices else 0 if is_count else None
+            values[field.name] = _plausible(choices) if choices else None
     return struct(**values)
+
+
+def _plausible(choices: _Choices) -> object:
+    if choices.values:
+        return choices.values[0]
+    kind = choices.types[0]
+    if dataclasses.is_dataclass(kind):
+        return Scene.flat(gaussians(3, 0)) if kind is Scene else object.__new__(kind)
+    return kind()
 
 
 STRUCTS = _structs_that_users_build()
@@ -109,9 +148,13 @@ def test_every_name_in_every_struct_is_checked(struct):
     example = _example(struct)
     choices = _choices_from_field(struct)
     assert choices
+    is_chosen = struct.__name__.endswith(("Options", "RunFiles")) and struct.__name__ in splatree.__all__
     for name in choices:
-        with pytest.raises(InputError, match=rf"^{struct.__name__}\.{name}: found 'nonsense', wanted "):
-            dataclasses.replace(example, **{name: "nonsense"})
+        if not (is_chosen or choices[name].values):
+            continue  # of what the library makes itself
+        value = "nonsense" if choices[name].values else [None]
+        with pytest.raises(InputError, match=rf"^{struct.__name__}\.{name}: found {re.escape(repr(value))}, wanted "):
+            dataclasses.replace(example, **{name: value})
 
 
 def test_a_typo_in_the_mode_draws_nothing():

@@ -1,11 +1,14 @@
 import numpy as np
 import pytest
 
+import splatree as st
 from splatree import InputError, RenderOptions, Scene, SelectOptions
 from splatree.constants import ALPHA_THRESHOLD
 from splatree.scene.cameras import Camera
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.view import view_of
+
+from ..scenes import gaussians
 
 NAN, INF = float("nan"), float("inf")
 
@@ -111,3 +114,40 @@ def test_pixels_are_drawn_down_to_the_lossless_threshold_and_tapered_only_above_
         assert (resolved.pixel_threshold, resolved.tapers) == (pixel_threshold, tapers)
     assert not view_of(scene(), CAMERA, RenderOptions(threshold=0.1)).tapers
     assert not view_of(scene(), CAMERA, RenderOptions(threshold=ALPHA_THRESHOLD, pixels="taper")).tapers
+
+
+@pytest.mark.parametrize(
+    ("make", "found"),
+    [
+        (lambda: st.RefineOptions(iterations=10**10), "iterations: found 10000000000, wanted 1 to 1e9"),
+        (lambda: st.RefineOptions(made_views=10**7), "made_views: found 10000000, wanted 8 to 1e6"),
+        (lambda: st.RefineOptions(seed=-1), "seed: found -1, wanted 0 or more"),
+        (lambda: st.ClusterOptions(seed=-1), "seed: found -1, wanted 0 or more"),
+        (
+            lambda: st.EditOptions(crop_sphere=(0, 0, 0, 1e300)),
+            "crop_sphere: found .*, wanted numbers of at most 1e.100",
+        ),
+        (lambda: st.EditOptions(translate=(float("nan"), 0, 0)), "translate: found .*, wanted numbers of at most"),
+        (lambda: st.ServeOptions(host=""), "host, packages: found '', "),
+        (lambda: st.ServeOptions(packages=""), "host, packages: found '127.0.0.1', '', wanted addresses"),
+        (
+            lambda: st.ViewOptions(allow_origin=("https://hub.example/",)),
+            "allow_origin: found 'https://hub.example/', ",
+        ),
+        (lambda: st.ViewOptions(allow_origin=("hub.example",)), "allow_origin: found 'hub.example', wanted scheme"),
+        (lambda: st.ViewOptions(allow_origin=("http://a; script-src *",)), "allow_origin: found "),
+    ],
+)
+def test_values_without_sense_are_refused(make, found):
+    with pytest.raises(st.InputError, match=found):
+        make()
+
+
+def test_huge_pixel_errors_draw_the_roots():
+    """Their squares have no room in a number."""
+    scene = st.build_lod(st.Scene.flat(gaussians(50, 0)), st.BuildOptions(method="radius"))
+    camera = st.Camera.look_at([0, 0, -30], [0, 0, 0], width=32, height=32)
+    for huge in (1e308, float("inf")):
+        rows = st.select(scene, camera, st.SelectOptions(pixel_error=huge, view_test="none")).rows
+        assert (scene.tree.depth[rows] == 0).all() and len(rows)
+        assert len(st.select(scene, camera, st.SelectOptions(max_radius=huge, view_test="none")))

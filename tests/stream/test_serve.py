@@ -2,6 +2,7 @@
 
 import gzip
 import http.client
+import os
 import socket
 import threading
 from urllib.parse import parse_qs, quote, urlsplit
@@ -193,6 +194,36 @@ def test_a_stream_that_cannot_be_read_here_still_has_a_page(folder, tmp_path):
 )
 def test_nothing_else_is_served(server, path):
     assert ask(server, path)[0] == 404
+
+
+@pytest.mark.parametrize("path", [f"/{'a' * 300}.rad", f"/{'a/' * 3000}x.rad"], ids=["name", "path"])
+def test_paths_that_are_too_long_are_not_found(server, path):
+    assert ask(server, path)[0] == 404
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes with names")
+def test_only_files_inside_of_the_folder_are_streams(folder, tmp_path):
+    data = (folder / "city.rad").read_bytes()
+    (tmp_path / "outside.rad").write_bytes(data)
+    inside = tmp_path / "inside"
+    inside.mkdir()
+    (inside / "dir.rad").mkdir()
+    os.mkfifo(inside / "pipe.rad")  # who opens it would wait
+    for name, target in (("link", tmp_path / "outside.rad"), ("loop", "loop.rad"), ("lost", tmp_path / "none.rad")):
+        (inside / f"{name}.rad").symlink_to(target)
+    with pytest.raises(st.InputError, match="links out of it not counted"):
+        st.serve(inside, st.ServeOptions(port=0))
+    (inside / "city.rad").write_bytes(data)
+    (inside / "same.rad").symlink_to("city.rad")
+    with st.serve(inside, st.ServeOptions(port=0)) as server:
+        assert server.streams == ("city.rad", "same.rad")
+        for name in ("dir", "pipe", "link", "loop", "lost"):
+            assert ask(server, f"/{name}.rad")[0] == 404
+            assert ask(server, f"/open/spark?stream={name}.rad")[0] == 200
+        assert ask(server, "/same.rad")[2] == data
+        (inside / "city.rad").unlink()
+        assert ask(server, "/city.rad")[0] == 404
+        assert ask(server, "/open/spark?stream=city.rad")[0] == 200
 
 
 def test_other_names_of_this_machine_are_refused(server):

@@ -112,6 +112,26 @@ def test_damaged_checkpoints_are_refused(begun, tmp_path):
         begun()
 
 
+@pytest.mark.parametrize(("name", "value"), [("step", -5), ("step", "a"), ("spent_s", float("nan")), ("loss", None)])
+def test_checkpoints_with_wrong_numbers_are_refused(begun, tmp_path, name, value):
+    path = tmp_path / "a.run" / "checkpoint.npz"
+    with np.load(path) as stored:
+        arrays = dict(stored)
+    about = json.loads(arrays["about"].tobytes()) | {name: value}
+    np.savez(path, **arrays | {"about": np.frombuffer(json.dumps(about).encode(), np.uint8)})
+    with pytest.raises(st.FormatError, match=rf"checkpoint.npz.{name}: found "):
+        begun()
+
+
+def test_a_run_that_cannot_be_kept_is_refused_before_the_first_step(photographs, tmp_path):
+    (tmp_path / "file").write_text("")
+    steps = []
+    for folder in (tmp_path / "none" / "a.run", tmp_path / "file"):
+        with pytest.raises(st.OutputError, match=f"{folder.name}: cannot be made a folder for the run"):
+            st.train(photographs, OPTIONS, files=st.RunFiles(folder), stop=lambda: bool(steps.append(1)))
+    assert not steps
+
+
 def test_a_full_disk_leaves_the_last_checkpoint_whole(begun, photographs, tmp_path, monkeypatch):
     path = tmp_path / "a.run" / "checkpoint.npz"
     before = path.read_bytes()
@@ -135,6 +155,8 @@ def test_logs_that_are_none_are_refused(photographs, tmp_path):
         ("[]", "found no step"),
         ('[{"step": 5, "share": 0, "growth": 0, "num_steps": 3}]', "found its first step 5, wanted 0"),
         ('[{"step": 0}]', "no key"),
+        ('[{"step": 0, "share": 0, "growth": -1, "num_steps": 3}]', "round 0: found share 0 and growth -1, wanted"),
+        ('[{"step": 0, "share": 2, "growth": 0, "num_steps": 3}]', "round 0: found share 2 and growth 0, wanted"),
         ("{", "not valid JSON"),
     ):
         path.write_text(text)

@@ -359,3 +359,56 @@ def test_a_back_end_that_only_draws_is_refused(photographs, monkeypatch):
     monkeypatch.delattr(stages, "project_backward")
     with pytest.raises(st.InputError, match="found 'cpu', which cannot train"):
         st.train(photographs, OPTIONS)
+
+
+@pytest.mark.parametrize(
+    ("value", "size", "found"),
+    [
+        (
+            0,
+            (64, 64),
+            "masks: found no pixel that counts in the 3 photographs, wanted some that are white; masks of 0 and 1",
+        ),
+        (1, (64, 64), "masks: found no pixel that counts in the 3 photographs"),
+        (
+            255,
+            (48, 64),
+            r"photo_1.png: found 48 × 64 px, which is not the shape of its photograph 'photo_1.png', 64 × 64 px",
+        ),
+        (255, (32, 32), None),
+    ],
+)
+def test_masks_that_leave_nothing_or_do_not_fit_are_refused(photographs, value, size, found):
+    from PIL import Image
+
+    (photographs / "masks").mkdir()
+    for i in range(4):
+        Image.new("L", size, value).save(photographs / "masks" / f"photo_{i}.png")
+    options = replace(OPTIONS, iterations=1, masks=photographs / "masks")
+    if found is None:
+        assert st.train(photographs, options).history
+        return
+    with pytest.raises(st.InputError, match=found):
+        st.train(photographs, options)
+
+
+def test_photographs_that_are_transparent_everywhere_are_refused(photographs):
+    from PIL import Image
+
+    for path in (photographs / "images").iterdir():
+        picture = Image.open(path).convert("RGBA")
+        picture.putalpha(0)
+        picture.save(path)
+    with pytest.raises(
+        st.InputError, match="photos: found no pixel that counts in the 3 photographs, wanted some whose alpha"
+    ):
+        st.train(photographs, OPTIONS)
+
+
+def test_points_that_no_view_shows_are_refused(photographs):
+    points = photographs / "sparse" / "0" / "points3D.txt"
+    points.write_text("1 0 -500 -500 9 9 9 0.5 1 0 2 0 3 0\n2 0 500 500 9 9 9 0.5 1 0 2 0 3 0\n")
+    with pytest.raises(st.InputError, match="points: found none of 2 in the picture of any of the 3 training views"):
+        st.train(photographs, OPTIONS)
+    points.write_text(points.read_text() + "3 0 0 0 9 9 9 0.5 1 0 2 0 3 0\n")
+    assert st.train(photographs, replace(OPTIONS, iterations=1)).history

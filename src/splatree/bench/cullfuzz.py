@@ -54,6 +54,8 @@ class Options:
     def __post_init__(self) -> None:
         if self.gaussians < 1:
             raise InputError(f"gaussians: found {self.gaussians}, wanted at least 1")
+        if self.seed < 0:
+            raise InputError(f"seed: found {self.seed}, wanted 0 or more")
         if self.frames is not None and not 1 <= self.frames <= self.gaussians:
             raise InputError(f"frames: found {self.frames}, wanted 1 to {self.gaussians}, the number of Gaussians")
 

@@ -18,6 +18,7 @@ from splatree.render.build import build_lod
 from splatree.render.overlap import overlap_hint
 from splatree.render.paths import PathOptions, flyout
 from splatree.scene.cameras import Camera
+from splatree.scene.literals import check_literals
 from splatree.scene.scene import Scene
 from splatree.shapes import Array
 
@@ -45,6 +46,7 @@ class SubjectOptions:
     """Width of the pictures, px."""
 
     def __post_init__(self) -> None:
+        check_literals(self)
         if self.views < 0:
             raise InputError(f"views: found {self.views}, wanted 0 (all) or more")
         if self.size < 16:

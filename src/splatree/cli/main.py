@@ -18,13 +18,14 @@ import difflib
 import gc
 import importlib
 import inspect
+import io
 import json
 import math
 import os
 import sys
 import traceback
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, redirect_stderr, suppress
 from pathlib import Path
 from types import ModuleType
 from typing import Any, get_args
@@ -194,24 +195,31 @@ def _parsed(verb: str, words: list[str], command_type: Any, description: str | N
 
         _say(help_of(verb, command_type, description))
         return 0
+    said = io.StringIO()
     try:
-        with _defaults_trusted():
+        with _defaults_trusted(), redirect_stderr(said):
             return tyro.cli(
                 command_type,
                 prog=f"splatree {verb}",
                 description=description,
                 args=words,
-                config=(tyro.conf.FlagCreatePairsOff,),
+                config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes),
             )
-    except SystemExit as stop:  # tyro has printed the help, or what is wrong
+    except SystemExit as stop:  # tyro has said what is wrong
+        refused = _refused_in(stop)
+        _complain(said.getvalue().rstrip() if refused is None else f"splatree {verb}: error: {refused}")
         return int(stop.code or 0)
     except InputError as error:  # a value that its option refuses
         _complain(f"splatree {verb}: error: {error}")
         return 2
-    except BrokenPipeError:
-        raise
-    except OSError as error:  # the help could not be printed
-        raise _unwritable(error) from error
+
+
+def _refused_in(stop: BaseException) -> InputError | None:
+    """The error of a struct within another one, which tyro puts into a box and ends with."""
+    cause = stop.__context__
+    while cause is not None and not isinstance(cause, InputError):
+        cause = cause.__context__
+    return cause
 
 
 def _text_of(result: Any, module: Any, console: Any) -> str:

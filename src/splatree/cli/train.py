@@ -30,7 +30,7 @@ from splatree.train.state import Scored
 class Command:
     """Train a scene from photographs whose cameras are known: photographs/ -o scene.splatree --minutes 10.
 
-    The first interruption (Ctrl-C) ends the run with a whole scene and a checkpoint, from which --resume goes on.
+    The first interruption (Ctrl-C, SIGTERM) ends the run with a whole scene and a checkpoint, from which --resume goes on.
     """
 
     photos: Positional[Path]
@@ -140,7 +140,7 @@ def _output(command: Command) -> Path:
 
 @contextmanager
 def _interruptions() -> Iterator[Callable[[], bool]]:
-    """Whether the user has interrupted the program; the second interruption ends it at once."""
+    """Whether the user, or the system (SIGTERM), has interrupted the program; the second interruption ends it at once."""
     happened = threading.Event()
     if threading.current_thread() is not threading.main_thread():
         yield happened.is_set
@@ -148,13 +148,15 @@ def _interruptions() -> Iterator[Callable[[], bool]]:
 
     def notice(number: int, frame: FrameType | None) -> None:
         happened.set()
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+        for one, handler in ((signal.SIGINT, signal.default_int_handler), (signal.SIGTERM, signal.SIG_DFL)):
+            signal.signal(one, handler)
 
-    before = signal.signal(signal.SIGINT, notice)
+    before = {number: signal.signal(number, notice) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield happened.is_set
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _tell(scored: Scored, console: Console) -> None:

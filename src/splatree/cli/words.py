@@ -204,8 +204,11 @@ def _values(name: str, option: Option, left: list[str]) -> list[str]:
 def _check(name: str, values: Sequence[str], kinds: Sequence[Any]) -> None:
     """Refuse values that are not of their kinds, in a line."""
     for value, kind in zip(values, kinds, strict=True):
+        wanted = " or ".join(map(_in_words, _alternatives(kind)))
+        if not value.strip():
+            raise UsageError(f"{name}: found {value!r}, wanted {wanted}; is a variable of the shell unset?")
         if not any(_is_one(value, one) for one in _alternatives(kind)):
-            raise UsageError(f"{name}: found {value!r}, wanted {' or '.join(map(_in_words, _alternatives(kind)))}")
+            raise UsageError(f"{name}: found {value!r}, wanted {wanted}")
 
 
 def _is_one(value: str, kind: Any) -> bool:

@@ -24,7 +24,7 @@ from splatree.kernels.cpu.build.spheres import bound_clusters
 from splatree.kernels.cpu.frame.blocks import index_blocks
 from splatree.kernels.devices import DeviceName
 from splatree.maths.morton import morton_codes
-from splatree.scene.given import given
+from splatree.scene.given import check_threads, given
 from splatree.scene.literals import check_literals
 from splatree.scene.scene import Scene, Source
 from splatree.shapes import Array, Bool, Float32, Float64, Int32, UInt8
@@ -75,6 +75,8 @@ class ClusterOptions:
         check_literals(self)
         if self.iterations < 0:
             raise InputError(f"iterations: found {self.iterations}, wanted 0 or more")
+        if self.seed < 0:
+            raise InputError(f"seed: found {self.seed}, wanted 0 or more")
 
 
 def build_clusters(
@@ -110,6 +112,7 @@ def build_clusters(
         9
     """
     options = given(options, ClusterOptions, "options of clusters")
+    check_threads(threads)
     n = len(scene)
     count = chosen_number(num_clusters, n)
     is_flat = scene.tree.num_leaves == n

@@ -25,6 +25,7 @@ from splatree.errors import InputError
 from splatree.maths.medians import median_of
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.given import given
+from splatree.scene.literals import check_literals
 from splatree.scene.scene import Scene, check_is_scene
 from splatree.shapes import Array, Bool, Float32, Float64, Int64, check_fields
 
@@ -67,6 +68,7 @@ class CleanOptions:
     """For floaters: share of the Gaussians that a piece must have to stay."""
 
     def __post_init__(self) -> None:
+        check_literals(self)
         for name in ("max_size", "min_size", "max_distance", "cell"):
             value = getattr(self, name)
             if value is not None and not 0 < value < math.inf:

@@ -1,8 +1,7 @@
 """What may be done to a scene on its way from one file to another; the command line's help is these docstrings."""
 
-import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Final, Literal
 
 from splatree.errors import InputError
 from splatree.scene.literals import check_literals
@@ -11,6 +10,9 @@ __all__ = ["EditOptions", "Order"]
 
 Order = Literal["kept", "morton"]
 """Order of rows: as they come, or along a Z-curve, so that neighbours in the file are neighbours in space."""
+
+_FARTHEST: Final = 1e100
+"""Squares of these have room."""
 
 
 @dataclass(frozen=True)
@@ -58,8 +60,8 @@ class EditOptions:
                 raise InputError(f"{name}: found {found!r}, wanted {wanted} numbers") from error
             if len(numbers) != wanted:
                 raise InputError(f"{name}: found {found}, wanted {wanted} numbers")
-            if not all(map(math.isfinite, numbers)):
-                raise InputError(f"{name}: found {found}, wanted finite numbers")
+            if not all(abs(number) <= _FARTHEST for number in numbers):
+                raise InputError(f"{name}: found {found}, wanted numbers of at most {_FARTHEST:g}")
             object.__setattr__(self, name, numbers)  # lists and arrays, too
         if self.crop_box is not None and any(
             low > high for low, high in zip(self.crop_box[:3], self.crop_box[3:], strict=True)

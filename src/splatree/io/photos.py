@@ -12,8 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from splatree.errors import InputError
-from splatree.io.images import read_image, read_opacity, read_pixels
+from splatree.io.images import image_size, read_image, read_opacity, read_pixels
 from splatree.io.photo_paths import find_photos
+from splatree.io.photo_search import fits_shape
 from splatree.scene.cameras import Camera
 from splatree.scene.warp import filled_pinhole, straighten
 from splatree.shapes import Array, Bool, UInt8
@@ -141,6 +142,20 @@ class Photos(Mapping[str, Array]):
         if taken.lens is not None:
             counts = straighten(counts.astype(np.float32), taken, view) > 0.999
         return None if counts.all() else counts
+
+    def check_mask(self, name: str, mask: Path) -> None:
+        """Refuse a mask of another shape than its photograph.
+
+        Raises:
+            InputError: it is.
+            FormatError: it is no picture.
+        """
+        size, taken = image_size(mask), self._taken[name]
+        if not fits_shape(size, (taken.width, taken.height)):
+            raise InputError(
+                f"masks: {mask}: found {size[0]} × {size[1]} px, which is not the shape of its photograph {name!r}, "
+                f"{taken.width} × {taken.height} px; wanted it as the photograph was taken, neither turned nor cropped"
+            )
 
     def _read_as(self, name: str) -> Camera:
         """The camera of a photograph, lens and all, at the size at which it is read for its view."""

@@ -113,6 +113,7 @@ class BaselineOptions:
     """For LODGE: number of places among the cameras for which rows are listed beforehand."""
 
     def __post_init__(self) -> None:
+        check_literals(self)
         if not self.fork > 1:
             raise InputError(f"fork: found {self.fork}, wanted more than 1")
         if self.bands < 1 or self.chunks < 1:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from splatree.errors import InputError
 from splatree.io.memory import PROCESS_BYTES, SMALLEST_MEMORY, bytes_of, free_bytes
+from splatree.scene.literals import check_literals
 
 __all__ = ["FolderOptions", "Room"]
 
@@ -74,6 +75,7 @@ class FolderOptions:
     for levels by a radius 3; for levels by pairs until a sixteenth of a cell is left, and then in one piece."""
 
     def __post_init__(self) -> None:
+        check_literals(self)
         if not 1 <= self.workers <= MOST_WORKERS:
             raise InputError(f"workers: found {self.workers}, wanted 1 to {MOST_WORKERS}")
         if self.workers > 1 and self.scheduler is not None:

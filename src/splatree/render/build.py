@@ -5,7 +5,7 @@ import dataclasses
 from splatree.lod.build import build_levels, leaves_of
 from splatree.lod.options import BuildOptions
 from splatree.render.trial import FEWEST, SAMPLE, middle_of, try_both
-from splatree.scene.given import given
+from splatree.scene.given import check_threads, given
 from splatree.scene.scene import Scene, check_is_scene
 from splatree.scene.trial import MethodTrial
 
@@ -39,6 +39,7 @@ def build_lod(scene: Scene, options: BuildOptions | None = None, *, threads: int
     """
     check_is_scene(scene, "build_lod")
     options, flat = given(options, BuildOptions, "build_lod: options"), leaves_of(scene)
+    check_threads(threads)
     method = options.only_method or ("radius" if len(flat) < FEWEST else None)
     if method is not None:
         return build_levels(flat, dataclasses.replace(options, method=method), threads=threads)

@@ -20,6 +20,7 @@ from splatree.render.framing.upright import guess_up
 from splatree.scene.cameras import Camera, Cameras
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.given import given
+from splatree.scene.literals import check_literals
 from splatree.scene.scene import Scene
 from splatree.shapes import Array, Float64
 
@@ -72,6 +73,7 @@ class PathOptions:
     """Vertical field of view, degrees (--fov for short); None: 50, and 65 from within a scene."""
 
     def __post_init__(self) -> None:
+        check_literals(self)
         if self.views < 1:
             raise InputError(f"views: found {self.views}, wanted at least 1")
         if self.width < 1 or self.height < 1:

@@ -36,6 +36,7 @@ from splatree.render.tensors import TensorScene
 from splatree.scene.cameras import Camera
 from splatree.scene.frame import Frame, RenderResult, Selection
 from splatree.scene.gaussians import Gaussians
+from splatree.scene.given import check_threads
 from splatree.scene.options import RenderOptions, SelectOptions
 from splatree.scene.scene import Scene, check_is_scene
 from splatree.scene.view import View, Wanted, view_of
@@ -79,6 +80,7 @@ def open_session(
         >>> len(images) == len(cameras)
         True
     """
+    check_threads(threads)
     columns: Mapping[str, Any] = {}
     if isinstance(scene, TensorScene):
         if device not in (None, scene.device) and scene.columns:

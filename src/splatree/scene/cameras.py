@@ -11,6 +11,9 @@ from splatree.scene.lens import Lens
 from splatree.scene.scene import Source
 from splatree.shapes import Array, Float64, check_fields
 
+SIDE_MAX_PX = 2**31 - 1
+"""Kernels count the pixels of a side with 32 bits."""
+
 ROTATION_TOLERANCE = 1e-4
 """How far R Rᵀ may be from the identity: four digits of a rotation are off by less."""
 
@@ -51,8 +54,10 @@ class Camera:
             raise InputError(
                 f"camera {self.name!r}: found size {self.width} × {self.height}, wanted whole numbers of pixels"
             )
-        if not (self.width > 0 and self.height > 0):
-            raise InputError(f"camera {self.name!r}: found size {self.width} × {self.height}, wanted at least 1 × 1 px")
+        if not (0 < self.width <= SIDE_MAX_PX and 0 < self.height <= SIDE_MAX_PX):
+            raise InputError(
+                f"camera {self.name!r}: found size {self.width} × {self.height}, wanted 1 × 1 px to {SIDE_MAX_PX:,} px a side"
+            )
         if not (np.isfinite(self.camera_from_world).all() and np.isfinite(self.K).all()):
             raise InputError(f"camera {self.name!r}: found NaN or infinity in its pose or intrinsics")
         if not (self.K[0, 0] > 0 and self.K[1, 1] > 0):
@@ -70,7 +75,16 @@ class Camera:
         return np.asarray(-rotation.T @ translation)
 
     def scaled(self, factor: float) -> "Camera":
-        """The same view with ``factor`` times the pixels along each side (rounded)."""
+        """The same view with ``factor`` times the pixels along each side (rounded).
+
+        Raises:
+            InputError: the factor is not above 0, or the picture would have too many pixels.
+        """
+        if not 0 < factor * max(self.width, self.height) <= SIDE_MAX_PX:
+            raise InputError(
+                f"scale: found {factor}, wanted more than 0 and sides of at most {SIDE_MAX_PX:,} px; "
+                f"camera {self.name!r} has {self.width} × {self.height} px"
+            )
         return self.resized(max(1, round(self.width * factor)), max(1, round(self.height * factor)))
 
     def resized(self, width: int, height: int) -> "Camera":

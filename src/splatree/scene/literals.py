@@ -1,23 +1,45 @@
-"""Check the fields of a struct that are annotated with a ``Literal``.
+"""Check the fields of a struct against their annotations: names, numbers, flags, texts, paths, structs and tuples of numbers.
 
 ``mode: Mode`` with ``Mode = Literal["classic", "antialiased"]`` is a promise that only type checkers hold. `check_literals` holds
-the struct to it when it is built. An annotation may also offer None or another type: ``Literal["auto"] | float | None``.
+the struct to it when it is built. An annotation may also offer None or another type: ``Literal["auto"] | float | None``. Fields
+of other kinds, such as arrays, are left to `splatree.shapes.check_fields`. A path may be given as a text.
 """
 
 import dataclasses
 import difflib
 import numbers
+from collections.abc import Sequence
 from functools import cache
+from pathlib import Path
 from types import NoneType, UnionType
-from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Any, Final, Literal, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
 
 from splatree.errors import InputError
 
 __all__ = ["check_literals"]
 
-_ABSTRACT_FROM_TYPE: dict[type, type] = {float: numbers.Real, int: numbers.Integral}
+_ABSTRACT_FROM_TYPE: Final[dict[type, Any]] = {
+    float: numbers.Real,
+    int: numbers.Integral,
+    bool: bool | np.bool_,
+    str: str,
+    Path: Path,
+    NoneType: NoneType,
+}
 """NumPy's numbers count as numbers too."""
-_WORDS_FROM_TYPE: dict[type, str] = {float: "a number", int: "a whole number", bool: "True or False", NoneType: "None"}
+_WORDS_FROM_TYPE: Final[dict[type, str]] = {
+    float: "a number",
+    int: "a whole number",
+    bool: "True or False",
+    str: "a text",
+    Path: "a path",
+    NoneType: "None",
+}
+
+_LARGEST: Final = 2**63 - 1
+"""Of whole numbers: kernels and files have no room for more."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -26,21 +48,21 @@ class _Choices:
 
     values: tuple[Any, ...]
     """Values named by ``Literal``."""
-    types: tuple[type, ...]
+    types: tuple[Any, ...]
     """Other types, any value of which is allowed."""
 
     def allows(self, value: object) -> bool:
         if any(type(value) is type(allowed) and value == allowed for allowed in self.values):
             return True
-        return isinstance(value, tuple(_ABSTRACT_FROM_TYPE.get(kind, kind) for kind in self.types))
+        return any(_is_of(value, kind) for kind in self.types)
 
     def __str__(self) -> str:
-        *others, last = [*map(repr, self.values), *(_WORDS_FROM_TYPE.get(kind, kind.__name__) for kind in self.types)]
+        *others, last = [*map(repr, self.values), *map(_in_words, self.types)]
         return f"{', '.join(others)} or {last}" if others else last
 
 
 def check_literals(struct: Any) -> None:
-    """Check each field of a dataclass that is annotated with a ``Literal``; call it in ``__post_init__``.
+    """Check each field of a dataclass whose annotation can be checked; call it in ``__post_init__``.
 
     Raises:
         InputError: a field holds a value that its annotation does not allow.
@@ -48,9 +70,36 @@ def check_literals(struct: Any) -> None:
     struct_type: Any = type(struct)
     for name, choices in _choices_from_field(struct_type).items():
         value = getattr(struct, name)
+        if isinstance(value, str) and Path in choices.types and str not in choices.types:
+            value = Path(value)
+            object.__setattr__(struct, name, value)
         if not choices.allows(value):
             hint = _did_you_mean(value, choices.values)
-            raise InputError(f"{struct_type.__name__}.{name}: found {value!r}, wanted {choices}{hint}")
+            raise InputError(f"{struct_type.__name__}.{name}: found {_shown(value)}, wanted {choices}{hint}")
+
+
+def _is_of(value: object, kind: Any) -> bool:
+    if get_origin(kind) is tuple:
+        parts = get_args(kind)
+        if not isinstance(value, Sequence | np.ndarray) or isinstance(value, str) or len(value) != len(parts):
+            return False
+        return all(_is_of(part, float) for part in value)
+    if isinstance(value, bool | np.bool_) and kind is not bool:
+        return False
+    if kind is int and isinstance(value, numbers.Integral):
+        return abs(int(value)) <= _LARGEST
+    return isinstance(value, _ABSTRACT_FROM_TYPE.get(kind, kind))
+
+
+def _in_words(kind: Any) -> str:
+    if get_origin(kind) is tuple:
+        return f"{len(get_args(kind))} numbers"
+    return _WORDS_FROM_TYPE.get(kind) or str(kind.__name__)
+
+
+def _shown(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 80 else f"{text[:60]}..."
 
 
 @cache
@@ -61,11 +110,16 @@ def _choices_from_field(struct: Any) -> dict[str, _Choices]:
         hint = hints[field.name]
         options = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
         literals = [option for option in options if get_origin(option) is Literal]
-        if literals:
-            values = tuple(value for literal in literals for value in get_args(literal))
-            types = tuple(get_origin(option) or option for option in options if option not in literals)
-            found[field.name] = _Choices(values, types)
+        others = tuple(option for option in options if option not in literals)
+        if all(map(_can_be_checked, others)):
+            found[field.name] = _Choices(tuple(value for literal in literals for value in get_args(literal)), others)
     return found
+
+
+def _can_be_checked(kind: Any) -> bool:
+    if get_origin(kind) is tuple:
+        return set(get_args(kind)) == {float}
+    return kind in _ABSTRACT_FROM_TYPE or (isinstance(kind, type) and dataclasses.is_dataclass(kind))
 
 
 def _did_you_mean(value: object, values: tuple[Any, ...]) -> str:

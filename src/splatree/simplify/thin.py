@@ -17,7 +17,7 @@ from splatree.errors import InputError
 from splatree.kernels.cpu.build import thin as kernel
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
-from splatree.scene.given import given
+from splatree.scene.given import check_threads, given
 from splatree.scene.scene import Scene, check_is_scene
 from splatree.scene.thinning import Groups, ThinOptions
 from splatree.shapes import Array, Float32, Int32
@@ -83,6 +83,7 @@ def thin(scene: Scene, options: ThinOptions | None = None, *, threads: int = 0) 
     """
     check_is_scene(scene, "thin")
     options = given(options, ThinOptions, "thin: options")
+    check_threads(threads)
     gaussians = _leaves_of(scene)
     check_finite(gaussians)
     count = options.count

@@ -5,6 +5,7 @@ from dataclasses import dataclass, fields
 from typing import Literal
 
 from splatree.errors import InputError
+from splatree.scene.literals import check_literals
 from splatree.stream.levels import RATIO
 
 __all__ = ["StreamFormat", "StreamOptions"]
@@ -56,6 +57,7 @@ class StreamOptions:
     """Remove the harmonics above this degree; None: keep all."""
 
     def __post_init__(self) -> None:
+        check_literals(self)
         for name, least in (("chunk_leaves", 1), ("unit_rows", 1), ("node_px", 0), ("tile_nodes", 1)):
             value = getattr(self, name)
             if value is not None and not least <= value < math.inf:

@@ -27,6 +27,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from splatree.errors import InputError, SplatreeError
 from splatree.scene.given import given
+from splatree.scene.literals import check_literals
 from splatree.stream.first_view import first_view
 from splatree.stream.http import LOOPBACK, HttpServer, host_name
 from splatree.stream.pages import index_page, viewer_page
@@ -75,8 +76,13 @@ class ServeOptions:
     """Where the browser loads PlayCanvas, Spark and Cesium from: an address with npm packages, or a folder node_modules."""
 
     def __post_init__(self) -> None:
+        check_literals(self)
         if not 0 <= self.port <= 65535:
             raise InputError(f"port: found {self.port}, wanted 0 to 65535")
+        if not self.host or not self.packages:
+            raise InputError(
+                f"host, packages: found {self.host!r}, {self.packages!r}, wanted addresses, such as 127.0.0.1"
+            )
 
     @property
     def is_local(self) -> bool:
@@ -108,7 +114,8 @@ class StreamServer:
         self.streams = tuple(streams_in(self.folder))
         if not self.streams:
             raise InputError(
-                f"{folder}: found no lod-meta.json, tileset.json or .rad in it; write one with splatree stream"
+                f"{folder}: found no lod-meta.json, tileset.json or .rad in it, links out of it not counted; write one with "
+                "splatree stream"
             )
         self._views: dict[str, dict[str, str]] = {}
         self._options = options
@@ -178,10 +185,18 @@ class StreamServer:
 
     def _view_of(self, stream: str) -> dict[str, str]:
         """What the address of a page says of the first view; nothing of a stream that cannot be read here."""
+        if _file_in(self.folder, stream) is None:  # it was taken away meanwhile
+            return {}
         if stream not in self._views:
             try:
                 framing = first_view(self.folder / stream)
-            except (SplatreeError, KeyError, TypeError, ValueError):  # of other tools: their pages choose a view
+            except (
+                SplatreeError,
+                OSError,
+                KeyError,
+                TypeError,
+                ValueError,
+            ):  # of other tools: their pages choose a view
                 self._views[stream] = {}
             else:
                 vectors = {"pos": framing.eye, "target": framing.target, "up": framing.up}
@@ -235,7 +250,8 @@ def serve(folder: str | os.PathLike[str], options: ServeOptions | None = None) -
 def streams_in(folder: Path) -> Iterator[str]:
     """Manifests and files of streams in a folder and in the folders inside, relative to it, sorted."""
     patterns = [f"{inside}{name}" for inside in ("", "*/") for name in ("lod-meta.json", "tileset.json", "*.rad")]
-    yield from sorted({path.relative_to(folder).as_posix() for pattern in patterns for path in folder.glob(pattern)})
+    found = {path.relative_to(folder).as_posix() for pattern in patterns for path in folder.glob(pattern)}
+    yield from sorted(name for name in found if _file_in(folder.resolve(), name) is not None)
 
 
 class _LocalNames:
@@ -254,11 +270,21 @@ class _LocalNames:
         await self._app(scope, receive, send)
 
 
+def _file_in(root: Path, path: str) -> Path | None:
+    """The file of a path below a folder; None if there is none that can be read, or a link leads to it out of the folder."""
+    target = Path(os.path.realpath(root / path.lstrip("/"))) if "\0" not in path else root
+    try:
+        is_file = target.is_relative_to(root) and target.is_file() and os.access(target, os.R_OK)
+    except OSError:  # a name that is too long
+        return None
+    return target if is_file else None
+
+
 def _answer(root: Path, request: Request, types: dict[str, str]) -> Response:
     """A file below a folder, whole or a range of it."""
     path = request.path_params["path"]
-    target = Path(os.path.realpath(root / path.lstrip("/"))) if "\0" not in path else root
-    if not target.is_relative_to(root) or target.suffix not in types or not target.is_file():
+    target = _file_in(root, path)
+    if target is None or target.suffix not in types:
         return _not_found()
     caching = _FOR_EVER if _DIGEST.search(path) else "no-cache"
     headers = {

@@ -8,7 +8,7 @@ from typing import get_args
 from splatree.errors import InputError
 from splatree.lod.options import BuildOptions
 from splatree.render.build import build_lod
-from splatree.scene.given import given
+from splatree.scene.given import check_threads, given
 from splatree.scene.scene import Scene, check_is_scene
 from splatree.stream.archive import write_archive
 from splatree.stream.options import StreamFormat, StreamOptions
@@ -60,6 +60,7 @@ def stream(
     """
     check_is_scene(scene, "stream")
     options = given(options, StreamOptions, "stream: options")
+    check_threads(threads)
     if len(scene) == 0:
         raise InputError("stream: found an empty scene, wanted at least one Gaussian")
     if format not in get_args(StreamFormat):

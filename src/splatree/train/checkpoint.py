@@ -11,6 +11,7 @@ Each file is written beside its place and renamed when it is whole.
 import dataclasses
 import hashlib
 import json
+import os
 import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -33,7 +34,7 @@ from splatree.train.schedule import LogEntry
 from splatree.train.score import Score
 from splatree.train.state import Scored, State
 
-__all__ = ["CHECKPOINT", "Identity", "load", "read_log", "save"]
+__all__ = ["CHECKPOINT", "Identity", "load", "make_folder", "read_log", "save"]
 
 CHECKPOINT, LOG, EXPOSURE = "checkpoint.npz", "log.json", "exposure.json"
 
@@ -62,16 +63,27 @@ class Identity:
         return Identity(options, found)
 
 
+def make_folder(folder: Path) -> None:
+    """Make the folder of a run, if it is not there.
+
+    Raises:
+        OutputError: it cannot be made, or nothing can be written into it.
+    """
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"{folder}: cannot be made a folder for the run ({error.strerror or error})") from error
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise OutputError(f"{folder}: may not be written into; choose another folder for the run (--run)")
+
+
 def save(folder: Path, state: State, identity: Identity) -> None:
     """Write a run, whole or not at all.
 
     Raises:
         OutputError: the folder cannot be made, or the disk is full; what was there before is whole.
     """
-    try:
-        folder.mkdir(exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"{folder}: cannot be made a folder for the run ({error.strerror or error})") from error
+    make_folder(folder)
     remove_abandoned(folder)
     about = {
         "version": VERSION,
@@ -124,7 +136,7 @@ def load(folder: Path, identity: Identity) -> State:
         if about["version"] != VERSION:
             raise InputError(f"{path}: found version {about['version']}, wanted {VERSION}; begin the run again")
         _refuse_others(path, about, identity)
-        return _state(arrays, about)
+        return _state(arrays, about, str(path))
     except InputError:
         raise
     except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile, EOFError) as error:
@@ -152,6 +164,10 @@ def read_log(path: Path) -> list[LogEntry]:
         )
     expected = 0
     for i, entry in enumerate(entries):
+        if not (0 <= entry.share <= 1 and entry.growth >= 0):
+            raise FormatError(
+                f"{path}: round {i}: found share {entry.share:g} and growth {entry.growth:g}, wanted 0 to 1 that grows"
+            )
         if entry.step != expected:
             raise FormatError(f"{path}: round {i}: found its first step {entry.step}, wanted {expected}")
         expected += entry.num_steps
@@ -183,7 +199,7 @@ def _refuse_others(path: Path, about: Mapping[str, Any], identity: Identity) -> 
         )
 
 
-def _state(arrays: Mapping[str, Any], about: Mapping[str, Any]) -> State:
+def _state(arrays: Mapping[str, Any], about: Mapping[str, Any], where: str) -> State:
     def gaussians(prefix: str = "") -> Gaussians:
         return Gaussians(
             *(np.ascontiguousarray(arrays[prefix + field.name]) for field in dataclasses.fields(Gaussians))
@@ -200,11 +216,11 @@ def _state(arrays: Mapping[str, Any], about: Mapping[str, Any]) -> State:
         Rows(gaussians(), Moments(arrays["moments"], arrays["steps"]), lineage),
         Sightings(arrays["errors"], arrays["weights"]),
         Exposures(arrays["exposures"], arrays["visits"], bool(arrays["is_affine"])),
-        num_start=about["num_start"],
-        step=about["step"],
-        loss=about["loss"],
-        spent_s=about["spent_s"],
-        round_s=about["round_s"],
+        num_start=untrusted.integer(about, "num_start", where),
+        step=untrusted.integer(about, "step", where),
+        loss=untrusted.number(about, "loss", where),
+        spent_s=untrusted.number(about, "spent_s", where),
+        round_s=untrusted.number(about, "round_s", where),
         log=[LogEntry(**entry) for entry in about["log"]],
         history=history,
     )

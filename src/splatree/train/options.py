@@ -114,6 +114,7 @@ class RunFiles:
     """log.json of an earlier run: make its steps again instead of reading the clock."""
 
     def __post_init__(self) -> None:
+        check_literals(self)
         if self.resume and self.folder is None:
             raise InputError("resume: found no folder of a run, wanted one with a checkpoint")
 

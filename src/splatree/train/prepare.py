@@ -78,7 +78,8 @@ def prepare(folder: Path, options: TrainOptions, cameras: Path | None) -> Work:
     """Read the cameras and find the photographs of the training views; of the held-out ones only the names are known.
 
     Raises:
-        InputError: there are too few photographs, or none that belong to the cameras, or all were taken at one place.
+        InputError: there are too few photographs, or none that belong to the cameras, or all were taken at one place; or no pixel
+            of them counts, or none of them shows a point.
         FormatError: a file of cameras or points is damaged.
     """
     views = read_cameras(cameras or folder)
@@ -103,13 +104,30 @@ def prepare(folder: Path, options: TrainOptions, cameras: Path | None) -> Work:
     if points is None:
         notes.append("no points came with the cameras: training begins with random ones, which takes longer")
         points = random_points(targets.cameras, extent, generator(options.seed, "points", 0))
+    else:
+        _check_seen(points, targets.cameras)
     world, points = _placed(points, extent)
     targets.placed(world.near, np.asarray(world.origin))
     held_out = (
         HeldOut(folder, split.held_out, options.masks, options.alpha) if options.score and split.held_out else None
     )
     schedule = _schedule(options, targets.cameras)
+    targets.check_pixels(schedule.finest)
     return Work(options, targets, held_out, split.rule, schedule, world, points, tuple(notes))
+
+
+def _check_seen(points: Points, cameras: Sequence[Camera]) -> None:
+    """Refuse points of which no view shows any: they are those of other cameras, or in other coordinates."""
+    for camera in cameras:
+        x, y, z = camera.camera_from_world[:3, :3] @ points.places.T + camera.camera_from_world[:3, 3:]
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            u, v = camera.K[0, 0] * x / z + camera.K[0, 2], camera.K[1, 1] * y / z + camera.K[1, 2]
+        if ((z > 0) & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)).any():
+            return
+    raise InputError(
+        f"points: found none of {len(points)} in the picture of any of the {len(cameras)} training views, wanted the points of "
+        "the same model; cameras and points are in different coordinates, or focal lengths are wrong"
+    )
 
 
 def _placed(points: Points, extent: float) -> tuple[World, Points]:

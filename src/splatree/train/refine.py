@@ -32,7 +32,7 @@ from splatree.lod.select import select
 from splatree.progress import task
 from splatree.scene.cameras import Camera
 from splatree.scene.frame import Picture, Splats, TileBins
-from splatree.scene.given import given
+from splatree.scene.given import check_threads, given
 from splatree.scene.gradients import PictureGradients, SplatGradients
 from splatree.scene.options import SelectOptions
 from splatree.scene.scene import Scene
@@ -134,6 +134,7 @@ def refine(
         (True, 20)
     """
     options = given(options, RefineOptions, "refine: options")
+    check_threads(threads)
     began = time.process_time()
     if scene.tree.is_leaf.all():
         raise InputError("refine: found a scene without levels, wanted inner nodes that can learn; build levels first")

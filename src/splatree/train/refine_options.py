@@ -45,11 +45,13 @@ class RefineOptions:
         check_literals(self)
         if not 0 < self.minutes < 1e6:
             raise InputError(f"minutes: found {self.minutes}, wanted more than 0")
-        if self.iterations is not None and self.iterations < 1:
-            raise InputError(f"iterations: found {self.iterations}, wanted at least 1")
-        if self.made_views < 8:
-            raise InputError(f"made_views: found {self.made_views}, wanted at least 8")
+        if self.iterations is not None and not 1 <= self.iterations <= 10**9:
+            raise InputError(f"iterations: found {self.iterations}, wanted 1 to 1e9")
+        if not 8 <= self.made_views <= 10**6:
+            raise InputError(f"made_views: found {self.made_views}, wanted 8 to 1e6")
         if not 0 < self.finest <= self.coarsest < float("inf"):
             raise InputError(f"finest, coarsest: found {self.finest}, {self.coarsest}, wanted 0 < finest <= coarsest")
         if not 0 < self.rate <= 100:
             raise InputError(f"rate: found {self.rate}, wanted more than 0, at most 100")
+        if self.seed < 0:
+            raise InputError(f"seed: found {self.seed}, wanted 0 or more")

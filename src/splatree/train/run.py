@@ -18,10 +18,10 @@ from splatree.kernels.devices import DeviceName, training_stages_of
 from splatree.lod.options import BuildOptions
 from splatree.progress import task
 from splatree.render.build import build_lod
-from splatree.scene.given import given
+from splatree.scene.given import check_threads, given
 from splatree.scene.scene import NEAR_KEY, Scene, Source
 from splatree.shapes import Array, Float64
-from splatree.train.checkpoint import Identity, load, read_log, save
+from splatree.train.checkpoint import Identity, load, make_folder, read_log, save
 from splatree.train.densify import Rows, Sightings, densified
 from splatree.train.exposure import Exposures
 from splatree.train.lineage import Lineage
@@ -113,6 +113,7 @@ def train(
         ()
     """
     options, files = given(options, TrainOptions, "train: options"), given(files, RunFiles, "train: files")
+    check_threads(threads)
     drawing = Drawing(training_stages_of(device), options.mode, 1, threads)
     work = prepare(Path(photos), options, cameras)
     identity = Identity.of(options, work.targets.digests(), work.targets.cameras)
@@ -122,6 +123,8 @@ def train(
         state = load(files.folder, identity)
     else:
         state = _beginning(work)
+    if files.folder is not None:
+        make_folder(files.folder)
     stopped = False
     with task("train", 1.0) as advance:
         advance(state.share)

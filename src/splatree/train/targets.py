@@ -60,7 +60,7 @@ class Targets:
     """Photographs of views at all sizes.
 
     Raises:
-        InputError: no photograph is found, or the folder of the masks is none.
+        InputError: no photograph is found, the folder of the masks is none, or a mask has another shape than its photograph.
         FormatError: a photograph is damaged; told when it is decoded.
     """
 
@@ -70,6 +70,8 @@ class Targets:
         self._photos = Photos(folder, cameras)
         self.cameras = tuple(view for view in self._photos.views if view.name in self._photos)
         self._masks = {} if masks is None else _masks_of(masks, [camera.name for camera in self.cameras])
+        for name, mask in self._masks.items():
+            self._photos.check_mask(name, mask)
         self._matches_alpha = alpha == "match"
         self._kept: dict[tuple[int, int], Target] = {}
         self._num_bytes = 0
@@ -103,6 +105,23 @@ class Targets:
             self._kept[i, division] = target
             self._num_bytes += num_bytes
         return self._kept[i, division]
+
+    def check_pixels(self, division: int) -> None:
+        """Refuse photographs of which no pixel counts; they are decoded up to the first that has one.
+
+        Raises:
+            InputError: none of them has.
+        """
+        for i in range(len(self)):
+            mask = self.at(i, division).mask
+            if mask is None or mask.any():
+                return
+        wanted = (
+            "masks: found no pixel that counts in {}, wanted some that are white; masks of 0 and 1 have to be multiplied by 255"
+            if self._masks
+            else "photos: found no pixel that counts in {}, wanted some whose alpha is opaque"
+        )
+        raise InputError(wanted.format(f"the {len(self)} photographs"))
 
     def drop_others(self, division: int) -> None:
         """Forget the photographs at other divisions."""

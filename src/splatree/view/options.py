@@ -1,5 +1,6 @@
 """How a scene is shown: defaults live here alone; the command line's help is these docstrings."""
 
+import re
 from dataclasses import dataclass
 
 from splatree.constants import PIXEL_ERROR
@@ -8,6 +9,9 @@ from splatree.kernels.devices import DeviceName
 from splatree.scene.literals import check_literals
 from splatree.scene.options import SelectOptions
 from splatree.stream.http import LOOPBACK
+
+_ORIGIN = re.compile(r"[a-z][a-z0-9+.\-]*://[^/\s;,'\"]+")
+"""What a browser says of where a page comes from."""
 
 CAPACITY = 1 << 21
 """Nodes that a page holds at most: 64 MiB of graphics memory at 32 bytes a node."""
@@ -61,6 +65,11 @@ class ViewOptions:
             if not LEAST_QUALITY_DB <= self.quality <= MOST_QUALITY_DB:
                 raise InputError(
                     f"quality: found {self.quality:g} dB, wanted {LEAST_QUALITY_DB} to {MOST_QUALITY_DB} dB in the viewer"
+                )
+        for origin in self.allow_origin:
+            if not _ORIGIN.fullmatch(origin):
+                raise InputError(
+                    f"allow_origin: found {origin!r}, wanted scheme, name and port without a path, such as https://hub.example"
                 )
         if not self.host:
             raise InputError("host: found nothing, wanted an address, such as 127.0.0.1")

@@ -1,6 +1,7 @@
 """Places and colours of a point cloud in a .ply, binary or text: the file that nerfstudio's transforms.json names."""
 
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
@@ -8,14 +9,17 @@ from splatree.errors import FormatError, InputError
 from splatree.io.formats.ply.header import HEADER_MAX, parse_text
 from splatree.shapes import Array, Float64, UInt8
 
-__all__ = ["read_point_cloud"]
+__all__ = ["FARTHEST", "read_point_cloud"]
+
+FARTHEST: Final = 1e18
+"""Squares of places within this have room in float32."""
 
 _PLACE, _COLOR = ("x", "y", "z"), ("red", "green", "blue")
 _GREY = 128
 
 
 def read_point_cloud(path: Path) -> tuple[Float64[Array, "n 3"], UInt8[Array, "n 3"]]:
-    """Places and colours; grey where the file has none. Points whose place is no number are left out.
+    """Places and colours; grey where the file has none. Points whose place is no number, or has no room, are left out.
 
     Raises:
         InputError: there is no such file.
@@ -53,5 +57,5 @@ def read_point_cloud(path: Path) -> tuple[Float64[Array, "n 3"], UInt8[Array, "n
     if all(name in types for name in _COLOR):
         unit = 255.0 if all("f" in types[name] for name in _COLOR) else 1.0  # floats are 0 to 1
         colors = np.rint(np.clip(unit * np.stack([columns[name] for name in _COLOR], axis=1), 0, 255)).astype(np.uint8)
-    finite = np.isfinite(places).all(axis=1)
+    finite = (np.abs(places) <= FARTHEST).all(axis=1)
     return places[finite], colors[finite]

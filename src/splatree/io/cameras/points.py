@@ -15,7 +15,7 @@ from splatree.io import untrusted
 from splatree.io.cameras import colmap
 from splatree.io.cameras.files import COLMAP_FOLDERS
 from splatree.io.cameras.nerfstudio import TRANSFORMS, training_frame
-from splatree.io.cameras.point_cloud import read_point_cloud
+from splatree.io.cameras.point_cloud import FARTHEST, read_point_cloud
 from splatree.shapes import Array, Float64, Int32, UInt8, check_fields
 
 __all__ = ["Points", "read_points"]
@@ -55,10 +55,11 @@ def read_points(root: Path) -> Points | None:
     for name, read in (("points3D.bin", _binary), ("points3D.txt", _text)):
         if models and (models[0] / name).is_file():
             points = read(models[0] / name)
-            if not np.isfinite(points.places).all():
-                row = int(np.flatnonzero(~np.isfinite(points.places).all(axis=1))[0])
+            wrong = np.flatnonzero(~(np.abs(points.places) <= FARTHEST).all(axis=1))
+            if len(wrong):
                 raise FormatError(
-                    f"{models[0] / name}: point {row + 1} of {len(points)}: found {points.places[row]}, wanted finite places"
+                    f"{models[0] / name}: point {wrong[0] + 1} of {len(points)}: found {points.places[wrong[0]]}, wanted places "
+                    f"within {FARTHEST:g} of zero"
                 )
             matrix, scale = training_frame(root)
             places = scale * (points.places @ matrix[:3, :3].T + matrix[:3, 3])
@@ -100,6 +101,8 @@ def _binary(path: Path) -> Points:
         _, *numbers, _, pictures = _HEAD.unpack_from(data, at)
         places[i], colors[i], num_pictures[i] = numbers[:3], numbers[3:], min(pictures, 2**31 - 1)
         at += _HEAD.size + 8 * pictures
+    if at > len(data):
+        raise FormatError(f"{path}: found {len(data)} bytes, wanted {at}; the file is cut off")
     return Points(places, colors, num_pictures)
 
 

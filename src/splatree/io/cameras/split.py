@@ -67,8 +67,8 @@ def _listed(cameras: Sequence[Camera], path: Path) -> set[int]:
             if path.suffix.lower() == ".json"
             else path.read_text(encoding="utf-8-sig").splitlines()
         )
-    except FileNotFoundError as error:
-        raise InputError(f"{path}: not found, wanted a list of the held-out views, one name a line") from error
+    except (FileNotFoundError, IsADirectoryError) as error:
+        raise InputError(f"{path}: found no such file, wanted a list of the held-out views, one name a line") from error
     except UnicodeDecodeError as error:
         raise FormatError(f"{path}: not text, wanted one name of a view a line") from error
     names = [name for line in lines if (name := line.strip()) and not name.startswith("#")]
