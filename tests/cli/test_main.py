@@ -105,6 +105,12 @@ def test_unusable_output_is_refused_before_any_work(splatree, tmp_path):
     assert ".xyz" in wrong_line(splatree("convert", missing, tmp_path / "out.xyz"))
     assert "sh_palette" in wrong_line(splatree("convert", missing, tmp_path / "out.glb", "--sh-palette", "64"))
     assert "levels of detail" in wrong_line(splatree("build", missing, tmp_path / "out.ply"))
+    for verb, name in (("build", "out"), ("refine", "out.xyz")):
+        line = wrong_line(splatree(verb, missing, tmp_path / name))
+        assert "wanted .splatree, .hier or .rad, as in out.splatree; " in line and ".spz" not in line
+    assert "found 0, wanted 1 or more" in wrong_line(
+        splatree("build", missing, tmp_path / "out.splatree", "--clusters", "0")
+    )
     (tmp_path / "old.splatree").write_bytes(b"old")
     assert "--force" in one_line(splatree("build", missing, tmp_path / "old.splatree"))
 

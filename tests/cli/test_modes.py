@@ -1,11 +1,18 @@
 """What verbs are told of a file that does not say it, and what they say of a file that holds more."""
 
+import json
 import re
+import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+import splatree as st
 from splatree.io.reading import read
+from splatree.io.writing import write
+from splatree.render.build import build_lod
+from splatree.scene.scene import Source
 
 from .test_commands import result_of
 
@@ -62,3 +69,75 @@ def test_info_says_where_a_scene_lies_and_the_step_of_its_coordinates(splatree, 
     assert "relative to the origin (" in out and "float32 leaves steps of" in out
     _, out, _ = splatree("convert", far, tmp_path / "far.splat")
     assert "note: coordinates lie so far from zero" in out and "lost: the origin (" in out
+
+
+@pytest.fixture(scope="module")
+def levels(small_scene, tmp_path_factory):
+    """Files and folders with levels made for `classic`, by how they are read."""
+    folder = tmp_path_factory.mktemp("levels")
+    tree = build_lod(small_scene, st.BuildOptions("radius"))
+    for name in ("tree.splatree", "tree.rad"):
+        write(tree, folder / name)
+    write(st.build_clusters(tree, 4), folder / "clustered.splatree")
+    write(small_scene, folder / "leaves.ply")
+    st.build_folder(folder / "leaves.ply", folder / "parts.splatree")
+    st.stream(tree, folder / "web")
+    return folder
+
+
+RELABELLED = [
+    ("convert", "tree.splatree", "out.splatree"),
+    ("convert", "tree.splatree", "out.rad"),
+    ("convert", "tree.splatree", "out.ply", "--depth", "0"),
+    ("convert", "clustered.splatree", "out.splatree"),
+    ("convert", "tree.rad", "out.splatree"),
+    ("convert", "parts.splatree", "out.splatree"),
+    ("convert", "tree.splatree", "clustered.splatree", "-o", "out.splatree"),
+    ("build", "tree.splatree", "out.splatree", "--flat", "--clusters", "4"),
+    ("build", "tree.splatree", "out.splatree", "--flat", "--clusters", "4", "--max-memory", "1G"),
+    ("build", "web", "out.splatree", "--levels", "file"),
+    ("stream", "tree.splatree", "out"),
+    ("stream", "parts.splatree", "out"),
+    ("view", "tree.splatree", "--no-browser"),
+    ("view", "parts.splatree", "--no-browser"),
+]
+
+
+@pytest.mark.parametrize("words", RELABELLED, ids=" ".join)
+def test_levels_keep_the_mode_that_they_were_made_for(splatree, levels, tmp_path, words):
+    verb, *rest = (levels / word if (levels / word).exists() else word for word in words)
+    rest = [tmp_path / word if str(word).startswith("out") else word for word in rest]
+    code, out, err = splatree(verb, *rest, "--mode", "antialiased")
+    assert code in (1, 2) and out == "" and "found antialiased for " in err and "classic" in err
+    assert "build the levels anew from their leaves: splatree build" in err
+    assert not any(tmp_path.iterdir())
+
+
+def test_the_mode_of_levels_may_be_repeated(splatree, levels, tmp_path):
+    assert splatree("convert", levels / "tree.splatree", tmp_path / "a.splatree", "--mode", "classic")[0] == 0
+    words = ("build", levels / "web", tmp_path / "b.splatree", "--levels", "file", "--mode", "classic")
+    assert splatree(*words)[0] == 0
+
+
+def test_leaves_and_new_levels_take_the_mode_that_is_named(splatree, levels, tmp_path):
+    for verb, source, out in (
+        ("convert", "tree.splatree", "leaves.ply"),
+        ("build", "tree.splatree", "anew.splatree"),
+        ("thin", "tree.splatree", "thin.ply"),
+    ):
+        assert splatree(verb, levels / source, tmp_path / out, "--mode", "antialiased")[0] == 0
+        assert read(tmp_path / out).mode == "antialiased"
+    assert read(tmp_path / "anew.splatree").tree.record.mode == "antialiased"
+
+
+def test_levels_that_do_not_say_their_mode_take_the_one_that_is_named(splatree, levels, tmp_path):
+    tree = read(levels / "tree.splatree")
+    unsaid = replace(tree, tree=replace(tree.tree, record=None), source=Source())
+    write(unsaid, tmp_path / "unsaid.splatree")
+    assert splatree("convert", tmp_path / "unsaid.splatree", tmp_path / "out.rad", "--mode", "antialiased")[0] == 0
+    assert read(tmp_path / "out.rad").mode == "antialiased"
+    shutil.copytree(levels / "web", tmp_path / "web")
+    manifest = tmp_path / "web" / "lod-meta.json"
+    manifest.write_text(json.dumps({**json.loads(manifest.read_text("utf-8")), "asset": {}}), "utf-8")
+    words = ("build", tmp_path / "web", tmp_path / "out.splatree", "--levels", "file", "--mode", "antialiased")
+    assert splatree(*words)[0] == 0 and read(tmp_path / "out.splatree").mode == "antialiased"

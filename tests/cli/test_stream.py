@@ -1,10 +1,12 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import splatree as st
 from splatree.io.reading import read, read_levels
+from splatree.io.writing import write
 
 
 def test_stream_writes_a_folder_that_reads_back(splatree, small_tree, tmp_path):
@@ -68,7 +70,11 @@ def test_wrong_command_lines_are_refused(splatree, small_tree, words, message):
     [
         ("out.rad", (), "choose the format rad"),
         ("out.rad", ("--format", "3dtiles"), "choose the format rad"),
-        ("out.ssog", (), "choose the format sog with the option zip"),
+        ("out.ssog", (), "choose the format sog with the option zip (--format sog --zip)"),
+        ("out.sog", (), "found the name of a file, but a stream of the format sog is a folder of many files"),
+        ("out.glb", ("--format", "3dtiles"), "a stream of the format 3dtiles is a folder of many files"),
+        ("out.ZIP", (), "is a folder of many files"),
+        ("lod-meta.json", (), "found the name of a manifest, wanted that of the folder around it"),
     ],
 )
 def test_the_name_of_a_file_makes_no_folder(splatree, small_tree, tmp_path, name, words, message):
@@ -97,3 +103,37 @@ def test_a_folder_of_parts_is_streamed_as_its_tree_in_memory(splatree, small_ply
     )
     assert found == wanted
     assert sorted(path.name for path in tmp_path.iterdir()) == ["parts.splatree", "wanted", "web"]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("there",), "holds a stream already; choose another folder or replace it with force (--force)"),
+        (("there.rad", "--format", "rad"), "exists already; choose another name or replace it with force (--force)"),
+        (("no/out",), "there is no folder"),
+        (("out", "--format", "rad"), "wanted one that ends in .rad"),
+        (("out", "--zip"), "wanted one that ends in .ssog"),
+        (("out", "--ratio", "1"), "ratio: found 1.0, wanted at least 1.2"),
+        (("out", "--levels", "0"), "levels: found 0, wanted at least 1"),
+        (("out", "--sh-degree", "7"), "sh_degree: found 7, wanted 0 to 3"),
+        (("out", "--format", "3dtiles", "--origin", "100", "0", "0"), "wanted latitude −90 to 90"),
+    ],
+)
+def test_what_cannot_be_written_is_refused_before_anything_is_read(splatree, tmp_path, words, message):
+    (tmp_path / "there").mkdir()
+    for name in ("there/lod-meta.json", "there.rad"):
+        (tmp_path / name).touch()
+    code, out, err = splatree("stream", tmp_path / "missing.ply", "-o", tmp_path / words[0], *words[1:])
+    assert code in (1, 2) and out == "" and message in err and "missing.ply" not in err
+
+
+def test_a_failure_names_the_output_and_leaves_no_empty_folder(splatree, small_scene, tmp_path):
+    means = small_scene.gaussians.means.copy()
+    means[5] = 1e12
+    write(replace(small_scene, gaussians=replace(small_scene.gaussians, means=means)), tmp_path / "far.ply")
+    words = ("stream", tmp_path / "far.ply", tmp_path / "web", "--format", "3dtiles")
+    code, _, err = splatree(*words)
+    assert code == 1 and f"{tmp_path / 'web'}: found a mean of magnitude 1e+12" in err
+    assert not (tmp_path / "web").exists()
+    (tmp_path / "web").mkdir()
+    assert splatree(*words)[0] == 1 and (tmp_path / "web").is_dir()

@@ -275,8 +275,16 @@ def test_a_client_that_stops_reading_harms_nobody(server):
 
 
 def test_what_cannot_be_served_is_refused(folder, tmp_path, server):
-    with pytest.raises(st.InputError, match="found no folder"):
+    with pytest.raises(st.InputError, match="none: not found; wanted a folder"):
         StreamServer(tmp_path / "none", st.ServeOptions(port=0))
+    for name, wanted in (
+        ("city.rad", f"splatree serve {tmp_path}"),
+        ("city.ply", "splatree stream .*city.ply city_stream"),
+    ):
+        (tmp_path / name).touch()
+        with pytest.raises(st.InputError, match=f"{name}: is a file, wanted .*{wanted}"):
+            StreamServer(tmp_path / name, st.ServeOptions(port=0))
+    (tmp_path / "city.rad").unlink()
     with pytest.raises(st.InputError, match=r"found no lod-meta\.json, tileset\.json or \.rad in it"):
         StreamServer(tmp_path, st.ServeOptions(port=0))
     with pytest.raises(st.InputError, match="packages: found none"):

@@ -13,12 +13,22 @@ from splatree.cli.calibrate import TrainingViews, Views, in_words, training_view
 from splatree.cli.comparison import Reporting, read_back
 from splatree.cli.comparison import in_words as comparison_in_words
 from splatree.cli.console import Console, UsageError, counted, size, table
-from splatree.cli.files import Files, inputs_and_output, lost_and_noted, read_options, read_scene, repairs_of, told
+from splatree.cli.files import (
+    Files,
+    in_mode,
+    inputs_and_output,
+    lost_and_noted,
+    read_options,
+    read_scene,
+    repairs_of,
+    told,
+)
 from splatree.cli.folders import in_words as folder_in_words
 from splatree.cli.folders import run_through_files
 from splatree.cli.radius_check import CHECKED_FAST, are_usual, warnings_of
 from splatree.clusters.build import ClusterOptions, build_clusters
 from splatree.io.estimate import estimated_compact_bytes
+from splatree.io.formats.streamed_sog.format import mode_of_levels
 from splatree.io.options import WriteOptions
 from splatree.io.photos import PhotosUsed
 from splatree.io.reading import read_levels
@@ -37,6 +47,7 @@ from splatree.render.calibrate import calibrate
 from splatree.render.calibration import CalibrateOptions, Calibration, calibrated
 from splatree.render.compare_page import Comparison
 from splatree.render.trial import SAMPLE, middle_of
+from splatree.scene.modes import check_mode_of_levels
 from splatree.scene.names import Mode
 from splatree.scene.scene import Scene
 from splatree.scene.trial import MethodTrial
@@ -45,6 +56,9 @@ from splatree.train.refine_options import RefineOptions
 
 WORTH_A_WORD_BYTES = 1 << 16
 """Of smaller files nobody asks why they are larger than the input: heads and names are then a part of it, too."""
+
+GROWTH_WORTH_A_WORD = 1.1
+"""Smaller ones nobody notices."""
 
 STEPS = {"radii": "radius", "pixel_sizes": "pixel"}
 """What each level was made by, in the record of the levels and in the table."""
@@ -174,7 +188,9 @@ def _check_through_files(command: Command, *, only_clusters: bool) -> None:
 
 
 def _check_levels(command: Command) -> None:
-    """Refuse options that contradict the levels that are asked for."""
+    """Refuse options that contradict each other or the levels that are asked for."""
+    if isinstance(command.clusters, int) and command.clusters < 1:
+        raise UsageError(f"clusters: found {command.clusters}, wanted 1 or more, or auto")
     if command.flat and command.clusters is None:
         raise UsageError("found --flat without --clusters, which leaves nothing to build; wanted --clusters auto too")
     if command.flat and command.refine is not None:
@@ -265,7 +281,7 @@ def _needing_memory(command: Command) -> list[str]:
 
 def _growth(scene: Scene, output: Path, num_bytes: int, input_bytes: int) -> str | None:
     """How much larger the file is than what was read, and the form that is more compact, if there is one."""
-    if not 0 < input_bytes < num_bytes or num_bytes < WORTH_A_WORD_BYTES:
+    if not 0 < input_bytes * GROWTH_WORTH_A_WORD < num_bytes or num_bytes < WORTH_A_WORD_BYTES:
         return None
     larger = f"{num_bytes / input_bytes:.1f} times the {size(input_bytes)} of the input, {size(num_bytes - input_bytes)} more"
     estimate = estimated_compact_bytes(scene.tree.num_leaves, len(scene), scene.gaussians.sh_degree)
@@ -288,9 +304,11 @@ def _with_levels(command: Command, inputs: Sequence[Path]) -> tuple[Scene, tuple
     """The scene that is read, with levels unless none are wanted, and what the user should know of them."""
     if command.levels == "file":
         return _linked(command, inputs), ()
-    scene = _in_mode(read_scene(inputs, command.files.reading), command.mode)
+    scene = read_scene(inputs, command.files.reading)
     if command.flat:
-        return scene, ()
+        return in_mode(scene, command.mode), ()
+    if command.mode is not None:  # levels that are there are made anew
+        scene = replace(scene, mode=command.mode)
     options = replace(command.options, method="radius", visibility=False) if command.fast else command.options
     built = build_lod(scene, options)
     if not are_usual(options):
@@ -301,13 +319,11 @@ def _with_levels(command: Command, inputs: Sequence[Path]) -> tuple[Scene, tuple
 def _linked(command: Command, inputs: Sequence[Path]) -> Scene:
     if len(inputs) != 1:
         raise UsageError(f"--levels file: found {len(inputs)} inputs, wanted one, a folder with lod-meta.json")
-    return link_levels(
-        [_in_mode(scene, command.mode) for scene in read_levels(inputs[0], repair=command.files.reading.repair)]
-    )
-
-
-def _in_mode(scene: Scene, mode: Mode | None) -> Scene:
-    return scene if mode is None else replace(scene, mode=mode)
+    levels = read_levels(inputs[0], repair=command.files.reading.repair)
+    if command.mode is not None:
+        check_mode_of_levels(command.mode, mode_of_levels(inputs[0]))
+        levels = tuple(replace(scene, mode=command.mode) for scene in levels)
+    return link_levels(levels)
 
 
 def _learning(command: Command) -> RefineOptions | None:

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -16,9 +16,10 @@ from splatree.io.notes import notes_in, sentences_in
 from splatree.io.objects import located
 from splatree.io.options import ReadOptions, WriteOptions
 from splatree.io.reading import read
-from splatree.io.registry import FOLDER_FILE, detect, format_to_write, formats
+from splatree.io.registry import FOLDER_FILE, Format, detect, format_to_write, formats
 from splatree.io.replacing import check_target
 from splatree.maths.axes import AxesName
+from splatree.scene import modes
 from splatree.scene.names import Mode
 from splatree.scene.scene import Scene
 
@@ -88,19 +89,15 @@ def lost_and_noted(scene: Scene, lost: Sequence[str] = ()) -> tuple[tuple[str, .
 
 
 def in_mode(scene: Scene, mode: Mode | None) -> Scene:
-    """The scene as one of another mode, for which its levels of detail are still to be built.
+    """The scene, drawn in another mode.
 
     Raises:
-        UsageError: it has levels, which were made for its own mode.
+        UsageError: it has levels of detail, which were made for its own mode.
     """
-    if mode is None or mode == scene.mode:
-        return scene
-    if scene.tree.depth.any():
-        raise UsageError(
-            f"mode: found levels of detail that were made for {scene.mode}, wanted none; build them for {mode} from the "
-            f"scene without levels: splatree build in.ply out.splatree --mode {mode}"
-        )
-    return replace(scene, mode=mode)
+    try:
+        return modes.in_mode(scene, mode)
+    except InputError as error:
+        raise UsageError(str(error)) from error
 
 
 def told(repairs: Mapping[str, int], lost: Sequence[str], notes: Sequence[str] = ()) -> list[str]:
@@ -128,17 +125,36 @@ def inputs_and_output(
     check_target(output.parent if output.name == FOLDER_FILE and not output.parent.is_dir() else output)
     if output.exists() and any(path.samefile(output) for path in _files_read(inputs, deeply=named.force)):
         raise UsageError(f"{output}: is an input too; choose another name for the output")
+    chosen = output_format(output, keeps_tree=keeps_tree)
     try:
-        chosen = format_to_write(output)
         (options or WriteOptions()).check_taken(chosen.options, f"{output} ({chosen.name})")
     except InputError as error:
         raise UsageError(str(error)) from error
-    if keeps_tree and chosen.holds.levels != "tree":
-        suffixes = [suffix for f in formats() if f.holds.levels == "tree" for suffix in f.suffixes]
-        raise UsageError(f"{output}: format {chosen.name} has no levels of detail, wanted {' or '.join(suffixes)}")
     if output.exists() and not named.force:
         raise OutputError(f"{output}: exists already; choose another name or replace it with --force")
     return inputs, output
+
+
+def output_format(output: Path, *, keeps_tree: bool) -> Format:
+    """The format that an output's name ends in.
+
+    Raises:
+        UsageError: there is none, or the tree has to be kept and it has no levels.
+    """
+    try:
+        chosen = format_to_write(output)
+        if not keeps_tree or chosen.holds.levels == "tree":
+            return chosen
+        found = f"format {chosen.name} has no levels of detail"
+    except InputError as error:
+        if not keeps_tree:
+            raise UsageError(str(error)) from error
+        found = f"its suffix is {output.suffix!r}"
+    *suffixes, last = [suffix for f in formats() if f.is_written and f.holds.levels == "tree" for suffix in f.suffixes]
+    raise UsageError(
+        f"{output}: {found}, wanted {', '.join(suffixes)} or {last}, as in {output.stem}.splatree; folders for viewers on the "
+        "web are made of that file by splatree stream"
+    )
 
 
 def _files_read(inputs: Sequence[Path], *, deeply: bool) -> list[Path]:
@@ -156,7 +172,10 @@ def inputs_and_folder(named: Files) -> tuple[tuple[Path, ...], Path]:
     """
     inputs, output = _divided(named, "out.splatree")
     if output.suffix != ".splatree":
-        raise UsageError(f"{output}: found a folder of parts to be written, wanted a name that ends in .splatree")
+        raise UsageError(
+            f"{output}: through files (--max-memory, --workers, --scheduler, the size of parts) a folder of parts is written, "
+            f"wanted a name that ends in .splatree, such as {output.with_suffix('.splatree')}"
+        )
     if any(path.exists() and output.exists() and path.samefile(output) for path in inputs):
         raise UsageError(f"{output}: is an input too; choose another name for the output")
     return inputs, output

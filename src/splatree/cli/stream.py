@@ -22,7 +22,7 @@ from splatree.stream.options import StreamFormat, StreamOptions
 from splatree.stream.report import StreamReport, ViewQuality, report_stream
 from splatree.stream.report_page import write_stream_report
 from splatree.stream.result import LevelWritten, Streamed
-from splatree.stream.stream import stream, with_levels
+from splatree.stream.stream import check_output, stream, with_levels
 
 
 @dataclass(frozen=True)
@@ -83,6 +83,7 @@ def run(command: Command) -> Result:
         raise UsageError(str(error)) from error
     if command.cameras is not None and command.report is None:
         raise UsageError("--cameras: are the views of a report; name its file with --report")
+    check_output(output, command.format, command.options, force=command.force)
     if command.report is not None:
         check_target(command.report)
     with _scene(command, inputs, output) as read:

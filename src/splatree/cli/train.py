@@ -13,10 +13,10 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from splatree.cli.console import Console, UsageError, counted, size, table
-from splatree.cli.files import lost_and_noted
-from splatree.errors import InputError, OutputError
+from splatree.cli.files import lost_and_noted, output_format
+from splatree.errors import OutputError
 from splatree.io.photos import PhotosUsed
-from splatree.io.registry import format_to_write, formats, stored_bytes
+from splatree.io.registry import stored_bytes
 from splatree.io.replacing import check_target
 from splatree.io.writing import write
 from splatree.kernels.devices import DeviceName
@@ -124,15 +124,7 @@ def _output(command: Command) -> Path:
     if command.output is None:
         raise UsageError("found no output, wanted a file to write: -o scene.splatree")
     check_target(command.output)
-    try:
-        chosen = format_to_write(command.output)
-    except InputError as error:
-        raise UsageError(str(error)) from error
-    if command.options.levels != "none" and chosen.holds.levels != "tree":
-        suffixes = [suffix for f in formats() if f.holds.levels == "tree" for suffix in f.suffixes]
-        raise UsageError(
-            f"{command.output}: format {chosen.name} has no levels of detail, wanted {' or '.join(suffixes)}"
-        )
+    output_format(command.output, keeps_tree=command.options.levels != "none")
     if command.output.exists() and not (command.force or command.resume):
         raise OutputError(f"{command.output}: exists already; choose another name or replace it with --force")
     return command.output

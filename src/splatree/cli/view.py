@@ -88,7 +88,9 @@ def _shown(
         scene = in_mode(scene, command.mode)
     elif command.mode not in (None, scene.scene.mode):
         raise UsageError(
-            f"mode: found levels of detail that were made for {scene.scene.mode}, wanted none; build them for {command.mode}"
+            f"mode: found {command.mode} for {command.paths[0]}, which is shown as its file says, in {scene.scene.mode}; leave "
+            "the mode out, or build the levels anew from their leaves: splatree build in.splatree out.splatree --mode "
+            f"{command.mode}"
         )
     source = (scene if isinstance(scene, Scene) else scene.scene).source
     cameras = None if cameras is None else cameras.relative_to(source)

@@ -39,6 +39,7 @@ from splatree.progress import track
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.given import given
 from splatree.scene.literals import check_literals
+from splatree.scene.modes import check_mode_of_levels, in_mode
 from splatree.scene.names import Mode
 from splatree.scene.origin import Origin
 
@@ -66,7 +67,8 @@ class ConvertOptions:
     the leaves."""
 
     mode: Mode | None = None
-    """How the scene was trained and is drawn, where the file does not say it; None: as the file says, else `classic`."""
+    """How the scene was trained and is drawn, where the file does not say it; None: as the file says, else `classic`. Levels of
+    detail keep the mode that they were made for."""
 
     def __post_init__(self) -> None:
         check_literals(self)
@@ -157,7 +159,10 @@ def _converted_from(found: Sequence[Path], target: Path, options: ConvertOptions
         )
     scenes = (read_one(path, options.read) for path in found)
     if options.mode is not None:
-        scenes = (replace(scene, mode=options.mode) for scene in scenes)
+        takes_leaves = leaves and options.depth is None
+        scenes = (
+            replace(scene, mode=options.mode) if takes_leaves else in_mode(scene, options.mode) for scene in scenes
+        )
     scene = joined(scenes)
     num_read = scene.tree.num_leaves
     scene = edit(scene, options.edit)
@@ -171,6 +176,7 @@ def _converted_from(found: Sequence[Path], target: Path, options: ConvertOptions
 
 def _in_runs(tree: TreeRuns, target: Path, options: ConvertOptions, force: bool) -> Converted:
     """A tree as one file, or a cut of it, edited on the way, in runs of rows."""
+    check_mode_of_levels(options.mode, None if tree.head.record is None else tree.head.record.mode)
     source, scratch = tree.head.source, Scratch.beside(check_target(target), options.write.max_memory)
     move = move_from_options(options.edit, source.origin)
     kept = tree

@@ -42,9 +42,7 @@ def replacing(path: str | os.PathLike[str], *, force: bool = False) -> Iterator[
         OutputError: the file exists and ``force`` is not set, it is not a plain file, its folder is missing, or the disk is
             full or otherwise fails.
     """
-    target = check_target(path)
-    if target.exists() and not force:
-        raise OutputError(_exists(path))
+    target = check_free(path, force=force)
     if isinstance(target, ObjectPath):
         with _sent_to(target) as local:
             yield local
@@ -69,7 +67,7 @@ def replacing(path: str | os.PathLike[str], *, force: bool = False) -> Iterator[
         if not ON_WINDOWS:  # which opens no folders; its file systems write the new name down themselves
             flush(target.parent, os.O_RDONLY)
     except SplatreeError as error:
-        error.args = tuple(_renamed(str(part), temporary, path) for part in error.args)
+        error.args = tuple(name_in(str(part), temporary, path) for part in error.args)
         raise
     except OSError as error:
         is_open = ON_WINDOWS and isinstance(error, PermissionError) and target.exists()
@@ -131,7 +129,7 @@ def send(local: Path, target: ObjectPath) -> None:
         advance(float(local.stat().st_size))
 
 
-def _renamed(text: str, temporary: Path | None, path: str | os.PathLike[str]) -> str:
+def name_in(text: str, temporary: Path | None, path: str | os.PathLike[str]) -> str:
     """What a writer said, who knows the file by its temporary name alone."""
     if temporary is None:
         return text
@@ -235,6 +233,18 @@ def check_target(path: str | os.PathLike[str]) -> Path:
         raise OutputError(f"{path}: cannot be written, it is not a plain file")
     if not has_folder:
         raise OutputError(f"{path}: cannot be written, there is no folder {target.parent}")
+    return target
+
+
+def check_free(path: str | os.PathLike[str], *, force: bool) -> Path:
+    """As `check_target`; refuse a file that exists, too, unless ``force`` replaces it.
+
+    Raises:
+        OutputError: no file can be written there, or one exists.
+    """
+    target = check_target(path)
+    if target.exists() and not force:
+        raise OutputError(_exists(path))
     return target
 
 

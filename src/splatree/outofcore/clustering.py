@@ -47,6 +47,7 @@ from splatree.progress import task
 from splatree.scene.clusters import ClusterIndex
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.given import given
+from splatree.scene.modes import check_mode_of_levels
 from splatree.scene.names import Mode
 from splatree.scene.scene import Scene
 from splatree.shapes import Array, Float32, Int32
@@ -113,7 +114,7 @@ def cluster_file(
         num_clusters: as for `build_clusters`.
         options: how clusters are made; None: the defaults.
         reading: how the inputs are read.
-        mode: how the scene is drawn, where the files do not say it.
+        mode: how the scene is drawn, where the files do not say it; levels keep the mode that they were made for.
         max_memory: what may be taken, such as 4G; None: half of the free memory.
         force: replace the file if it exists.
 
@@ -179,6 +180,8 @@ def _opened(
                 "repaired or one of several; convert it to .ply first, or to an exact .splatree to keep its levels"
             )
         tree = tree or _runs_of(joined_chunks(parts, found.paths))
+        if tree.num_leaves < len(tree):
+            check_mode_of_levels(mode, None if tree.head.record is None else tree.head.record.mode)
         yield tree if mode is None else replace(tree, head=replace(tree.head, mode=mode)), parts, found.notes
 
 

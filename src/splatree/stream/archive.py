@@ -10,9 +10,9 @@ import zipfile
 from dataclasses import replace
 from pathlib import Path
 
-from splatree.errors import InputError
+from splatree.errors import SplatreeError
 from splatree.io.formats.streamed_sog.format import MANIFEST
-from splatree.io.replacing import replacing
+from splatree.io.replacing import name_in, replacing
 from splatree.scene.scene import Scene
 from splatree.stream.options import StreamOptions
 from splatree.stream.result import Streamed
@@ -27,17 +27,19 @@ def write_archive(
     """Write a scene with levels as a streamed SOG in a ZIP.
 
     Raises:
-        InputError: the name does not end in ``.ssog``, or the options cannot be met.
+        InputError: the options cannot be met.
         OutputError: there is a file already, or the disk fails.
     """
-    if output.suffix != ".ssog":
-        raise InputError(f"{output}: found the name of a zipped stream, wanted one that ends in .ssog")
     with (
         replacing(output, force=force) as temporary,
         tempfile.TemporaryDirectory(dir=output.parent, prefix=".") as made,
     ):
         folder = Path(made) / output.stem
-        written = write_sog(scene, folder, options, threads=threads)
+        try:
+            written = write_sog(scene, folder, options, threads=threads)
+        except SplatreeError as error:
+            error.args = tuple(name_in(str(part), folder, output) for part in error.args)
+            raise
         _zip(folder, temporary)
     return replace(written, output=output, bytes=output.stat().st_size)
 

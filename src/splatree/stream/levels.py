@@ -16,6 +16,7 @@ gains nothing. So the ladder takes the cuts that the tree has.
 Cost: a pass over the tree and two sorts, about a second for 7 M nodes.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -32,6 +33,7 @@ __all__ = [
     "RATIO",
     "Intervals",
     "Level",
+    "check_ladder",
     "cuts_of",
     "intervals_from",
     "intervals_of",
@@ -123,10 +125,7 @@ def levels_of_tree(
     Raises:
         InputError: ``ratio`` is not above 1.2, or ``num_levels`` is not above 0.
     """
-    if not ratio >= 1.2:
-        raise InputError(f"ratio: found {ratio}, wanted at least 1.2")
-    if num_levels is not None and num_levels < 1:
-        raise InputError(f"levels: found {num_levels}, wanted at least 1")
+    check_ladder(ratio, num_levels)
     intervals = intervals_of(tree, chunks)
     sizes, counts = cuts_of(intervals)
     levels = [_level(intervals, chunks, 0.0)]
@@ -137,6 +136,18 @@ def levels_of_tree(
         if counts[nearest] <= _SMALLER_MIN * len(levels[-1]):
             levels.append(_level(intervals, chunks, float(sizes[nearest])))
     return tuple(levels)
+
+
+def check_ladder(ratio: float, num_levels: int | None) -> None:
+    """Refuse levels that cannot be made.
+
+    Raises:
+        InputError: ``ratio`` is not above 1.2, or ``num_levels`` is not above 0.
+    """
+    if not 1.2 <= ratio < math.inf:
+        raise InputError(f"ratio: found {ratio}, wanted at least 1.2")
+    if num_levels is not None and num_levels < 1:
+        raise InputError(f"levels: found {num_levels}, wanted at least 1")
 
 
 def _targets(num_leaves: int, num_chunks: int, ratio: float, num_levels: int | None) -> list[float]:

@@ -6,7 +6,8 @@ from typing import Literal
 
 from splatree.errors import InputError
 from splatree.scene.literals import check_literals
-from splatree.stream.levels import RATIO
+from splatree.stream.earth import ecef_from_enu
+from splatree.stream.levels import RATIO, check_ladder
 
 __all__ = ["StreamFormat", "StreamOptions"]
 
@@ -62,6 +63,11 @@ class StreamOptions:
             value = getattr(self, name)
             if value is not None and not least <= value < math.inf:
                 raise InputError(f"{name}: found {value}, wanted at least {least}")
+        check_ladder(self.ratio, self.levels)
+        if self.sh_degree not in (None, 0, 1, 2, 3):
+            raise InputError(f"sh_degree: found {self.sh_degree}, wanted 0 to 3")
+        if self.origin is not None:
+            ecef_from_enu(*self.origin)
 
     def check_used(self, format: StreamFormat) -> None:
         """Refuse options that the format does not use.

@@ -15,12 +15,13 @@ import shutil
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields
 from pathlib import Path
+from typing import Self
 
-from splatree.errors import OutputError
-from splatree.io.replacing import flush, replacing
+from splatree.errors import OutputError, SplatreeError
+from splatree.io.replacing import flush, name_in, replacing
 from splatree.scene.gaussians import Gaussians
 
-__all__ = ["Folder", "digest_of", "write_files"]
+__all__ = ["Folder", "check_folder", "digest_of", "write_files"]
 
 _REVISION = b"1"
 """Of what parts are made by: another one gives parts other names."""
@@ -41,6 +42,29 @@ def digest_of(gaussians: Gaussians, *more: object) -> str:
     return state.hexdigest()
 
 
+def check_folder(path: Path, manifest: str, *, force: bool) -> list[str]:
+    """Refuse a place where no stream can be written; the names that are there.
+
+    Raises:
+        OutputError: it is a file, or has no folder around it, or holds something else than parts of an interrupted stream, or
+            without ``force`` than an old stream.
+    """
+    if path.exists() and not path.is_dir():
+        raise OutputError(f"{path}: is a file, wanted a folder to write the stream to")
+    if not path.parent.is_dir():
+        raise OutputError(f"{path}: cannot be written, there is no folder {path.parent}")
+    names = [entry.name for entry in path.iterdir()] if path.is_dir() else []
+    if manifest in names and not force:
+        raise OutputError(f"{path}: holds a stream already; choose another folder or replace it with force (--force)")
+    foreign = [name for name in names if not _PART.match(name) and not _is_unfinished(name) and name != manifest]
+    if foreign and not force:
+        raise OutputError(
+            f"{path}: holds {foreign[0]}, wanted a new or an empty folder; with force (--force) the stream is written "
+            "beside it"
+        )
+    return names
+
+
 class Folder:
     """A folder that a stream is written to."""
 
@@ -50,22 +74,8 @@ class Folder:
         Raises:
             OutputError: it holds something else, or cannot be made.
         """
-        self.path, self._manifest = path, path / manifest
-        if path.exists() and not path.is_dir():
-            raise OutputError(f"{path}: is a file, wanted a folder to write the stream to")
-        if not path.parent.is_dir():
-            raise OutputError(f"{path}: cannot be written, there is no folder {path.parent}")
-        names = [entry.name for entry in path.iterdir()] if path.is_dir() else []
-        if self._manifest.exists() and not force:
-            raise OutputError(
-                f"{path}: holds a stream already; choose another folder or replace it with force (--force)"
-            )
-        foreign = [name for name in names if not _PART.match(name) and not _is_unfinished(name) and name != manifest]
-        if foreign and not force:
-            raise OutputError(
-                f"{path}: holds {foreign[0]}, wanted a new or an empty folder; with force (--force) the stream is written "
-                "beside it"
-            )
+        names = check_folder(path, manifest, force=force)
+        self.path, self._manifest, self._is_new = path, path / manifest, not path.exists()
         try:
             path.mkdir(exist_ok=True)
         except OSError as error:
@@ -76,6 +86,14 @@ class Folder:
                 self._there.setdefault(name.rpartition("-")[0], []).append(name)
         self.damaged: list[str] = []
         """Parts that were there, and did not hold what they were written with."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        """Leave no empty folder behind a failure."""
+        if kind is not None and self._is_new and not any(self.path.iterdir()):
+            self.path.rmdir()
 
     def find(self, name: str) -> str | None:
         """The whole name of the part that is there by a name without the digest of what it holds; None: there is none, or it is
@@ -105,6 +123,9 @@ class Folder:
             except OSError:
                 if not self._is_whole(whole):  # no other process that writes the same stream was first
                     raise
+        except SplatreeError as error:
+            error.args = tuple(name_in(str(part), temporary, self.path) for part in error.args)
+            raise
         except OSError as error:
             raise OutputError(f"{self.path / name}: could not be written ({error.strerror or error})") from error
         finally:

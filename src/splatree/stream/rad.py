@@ -5,7 +5,6 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
-from splatree.errors import InputError
 from splatree.io.formats.rad.container import open_rad
 from splatree.io.formats.rad.writer import write_chunked
 from splatree.io.replacing import replacing
@@ -35,11 +34,8 @@ def write_rad(scene: Scene, output: Path, options: StreamOptions, *, force: bool
     """Write a scene with levels.
 
     Raises:
-        InputError: the name does not end in ``.rad``.
         OutputError: there is a file already, or the disk fails.
     """
-    if output.suffix != ".rad":
-        raise InputError(f"{output}: found the name of a stream for Spark, wanted one that ends in .rad")
     names = []
     scene = as_written(scene, options)
     if options.chunked:

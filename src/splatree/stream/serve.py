@@ -30,7 +30,7 @@ from splatree.scene.given import given
 from splatree.scene.literals import check_literals
 from splatree.stream.first_view import first_view
 from splatree.stream.http import LOOPBACK, HttpServer, host_name
-from splatree.stream.pages import index_page, viewer_page
+from splatree.stream.pages import VIEWERS, index_page, viewer_page
 
 __all__ = ["ServeOptions", "StreamServer", "serve"]
 
@@ -108,14 +108,16 @@ class StreamServer:
             InputError: the folder is none, or holds no stream.
             OutputError: the port cannot be listened on.
         """
+        if folder.is_file():
+            raise InputError(f"{folder}: is a file, wanted {_folder_for(folder)}")
         if not folder.is_dir():
-            raise InputError(f"{folder}: found no folder, wanted one that holds a stream")
+            raise InputError(f"{folder}: not found; wanted a folder that holds a stream")
         self.folder = folder.resolve()
         self.streams = tuple(streams_in(self.folder))
         if not self.streams:
             raise InputError(
-                f"{folder}: found no lod-meta.json, tileset.json or .rad in it, links out of it not counted; write one with "
-                "splatree stream"
+                f"{folder}: found no lod-meta.json, tileset.json or .rad in it or in the folders inside, links out of it not "
+                f"counted; write a stream with splatree stream scene.splatree {folder}"
             )
         self._views: dict[str, dict[str, str]] = {}
         self._options = options
@@ -245,6 +247,13 @@ def serve(folder: str | os.PathLike[str], options: ServeOptions | None = None) -
     server = StreamServer(Path(folder), given(options, ServeOptions, "serve: options"))
     server.start()
     return server
+
+
+def _folder_for(file: Path) -> str:
+    """What to serve in place of a file."""
+    if file.suffix == ".rad" or file.name in VIEWERS:
+        return f"the folder around it: splatree serve {file.parent}"
+    return f"a folder that holds a stream; write one with splatree stream {file} {file.stem}_stream"
 
 
 def streams_in(folder: Path) -> Iterator[str]:

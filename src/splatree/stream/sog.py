@@ -80,23 +80,23 @@ def write_sog(scene: Scene, output: Path, options: StreamOptions, *, force: bool
     chunks = chunks_of_tree(scene, chunk_leaves)
     levels = levels_of_tree(scene.tree, chunks, ratio=options.ratio, num_levels=options.levels)
     units = list(_units(levels, options.unit_rows or _CHUNKS_PER_UNIT * chunk_leaves))
-    folder = Folder(output, MANIFEST, force=force)
-    boxes = np.empty((len(chunks), 2, 3))
-    boxes[:, 0], boxes[:, 1] = np.inf, -np.inf
-    names, num_there = [], 0
-    with task(f"write {output.name}", sum(map(len, levels))) as advance:
-        write = partial(_write_unit, scene, levels, folder, options)
-        for unit, written in zip(units, in_order(write, units, threads), strict=True):
-            own = slice(unit.first_chunk, unit.end_chunk)
-            boxes[own, 0] = np.minimum(boxes[own, 0], written.boxes[:, 0])
-            boxes[own, 1] = np.maximum(boxes[own, 1], written.boxes[:, 1])
-            names.append(written.name)
-            num_there += written.was_there
-            offsets = levels[unit.level].offsets
-            advance(int(offsets[unit.end_chunk] - offsets[unit.first_chunk]))
-    errors = list(_errors(scene, options, levels, boxes, threads)) if options.errors else None
-    manifest = _manifest(scene, options, levels, names, _leaves(levels, units, errors), boxes)
-    folder.finish(json.dumps(manifest, separators=(",", ":")), names)
+    with Folder(output, MANIFEST, force=force) as folder:
+        boxes = np.empty((len(chunks), 2, 3))
+        boxes[:, 0], boxes[:, 1] = np.inf, -np.inf
+        names, num_there = [], 0
+        with task(f"write {output.name}", sum(map(len, levels))) as advance:
+            write = partial(_write_unit, scene, levels, folder, options)
+            for unit, written in zip(units, in_order(write, units, threads), strict=True):
+                own = slice(unit.first_chunk, unit.end_chunk)
+                boxes[own, 0] = np.minimum(boxes[own, 0], written.boxes[:, 0])
+                boxes[own, 1] = np.maximum(boxes[own, 1], written.boxes[:, 1])
+                names.append(written.name)
+                num_there += written.was_there
+                offsets = levels[unit.level].offsets
+                advance(int(offsets[unit.end_chunk] - offsets[unit.first_chunk]))
+        errors = list(_errors(scene, options, levels, boxes, threads)) if options.errors else None
+        manifest = _manifest(scene, options, levels, names, _leaves(levels, units, errors), boxes)
+        folder.finish(json.dumps(manifest, separators=(",", ":")), names)
     return _result(output, folder, chunks, levels, units, names, num_there)
 
 

@@ -99,21 +99,23 @@ def write_tiles(
         OutputError: the folder holds something else, or the disk fails.
     """
     tiles = tiles_of_tree(scene, options.tile_nodes)
-    folder = Folder(output, MANIFEST, force=force)
-    names, own_boxes, num_there = [], [], 0
-    with task(f"write {output.name}", sum(len(tile.rows) for tile in tiles)) as advance:
-        write = partial(_write_tile, scene, folder)
-        for (name, was_there, box), tile in zip(in_order(write, list(enumerate(tiles)), threads), tiles, strict=True):
-            names.append(name)
-            own_boxes.append(box)
-            num_there += was_there
-            advance(len(tile.rows))
-    boxes = np.array(own_boxes)
-    for index in range(len(tiles) - 1, -1, -1):  # children come after their parent
-        for child in tiles[index].children:
-            boxes[index, 0] = np.minimum(boxes[index, 0], boxes[child, 0])
-            boxes[index, 1] = np.maximum(boxes[index, 1], boxes[child, 1])
-    folder.finish(json.dumps(_manifest(tiles, names, boxes, options), separators=(",", ":")), names)
+    with Folder(output, MANIFEST, force=force) as folder:
+        names, own_boxes, num_there = [], [], 0
+        with task(f"write {output.name}", sum(len(tile.rows) for tile in tiles)) as advance:
+            write = partial(_write_tile, scene, folder)
+            for (name, was_there, box), tile in zip(
+                in_order(write, list(enumerate(tiles)), threads), tiles, strict=True
+            ):
+                names.append(name)
+                own_boxes.append(box)
+                num_there += was_there
+                advance(len(tile.rows))
+        boxes = np.array(own_boxes)
+        for index in range(len(tiles) - 1, -1, -1):  # children come after their parent
+            for child in tiles[index].children:
+                boxes[index, 0] = np.minimum(boxes[index, 0], boxes[child, 0])
+                boxes[index, 1] = np.maximum(boxes[index, 1], boxes[child, 1])
+        folder.finish(json.dumps(_manifest(tiles, names, boxes, options), separators=(",", ":")), names)
     return _result(output, folder, tiles, names, num_there)
 
 

@@ -10,7 +10,7 @@ import json
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 from splatree.errors import FormatError, InputError
 from splatree.io import untrusted
@@ -110,6 +110,14 @@ def read_chunks(path: Path, options: ReadOptions) -> Chunks:
 
     num_rows = sum(span.end - span.begin for span in spans)
     return counted_chunks(parts, num_rows, degree, modes.pop(), metadata, drops_rows=bool(options.repair))
+
+
+def mode_of_levels(path: Path) -> Mode | None:
+    """The mode that the levels were made for, as a stream of this library says it; None: the manifest does not say."""
+    value: Any = untrusted.read_json(path / MANIFEST if path.is_dir() else path)
+    for key in ("asset", "splatree", "tree", "mode"):
+        value = value.get(key) if isinstance(value, dict) else None
+    return next((mode for mode in get_args(Mode) if mode == value), None)
 
 
 class _Span(NamedTuple):
