@@ -104,7 +104,10 @@ def same(folder: Path, wanted: st.Scene) -> str:
         (name, getattr(found.tree, name), getattr(wanted.tree, name)) for name in ("subtree_end", "depth", "extents")
     ]
     pairs += [("ids of leaves", found.ids[is_leaf], wanted.ids[is_leaf])]
-    differ = [name for name, a, b in pairs if not np.array_equal(a.view(f"u{a.itemsize}"), b.view(f"u{b.itemsize}"))]
+    if wanted.tree.curves is not None and found.tree.curves is not None:
+        pairs.append(("curves", found.tree.curves, wanted.tree.curves))
+    differ = ["curves"] if (wanted.tree.curves is None) != (found.tree.curves is None) else []
+    differ += [name for name, a, b in pairs if not np.array_equal(a.view(f"u{a.itemsize}"), b.view(f"u{b.itemsize}"))]
     return f"no: {', '.join(differ)}" if differ else "yes"
 
 
@@ -188,7 +191,7 @@ def main() -> None:
         millions, about = num_leaves / 1e6, {"Gaussians": num_leaves, "degree": arguments.degree}
         rows: list[dict[str, object]] = []
         by_pairs = arguments.method == "pairs"
-        words = ("--method", arguments.method, *(() if by_pairs else ("--no-follow",)))
+        words = ("--method", arguments.method)
         if arguments.tiles == 1:
             in_memory = run("build", ply, tree, *words, "-q")
             wanted = st.read(tree)

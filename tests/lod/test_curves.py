@@ -118,3 +118,48 @@ def test_one_node_of_two_equal_leaves_has_twice_their_mass():
     wide = (1 / 0.99) ** 0.3
     np.testing.assert_allclose(found.scales()[0] ** 2, wide + (wide - 1) * 0.5, rtol=1e-6)
     assert found.opacities()[0] == pytest.approx(0.99)
+
+
+@given(
+    n=st_.integers(3, 80),
+    seed=st_.integers(0, 2**20),
+    most=st_.sampled_from([2, 5, 20]),
+    at_once=st_.sampled_from([1, 7, 100]),
+)
+@settings(max_examples=40, deadline=None)
+def test_a_tree_that_is_cut_is_fitted_with_the_bits_of_the_whole_tree(n, seed, most, at_once):
+    scene = tree_over(cloud(n, seed, log_scales=("normal", -3.0, 1.5), logits=("normal", 0.0, 3.0)))
+    ends, is_leaf = scene.tree.subtree_end, scene.tree.is_leaf
+    seen = np.random.default_rng(seed).uniform(0.01, 1, len(scene)).astype(np.float32)
+    wanted, curves = kernel.fit_curves(scene.gaussians, ends, seen, 0.4)
+    roots, row = [], 0
+    is_above = np.zeros(len(scene), bool)
+    while row < len(scene):
+        is_above[row] = True
+        is_small = bool(ends[row] - row <= most)
+        roots += [row] if is_small else []
+        row = int(ends[row]) if is_small else row + 1
+    below = [
+        kernel.root_moments(
+            scene.gaussians.rows(root, ends[root]),
+            ends[root : ends[root]] - np.int32(root),
+            1,
+            seen=seen[root : ends[root]],
+        )
+        for root in roots
+    ]
+    rows, moments = np.flatnonzero(is_above), np.concatenate(below)
+    above, own_ends = scene.gaussians.take(rows), np.searchsorted(rows, ends[rows]).astype(np.int32)
+    nodes = rows[own_ends > np.arange(1, len(rows) + 1)]
+    dilations, sums = kernel.dilations_above(above, own_ends, moments, 0.4), np.zeros((len(nodes), 2))
+    before = np.concatenate([[0], np.cumsum(is_leaf)])
+    leaves = scene.gaussians.take(is_leaf)
+    for first in range(0, len(leaves), at_once):
+        some = slice(first, first + at_once)
+        columns = leaves.log_scales[some], leaves.logit_opacities[some], seen[is_leaf][some]
+        kernel.add_shown(*columns, first, (before[nodes], before[ends[nodes]]), dilations, sums)
+    found, found_curves = kernel.fit_curves_above(above, own_ends, moments, 0.4, sums)
+    at = np.searchsorted(rows, nodes)
+    assert found_curves[at].tobytes() == curves[nodes].tobytes()
+    for name in ("means", "quats", "log_scales", "logit_opacities"):
+        assert getattr(found, name)[at].tobytes() == getattr(wanted, name)[nodes].tobytes(), name

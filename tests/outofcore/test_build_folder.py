@@ -9,7 +9,6 @@ import signal
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from unittest import mock
@@ -21,7 +20,7 @@ from hypothesis import strategies as hs
 
 import splatree as st
 from splatree.io.memory import PROCESS_BYTES, _free_of_group, bytes_of
-from splatree.outofcore import build, crown, run, shuffle
+from splatree.outofcore import build, crown, follow, run, shuffle
 from splatree.outofcore.needs import needs_of
 from splatree.outofcore.options import Room, cell_bytes
 from splatree.progress import listen
@@ -43,9 +42,12 @@ def room_for(num_roots):
 
 def check_is_tree_of(folder, path, options=None, mode=None):
     scene = st.read(path)
-    wanted = st.build_lod(scene, replace(options or st.BuildOptions(), follow=False))
+    wanted = st.build_lod(scene, options)
     found = st.read(folder)
     check_same_tree(found, wanted)
+    curves = np.zeros((len(wanted), 4), np.float32) if wanted.tree.curves is None else wanted.tree.curves
+    assert found.tree.curves is None or found.tree.curves.tobytes() == curves.tobytes()
+    assert wanted.tree.curves is None or found.tree.curves is not None
     assert found.source.metadata["levels"] == wanted.source.metadata["levels"]
     assert found.mode == wanted.mode
     return found
@@ -59,15 +61,22 @@ def check_is_tree_of(folder, path, options=None, mode=None):
     radius=hs.sampled_from(["auto", 0.15]),
     max_roots=hs.sampled_from([1, 64]),
     most_together=hs.sampled_from([20, 10**9]),
+    follows=hs.sampled_from([True, True, False]),
+    at_once=hs.sampled_from([(3, 2), (10, 20), (follow.PIECE_ROWS, follow.PASS_LEAVES)]),
 )
 def test_the_tree_is_that_of_a_build_in_memory(
-    tmp_path_factory, gaussians, part_rows, part_levels, radius, max_roots, most_together
+    tmp_path_factory, gaussians, part_rows, part_levels, radius, max_roots, most_together, follows, at_once
 ):
     path = tmp_path_factory.mktemp("scene") / "in.ply"
     st.write(st.Scene.flat(gaussians), path)
-    options = st.BuildOptions(radius=radius, max_roots=max_roots)
+    options = st.BuildOptions(radius=radius, max_roots=max_roots, follow=follows)
     running = st.FolderOptions(part_rows=part_rows, part_levels=part_levels)
-    with room_for(max(most_together, max_roots)):
+    rows, leaves = at_once
+    with (
+        room_for(max(most_together, max_roots)),
+        mock.patch.object(follow, "PIECE_ROWS", rows),
+        mock.patch.object(follow, "PASS_LEAVES", leaves),
+    ):
         built = st.build_folder(path, path.with_name("out.splatree"), options, running)
     found = check_is_tree_of(built.path, path, options)
     assert (built.num_gaussians, built.num_nodes) == (len(gaussians), len(found))
@@ -303,7 +312,7 @@ def test_a_cell_that_cannot_be_cut_and_does_not_fit_is_named(tmp_path, monkeypat
     st.write(st.Scene.flat(hard_scene(900, "one place", 1)), tmp_path / "in.ply")
     built = st.build_folder(tmp_path / "in.ply", tmp_path / "out.splatree", running=SMALL)  # it fits: one cell
     check_is_tree_of(built.path, tmp_path / "in.ply")
-    monkeypatch.setattr("splatree.outofcore.cut.cell_bytes", lambda rows, k, *, by_pairs: rows * 10**9)
+    monkeypatch.setattr("splatree.outofcore.cut.cell_bytes", lambda rows, k, *, by_pairs, follows: rows * 10**9)
     with pytest.raises(st.InputError, match="cell 0: found 900 Gaussians so close together that they cannot be cut"):
         st.build_folder(tmp_path / "in.ply", tmp_path / "more.splatree", running=SMALL)
 
@@ -452,7 +461,7 @@ def test_a_hostile_manifest_is_refused(built, what):
 
 
 def test_a_folder_is_drawn_as_the_tree_in_memory(built, ply):
-    scene, wanted = st.read(built), st.build_lod(st.read(ply), st.BuildOptions(follow=False))
+    scene, wanted = st.read(built), st.build_lod(st.read(ply))
     camera = st.orbit(wanted, st.PathOptions(views=1, width=64, height=48))[0]
     for pixel_error in (0.0, 3.0, 20.0):
         options = st.SelectOptions(pixel_error=pixel_error)

@@ -18,6 +18,7 @@ from splatree.lod.follow import with_curves
 from splatree.lod.resolve import measure, resolve
 from splatree.outofcore import build, sight
 from splatree.outofcore.options import PAIR_CELL_ROWS, Room, cell_bytes
+from splatree.outofcore.work import new_array
 from splatree.simplify.visibility import visibilities_in
 
 from ..laws.hard_scenes import hard_scenes
@@ -156,7 +157,7 @@ def test_what_does_not_fit_is_refused(tmp_path, ply, monkeypatch):
 
 def test_what_is_seen_has_its_room_on_the_disk_before_it_is_written(tmp_path):
     """Pages of a hole that is mapped would end the program by a signal where the disk is full."""
-    array = sight._new_array(tmp_path / "seen.npy", 100_001)
+    array = new_array(tmp_path / "seen.npy", 100_001, np.dtype(np.float32))
     assert not array.any() and (tmp_path / "seen.npy").stat().st_blocks * 512 >= array.nbytes
     array[-1] = 7
     array.flush()

@@ -39,7 +39,7 @@ from splatree.scene.names import EXTENT_PROFILES
 from splatree.scene.tree import GaussianTree
 from splatree.shapes import Array, Float32
 
-__all__ = ["WIDER", "kept_extent", "with_curves"]
+__all__ = ["WIDER", "kept_extent", "share_by_radius", "with_curves"]
 
 WIDER = 4.0
 """Levels by pairs are stored for a pixel so many times as wide as that of their level: a far view with a generous budget draws
@@ -49,6 +49,11 @@ them there (τ_R = ¾ px). A city at 20 % gains 1.5 dB from outside and 4 dB fro
 def kept_extent(judged: float) -> float:
     """The largest extent of nodes by pairs that keep their Gaussian, given the pixel p_0; world units."""
     return PIXEL_ERROR * judged * (1 + 1e-6)
+
+
+def share_by_radius(growth: float) -> float:
+    """Levels by a radius: h_l in variances along the longest axis, of the pixel where a node's 3σ are the pixel error, τ_R."""
+    return DILATION_PX2 * growth / ((PIXEL_ERROR / SIGMAS) ** 2 - DILATION_PX2)
 
 
 def with_curves(
@@ -87,9 +92,7 @@ def with_curves(
             threads=threads,
         )
         return followed, dataclasses.replace(tree, curves=curves)
-    # Levels by a radius: the pixel where a node's 3σ are the pixel error, τ_R.
-    growth = 1.0 if record is None else record.growth or 1.0
-    share = DILATION_PX2 * growth / ((PIXEL_ERROR / SIGMAS) ** 2 - DILATION_PX2)
+    share = share_by_radius(1.0 if record is None else record.growth or 1.0)
     followed, curves = fit_curves(gaussians, tree.subtree_end, seen, share, threads=threads)
     extents = subtree_radii(followed.means, followed.reach(), tree.depth)  # balls that hold all that is below
     return followed, dataclasses.replace(tree, curves=curves, extents=extents)

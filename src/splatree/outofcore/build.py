@@ -105,7 +105,6 @@ def grow_folder(
         notes=(
             *opened.notes,
             *cut.notes(running),
-            *_note_on_pixels(cut.plan, options),
         ),
         trial=trial,
     )
@@ -119,6 +118,7 @@ def _grown(work: Work, cut: Cut, running: FolderOptions, trial: MethodTrial | No
 
 def _by_radius(work: Work, cut: Cut, running: FolderOptions) -> list[Tier]:
     """Grow cells, and their roots in cells of their own, until what is left fits in memory; then all of it together."""
+    _measure_sight(work, cut)
     tiers = [_grown_cells(work, cut.plan, cut.workers, running.part_levels or PART_LEVELS)]
     while not _fits(tiers[-1], cut.room):
         below = tiers[-1]
@@ -153,7 +153,8 @@ def _num_sizes(tier: Tier) -> int:
 def _fits(tier: Tier, room: Room) -> bool:
     """Whether all roots of a tier can be grown together."""
     plan = tier.plan
-    return top_bytes(sum(tier.roots), (plan.sh_degree + 1) ** 2, follows=plan.follows) <= room.max_bytes
+    has_shown = plan.follows and plan.resolved.method == "pairs"
+    return top_bytes(sum(tier.roots), (plan.sh_degree + 1) ** 2, follows=has_shown) <= room.max_bytes
 
 
 def _crown_above(tier: Tier, num_sizes: int) -> Tier:
@@ -164,16 +165,22 @@ def _crown_above(tier: Tier, num_sizes: int) -> Tier:
 
 
 def _by_pairs(work: Work, cut: Cut, running: FolderOptions) -> list[Tier]:
-    """Measure what is seen, and grow the cells: to the same levels whatever the memory, for the tree depends on them."""
+    """Grow the cells to the same levels whatever the memory, for the tree depends on them."""
+    plan = cut.plan
+    _measure_sight(work, cut)
+    tier = Tier(work, plan, run_cells(work, plan, "grow-pairs", cut.workers, argument=running.part_levels or 0))
+    if not _fits(tier, cut.room):
+        raise _too_many(sum(tier.roots), cut.room)
+    return [tier, _crown_above(tier, 0)]
+
+
+def _measure_sight(work: Work, cut: Cut) -> None:
+    """Measure what is seen of each row, where the levels ask."""
     plan = cut.plan
     if plan.sight is not None:
         check_planes(plan, cut.room)
         run_pieces(work, plan, "sight", cut.workers, [float(plan.num_rows)] * NUM_AXES)
         write_seen(work, plan)
-    tier = Tier(work, plan, run_cells(work, plan, "grow-pairs", cut.workers, argument=running.part_levels or 0))
-    if not _fits(tier, cut.room):
-        raise _too_many(sum(tier.roots), cut.room)
-    return [tier, _crown_above(tier, 0)]
 
 
 def _too_many(num_left: int, room: Room) -> InputError:
@@ -201,15 +208,6 @@ def check_target(output: str | os.PathLike[str], *, force: bool) -> Path:
     except RuntimeError as error:
         raise OutputError(f"{output}: cannot be written, its links lead in a circle") from error
     return target
-
-
-def _note_on_pixels(plan: Plan, options: BuildOptions) -> tuple[str, ...]:
-    if not options.follow or plan.mode != "classic" or plan.follows:
-        return ()
-    return (
-        "merged Gaussians are drawn as stored, as after --no-follow: levels by a radius follow pixels only where they are built "
-        "in memory",
-    )
 
 
 def _take_place(work: Work, target: Path, force: bool) -> None:

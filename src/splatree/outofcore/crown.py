@@ -24,6 +24,7 @@ from splatree.io.formats.splatree.rows import SceneRows, StoredScene, open_scene
 from splatree.io.formats.splatree.writer import create_scene
 from splatree.io.writing import write
 from splatree.lod.assemble import record_of, with_report
+from splatree.outofcore.follow import with_followed_nodes
 from splatree.outofcore.index import StoreIndex, index_of_folder
 from splatree.outofcore.index_file import INDEX, write_index
 from splatree.outofcore.pages import FilePages, table_of
@@ -114,7 +115,14 @@ def finish_scene(
     )
     head, rows = _whole(tiers[1:])
     head = replace(head, record=replace(record_of(plan.resolved, sizes), trial=trial), source=source)
-    _write_crown(folder, head, rows)
+    if plan.follows and plan.resolved.method == "radius":
+        merged = first.work.folder / CROWN
+        _write_crown(merged, head, rows)
+        head, rows = (
+            replace(head, has_curves=True),
+            with_followed_nodes(first.work, plan, first.roots, open_scene(merged)),
+        )
+    _write_crown(folder / CROWN, head, rows)
     write_index(_index(folder, first.files), folder / INDEX)
     manifest = first.manifest(head, stored_file(folder, INDEX))
     for path in (folder / "parts").iterdir():
@@ -134,7 +142,7 @@ def _whole(tiers: Sequence[Tier]) -> tuple[SceneHead, Iterator[SceneRows]]:
         stored = open_scene(folder / file.name)
         return stored.head, _runs(stored)
     head, rows = _whole(above)
-    _write_crown(folder, head, rows)
+    _write_crown(folder / CROWN, head, rows)
     write_text(folder / MANIFEST, tier.manifest(head).to_json())
     tree = open_whole(folder, checked=False)
     return tree.head, tree.runs("put levels together")
@@ -145,8 +153,8 @@ def _runs(stored: StoredScene) -> Iterator[SceneRows]:
         yield stored.rows(begin, min(begin + ROWS_PER_CHUNK, len(stored)))
 
 
-def _write_crown(folder: Path, head: SceneHead, rows: Iterator[SceneRows]) -> None:
-    with create_scene(folder / CROWN, head, force=True) as writer:
+def _write_crown(path: Path, head: SceneHead, rows: Iterator[SceneRows]) -> None:
+    with create_scene(path, head, force=True) as writer:
         for run in rows:
             writer.append(run)
 

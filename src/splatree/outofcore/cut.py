@@ -24,7 +24,7 @@ from splatree.lod.options import BuildOptions
 from splatree.outofcore.cluster import cluster_at
 from splatree.outofcore.lock import alone_in
 from splatree.outofcore.options import PART_ROWS, FolderOptions, Room, cell_bytes
-from splatree.outofcore.plan import Plan, make_plan, read_plan, request_of
+from splatree.outofcore.plan import Plan, follows_pixels, make_plan, read_plan, request_of
 from splatree.outofcore.run import Workers, run_cells
 from splatree.outofcore.shuffle import cell_sizes, make_slices
 from splatree.outofcore.work import Work
@@ -129,7 +129,7 @@ def cut_into_cells(
     request = request_of([_identity(path) for path in opened.found], asked, running, reading, chunks.mode)
     with errors_of_writing(work), alone_in(work.folder):
         work.begin()
-        with _runners(work, running, options, executor, chunks.sh_degree) as (workers, room):
+        with _runners(work, running, options, executor, chunks) as (workers, room):
             plan = _plan_to_go_on_with(work, request, room)
             if plan is None:
                 _clear(work)
@@ -142,16 +142,17 @@ def cut_into_cells(
 
 @contextmanager
 def _runners(
-    work: Work, running: FolderOptions, options: BuildOptions, executor: Executor | None, sh_degree: int
+    work: Work, running: FolderOptions, options: BuildOptions, executor: Executor | None, chunks: Chunks
 ) -> Iterator[tuple[Workers, Room]]:
     """Who grows the cells, and how much memory there is for each."""
-    num_coefficients, by_pairs = (sh_degree + 1) ** 2, options.named_method == "pairs"
+    num_coefficients, by_pairs = (chunks.sh_degree + 1) ** 2, options.named_method == "pairs"
+    follows = follows_pixels(options, chunks.mode)
     if running.scheduler is None:
-        room = Room.of(running, num_coefficients, by_pairs=by_pairs)
+        room = Room.of(running, num_coefficients, by_pairs=by_pairs, follows=follows)
         yield Workers(room.workers, executor), room
         return
     with cluster_at(running.scheduler, work) as cluster:
-        room = Room.of(running, num_coefficients, cluster.thread_bytes, by_pairs=by_pairs)
+        room = Room.of(running, num_coefficients, cluster.thread_bytes, by_pairs=by_pairs, follows=follows)
         yield Workers(1, cluster.executor, cluster.died), room
 
 
@@ -171,7 +172,7 @@ def _check_room(work: Work, plan: Plan, room: Room) -> None:
     sizes = cell_sizes(work, plan)
     largest = int(sizes.argmax())
     by_pairs = plan.resolved.method == "pairs"
-    needed = cell_bytes(int(sizes[largest]), (plan.sh_degree + 1) ** 2, by_pairs=by_pairs)
+    needed = cell_bytes(int(sizes[largest]), (plan.sh_degree + 1) ** 2, by_pairs=by_pairs, follows=plan.follows)
     if sizes[largest] > 2 * plan.part_rows and needed > room.piece_bytes:
         raise InputError(
             f"cell {largest}: found {sizes[largest]} Gaussians so close together that they cannot be cut, for which about "

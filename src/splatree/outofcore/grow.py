@@ -26,6 +26,7 @@ from splatree.lod.grow_pairs import grow_by_pairs, grow_part_by_pairs
 from splatree.lod.grow_region import Owned, TooNarrowError, grow_region
 from splatree.lod.region import EVERYWHERE, Region
 from splatree.lod.shown import Shown, fit_shown, shown_above, shown_of_leaves
+from splatree.outofcore.follow import known_of_roots, seen_of
 from splatree.outofcore.load import Loaded, load, load_alone, reaches, with_harmonics
 from splatree.outofcore.plan import Plan
 from splatree.outofcore.shuffle import write_bounds
@@ -47,7 +48,8 @@ def grow_cell(work: Work, plan: Plan, number: int, num_levels: int, threads: int
     owned, loaded = _grown(work, plan, number, num_levels, threads)
     sizes = plan.resolved.sizes_from(plan.num_sizes, num_levels)
     result = {"counts": owned.counts, "merged": _merged(sizes, owned.counts), "loaded": len(loaded.inputs)}
-    return result | _write_part(work, plan, number, owned.forest, loaded, owned.rows, None, threads)
+    seen = seen_of(work, plan, loaded.inputs[owned.rows]) if plan.first_roots is None else None
+    return result | _write_part(work, plan, number, owned.forest, loaded, owned.rows, seen, threads)
 
 
 def grow_cell_by_pairs(work: Work, plan: Plan, number: int, num_levels: int, threads: int = 0) -> dict[str, Any]:
@@ -61,7 +63,7 @@ def grow_cell_by_pairs(work: Work, plan: Plan, number: int, num_levels: int, thr
         threads: threads to use; 0: all.
     """
     loaded = load_alone(work, number)
-    seen = read_array(work.seen)[loaded.inputs] if plan.sight is not None else np.ones(len(loaded.inputs), np.float32)
+    seen = seen_of(work, plan, loaded.inputs)
     scene = Scene.flat(loaded.gaussians, mode=plan.mode)
     leaves = forest_of_leaves(scene, plan.resolved, inputs=loaded.inputs, visibilities=seen, threads=threads)
     rows = leaves.base.order
@@ -105,23 +107,26 @@ def _forest_of(plan: Plan, loaded: Loaded, threads: int) -> Forest:
 def _write_part(
     work: Work, plan: Plan, number: int, forest: Forest, loaded: Loaded, rows: Array, seen: Array | None, threads: int
 ) -> dict[str, Any]:
-    """Write a part and its roots; ``seen`` of levels by pairs."""
+    """Write a part and its roots; ``seen`` of parts whose leaves are those of the scene."""
+    by_pairs, follows = plan.resolved.method == "pairs", plan.follows
+    if not by_pairs and plan.first_roots is not None:
+        follows = False  # until the crown is whole
     if not len(rows):
         write_bounds(work.above, number, np.empty((0, 3)))
         return {"leaves": 0, "rows": 0, "roots": 0, "depth": 0, "file": None}
     leaves = Scene.flat(with_harmonics(work, plan, loaded, rows), mode=plan.mode)
     leaves = replace(leaves, ids=loaded.inputs[rows].astype(np.uint32))
-    part = assemble(forest, leaves, plan.resolved, seen=seen if plan.follows else None, threads=threads)
+    part = assemble(forest, leaves, plan.resolved, seen=seen if follows else None, threads=threads)
     part = replace(part, blocks=None, source=Source())  # the crown has the provenance
-    if plan.follows and part.tree.curves is None:  # no node follows
+    if follows and part.tree.curves is None:  # no node follows
         part = replace(part, tree=replace(part.tree, curves=np.zeros((len(part), 4), np.float32)))
-    if plan.first_roots is not None and plan.resolved.method == "pairs":
+    if plan.first_roots is not None and by_pairs:
         part = _with_copies(work, plan, part)
-        if plan.follows and forest.families:
+        if follows and forest.families:
             part = _following(work, plan, part, forest, loaded, rows)
     name = work.part_name(number)
     write(part, work.scene / name, force=True)
-    _write_roots(work, plan, number, part, forest)
+    _write_roots(work, plan, number, part, forest, follows=follows, threads=threads)
     file = stored_file(work.scene, name)
     found = {"rows": len(part), "roots": len(forest.roots), "depth": int(part.tree.depth.max()), "file": vars(file)}
     return {"leaves": len(rows), **found}
@@ -165,13 +170,16 @@ def _following(work: Work, plan: Plan, part: Scene, forest: Forest, loaded: Load
     return replace(part, gaussians=Gaussians(**columns), tree=replace(part.tree, curves=curves))
 
 
-def _write_roots(work: Work, plan: Plan, number: int, part: Scene, forest: Forest) -> None:
+def _write_roots(
+    work: Work, plan: Plan, number: int, part: Scene, forest: Forest, *, follows: bool, threads: int
+) -> None:
     """Write the roots of a part, for the levels above."""
     above, roots = work.above, _roots_of(part)
-    if plan.follows:
-        write(roots, above.drawn(number), force=True)
+    if follows:
+        if plan.resolved.method == "pairs":
+            write(roots, above.drawn(number), force=True)
         if plan.first_roots is None:
-            write_array(above.shown(number), _shown(work, plan, part).columns())
+            write_array(above.shown(number), _shown(work, plan, part, threads))
         roots = replace(roots, gaussians=replace(forest.present, sh=roots.gaussians.sh))  # as they were merged
     write(replace(roots, gaussians=roots.gaussians.with_sh_degree(0)), above.cell(number), force=True)
     if plan.sh_degree:
@@ -179,14 +187,18 @@ def _write_roots(work: Work, plan: Plan, number: int, part: Scene, forest: Fores
     write_bounds(above, number, roots.gaussians.means)
 
 
-def _shown(work: Work, plan: Plan, part: Scene) -> Shown:
+def _shown(work: Work, plan: Plan, part: Scene, threads: int) -> Array:
     """What the leaves below each root show."""
     is_leaf = part.tree.is_leaf
     leaves = np.flatnonzero(is_leaf)
     assert part.ids is not None
-    seen = read_array(work.seen)[part.ids[leaves]] if plan.sight is not None else np.ones(len(leaves), np.float32)
+    seen = seen_of(work, plan, part.ids[leaves].astype(np.int64))
+    if plan.resolved.method == "radius":
+        seen_from_row = np.ones(len(part), np.float32)
+        seen_from_row[leaves] = seen
+        return known_of_roots(part.gaussians, part.tree, seen_from_row, threads)
     start = np.cumsum(is_leaf)[part.tree.depth == 0] - is_leaf[part.tree.depth == 0]
-    return shown_of_leaves(part.gaussians.take(leaves).with_sh_degree(0), seen, start, plan.resolved)
+    return shown_of_leaves(part.gaussians.take(leaves).with_sh_degree(0), seen, start, plan.resolved).columns()
 
 
 def _grown(work: Work, plan: Plan, number: int, num_levels: int, threads: int) -> tuple[Owned, Loaded]:

@@ -12,6 +12,9 @@ __all__ = ["FolderOptions", "Room"]
 ROW_BYTES = 420
 """What growing a cell takes for each of its rows without harmonics, with the space around it: benchmarks/scale.py."""
 
+FOLLOWING_BYTES = 200
+"""What it takes besides where merged Gaussians follow the pixel: moments and curves. By pairs it is counted in."""
+
 ROOT_ROW_BYTES = 650
 """What growing a cell of roots of parts takes for each of its rows: they carry weights, ranks and balls."""
 
@@ -106,15 +109,21 @@ class Room:
 
     @staticmethod
     def of(
-        options: FolderOptions, num_coefficients: int, thread_bytes: float = math.inf, *, by_pairs: bool = False
+        options: FolderOptions,
+        num_coefficients: int,
+        thread_bytes: float = math.inf,
+        *,
+        by_pairs: bool = False,
+        follows: bool = False,
     ) -> "Room":
         """Cells of a million rows, or as many as fit, and as many at the same time as fit then.
 
         Args:
             options: what the user allows.
             num_coefficients: of the harmonics.
-            by_pairs: levels are made by pairs, which depend on the cells: these do not follow the memory.
             thread_bytes: what workers elsewhere have for a cell.
+            by_pairs: levels are made by pairs, which depend on the cells: these do not follow the memory.
+            follows: merged Gaussians follow the pixel that they are drawn at.
 
         Raises:
             InputError: these workers have too little.
@@ -137,9 +146,10 @@ class Room:
                     "on it"
                 )
             return Room(max_bytes, rows, _beside(options, max_bytes, cell), piece_bytes)
-        fitting = int((piece_bytes - PROCESS_BYTES) // row_bytes_of(num_coefficients))
+        fitting = int((piece_bytes - PROCESS_BYTES) // row_bytes_of(num_coefficients, follows=follows))
         rows = options.part_rows or min(PART_ROWS, max(fitting, FEWEST_ROWS))
-        return Room(max_bytes, rows, _beside(options, max_bytes, cell_bytes(rows, num_coefficients)), piece_bytes)
+        cell = cell_bytes(rows, num_coefficients, follows=follows)
+        return Room(max_bytes, rows, _beside(options, max_bytes, cell), piece_bytes)
 
 
 def _beside(options: FolderOptions, max_bytes: int, cell: int) -> int:
@@ -147,14 +157,15 @@ def _beside(options: FolderOptions, max_bytes: int, cell: int) -> int:
     return max(1, min(options.workers, (max_bytes - PROCESS_BYTES) // cell))
 
 
-def cell_bytes(num_rows: int, num_coefficients: int, *, by_pairs: bool = False) -> int:
+def cell_bytes(num_rows: int, num_coefficients: int, *, by_pairs: bool = False, follows: bool = False) -> int:
     """Memory of a process that grows a cell."""
-    return PROCESS_BYTES + num_rows * row_bytes_of(num_coefficients, by_pairs=by_pairs)
+    return PROCESS_BYTES + num_rows * row_bytes_of(num_coefficients, by_pairs=by_pairs, follows=follows)
 
 
-def row_bytes_of(num_coefficients: int, *, by_pairs: bool = False) -> int:
+def row_bytes_of(num_coefficients: int, *, by_pairs: bool = False, follows: bool = False) -> int:
     """What growing a cell takes for each of its rows."""
-    return (PAIR_ROW_BYTES if by_pairs else ROW_BYTES) + HARMONIC_BYTES * (num_coefficients - 1)
+    bare = PAIR_ROW_BYTES if by_pairs else ROW_BYTES + FOLLOWING_BYTES * follows
+    return bare + HARMONIC_BYTES * (num_coefficients - 1)
 
 
 def rows_above(part_rows: int) -> int:

@@ -18,6 +18,7 @@ from splatree.io.formats.splatree.rows import SceneRows
 from splatree.kernels.cpu.codec.columns import largest_magnitude
 from splatree.kernels.cpu.frame import select as kernel
 from splatree.kernels.cpu.frame.blocks import index_blocks
+from splatree.maths.forests import depth_from_ends
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.options import SelectOptions
 from splatree.scene.tree import BlockIndex, GaussianTree
@@ -140,7 +141,7 @@ def page_of(rows: SceneRows, file: str, path: Int64[Array, "a"], *, checksums: C
         )
     ends = np.minimum(rows.subtree_end, end) - np.int32(begin)
     try:
-        tree = GaussianTree(ends, _depth_of(ends), rows.extents, rows.curves)
+        tree = GaussianTree(ends, depth_from_ends(ends), rows.extents, rows.curves)
     except ShapeError as error:
         raise FormatError(f"{where}: {error}; the file is damaged") from error
     _check_path(rows, tree, path, where)
@@ -165,12 +166,6 @@ def _plain_checksum(rows: SceneRows) -> int:
     for column in (*columns, *(column for column in tree if column is not None)):
         check = zlib.crc32(column.data, check)
     return check
-
-
-def _depth_of(ends: Int32[Array, "n"]) -> UInt8[Array, "n"]:
-    """How many of the rows before each row have it below them; at most 255, which no file exceeds."""
-    closed = np.bincount(ends, minlength=len(ends) + 1)[: len(ends)]  # subtrees that end before each row
-    return np.clip(np.arange(len(ends)) - np.cumsum(closed), 0, 255).astype(np.uint8)
 
 
 def _check_path(rows: SceneRows, tree: GaussianTree, path: Int64[Array, "a"], where: str) -> None:

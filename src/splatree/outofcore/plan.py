@@ -34,7 +34,7 @@ from splatree.simplify.merge import check_finite, largest_log_weight
 from splatree.simplify.thin import query_rows, radius_of_spacing
 from splatree.simplify.visibility import NUM_SAMPLES, SIZE_SAMPLES, median_size, sample_of, sight_of
 
-__all__ = ["Plan", "make_plan", "plan_above", "read_plan"]
+__all__ = ["Plan", "follows_pixels", "make_plan", "plan_above", "read_plan"]
 
 SAMPLE_ROWS = 1 << 20
 """Rows of which the cells are made."""
@@ -74,7 +74,7 @@ class Plan:
     widest: float
     """The longest side of the box around all means, world units."""
     sight: Sight | None
-    """Levels by pairs: the lengths by which the scene is looked at; None: nothing hides anything."""
+    """Levels by pairs, and levels that follow: the lengths by which the scene is looked at; None: nothing hides anything."""
     follows: bool
     """Whether merged Gaussians follow the pixel that they are drawn at."""
     first_roots: tuple[int, ...] | None = None
@@ -165,7 +165,8 @@ def make_plan(
         frame=morton_frame(means),
     )
     sample = np.array(means[:: n // SAMPLE_ROWS + 1])
-    sees = by_pairs and options.visibility
+    follows = follows_pixels(options, chunks.mode)
+    sees = (by_pairs or follows) and options.visibility
     sight = sight_of(sample_of(means, NUM_SAMPLES), n, size) if sees else None
     cells = halve(sample, room.part_rows * len(sample) / n)
     del means, sample
@@ -187,10 +188,15 @@ def make_plan(
         part_rows=room.part_rows,
         widest=float(np.max(high - low)),
         sight=sight,
-        follows=by_pairs and options.follow and chunks.mode == "classic",
+        follows=follows,
     )
     write_text(work.plan, plan.to_json())
     return plan
+
+
+def follows_pixels(options: BuildOptions, mode: Mode) -> bool:
+    """Whether merged Gaussians follow the pixel that they are drawn at."""
+    return options.follow and mode == "classic"
 
 
 def plan_above(work: Work, plan: Plan, roots: Sequence[int], num_sizes: int, *, whole: bool) -> Plan:

@@ -15,7 +15,6 @@ import numpy as np
 
 from splatree.errors import InputError
 from splatree.io.formats.splatree.rows import open_scene
-from splatree.io.memory import reserve
 from splatree.io.replacing import replacing
 from splatree.kernels.cpu.build.visibility import (
     NUM_AXES,
@@ -27,7 +26,7 @@ from splatree.kernels.cpu.build.visibility import (
 )
 from splatree.outofcore.options import Room
 from splatree.outofcore.plan import Plan
-from splatree.outofcore.work import Work, read_array
+from splatree.outofcore.work import Work, new_array, read_array
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
 from splatree.shapes import Array
@@ -74,7 +73,7 @@ def look_along(work: Work, plan: Plan, axis: int, argument: float = 0, threads: 
     try:
         slabs = _write_slabs(work, plan, axis, folder, threads)
         with replacing(work.sight(axis), force=True) as temporary:
-            sums = _new_array(temporary, plan.num_rows)
+            sums = new_array(temporary, plan.num_rows, np.dtype(np.float32))
             for backwards in (False, True):
                 plane = Plane(plan.sight, axis, backwards=backwards)
                 for path in reversed(slabs) if backwards else slabs:
@@ -88,15 +87,6 @@ def look_along(work: Work, plan: Plan, axis: int, argument: float = 0, threads: 
     finally:
         shutil.rmtree(folder, ignore_errors=True)
     return {}
-
-
-def _new_array(path: Path, num_rows: int) -> "np.memmap[Any, Any]":
-    """A mapped file of zeros, for which the disk has room."""
-    array: np.memmap[Any, Any] = np.lib.format.open_memmap(path, "w+", np.float32, (num_rows,))
-    with path.open("r+b") as file:
-        file.seek(array.offset)  # behind the head
-        reserve(file, array.nbytes)
-    return array
 
 
 def _write_slabs(work: Work, plan: Plan, axis: int, folder: Path, threads: int) -> list[Path]:
@@ -156,7 +146,7 @@ def write_seen(work: Work, plan: Plan) -> None:
         task("put together what is seen", float(plan.num_rows)) as advance,
         replacing(work.seen, force=True) as temporary,
     ):
-        seen = _new_array(temporary, plan.num_rows)
+        seen = new_array(temporary, plan.num_rows, np.dtype(np.float32))
         for begin in range(0, plan.num_rows, BATCH_ROWS):
             batch = visibilities_from(np.stack([sums[begin : begin + BATCH_ROWS] for sums in along]))
             seen[begin : begin + BATCH_ROWS] = as_counted(plan.mode, relative(batch, full))

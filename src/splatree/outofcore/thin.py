@@ -137,6 +137,7 @@ def thin_file(
             importance=options.importance,
             color_radius=options.color_radius,
             merge=options.merge,
+            follow=False,
         )
         with cut_into_cells(work, opened, options, decided, running, reading=reading, executor=executor) as cut:
             radius = _radius(work, cut, options)

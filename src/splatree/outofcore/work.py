@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 
 from splatree.errors import InputError
+from splatree.io.memory import reserve
 from splatree.io.objects import ObjectPath
 from splatree.io.replacing import remove_abandoned, replacing
 from splatree.outofcore.lock import LOCK
@@ -164,4 +165,13 @@ def read_array(path: Path) -> Array:
         array: Array = np.load(path, mmap_mode="r" if path.stat().st_size > 1 << 16 else None)
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be read ({error}); delete the folder of work and build again") from error
+    return array
+
+
+def new_array(path: Path, num_rows: int, dtype: "np.dtype[Any]") -> "np.memmap[Any, Any]":
+    """A mapped file of zeros, for which the disk has room."""
+    array: np.memmap[Any, Any] = np.lib.format.open_memmap(path, "w+", dtype, (num_rows,))
+    with path.open("r+b") as file:
+        file.seek(array.offset)  # behind the head
+        reserve(file, array.nbytes)
     return array

@@ -30,10 +30,10 @@ def build_folder(
 ) -> BuiltFolder:
     """Build levels of detail over a scene that is larger than memory, and write a folder of parts.
 
-    Levels by a radius are those of `build_lod` with ``follow=False``, bit for bit, but for the identities of merged nodes. Levels
-    by pairs are chosen in cells of 2¹⁸ Gaussians (``running.part_rows``); what lies at their borders waits, and is merged at the
-    size that it waited at with what waits across the border. They depend on the cells, but neither on memory nor on workers. The
-    method `auto` is chosen as in `build_lod`, which reads the inputs twice more.
+    Levels by a radius are those of `build_lod`, bit for bit, but for the identities of merged nodes. Levels by pairs are chosen
+    in cells of 2¹⁸ Gaussians (``running.part_rows``); what lies at their borders waits, and is merged at the size that it waited
+    at with what waits across the border. They depend on the cells, but neither on memory nor on workers. The method `auto` is
+    chosen as in `build_lod`, which reads the inputs twice more.
 
     A build that was interrupted goes on where it stopped if it is called again in the same way. Until it ends, its files are in a
     folder beside the output, with ``.work`` after its name.

@@ -92,24 +92,85 @@ void merge_groups(nb::handle gaussians, nb::handle groups, In<float> weights, nb
   merge(job);
 }
 
-void fit_rows(nb::handle gaussians, In<int32_t> subtree_end, In<float> seen, double dilation_share,
-              std::optional<In<float>> extents, double kept_extent, double kept_dilation, double least_dilation,
-              Out<float> curves, int threads) {
+CurvesJob curves_job_of(nb::handle gaussians, In<int32_t> subtree_end, int threads) {
   CurvesJob job{};
   job.n = int64_t(nb::len(gaussians));
   job.subtree_end = subtree_end.data();
-  job.seen = seen.data();
-  job.extents = extents ? extents->data() : nullptr;
-  job.dilation_share = dilation_share;
   job.means = out_column<float>(gaussians, "means");
   job.quats = out_column<float>(gaussians, "quats");
   job.log_scales = out_column<float>(gaussians, "log_scales");
   job.logit_opacities = out_column<float>(gaussians, "logit_opacities");
+  job.threads = threads;
+  return job;
+}
+
+void fit_rows(nb::handle gaussians, In<int32_t> subtree_end, In<float> seen, double dilation_share,
+              std::optional<In<float>> extents, double kept_extent, double kept_dilation, double least_dilation,
+              Out<float> curves, int threads) {
+  CurvesJob job = curves_job_of(gaussians, subtree_end, threads);
+  job.seen = seen.data();
+  job.extents = extents ? extents->data() : nullptr;
+  job.dilation_share = dilation_share;
   job.kept_extent = kept_extent, job.kept_dilation = kept_dilation, job.least_dilation = least_dilation;
   job.curves = curves.data();
-  job.threads = threads;
   nb::gil_scoped_release release;
   fit_curves(job);
+}
+
+void fit_rows_above(nb::handle gaussians, In<int32_t> subtree_end, In<double> below, double dilation_share, In<double> sums,
+                    Out<float> curves, int threads) {
+  CurvesJob job = curves_job_of(gaussians, subtree_end, threads);
+  job.below = below.data();
+  job.dilation_share = dilation_share;
+  job.sums = sums.data();
+  job.curves = curves.data();
+  nb::gil_scoped_release release;
+  fit_curves(job);
+}
+
+// The rows are only read.
+CurvesJob moments_job_of(nb::handle gaussians, In<int32_t> subtree_end, int threads) {
+  CurvesJob job{};
+  job.n = int64_t(nb::len(gaussians));
+  job.subtree_end = subtree_end.data();
+  job.means = const_cast<float*>(column<float>(gaussians, "means"));
+  job.quats = const_cast<float*>(column<float>(gaussians, "quats"));
+  job.log_scales = const_cast<float*>(column<float>(gaussians, "log_scales"));
+  job.logit_opacities = const_cast<float*>(column<float>(gaussians, "logit_opacities"));
+  job.threads = threads;
+  return job;
+}
+
+void moments_of_roots(nb::handle gaussians, In<int32_t> subtree_end, std::optional<In<float>> seen,
+                      std::optional<In<double>> below, Out<double> moments, int threads) {
+  CurvesJob job = moments_job_of(gaussians, subtree_end, threads);
+  job.seen = seen ? seen->data() : nullptr;
+  job.below = below ? below->data() : nullptr;
+  nb::gil_scoped_release release;
+  root_moments(job, moments.data());
+}
+
+void dilations_above(nb::handle gaussians, In<int32_t> subtree_end, In<double> below, double dilation_share,
+                     Out<double> dilations, int threads) {
+  CurvesJob job = moments_job_of(gaussians, subtree_end, threads);
+  job.below = below.data();
+  job.dilation_share = dilation_share;
+  job.dilations = dilations.data();
+  nb::gil_scoped_release release;
+  fit_curves(job);
+}
+
+void add_shown_by_leaves(In<float> log_scales, In<float> logit_opacities, In<float> seen, int64_t first, In<int64_t> begin,
+                         In<int64_t> end, In<double> dilations, Out<double> sums, int threads) {
+  ShownJob job{};
+  job.first = first, job.n = int64_t(seen.shape(0)), job.num_nodes = int64_t(begin.shape(0));
+  job.log_scales = log_scales.data(), job.logit_opacities = logit_opacities.data(), job.seen = seen.data();
+  job.begin = begin.data(), job.end = end.data();
+  job.dilations = dilations.data();
+  job.sums = sums.data();
+  job.threads = threads;
+  nb::gil_scoped_release release;
+  add_shown(job);
 }
 
 }  // namespace
@@ -196,6 +257,11 @@ void bind_thin(nb::module_& m) {
   m.def("fit_curves", &fit_rows, nb::arg("gaussians"), nb::arg("subtree_end"), nb::arg("seen"), nb::arg("dilation_share"),
         nb::arg("extents").none(), nb::arg("kept_extent"), nb::arg("kept_dilation"), nb::arg("least_dilation"), nb::arg("curves"),
         nb::arg("threads"), "Overwrite the inner nodes, and fill their curves.");
+  m.def("fit_curves_above", &fit_rows_above, "As fit_curves, of rows whose leaves stand for others.");
+  m.def("root_moments", &moments_of_roots, nb::arg("gaussians"), nb::arg("subtree_end"), nb::arg("seen").none(),
+        nb::arg("below").none(), nb::arg("moments"), nb::arg("threads"), "Moments of each root.");
+  m.def("dilations_above", &dilations_above, "The dilation of each inner node.");
+  m.def("add_shown", &add_shown_by_leaves, "Add what leaves show at the dilations of the nodes above them.");
 }
 
 }  // namespace splatree
