@@ -39,4 +39,4 @@ def test_ctrl_c_while_it_says_its_address_is_the_usual_end_too(splatree, small_t
 
 def test_a_folder_without_a_stream_is_refused(splatree, tmp_path):
     code, _, err = splatree("serve", tmp_path, "--port", "0")
-    assert code == 1 and "write one with splatree stream" in err
+    assert code == 1 and "write a stream with splatree stream" in err
