@@ -125,6 +125,12 @@ def run(command: Command) -> Evaluated | Comparison:
         raise UsageError(f"every, scale, frames: found {found}, wanted at least 1, more than 0, and at least 0")
     if command.training and command.data is None:
         raise UsageError("training: found no --data, wanted photographs; without them no view is held out")
+    if command.data is None and command.held_out != Command.held_out:
+        raise UsageError(f"held_out: found {command.held_out} without --data, whose views it tells apart; wanted both")
+    if command.lpips is None and (command.lpips_trunk or command.lpips_heads):
+        raise UsageError(
+            "lpips_trunk, lpips_heads: found weights without --lpips, wanted the name of their network, too"
+        )
     if command.reference is not None:
         return _against_reference(command)
     if command.report is not None:
