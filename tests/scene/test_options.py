@@ -126,6 +126,11 @@ def test_pixels_are_drawn_down_to_the_lossless_threshold_and_tapered_only_above_
         (lambda: st.SelectOptions(max_radius=1e308), r"max_radius: found 1e\+308, wanted 0 px or more, at most 1e\+30"),
         (lambda: st.BaselineOptions(pixel_error=-1), "pixel_error: found -1, wanted 0 px or more"),
         (lambda: st.BaselineOptions(depth=-1), "depth: found -1, wanted 0 or more"),
+        (lambda: st.PathOptions(views=10**7), "views: found 10000000, wanted 1 to 1,000,000"),
+        (
+            lambda: st.PathOptions(width=2**31),
+            "width, height: found 2147483648 × 540, wanted 1 × 1 px to 2,147,483,647",
+        ),
         (lambda: st.RefineOptions(iterations=10**10), "iterations: found 10000000000, wanted 1 to 1e9"),
         (lambda: st.RefineOptions(made_views=10**7), "made_views: found 10000000, wanted 8 to 1e6"),
         (lambda: st.RefineOptions(seed=-1), "seed: found -1, wanted 0 or more"),
