@@ -32,7 +32,7 @@ class InputError(SplatreeError, ValueError):
     Example:
         >>> st.SelectOptions(pixel_error=-1)
         Traceback (most recent call last):
-        splatree.errors.InputError: pixel_error: found -1, wanted 0 px or more
+        splatree.errors.InputError: pixel_error: found -1, wanted 0 px or more, at most 1e+30 or inf
     """
 
 

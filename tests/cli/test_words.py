@@ -176,4 +176,46 @@ def test_basic_options_exist():
 def test_the_help_shows_what_the_docstrings_say(splatree):
     out = " ".join(splatree("thin", "--help")[1].split())
     assert "--keep X Share of the Gaussians to keep" in out
-    assert "--no-visibility" in out and "(default: 0.5)" in out
+    assert "--no-visibility Turn off: " in out and "(default: 0.5)" in out
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("eval {0} --held-out 4", "held_out: found 4 without --data"),
+        ("eval {0} --lpips-trunk weights.pth", "lpips_trunk, lpips_heads: found weights without --lpips"),
+        ("calibrate {0} out.splatree --held-out 4", "held_out: found 4 without --cameras or --data"),
+        ("calibrate {0} out.splatree --scale 0.5", "scale: found 0.5 without --cameras or --data"),
+        ("bench table3 --scene {0} --held-out 4", "held_out: found 4 without --data"),
+        (
+            "bench table1 --scene {0} --lpips-heads weights.pth",
+            "lpips_trunk, lpips_heads: found weights without --lpips",
+        ),
+    ],
+)
+def test_options_that_would_do_nothing_are_refused(splatree, small_tree, line, said):
+    code, out, err = splatree(*line.format(small_tree).split())
+    assert (code, out, err.count("\n")) == (2, "", 1), err
+    assert said in err
+
+
+@pytest.mark.parametrize(
+    ("line", "taken"),
+    [
+        ("bench cullfuzz -o {0}", "cullfuzz.json"),
+        ("bench table3 -o {0}", "table3.json"),
+        ("simulate --trace-from table1 -o {0}", "machine.toml"),
+        ("simulate --trace-from table1 --traces {0}", "frame_000.npz"),
+    ],
+)
+def test_outputs_are_checked_before_the_work(splatree, monkeypatch, tmp_path, line, taken):
+    """What is measured for minutes shall not be lost at the end."""
+    monkeypatch.setattr("splatree.cli.bench.check_drawable", lambda: None)
+    for module in ("splatree.bench.cullfuzz", "splatree.bench.table3"):
+        monkeypatch.setattr(f"{module}.run", lambda options: pytest.fail("work was begun"))
+    monkeypatch.setattr("splatree.cli.simulate.on_machine", lambda *more: pytest.fail("work was begun"))
+    (tmp_path / taken).write_text("old")
+    for folder, said in ((tmp_path, f"{taken}: exists already"), (tmp_path / taken, "cannot be made a folder")):
+        code, out, err = splatree(*line.format(folder).split())
+        assert (code, out) == (1, "") and said in err, err
+    assert (tmp_path / taken).read_text() == "old"

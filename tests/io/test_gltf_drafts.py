@@ -85,6 +85,32 @@ def test_required_extensions_that_are_not_known_are_refused(tmp_path, name):
         splatree.read(path)
 
 
+def test_instances_that_are_required_have_advice_of_their_own(tmp_path):
+    path = changed(tmp_path, lambda content: content.update(extensionsRequired=["EXT_mesh_gpu_instancing"]))
+    with pytest.raises(FormatError, match=r"'EXT_mesh_gpu_instancing', .*; write each copy as a node of its own"):
+        splatree.read(path)
+
+
+@pytest.mark.parametrize("where", ["buffers", "accessors"])
+def test_numbers_that_an_optional_extension_packs_are_missing_by_its_name(tmp_path, where):
+    """EXT_meshopt_compression may leave a buffer without data behind, Draco an accessor without a view."""
+
+    def change(content):
+        content["extensionsUsed"] += ["KHR_materials_unlit", "EXT_meshopt_compression"]
+        if where == "accessors":
+            content["accessors"][0].pop("bufferView")
+            return
+        content["buffers"].append(
+            content["buffers"][0] | {"extensions": {"EXT_meshopt_compression": {"fallback": True}}}
+        )
+        content["bufferViews"][0]["buffer"] = 1
+
+    with pytest.raises(
+        FormatError, match=rf"{where}\[\d\]: found .*; the file uses EXT_meshopt_compression, not known here"
+    ):
+        splatree.read(changed(tmp_path, change))
+
+
 def test_required_extensions_of_what_is_not_drawn_do_not_matter(tmp_path):
     required = ["KHR_gaussian_splatting", "KHR_materials_unlit", "KHR_texture_basisu", "KHR_mesh_quantization"]
     assert len(splatree.read(changed(tmp_path, lambda content: content.update(extensionsRequired=required)))) == 40

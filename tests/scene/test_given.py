@@ -44,6 +44,18 @@ CAMERA = st.Camera.look_at([0, 0, -6], [0, 0, 0], width=16, height=16)
         (lambda path: st.stream(SCENE.gaussians, path / "s"), "stream: found Gaussians, wanted a Scene"),
         (lambda path: st.write_cameras(CAMERA, path / "c.json"), "found one Camera, wanted a list"),
         (lambda path: st.write_cameras([], path / "c.json"), "found no Camera, wanted a list"),
+        (
+            lambda path: list(st.render_batch(SCENE, CAMERA)),
+            r"cameras: found one Camera, wanted some, such as \[camera\]",
+        ),
+        (lambda path: list(st.trace_batch(SCENE, 5)), "cameras: found int, wanted some"),
+        (lambda path: list(st.evaluate(SCENE, CAMERA)), "cameras: found one Camera, wanted some"),
+        (lambda path: st.calibrate(SCENE, CAMERA), "cameras: found one Camera, wanted some"),
+        (lambda path: st.refine(st.build_lod(SCENE), cameras=CAMERA), "cameras: found one Camera, wanted some"),
+        (lambda path: st.time_frames(SCENE, CAMERA), "cameras: found one Camera, wanted some"),
+        (lambda path: list(st.render_batch(SCENE, [SCENE])), "camera: found Scene, wanted one Camera"),
+        (lambda path: st.orbit(SCENE.gaussians), "camera path: found Gaussians, wanted a Scene"),
+        (lambda path: st.write_image([[1.0]], path / "a.png"), "write_image: found list, wanted a NumPy array"),
         (lambda path: st.write_cameras([SCENE], path / "c.json"), "camera: found Scene, wanted one Camera"),
     ],
 )

@@ -119,6 +119,18 @@ def test_pixels_are_drawn_down_to_the_lossless_threshold_and_tapered_only_above_
 @pytest.mark.parametrize(
     ("make", "found"),
     [
+        (
+            lambda: st.SelectOptions(pixel_error=1e308),
+            r"pixel_error: found 1e\+308, wanted 0 px or more, at most 1e\+30 or inf",
+        ),
+        (lambda: st.SelectOptions(max_radius=1e308), r"max_radius: found 1e\+308, wanted 0 px or more, at most 1e\+30"),
+        (lambda: st.BaselineOptions(pixel_error=-1), "pixel_error: found -1, wanted 0 px or more"),
+        (lambda: st.BaselineOptions(depth=-1), "depth: found -1, wanted 0 or more"),
+        (lambda: st.PathOptions(views=10**7), "views: found 10000000, wanted 1 to 1,000,000"),
+        (
+            lambda: st.PathOptions(width=2**31),
+            "width, height: found 2147483648 × 540, wanted 1 × 1 px to 2,147,483,647",
+        ),
         (lambda: st.RefineOptions(iterations=10**10), "iterations: found 10000000000, wanted 1 to 1e9"),
         (lambda: st.RefineOptions(made_views=10**7), "made_views: found 10000000, wanted 8 to 1e6"),
         (lambda: st.RefineOptions(seed=-1), "seed: found -1, wanted 0 or more"),
@@ -147,7 +159,7 @@ def test_huge_pixel_errors_draw_the_roots():
     """Their squares have no room in a number."""
     scene = st.build_lod(st.Scene.flat(gaussians(50, 0)), st.BuildOptions(method="radius"))
     camera = st.Camera.look_at([0, 0, -30], [0, 0, 0], width=32, height=32)
-    for huge in (1e308, float("inf")):
+    for huge in (1e30, float("inf")):
         rows = st.select(scene, camera, st.SelectOptions(pixel_error=huge, view_test="none")).rows
         assert (scene.tree.depth[rows] == 0).all() and len(rows)
         assert len(st.select(scene, camera, st.SelectOptions(max_radius=huge, view_test="none")))

@@ -405,6 +405,12 @@ def test_photographs_that_are_transparent_everywhere_are_refused(photographs):
         st.train(photographs, OPTIONS)
 
 
+def test_paths_may_be_texts(photographs):
+    options = st.TrainOptions(iterations=1, max_gaussians=260, held_out=4)
+    found = st.train(str(photographs), options, cameras=str(photographs / "sparse" / "0"))
+    assert bits(found) == bits(st.train(photographs, options))
+
+
 def test_points_that_no_view_shows_are_refused(photographs):
     points = photographs / "sparse" / "0" / "points3D.txt"
     points.write_text("1 0 -500 -500 9 9 9 0.5 1 0 2 0 3 0\n2 0 500 500 9 9 9 0.5 1 0 2 0 3 0\n")

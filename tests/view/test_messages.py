@@ -51,6 +51,10 @@ def test_an_acknowledgement_is_a_count():
         ({"f": "500"}, "f: found '500'"),
         ({"c2w": [1] * 11}, "c2w: wanted 12 numbers"),
         ({"c2w": [1] * 11 + [float("inf")]}, "c2w: found 'inf'"),
+        (
+            {"c2w": [1] * 11 + [10**400]},
+            "c2w: found '1000000000000000000000000000000000000000', wanted numbers of at most",
+        ),
         ({"c2w": [1, 1, 1, 0] * 3}, "not orthonormal"),
         ({"c2w": {"0": 1}}, "c2w: wanted 12 numbers"),
         ({"db": 61}, "db: found '61', wanted a number from 20 to 60"),

@@ -49,6 +49,8 @@ class SubjectOptions:
         check_literals(self)
         if self.views < 0:
             raise InputError(f"views: found {self.views}, wanted 0 (all) or more")
+        if self.data is None and self.held_out != SubjectOptions.held_out:
+            raise InputError(f"held_out: found {self.held_out} without --data, whose views it tells apart; wanted both")
         if self.size < 16:
             raise InputError(f"size: found {self.size}, wanted at least 16 px")
 

@@ -79,6 +79,10 @@ class Options:
     def __post_init__(self) -> None:
         check_literals(self)
         check_frames(self.frames)
+        if self.lpips is None and (self.lpips_trunk or self.lpips_heads):
+            raise InputError(
+                "lpips_trunk, lpips_heads: found weights without --lpips, wanted the name of their network, too"
+            )
         if self.train is not None:
             if self.subject.data is None:
                 raise InputError("train: found no photographs to train on, wanted their folder: --data")

@@ -83,7 +83,7 @@ class Command:
     """Of a folder of parts in place: what the pages that are kept may take, such as 500M; None: half of what is free."""
     views: Annotated[Views, arg(name="", help="")] = Views()
     path: Literal["orbit", "flyout"] = "flyout"
-    """Path to make without --cameras and --data: away from the scene, or around it."""
+    """Path to make without --cameras and --data: `orbit` around the scene, or `flyout` away from it."""
     made: Annotated[PathOptions, arg(name="", help="")] = PathOptions(views=16)
     calibration: Annotated[CalibrateOptions, arg(name="", help="")] = CalibrateOptions()
     select: Annotated[SelectOptions, arg(name="", help="")] = SelectOptions()
@@ -148,6 +148,11 @@ def training_views(views: Views) -> TrainingViews | None:
     """
     source = views.cameras or views.data
     if source is None:
+        for name in ("held_out", "scale"):
+            if getattr(views, name) != getattr(Views, name):
+                raise UsageError(
+                    f"{name}: found {getattr(views, name)} without --cameras or --data, whose views it is for"
+                )
         return None
     cameras = read_cameras(source)
     photos = Photos(views.data, cameras.views) if views.data else None

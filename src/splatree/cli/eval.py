@@ -28,7 +28,7 @@ from splatree.render.compare_page import Comparison
 from splatree.render.evaluate import evaluate
 from splatree.render.overlap import overlap_hint
 from splatree.render.paths import PathOptions, flyout
-from splatree.render.timing import STAGES, Timing, time_frames
+from splatree.render.timing import STAGES, Timing, check_frames, time_frames
 from splatree.scene.cameras import Camera, Cameras
 from splatree.scene.options import RenderOptions, SelectOptions
 from splatree.scene.scene import Scene
@@ -120,11 +120,18 @@ class Evaluated:
 def run(command: Command) -> Evaluated | Comparison:
     """Draw and compare each view, then time frames; with --reference, compare two scenes."""
     check_inputs(command.paths)
-    if command.every < 1 or not command.scale > 0 or command.frames < 0:
-        found = f"{command.every}, {command.scale}, {command.frames}"
-        raise UsageError(f"every, scale, frames: found {found}, wanted at least 1, more than 0, and at least 0")
+    if command.every < 1 or not command.scale > 0:
+        raise UsageError(f"every, scale: found {command.every}, {command.scale}, wanted at least 1, and more than 0")
+    if command.frames:
+        check_frames(command.frames)
     if command.training and command.data is None:
         raise UsageError("training: found no --data, wanted photographs; without them no view is held out")
+    if command.data is None and command.held_out != Command.held_out:
+        raise UsageError(f"held_out: found {command.held_out} without --data, whose views it tells apart; wanted both")
+    if command.lpips is None and (command.lpips_trunk or command.lpips_heads):
+        raise UsageError(
+            "lpips_trunk, lpips_heads: found weights without --lpips, wanted the name of their network, too"
+        )
     if command.reference is not None:
         return _against_reference(command)
     if command.report is not None:

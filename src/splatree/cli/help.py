@@ -71,7 +71,8 @@ def _lines(option: Option, width: int) -> Iterable[str]:
     names = ", ".join((*sorted(option.aliases), option.name.upper() if option.is_positional else option.name))
     values = "" if option.is_positional else placeholder(option.kind)
     head = f"  {names} {values}".rstrip()
-    text = " ".join((_texts(option.owner).get(option.field, "") + _default(option)).split())
+    turns_off = "Turn off: " if option.kind is bool and option.default is True else ""
+    text = " ".join((turns_off + _texts(option.owner).get(option.field, "") + _default(option)).split())
     text = text.replace("; None: ", "; without it: ").replace("None: ", "Without it: ")
     wrapped = textwrap.wrap(text, width - INDENT) or [""]
     if len(head) >= INDENT - 1:

@@ -19,10 +19,13 @@ from splatree.hardware.report import ablation_rows, frame_rows, page_of, summary
 from splatree.hardware.study import ablation, draw_traces, on_machine
 from splatree.hardware.trace import FrameTrace, read_trace, write_trace
 from splatree.io.cameras.files import read_cameras
-from splatree.io.replacing import replacing
+from splatree.io.replacing import check_folder, replacing
 from splatree.render.paths import PathOptions, flyout
 from splatree.scene.options import SelectOptions
 from splatree.scene.scene import Scene
+
+_NAMES = ("index.html", "machine.toml")
+"""Files of a report."""
 
 
 @dataclass(frozen=True)
@@ -87,6 +90,10 @@ class Result:
 
 def run(command: Command) -> Result:
     """Draw or read the frames, simulate, write the report."""
+    if command.output is not None:
+        check_folder(command.output, _NAMES, force=command.force)
+    if command.traces is not None:
+        check_folder(command.traces, ["frame_000.npz"], force=command.force)
     machine = _machine_of(command)
     swept = _sweep_of(command.sweep, machine) if command.sweep else None
     traces = _traces_of(command, machine)
@@ -103,7 +110,7 @@ def run(command: Command) -> Result:
         _folder(command.output)
         about = {"frames": f"{len(traces)} of {traces[0].num_rows:,} Gaussians", "from": _source_of(command)}
         page = page_of(simulation, ablations, sweep, about)
-        for name, text in (("index.html", page), ("machine.toml", machine_to_toml(machine))):
+        for name, text in zip(_NAMES, (page, machine_to_toml(machine)), strict=True):
             written.append(command.output / name)
             with replacing(written[-1], force=command.force) as temporary:
                 temporary.write_text(text, "utf-8")

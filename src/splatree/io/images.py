@@ -147,6 +147,8 @@ def write_image(image: Float32[Array, "h w 3"], path: str | os.PathLike[str], *,
 
     if Path(path).suffix.lower() != ".png":
         raise InputError(f"{path}: pictures are written as PNG, wanted the suffix .png")
+    if not isinstance(image, np.ndarray):
+        raise ShapeError(f"write_image: found {type(image).__name__}, wanted a NumPy array (h w 3) or (h w) of floats")
     if not ((image.ndim == 3 and image.shape[2] == 3) or image.ndim == 2) or 0 in image.shape:
         raise ShapeError(f"write_image: found shape {image.shape}, wanted (h w 3) or (h w) with at least one pixel")
     if image.dtype.kind != "f":

@@ -248,6 +248,22 @@ def check_free(path: str | os.PathLike[str], *, force: bool) -> Path:
     return target
 
 
+def check_folder(folder: Path, names: Sequence[str] = (), *, force: bool = False) -> None:
+    """Refuse a folder that files of these names cannot be written into, before any work is done for them; nothing is made.
+
+    Raises:
+        OutputError: a file is in its place, nothing may be written there, or a name is taken and ``force`` is not set.
+    """
+    there = next(place for place in (folder, *folder.absolute().parents) if place.exists())
+    if not there.is_dir():
+        raise OutputError(f"{folder}: cannot be made a folder, {there} is a file")
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise OutputError(f"{folder}: cannot be written, nothing may be written into {there}")
+    for name in names:
+        if (folder / name).exists() and not force:
+            raise OutputError(f"{folder / name}: exists already; choose another folder or replace it with --force")
+
+
 def flush(path: Path, flags: int) -> None:
     """Wait until what was written to a file, or the names in a folder, are on the disk."""
     descriptor = os.open(path, flags)

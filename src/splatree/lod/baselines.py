@@ -42,7 +42,7 @@ from splatree.scene.cameras import Camera
 from splatree.scene.frame import Selection
 from splatree.scene.literals import check_literals
 from splatree.scene.names import Profile
-from splatree.scene.options import SelectOptions, ViewTest
+from splatree.scene.options import SelectOptions, ViewTest, check_pixels
 from splatree.scene.scene import Scene
 from splatree.scene.tree import GaussianTree
 from splatree.scene.view import View, as_view
@@ -114,6 +114,9 @@ class BaselineOptions:
 
     def __post_init__(self) -> None:
         check_literals(self)
+        check_pixels("pixel_error", self.pixel_error)
+        if self.depth < 0:
+            raise InputError(f"depth: found {self.depth}, wanted 0 or more")
         if not self.fork > 1:
             raise InputError(f"fork: found {self.fork}, wanted more than 1")
         if self.bands < 1 or self.chunks < 1:

@@ -7,7 +7,7 @@ from splatree.lod.select import Selector
 from splatree.outofcore.store import Store
 from splatree.progress import track
 from splatree.render.session import NOTHING, open_session
-from splatree.scene.cameras import Camera
+from splatree.scene.cameras import Camera, several
 from splatree.scene.frame import Frame, RenderResult
 from splatree.scene.options import RenderOptions, SelectOptions
 from splatree.scene.scene import Scene
@@ -47,7 +47,7 @@ def render_batch(
         True
     """
     with open_session(scene, device=device, options=options, select=select, threads=threads) as session:
-        for camera in track(list(cameras), "render views"):
+        for camera in track(several(cameras), "render views"):
             yield session.draw(camera)
 
 
@@ -84,5 +84,5 @@ def trace_batch(
         True
     """
     with open_session(scene, device=device, options=options, select=select, threads=threads) as session:
-        for camera in track(list(cameras), "render views"):
+        for camera in track(several(cameras), "render views"):
             yield session.trace(camera, wanted)

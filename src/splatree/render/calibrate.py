@@ -38,7 +38,7 @@ from splatree.progress import task
 from splatree.render.calibration import CalibrateOptions, Calibration
 from splatree.render.session import open_session
 from splatree.render.studio import BISECTIONS, FOUND_BY_LOSS, Studio
-from splatree.scene.cameras import Camera
+from splatree.scene.cameras import Camera, several
 from splatree.scene.given import given
 from splatree.scene.options import RenderOptions, SelectOptions
 from splatree.scene.scene import Scene, TileRule
@@ -96,6 +96,7 @@ def calibrate(
         raise InputError("tile_rule: found '3sigma', which does not depend on τ; wanted another")
     tile_rule: TileRule = render.tile_rule or ("balanced" if options.policy in FOUND_BY_LOSS else "ellipse")
     render = replace(render, tile_rule=tile_rule)
+    cameras = several(cameras)
     with_photo = [camera for camera in cameras if camera.name in photos] if photos else list(cameras)
     if not with_photo:
         found = f"{len(cameras)} views, none with a photograph" if cameras else "no view"

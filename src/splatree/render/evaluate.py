@@ -19,7 +19,7 @@ from splatree.metrics.ssim import ssim
 from splatree.outofcore.store import Store
 from splatree.progress import track
 from splatree.render.session import open_session
-from splatree.scene.cameras import Camera
+from splatree.scene.cameras import Camera, several
 from splatree.scene.frame import Frame
 from splatree.scene.given import given
 from splatree.scene.options import RenderOptions, SelectOptions
@@ -101,7 +101,7 @@ def evaluate(
     lossless = replace(drawn, tile_rule="ellipse", pixels="hard", threshold=ALPHA_THRESHOLD)
     all_leaves = SelectOptions(pixel_error=0.0, cull="none")
     with open_session(scene, device=device, options=options, select=select) as session:
-        for camera in track(list(cameras), "evaluate views"):
+        for camera in track(several(cameras), "evaluate views"):
             cut = session.trace(camera)
             leaves = session.trace(camera, options=lossless, select=all_leaves)
             photo = (photos or {}).get(camera.name)

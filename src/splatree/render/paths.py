@@ -17,11 +17,11 @@ from splatree.maths.rotations import matrices_from_quats, quat_from_matrix
 from splatree.render.framing.frame import Framing
 from splatree.render.framing.survey import survey_of
 from splatree.render.framing.upright import guess_up
-from splatree.scene.cameras import Camera, Cameras
+from splatree.scene.cameras import SIDE_MAX_PX, Camera, Cameras
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.given import given
 from splatree.scene.literals import check_literals
-from splatree.scene.scene import Scene
+from splatree.scene.scene import Scene, check_is_scene
 from splatree.shapes import Array, Float64
 
 _ROWS_AT_ONCE: Final = 1 << 16
@@ -41,6 +41,9 @@ RIM_MAX: Final = 1.25
 NEAR_SHARE: Final = 0.01
 """The near plane is at most this share of the distance to the target: a scene in kilometres must not vanish in front of it."""
 
+
+VIEWS_MAX: Final = 1_000_000
+"""Nine hours of a video; more is a mistake."""
 
 ELEVATION_DEG: Final = 30.0
 """Height of the eye above the horizon where none is asked for."""
@@ -74,10 +77,12 @@ class PathOptions:
 
     def __post_init__(self) -> None:
         check_literals(self)
-        if self.views < 1:
-            raise InputError(f"views: found {self.views}, wanted at least 1")
-        if self.width < 1 or self.height < 1:
-            raise InputError(f"width, height: found {self.width} × {self.height}, wanted at least 1 × 1 px")
+        if not 1 <= self.views <= VIEWS_MAX:
+            raise InputError(f"views: found {self.views}, wanted 1 to {VIEWS_MAX:,}")
+        if not (1 <= self.width <= SIDE_MAX_PX and 1 <= self.height <= SIDE_MAX_PX):
+            raise InputError(
+                f"width, height: found {self.width} × {self.height}, wanted 1 × 1 px to {SIDE_MAX_PX:,} px a side"
+            )
         if self.up is not None and not 0 < np.linalg.norm(self.up) < np.inf:
             raise InputError(f"up: found {self.up}, wanted a direction")
         if self.elevation_deg is not None and not -90 <= self.elevation_deg <= 90:
@@ -217,6 +222,7 @@ def sample_stride(num_leaves: int) -> int:
 
 def _sample(scene: Scene) -> Gaussians:
     """Leaves, evenly spread over the rows."""
+    check_is_scene(scene, "camera path")
     if len(scene) == 0:
         raise InputError("camera path: the scene is empty; name cameras instead")
     is_leaf = scene.tree.is_leaf

@@ -21,7 +21,7 @@ from splatree.kernels.devices import DeviceName
 from splatree.metrics.psnr import psnr
 from splatree.progress import track
 from splatree.render.session import Session, open_session
-from splatree.scene.cameras import Camera, Cameras
+from splatree.scene.cameras import Camera, Cameras, several
 from splatree.scene.frame import Selection
 from splatree.scene.options import RenderOptions, SelectOptions
 from splatree.scene.scene import Scene
@@ -133,7 +133,7 @@ def measure_pops(
         [inf, inf]
     """
     select = select or SelectOptions()
-    frames = list(cameras)
+    frames = several(cameras)
     if len(frames) < 2:
         raise InputError(f"cameras: found {len(cameras)}, wanted at least two frames")
     if select.rule != "cut":

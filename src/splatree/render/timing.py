@@ -28,7 +28,7 @@ from splatree.outofcore.store import Store
 from splatree.progress import track
 from splatree.render.paths import through
 from splatree.render.session import open_session
-from splatree.scene.cameras import Camera
+from splatree.scene.cameras import Camera, several
 from splatree.scene.options import RenderOptions, SelectOptions
 from splatree.scene.scene import Scene
 
@@ -36,6 +36,9 @@ __all__ = ["STAGES", "Timing", "check_frames", "peak_bytes", "time_frames"]
 
 STAGES = {"T_calcu": "select", "T_prepr": "project", "T_sort": "bin", "T_alpha": "blend"}
 """Stages of a frame by the names of the paper's Table 2."""
+
+FRAMES_MAX = 1_000_000
+"""Frames timed at most; more is a mistake."""
 
 MIN_VIEWS = 100
 """Frames timed at least: with fewer a 95th percentile is one frame."""
@@ -98,10 +101,10 @@ def check_frames(frames: int) -> None:
     """Raise if there is nothing to time.
 
     Raises:
-        InputError: fewer than one frame.
+        InputError: fewer than one frame, or more than anyone waits for.
     """
-    if frames < 1:
-        raise InputError(f"frames: found {frames}, wanted at least 1")
+    if not 1 <= frames <= FRAMES_MAX:
+        raise InputError(f"frames: found {frames}, wanted 1 to {FRAMES_MAX:,}")
 
 
 def time_frames(
@@ -138,9 +141,12 @@ def time_frames(
         >>> sorted(st.time_frames(scene, cameras, views=3, warm_up=0).ms)
         ['bin', 'blend', 'project', 'select']
     """
-    if views < 1 or warm_up < 0:
-        raise InputError(f"time_frames: found {views} views and {warm_up} to warm up, wanted at least 1 and 0")
-    path = list(cameras) if len(cameras) >= views else list(through(cameras, views))
+    if not (1 <= views <= FRAMES_MAX and 0 <= warm_up <= FRAMES_MAX):
+        raise InputError(
+            f"time_frames: found {views} views and {warm_up} to warm up, wanted at least 1 and 0, at most {FRAMES_MAX:,}"
+        )
+    cameras = several(cameras)
+    path = cameras if len(cameras) >= views else list(through(cameras, views))
     seconds, counters, stages, cpu_stages = [], [], [], []
     with open_session(scene, device=device, options=options, select=select, threads=threads) as session:
         for i in range(warm_up):

@@ -1,6 +1,6 @@
 """Cameras with OpenCV axes: x right, y down, z forward; pixel centres at +½; pinholes, or with a lens that bends lines."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -146,6 +146,23 @@ class Camera:
         focal = 0.5 * height / np.tan(np.radians(fov_y_deg) / 2)
         K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
         return Camera(pose, K, width, height)
+
+
+def several(cameras: Iterable["Camera"]) -> list["Camera"]:
+    """The cameras as a list.
+
+    Raises:
+        InputError: it is one camera, or something in it is none.
+    """
+    if isinstance(cameras, Camera) or not isinstance(cameras, Iterable):
+        found = "one Camera" if isinstance(cameras, Camera) else type(cameras).__name__
+        raise InputError(
+            f"cameras: found {found}, wanted some, such as [camera], or what splatree.read_cameras returns"
+        )
+    views = list(cameras)
+    for camera in views:
+        check_is_camera(camera)
+    return views
 
 
 def check_is_camera(camera: object) -> None:

@@ -1,7 +1,7 @@
 """How a view is selected and drawn: defaults live here alone; the command line's help is these docstrings."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Final, Literal
 
 from splatree.constants import DILATION_MAX_PX2, DILATION_PX2, PIXEL_ERROR
 from splatree.errors import InputError
@@ -20,6 +20,19 @@ Cull = Literal["none", "exact", "exact-inria", "exact-gsplat", "planes", "paper"
 
 Pixels = Literal["taper", "hard"]
 """Named treatments of the pixels in these tiles where τ is above 1/255."""
+
+PIXELS_MAX: Final = 1e30
+"""Squares of so many pixels have room in float64, and they themselves in float32."""
+
+
+def check_pixels(name: str, pixels: float) -> None:
+    """Refuse what no size on the screen is compared with; infinity draws roots alone.
+
+    Raises:
+        InputError: it is below 0, NaN, or too large to be squared.
+    """
+    if not (0 <= pixels <= PIXELS_MAX or pixels == float("inf")):
+        raise InputError(f"{name}: found {pixels}, wanted 0 px or more, at most {PIXELS_MAX:g} or inf")
 
 
 @dataclass(frozen=True)
@@ -59,8 +72,7 @@ class SelectOptions:
 
     def __post_init__(self) -> None:
         check_literals(self)
-        if not self.pixel_error >= 0:
-            raise InputError(f"pixel_error: found {self.pixel_error}, wanted 0 px or more")
+        check_pixels("pixel_error", self.pixel_error)
         if self.budget is not None and self.budget < 1:
             raise InputError(f"budget: found {self.budget}, wanted at least 1 node")
         if self.occlusion and self.rule != "cut":
@@ -76,8 +88,10 @@ class SelectOptions:
                 )
             if self.rule != "cut":
                 raise InputError(f"quality: found rule {self.rule!r}, wanted 'cut', whose pictures were measured")
-        if self.max_radius is not None and not self.max_radius > 0:
-            raise InputError(f"max_radius: found {self.max_radius}, wanted more than 0 px")
+        if self.max_radius is not None:
+            check_pixels("max_radius", self.max_radius)
+            if not self.max_radius > 0:
+                raise InputError(f"max_radius: found {self.max_radius}, wanted more than 0 px")
 
     @property
     def resolved_profile(self) -> Profile:

@@ -172,7 +172,7 @@ class ThinOptions:
     """For `pairs` in mode `classic`: width of a pixel, world units, where the scene is seen; None: as large as its median
     Gaussian."""
     visibility: bool = True
-    """For `pairs`: Gaussians that others hide from all around count less; False: all count alike."""
+    """For `pairs`: Gaussians that others hide from all around count less."""
     merge: MergeOptions = field(default_factory=MergeOptions)
     """How a group becomes one Gaussian."""
 

@@ -30,12 +30,12 @@ from splatree.kernels.devices import DeviceName, training_stages_of
 from splatree.lod.blocks import with_blocks
 from splatree.lod.select import select
 from splatree.progress import task
-from splatree.scene.cameras import Camera
+from splatree.scene.cameras import Camera, several
 from splatree.scene.frame import Picture, Splats, TileBins
 from splatree.scene.given import check_threads, given
 from splatree.scene.gradients import PictureGradients, SplatGradients
 from splatree.scene.options import SelectOptions
-from splatree.scene.scene import Scene
+from splatree.scene.scene import Scene, check_is_scene
 from splatree.scene.view import View, view_of
 from splatree.shapes import Array, Float64
 from splatree.train.lessons import Lesson, lessons_of, made_views
@@ -135,7 +135,8 @@ def refine(
     """
     options = given(options, RefineOptions, "refine: options")
     check_threads(threads)
-    began = time.process_time()
+    began, cameras = time.process_time(), None if cameras is None else several(cameras)
+    check_is_scene(scene, "refine")
     if scene.tree.is_leaf.all():
         raise InputError("refine: found a scene without levels, wanted inner nodes that can learn; build levels first")
     if cameras is not None and len(cameras) < 2:
@@ -145,7 +146,7 @@ def refine(
     original, stages = scene, training_stages_of(device)
     scene, notes = _bare(scene)
     scene = with_blocks(scene)
-    views = made_views(scene, options.made_views, options.seed) if cameras is None else list(cameras)
+    views = made_views(scene, options.made_views, options.seed) if cameras is None else cameras
     lessons = lessons_of(scene, views, options.teacher, device=device, threads=threads)
     held = {i for i in range(len(lessons)) if i % HELD_OUT == HELD_OUT // 2} or {len(lessons) - 1}
     learned_from = [lesson for i, lesson in enumerate(lessons) if i not in held]

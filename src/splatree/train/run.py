@@ -79,7 +79,7 @@ def train(
     photos: str | os.PathLike[str],
     options: TrainOptions | None = None,
     *,
-    cameras: Path | None = None,
+    cameras: str | os.PathLike[str] | None = None,
     files: RunFiles | None = None,
     stop: Callable[[], bool] = lambda: False,
     watch: Callable[[Scored], None] = lambda scored: None,
@@ -115,7 +115,7 @@ def train(
     options, files = given(options, TrainOptions, "train: options"), given(files, RunFiles, "train: files")
     check_threads(threads)
     drawing = Drawing(training_stages_of(device), options.mode, 1, threads)
-    work = prepare(Path(photos), options, cameras)
+    work = prepare(Path(photos), options, None if cameras is None else Path(cameras))
     identity = Identity.of(options, work.targets.digests(), work.targets.cameras)
     earlier = [] if files.replay is None else read_log(files.replay)
     if files.resume:

@@ -14,7 +14,6 @@ own worker only.
 """
 
 import json
-import math
 import struct
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
@@ -173,7 +172,7 @@ def _numbers(record: dict[str, Any], key: str, count: int, largest: float) -> li
     if not isinstance(values, list) or len(values) != count:
         raise InputError(f"message: {key}: wanted {count} numbers")
     for value in values:
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.fabs(value) <= largest:
+        if isinstance(value, bool) or not isinstance(value, int | float) or not -largest <= value <= largest:
             raise InputError(f"message: {key}: found {str(value)[:40]!r}, wanted numbers of at most {largest:g}")
     return [float(value) for value in values]
 

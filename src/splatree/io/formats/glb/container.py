@@ -18,6 +18,7 @@ import numpy as np
 
 from splatree.errors import FormatError
 from splatree.io import untrusted
+from splatree.io.formats.glb.names import packed_hint
 from splatree.shapes import Array
 
 MAGIC = b"glTF"
@@ -166,7 +167,9 @@ class GltfFile:
         if kind not in _COMPONENTS or shape not in _WIDTHS:
             raise FormatError(f"{name}: found {shape} of component type {kind}, wanted a scalar or vector of numbers")
         if "sparse" in record or "bufferView" not in record:
-            raise FormatError(f"{name}: found it sparse or without a bufferView, wanted plain rows")
+            raise FormatError(
+                f"{name}: found it sparse or without a bufferView, wanted plain rows{packed_hint(self.json)}"
+            )
         dtype, width = np.dtype(_COMPONENTS[kind]), _WIDTHS[shape]
         file, start, size, stride = self.view(record["bufferView"], name)
         count = untrusted.integer(record, "count", name)
@@ -240,7 +243,7 @@ class GltfFile:
         elif index == 0 and self._binary is not None:
             buffer = self._binary
         else:
-            raise FormatError(f"{name}: found neither a uri nor a binary chunk")
+            raise FormatError(f"{name}: found neither a uri nor a binary chunk{packed_hint(self.json)}")
         if size > buffer.num_bytes:
             raise FormatError(f"{name}: found {buffer.num_bytes} bytes, wanted {size}; it is cut off")
         self._opened[index] = buffer

@@ -21,6 +21,7 @@ __all__ = [
     "VISIBILITY_EXTENSION",
     "attribute_names",
     "check_required",
+    "packed_hint",
     "unknown_attributes",
 ]
 
@@ -47,6 +48,8 @@ _UNDERSTOOD = {*SPLAT_EXTENSIONS, *PACKED_EXTENSIONS, RTC_EXTENSION, VISIBILITY_
 _HARMLESS = re.compile(r"KHR_(materials|texture|lights|xmp)\w*|EXT_(texture|lights)\w*")
 """Extensions of what is not drawn here."""
 
+_UNPACK = "write the file without it (compression such as EXT_meshopt_compression can be undone with gltf-transform)"
+
 
 _KNOWN_ATTRIBUTES = re.compile(
     rf"POSITION|COLOR_0|NORMAL|({EXTENSION}:|_)?(ROTATION|SCALE|OPACITY|SH_DEGREE_[0-3]_COEF_\d)"
@@ -65,6 +68,17 @@ def unknown_attributes(names: Iterable[str]) -> list[str]:
     return [name for name in names if not _KNOWN_ATTRIBUTES.fullmatch(name)]
 
 
+def packed_hint(content: Mapping[str, Any]) -> str:
+    """Where numbers are missing, the extensions that the file uses and that are not known here: they may hold them."""
+    used = content.get("extensionsUsed", [])
+    names = [str(name)[:80] for name in used if not _is_known(str(name))] if isinstance(used, list) else []
+    return f"; the file uses {', '.join(names)}, not known here: {_UNPACK}" if names else ""
+
+
+def _is_known(name: str) -> bool:
+    return name in _UNDERSTOOD or _HARMLESS.fullmatch(name) is not None
+
+
 def check_required(content: Mapping[str, Any], where: str) -> None:
     """Refuse a file that says it cannot be read without what is not known here.
 
@@ -73,8 +87,9 @@ def check_required(content: Mapping[str, Any], where: str) -> None:
     """
     for value in untrusted.as_list(content.get("extensionsRequired", []), f"{where}: extensionsRequired"):
         name = untrusted.as_text(value, f"{where}: extensionsRequired")
-        if name not in _UNDERSTOOD and not _HARMLESS.fullmatch(name):
+        if not _is_known(name):
+            advice = "write each copy as a node of its own" if name == INSTANCES_EXTENSION else _UNPACK
             raise FormatError(
                 f"{where}: requires the extension {name[:80]!r}, which is not known here, and would be read wrongly without it; "
-                "write the file without it (compression such as EXT_meshopt_compression can be undone with gltf-transform)"
+                f"{advice}"
             )

@@ -69,8 +69,7 @@ def _pack_rule(view: View, options: SelectOptions) -> PackedRule:
 
 def limit_of(pixel_error: float, profile: Profile) -> float:
     """What the kernels compare sizes with: (τ_R / 3)², px²; τ_R, px, where the size is that of the extent."""
-    sigma = float(pixel_error) / SIGMAS
-    return float(pixel_error) if profile in EXTENT_PROFILES else sigma * sigma  # a power would overflow with an error
+    return float(pixel_error if profile in EXTENT_PROFILES else (pixel_error / SIGMAS) ** 2)
 
 
 def pixel_error_of(limit: float, profile: Profile) -> float:
