@@ -214,7 +214,7 @@ def sample_stride(num_leaves: int) -> int:
 
 
 def _sample(scene: Scene) -> Gaussians:
-    """Leaves, evenly spread over the rows."""
+    """Leaves, evenly spread over the rows, without their colours."""
     if len(scene) == 0:
         raise InputError("camera path: the scene is empty; name cameras instead")
     is_leaf = scene.tree.is_leaf
@@ -223,7 +223,14 @@ def _sample(scene: Scene) -> Gaussians:
         leaves = first + np.flatnonzero(is_leaf[first : first + _ROWS_AT_ONCE])
         rows.append(leaves[-num_before % step :: step])
         num_before += len(leaves)
-    return scene.gaussians.take(np.concatenate(rows))
+    g, taken = scene.gaussians, np.concatenate(rows)
+    return Gaussians(
+        np.take(g.means, taken, axis=0),
+        np.take(g.quats, taken, axis=0),
+        np.take(g.log_scales, taken, axis=0),
+        np.take(g.logit_opacities, taken, axis=0),
+        np.zeros((len(taken), 1, 3), np.float32),
+    )
 
 
 def _weighted_quantile(values: Array, weights: Array, share: float) -> float:
