@@ -29,9 +29,11 @@ VERBS = {
     "convert to .splatree, cropped": ("convert", "-o", "cropped.splatree", "--crop-sphere", "0", "0", "0", "100"),
     "clean to .splatree": ("clean", "-o", "clean.splatree", "--floaters"),
     "stream": ("stream", "-o", "web"),
-    "stream, chunks of 16,384": ("stream", "-o", "web", "--chunk-leaves", "16384"),
+    "stream, chunks of 4,096": ("stream", "-o", "web", "--chunk-leaves", "4096"),
+    "stream, chunks of 4,096, 250M": ("stream", "-o", "web", "--chunk-leaves", "4096", "--max-memory", "250M"),
 }
-"""Words of each verb; outputs lie in the folder."""
+"""Words of each verb; outputs lie in the folder. Chunks of a stream grow with the scene, and so does what a file of them takes;
+files of chunks of 4,096 Gaussians are full with fewer chunks of the city as with more."""
 
 PROCESS = 3
 """Pictures of which the cheapest counts: other work shares the processor's caches."""

@@ -137,3 +137,17 @@ def test_a_failure_names_the_output_and_leaves_no_empty_folder(splatree, small_s
     assert not (tmp_path / "web").exists()
     (tmp_path / "web").mkdir()
     assert splatree(*words)[0] == 1 and (tmp_path / "web").is_dir()
+
+
+def test_memory_is_limited_where_the_scene_is_not_read_whole(splatree, small_ply, small_tree, tmp_path):
+    folder = st.build_folder(small_ply, tmp_path / "parts.splatree").path
+    for number, source in enumerate((folder, small_tree)):
+        code, _, err = splatree("stream", source, tmp_path / f"web{number}", "--max-memory", "250M", "--sh-degree", "0")
+        assert code == 0, err
+        assert read(tmp_path / f"web{number}").gaussians.sh_degree == 0
+    write(st.build_lod(read(small_ply)), tmp_path / "compact.splatree", options=st.WriteOptions(compact=True))
+    for source in (small_ply, tmp_path / "compact.splatree"):
+        code, _, err = splatree("stream", source, tmp_path / "no", "--max-memory", "1G")
+        assert code == 2 and f"splatree build {source} -o parts.splatree --max-memory 1G" in err
+    code, _, err = splatree("stream", folder, tmp_path / "no", "--max-memory", "1M")
+    assert code == 1 and "max_memory: found 1M, wanted at least 250M" in err and not (tmp_path / "no").exists()

@@ -1,9 +1,12 @@
+from unittest import mock
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from splatree import GaussianTree, InputError
+from splatree.maths import forests
 from splatree.maths.forests import (
     family_extremes,
     links_from_preorder,
@@ -48,8 +51,18 @@ def test_nodes_are_breadth_first_and_know_their_parents(depth):
         assert wanted[row] == (links.row_from_node[parent] if parent >= 0 else -1)
         children = range(links.first_child[node], links.first_child[node] + links.num_children[node])
         assert [links.parents[child] for child in children] == [node] * len(children)
-    found = {int(row): int(p) for rows, above in parents_by_level(depth) for row, p in zip(rows, above, strict=True)}
-    assert found == {row: parent for row, parent in enumerate(wanted) if parent >= 0}
+
+
+@given(depth=depths(), rows_at_once=st.sampled_from([1, 3, 1 << 16]))
+def test_parents_come_before_their_children(depth, rows_at_once):
+    with mock.patch.object(forests, "_ROWS_AT_ONCE", rows_at_once):
+        steps = list(parents_by_level(depth))
+    found = {int(row): int(p) for rows, above in steps for row, p in zip(rows, above, strict=True)}
+    assert found == {row: parent for row, parent in enumerate(parents_of(depth)) if parent >= 0}
+    done = set(np.flatnonzero(depth == 0).tolist())
+    for rows, above in steps:
+        assert set(above.tolist()) <= done and len(set(depth[rows].tolist())) == 1 and (np.diff(rows) > 0).all()
+        done |= set(rows.tolist())
 
 
 @pytest.mark.parametrize(

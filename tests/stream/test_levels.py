@@ -82,8 +82,9 @@ def test_all_cuts_are_counted_and_the_nearest_is_found(scene, chunk_leaves, targ
     with mock.patch.object(levels, "_ROWS_AT_ONCE", 7):
         sizes, counts = cuts_of(intervals)
         cuts = [intervals.rows_at(float(size)) for size in sizes]
-    is_used = intervals.from_size < intervals.to_size
-    np.testing.assert_array_equal(sizes, np.unique(intervals.from_size[is_used & (intervals.from_size > 0)]))
+    from_size = intervals.from_sizes(slice(0, len(scene)))
+    is_used = from_size < intervals.to_size
+    np.testing.assert_array_equal(sizes, np.unique(from_size[is_used & (from_size > 0)]))
     assert counts.tolist() == [len(cut) for cut in cuts] == sorted(counts.tolist(), reverse=True)
     assert all((np.diff(cut) > 0).all() for cut in cuts)
     if len(sizes):

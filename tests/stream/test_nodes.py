@@ -87,7 +87,7 @@ def test_nodes_that_are_chosen_one_by_one_are_drawn_as_in_the_cut_at_their_size(
     tree, found = city_tree.tree, gaussians_of_tree(city_tree, 4.0)
     chunks = chunks_of_tree(city_tree, chunk_leaves=tree.num_leaves)  # no row is in the spine
     intervals = intervals_of(tree, chunks)
-    inner = np.flatnonzero(~tree.is_leaf & (intervals.from_size < intervals.to_size))
+    inner = np.flatnonzero(~tree.is_leaf & (intervals.from_sizes(np.arange(len(tree))) < intervals.to_size))
     for row in inner[:: len(inner) // 20]:
         size = float(tree.extents[row])
         level = Level(size, intervals.rows_at(size), np.zeros(1, np.int64))

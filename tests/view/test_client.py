@@ -204,6 +204,42 @@ def test_over_a_slow_line_another_view_begins_with_fewer_nodes(monkeypatch):
     assert first["rows"] > 100
 
 
+def test_over_a_slow_line_what_the_page_holds_of_another_view_is_kept(monkeypatch):
+    monkeypatch.setattr(module, "LADDER", (50,))
+    page = FakePage()
+    page.ask(looking(page, -0.1), tau=0.0, budget=2500)
+    page.wait_for("cut", 1)
+    before = page.client._slots.rows
+    page.client._pace._rate = 10 * module.NODE_BYTES / pace.STEP_S
+    held = []
+    move = page.client._slots.move
+
+    def moved(rows, *args, **more):
+        held.append(rows)
+        return move(rows, *args, **more)
+
+    page.client._slots.move = moved
+    num_messages = len(page.messages)
+    page.ask(looking(page, 0.1), tau=0.0, budget=2500, seq=2)
+    page.wait_for("cut", 2)
+    page.close()
+    expected = select(page.exhibit.scene, looking(page, 0.1), SelectOptions(pixel_error=0.0)).rows
+    kept, new = np.intersect1d(before, expected), np.setdiff1d(expected, before)
+    assert len(kept) > 2 * len(new) > 150
+    assert len(held) > 5 and np.array_equal(held[-1], expected)
+    for rows in held:
+        assert count_nested(page.exhibit.scene.tree, rows) == 0
+    assert min(len(np.intersect1d(rows, kept)) for rows in held) > 0.25 * len(kept)
+    added = sum(header["add"] for header, _ in page.messages[num_messages:] if header["kind"] == "cut")
+    assert len(new) <= added < len(expected)  # beginning anew sends all of them, and what is coarser
+
+
+def test_over_a_slow_line_the_middle_of_a_picture_becomes_fine_first():
+    camera = Camera.look_at(np.zeros(3), np.array([0, 0, 5.0]), width=100, height=100)
+    means = np.float32([[3, 0, 5], [0, 0, 5], [0, -1, 5], [0, 0, -5]])
+    assert np.argsort(module._off_axis(camera, means)).tolist() == [1, 2, 0, 3]
+
+
 def test_over_a_slow_line_an_exact_picture_is_a_jpeg(page):
     page.ask(want="frame", packing="png", quality=95)
     assert page.wait_for("frame", 1)[0]["type"] == "image/png"

@@ -2,20 +2,31 @@
 
 import pytest
 
-from splatree.view.pace import STEP_S, Pace
+from splatree.view.pace import LEAD_S, STEP_S, Pace
 
 
 def test_nothing_is_known_at_first_and_one_message_is_on_its_way():
     pace = Pace()
-    assert pace.has_room and pace.step_bytes == float("inf")
+    assert pace.wait_s(9.0) == 0 and pace.step_bytes == float("inf")
     pace.send(1_000_000, 10.0)
-    assert not pace.has_room
+    assert pace.wait_s(11.0) == float("inf")
     pace.acknowledge(1, 12.0)
-    assert pace.step_bytes == pytest.approx(STEP_S * 500_000)
-    pace.send(1_000_000, 20.0)
-    assert pace.has_room
-    pace.send(1_000_000, 20.0)
-    assert not pace.has_room
+    assert pace.wait_s(12.0) == 0 and pace.step_bytes == pytest.approx(STEP_S * 500_000)
+
+
+def test_a_second_message_leaves_shortly_before_the_first_is_expected_to_be_taken_in():
+    pace = Pace()
+    pace.send(1_000_000, 10.0)
+    pace.acknowledge(1, 12.0)
+    pace.send(1_000_000, 20.0)  # takes 2 s again
+    assert pace.wait_s(20.0) == pytest.approx(2 - LEAD_S) and pace.wait_s(22 - LEAD_S) == pytest.approx(0)
+    pace.send(1_000_000, 22 - LEAD_S)
+    assert pace.wait_s(22.0) == float("inf")  # two are on their way
+    pace.acknowledge(2, 22.5)  # later than expected: the second one waited for it
+    assert pace.wait_s(22.5) == pytest.approx(1_000_000 / 450_000 - LEAD_S)
+    pace.send(100, 30.0)
+    pace.acknowledge(3, 24.5)
+    assert pace.wait_s(30.0) == 0  # a short one is taken in at once
 
 
 def test_a_message_waits_for_the_one_before_it():
@@ -34,10 +45,10 @@ def test_short_messages_say_nothing_and_more_acknowledgements_than_messages_do_n
     pace = Pace()
     pace.send(100, 0.0)
     pace.acknowledge(10**9, 9.0)
-    assert pace.step_bytes == float("inf") and pace.has_room
+    assert pace.step_bytes == float("inf") and pace.wait_s(9.0) == 0
     pace.send(1_000_000, 10.0)
     pace.acknowledge(1, 10.5)
-    assert not pace.has_room  # the first one once more
+    assert pace.wait_s(10.5) == float("inf")  # the first one once more
     pace.acknowledge(2, 11.0)
     assert pace.step_bytes == pytest.approx(STEP_S * 1_000_000)
 

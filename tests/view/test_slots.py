@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from splatree.kernels.cpu.codec.nodes import pack_nodes
 from splatree.view import slots as module
 from splatree.view.shown import InMemory
-from splatree.view.slots import Slots
+from splatree.view.slots import Slots, in_runs
 
 from .scenes import scene
 
@@ -23,8 +23,9 @@ class Mirror:
         self.live = np.zeros(capacity, bool)
 
     def take(self, change):
-        assert self.live[change.drop].all()
-        self.live[change.drop] = False
+        for dropped in (change.drop, *(np.arange(first, first + count) for first, count in change.runs)):
+            assert self.live[dropped].all()
+            self.live[dropped] = False
         assert not self.live[change.add].any()
         self.live[change.add] = True
         self.words[change.add] = change.nodes
@@ -58,7 +59,32 @@ def test_the_same_cut_again_sends_nothing():
     rows = np.arange(300, dtype=np.int32)
     slots.move(rows, FAR)
     again = slots.move(rows, FAR)
-    assert (len(again.drop), len(again.add), len(again.tint), again.payload) == (0, 0, 0, b"")
+    assert (len(again.drop), len(again.runs), len(again.add), len(again.tint), again.payload) == (0, 0, 0, 0, b"")
+
+
+def test_a_page_that_is_sent_elsewhere_is_told_of_runs():
+    slots = Slots(InMemory(scene()), CENTRE, 2048)
+    slots.move(np.arange(900, dtype=np.int32), FAR)
+    change = slots.move(np.arange(900, 950, dtype=np.int32), FAR)
+    assert len(change.drop) == 0 and change.runs.tolist() == [[0, 900]]
+
+
+@given(st.lists(st.integers(0, 60), unique=True))
+def test_runs_are_long_and_name_every_slot_once(numbers):
+    singles, runs = in_runs(np.array(numbers, np.int32))
+    named = [*singles.tolist(), *(slot for first, count in runs.tolist() for slot in range(first, first + count))]
+    assert sorted(named) == sorted(numbers) and all(count > 2 for _, count in runs.tolist())
+    assert not any({slot, slot + 1, slot + 2} <= set(singles.tolist()) for slot in numbers)
+
+
+def test_colours_wait_for_a_change_that_has_them():
+    slots = Slots(InMemory(scene()), CENTRE, 2048)
+    rows = np.arange(900, dtype=np.int32)
+    slots.move(rows, FAR)
+    near = FAR / 3
+    waiting = slots.move(rows, near, has_colors=False)
+    assert len(waiting.tint) == 0 and waiting.is_behind
+    assert len(slots.move(rows, near).tint) > 0
 
 
 def test_the_slots_can_be_filled_to_the_last():

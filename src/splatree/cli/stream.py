@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -13,8 +13,10 @@ from splatree.cli.files import Reading, in_mode, lost_and_noted, read_scene, rep
 from splatree.errors import InputError
 from splatree.io.cameras.files import read_cameras
 from splatree.io.formats.folder.manifest import holds_parts
+from splatree.io.memory import give_back_freed
 from splatree.io.notes import origin_in_words
 from splatree.io.replacing import check_target, replacing
+from splatree.io.tree_runs import stored_runs
 from splatree.outofcore.mapped import mapped_whole
 from splatree.scene.names import Mode
 from splatree.scene.scene import Scene
@@ -22,7 +24,7 @@ from splatree.stream.options import StreamFormat, StreamOptions
 from splatree.stream.report import StreamReport, ViewQuality, report_stream
 from splatree.stream.report_page import write_stream_report
 from splatree.stream.result import LevelWritten, Streamed
-from splatree.stream.stream import check_output, stream, with_levels
+from splatree.stream.stream import check_output, of_degree, scratch_beside, stream, with_levels
 
 
 @dataclass(frozen=True)
@@ -51,6 +53,9 @@ class Command:
     """Views of the report, in place of near, middle and far: a file of cameras."""
     mode: Mode | None = None
     """How a scene without levels of detail was trained and is drawn; None: as the file says, else `classic`."""
+    max_memory: str | None = None
+    """Most memory for a folder of parts or an exact .splatree, such as 4G: what needs more waits in files beside the output, and
+    the stream is the same. None: half of what is free."""
     reading: Annotated[Reading, arg(name="", help="")] = Reading()
     options: Annotated[StreamOptions, arg(name="", help="")] = StreamOptions()
     console: Annotated[Console, arg(name="", help="")] = Console()
@@ -84,10 +89,28 @@ def run(command: Command) -> Result:
     if command.cameras is not None and command.report is None:
         raise UsageError("--cameras: are the views of a report; name its file with --report")
     check_output(output, command.format, command.options, force=command.force)
+    if command.max_memory is not None:
+        scratch_beside(output, command.max_memory)  # refuses what is no memory
+        _check_is_mapped(inputs, command.max_memory)
     if command.report is not None:
         check_target(command.report)
+    give_back_freed()
     with _scene(command, inputs, output) as read:
         return _streamed(command, in_mode(read, command.mode), output)
+
+
+def _check_is_mapped(inputs: tuple[Path, ...], max_memory: str) -> None:
+    """Refuse a limit of memory for a scene that is read whole."""
+    tree = stored_runs(inputs[0]) if len(inputs) == 1 and inputs[0].exists() else None
+    if tree is None or tree.head.source.format not in _MAPPED or tree.num_leaves == len(tree):
+        raise UsageError(
+            f"found --max-memory for {', '.join(map(str, inputs))}, but only a folder of parts and an exact .splatree with "
+            f"levels are not read whole; build the levels through files first: splatree build {' '.join(map(str, inputs))} "
+            f"-o parts.splatree --max-memory {max_memory}"
+        )
+
+
+_MAPPED = ("splatree", "splatree-folder")
 
 
 @contextmanager
@@ -101,11 +124,11 @@ def _scene(command: Command, inputs: tuple[Path, ...], output: Path) -> Iterator
 
 
 def _streamed(command: Command, read: Scene, output: Path) -> Result:
-    degree = command.options.sh_degree
-    if degree is not None and degree < read.gaussians.sh_degree:
-        read = replace(read, gaussians=read.gaussians.with_sh_degree(degree), clusters=None)
+    read = of_degree(read, command.options.sh_degree, scratch_beside(output, command.max_memory).part(0.5))
     scene = with_levels(read)
-    written = stream(scene, output, command.format, command.options, force=command.force)
+    written = stream(
+        *(scene, output, command.format, command.options), force=command.force, max_memory=command.max_memory
+    )
     report = None
     if command.report is not None:
         cameras = None if command.cameras is None else list(read_cameras(command.cameras, source=scene.source))

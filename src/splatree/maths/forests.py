@@ -78,14 +78,19 @@ def links_from_preorder(depth: Array) -> Links:
 
 
 def parents_by_level(depth: Array) -> Iterator[tuple[Array, Array]]:
-    """Rows of each depth from 1 down, ascending, with the rows of their parents; at most 65,536 at a time."""
-    above = np.flatnonzero(depth == 0).astype(np.int32)
-    for level in range(1, int(depth.max(initial=0)) + 1):
-        here = np.flatnonzero(depth == level).astype(np.int32)
-        for first in range(0, len(here), _ROWS_AT_ONCE):
-            rows = here[first : first + _ROWS_AT_ONCE]
-            yield rows, above[np.searchsorted(above, rows) - 1]  # the last row of the level above that lies before
-        above = here
+    """Rows below the roots with the rows of their parents: parents before children, in each step rows of one depth, ascending.
+
+    A step has rows of a run of 65,536, so it takes no memory that grows with the forest.
+    """
+    last = np.full(DEPTH_MAX + 1, -1, np.int32)  # the last row of each depth before the run
+    for begin in range(0, len(depth), _ROWS_AT_ONCE):
+        run, above = depth[begin : begin + _ROWS_AT_ONCE], last[:0]
+        for level in range(int(run.max()) + 1):
+            here = np.flatnonzero(run == level).astype(np.int32) + np.int32(begin)
+            if level and len(here):
+                yield here, above[np.searchsorted(above, here) - 1]  # the last row of the level above that lies before
+            above = np.append(last[level], here)
+            last[level] = above[-1]
 
 
 def ends_from_depth(depth: Array) -> Int32[Array, "n"]:

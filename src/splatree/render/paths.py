@@ -221,7 +221,7 @@ def sample_stride(num_leaves: int) -> int:
 
 
 def _sample(scene: Scene) -> Gaussians:
-    """Leaves, evenly spread over the rows."""
+    """Leaves, evenly spread over the rows, without their colours."""
     check_is_scene(scene, "camera path")
     if len(scene) == 0:
         raise InputError("camera path: the scene is empty; name cameras instead")
@@ -231,7 +231,14 @@ def _sample(scene: Scene) -> Gaussians:
         leaves = first + np.flatnonzero(is_leaf[first : first + _ROWS_AT_ONCE])
         rows.append(leaves[-num_before % step :: step])
         num_before += len(leaves)
-    return scene.gaussians.take(np.concatenate(rows))
+    g, taken = scene.gaussians, np.concatenate(rows)
+    return Gaussians(
+        np.take(g.means, taken, axis=0),
+        np.take(g.quats, taken, axis=0),
+        np.take(g.log_scales, taken, axis=0),
+        np.take(g.logit_opacities, taken, axis=0),
+        np.zeros((len(taken), 1, 3), np.float32),
+    )
 
 
 def _weighted_quantile(values: Array, weights: Array, share: float) -> float:

@@ -53,6 +53,11 @@ class Gaussians:
         """Memory of all columns, bytes."""
         return sum(getattr(self, f.name).nbytes for f in fields(self))
 
+    @property
+    def row_bytes(self) -> int:
+        """Memory of a row, bytes."""
+        return 4 * (11 + 3 * int(self.sh.shape[1]))
+
     def opacities(self) -> Float64[Array, "n"]:
         """Opacity at the centre of each Gaussian, 0 to 1: the sigmoid of the logit."""
         with np.errstate(over="ignore"):  # exp(800) is infinite and gives 0, as it should
@@ -72,7 +77,8 @@ class Gaussians:
     def take(self, rows: Array) -> "Gaussians":
         """The rows that an index or a mask names, in its order, copied."""
         # np.take copies rows of several values up to ten times faster than indexing with an array does.
-        indices = np.arange(len(self))[rows]
+        are_numbers = isinstance(rows, np.ndarray) and rows.dtype in (np.int32, np.int64)
+        indices = rows if are_numbers else np.arange(len(self))[rows]
         return Gaussians(*(np.take(getattr(self, f.name), indices, axis=0) for f in fields(self)))
 
     def rows(self, begin: int, end: int) -> "Gaussians":

@@ -4,6 +4,7 @@ Rows are in depth-first preorder, so a subtree is the range ``[i, subtree_end[i]
 a contiguous range, nothing is ever gathered, and the exact cut needs one prefix maximum over ``subtree_end``.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,10 @@ from splatree.errors import ShapeError
 from splatree.scene.levels import LevelRecord
 from splatree.scene.roots import Roots
 from splatree.shapes import Array, Bool, Float32, Int32, UInt8, check_fields, in_short
+
+_ROWS_AT_ONCE = 1 << 16
+
+_DISAGREE = "GaussianTree: subtree_end and depth disagree; wanted nested subtrees in preorder"
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,22 +54,24 @@ class GaussianTree:
             raise ShapeError(
                 f"GaussianTree.roots: found the state of {len(self.roots)} roots, wanted {np.count_nonzero(self.depth == 0)}"
             )
-        end = self.subtree_end
-        rows = np.arange(n, dtype=np.int32)
-        if not self.depth.any() and np.array_equal(end, rows + 1):
-            return  # a forest of leaves: nothing else can be wrong
-        wrong = np.flatnonzero((end <= rows) | (end > n))
-        if len(wrong):
-            i = int(wrong[0])
-            raise ShapeError(f"GaussianTree.subtree_end[{i}]: found {end[i]}, wanted {i + 1} to {n}")
-        if n and (self.depth[0] != 0 or np.any(self.depth[1:] > self.depth[:-1].astype(np.int16) + 1)):
-            raise ShapeError("GaussianTree.depth: found a jump of more than one level, wanted depth-first preorder")
-        # The true end of i is the first later row that is not deeper. A given end at such a row is not before the true
+        # The true end of a row is the first later row that is not deeper. A given end at such a row is not before the true
         # one; and as each row lies in as many subtrees as it is deep, equal sums leave no room for one that is behind it.
-        inner = end[end < n]
-        closes = self.depth[inner] <= self.depth[end < n]
-        if not closes.all() or int((end - rows - 1).sum(dtype=np.int64)) != int(self.depth.sum(dtype=np.int64)):
-            raise ShapeError("GaussianTree: subtree_end and depth disagree; wanted nested subtrees in preorder")
+        num_below = num_above = 0
+        for run, rows in self._runs():
+            end, depth = self.subtree_end[run], self.depth[run]
+            wrong = np.flatnonzero((end <= rows) | (end > n))
+            if len(wrong):
+                i = int(wrong[0])
+                raise ShapeError(f"GaussianTree.subtree_end[{rows[i]}]: found {end[i]}, wanted {rows[i] + 1} to {n}")
+            before = np.append(self.depth[run.start - 1] if run.start else -1, depth[:-1]).astype(np.int16)
+            if np.any(depth > before + 1):
+                raise ShapeError("GaussianTree.depth: found a jump of more than one level, wanted depth-first preorder")
+            if not np.all(self.depth[end[end < n]] <= depth[end < n]):
+                raise ShapeError(_DISAGREE)
+            num_below += int((end - rows - 1).sum(dtype=np.int64))
+            num_above += int(depth.sum(dtype=np.int64))
+        if num_below != num_above:
+            raise ShapeError(_DISAGREE)
 
     def __len__(self) -> int:
         return len(self.subtree_end)
@@ -72,17 +79,26 @@ class GaussianTree:
     @property
     def is_leaf(self) -> Bool[Array, "n"]:
         """Whether each row has no children."""
-        return np.asarray(self.subtree_end == np.arange(1, len(self) + 1, dtype=np.int32))
+        is_leaf = np.empty(len(self), bool)
+        for run, rows in self._runs():
+            np.equal(self.subtree_end[run], rows + 1, out=is_leaf[run])
+        return is_leaf
 
     @property
     def num_leaves(self) -> int:
         """Number of rows without children."""
-        return int(self.is_leaf.sum())
+        return sum(int((self.subtree_end[run] == rows + 1).sum()) for run, rows in self._runs())
 
     @property
     def num_levels(self) -> int:
         """Largest depth + 1; 0 for an empty tree."""
         return int(self.depth.max()) + 1 if len(self) else 0
+
+    def _runs(self) -> Iterator[tuple[slice, Int32[Array, "m"]]]:
+        """Rows in runs, so that what is made of them beside takes little."""
+        for first in range(0, len(self), _ROWS_AT_ONCE):
+            last = min(first + _ROWS_AT_ONCE, len(self))
+            yield slice(first, last), np.arange(first, last, dtype=np.int32)
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from splatree.errors import SplatreeError
 from splatree.io.formats.streamed_sog.format import MANIFEST
+from splatree.io.memory import Scratch
 from splatree.io.replacing import name_in, replacing
 from splatree.scene.scene import Scene
 from splatree.stream.options import StreamOptions
@@ -22,7 +23,13 @@ __all__ = ["write_archive"]
 
 
 def write_archive(
-    scene: Scene, output: Path, options: StreamOptions, *, force: bool = False, threads: int = 0
+    scene: Scene,
+    output: Path,
+    options: StreamOptions,
+    *,
+    force: bool = False,
+    threads: int = 0,
+    scratch: Scratch | None = None,
 ) -> Streamed:
     """Write a scene with levels as a streamed SOG in a ZIP.
 
@@ -36,7 +43,7 @@ def write_archive(
     ):
         folder = Path(made) / output.stem
         try:
-            written = write_sog(scene, folder, options, threads=threads)
+            written = write_sog(scene, folder, options, threads=threads, scratch=scratch)
         except SplatreeError as error:
             error.args = tuple(name_in(str(part), folder, output) for part in error.args)
             raise

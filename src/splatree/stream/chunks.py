@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from splatree.errors import InputError
+from splatree.io.memory import Scratch
 from splatree.render.paths import bounds_of
 from splatree.scene.scene import Scene
 from splatree.scene.tree import GaussianTree
@@ -49,8 +50,10 @@ class TreeChunks:
         return len(self.start)
 
 
-def chunks_of_tree(scene: Scene, chunk_leaves: int | None = None) -> TreeChunks:
+def chunks_of_tree(scene: Scene, chunk_leaves: int | None = None, scratch: Scratch | None = None) -> TreeChunks:
     """Divide the tree of a scene into chunks of at most ``chunk_leaves`` leaves; None: `leaves_of_chunk`.
+
+    What grows with the scene lies in ``scratch``.
 
     Raises:
         InputError: the scene is empty, or ``chunk_leaves`` is not above 0.
@@ -61,19 +64,19 @@ def chunks_of_tree(scene: Scene, chunk_leaves: int | None = None) -> TreeChunks:
         raise InputError(f"chunk_leaves: found {chunk_leaves}, wanted at least 1")
     if len(scene) == 0:
         raise InputError("stream: found an empty scene, wanted at least one Gaussian")
-    n = len(scene)
+    n, scratch = len(scene), scratch or Scratch.endless()
     _, radius = bounds_of(scene)
     usual = 2 * radius * np.sqrt(chunk_leaves / scene.tree.num_leaves)  # leaves lie on surfaces
-    runs, spine = divide(scene, count_leaves_before(scene.tree), (0, n), chunk_leaves, usual)
-    is_spine = np.zeros(n, bool)
+    runs, spine = divide(scene, count_leaves_before(scene.tree, scratch.part(0.5)), (0, n), chunk_leaves, usual)
+    is_spine = scratch.zeros((n,), bool)
     is_spine[spine] = True
     start, end = np.array(runs, np.int32).T.copy()
     return TreeChunks(start, end, is_spine)
 
 
-def count_leaves_before(tree: GaussianTree) -> Int32[Array, "n+1"]:
-    """The leaves before each row, and all."""
-    counts = np.zeros(len(tree) + 1, np.int32)
+def count_leaves_before(tree: GaussianTree, scratch: Scratch) -> Int32[Array, "n+1"]:
+    """The leaves before each row, and all, in an array of ``scratch``."""
+    counts = scratch.zeros((len(tree) + 1,), np.int32)
     np.cumsum(tree.is_leaf, dtype=np.int32, out=counts[1:])
     return counts
 

@@ -23,9 +23,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from splatree.errors import InputError
+from splatree.io.memory import Scratch
 from splatree.maths.forests import parents_by_level
 from splatree.scene.tree import GaussianTree
-from splatree.shapes import Array, Float32, Int32, Int64, check_fields
+from splatree.shapes import Array, Bool, Float32, Int32, Int64, check_fields
 from splatree.stream.chunks import TreeChunks
 
 __all__ = [
@@ -35,7 +36,6 @@ __all__ = [
     "Level",
     "check_ladder",
     "cuts_of",
-    "intervals_from",
     "intervals_of",
     "levels_of_tree",
 ]
@@ -58,23 +58,52 @@ _ROWS_AT_ONCE = 1 << 16
 
 @dataclass(frozen=True, eq=False)
 class Intervals:
-    """At which sizes each row is drawn: ``from_size <= e < to_size``."""
+    """At which sizes each row of whole sibling subtrees is drawn: ``from_size <= e < to_size``."""
 
-    from_size: Float32[Array, "n"]
-    """The row's extent, 0 of a leaf, infinity of the spine."""
+    tree: GaussianTree
+    """The tree that the rows are of."""
+    begin: int
+    """First of the rows."""
+    is_spine: Bool[Array, "t"] | None
+    """Whether a row of the tree is never drawn; None: all may be."""
     to_size: Float32[Array, "n"]
     """The least extent above the row in its chunk, infinity at the chunk's top."""
 
     def __post_init__(self) -> None:
         check_fields(self)
 
-    def rows_at(self, size: float) -> Int32[Array, "v"]:
-        """Rows of the cut, ascending."""
-        e, parts = np.float32(size), [np.zeros(0, np.int32)]
-        for run in _runs(len(self.from_size)):
-            rows = np.flatnonzero((self.from_size[run] <= e) & (e < self.to_size[run])).astype(np.int32)
-            parts.append(rows + np.int32(run.start))
-        return np.concatenate(parts)
+    def __len__(self) -> int:
+        return len(self.to_size)
+
+    def from_sizes(self, rows: slice | Array) -> Float32[Array, "m"]:
+        """The extents of rows of the tree, 0 of leaves, infinity of the spine."""
+        numbers = np.arange(rows.start, rows.stop) if isinstance(rows, slice) else rows
+        sizes = np.where(self.tree.subtree_end[rows] == numbers + 1, np.float32(0), self.tree.extents[rows])
+        if self.is_spine is not None:
+            sizes[self.is_spine[rows]] = np.inf
+        return sizes
+
+    def runs(self) -> Iterator[tuple[slice, Float32[Array, "m"], Float32[Array, "m"]]]:
+        """Rows of the tree in runs, so that what is made of them beside takes little, with both ends of their intervals."""
+        for first in range(0, len(self), _ROWS_AT_ONCE):
+            to_size = self.to_size[first : first + _ROWS_AT_ONCE]
+            rows = slice(self.begin + first, self.begin + first + len(to_size))
+            yield rows, self.from_sizes(rows), to_size
+
+    def count_at(self, size: float) -> int:
+        """Number of rows of the cut."""
+        e = np.float32(size)
+        return sum(int(((begins <= e) & (e < ends)).sum()) for _, begins, ends in self.runs())
+
+    def rows_at(self, size: float, scratch: Scratch | None = None) -> Int32[Array, "v"]:
+        """Rows of the cut, ascending, in an array of ``scratch``."""
+        e, num_found = np.float32(size), 0
+        found = (scratch or Scratch.endless()).zeros((self.count_at(size),), np.int32)
+        for run, begins, ends in self.runs():
+            rows = np.flatnonzero((begins <= e) & (e < ends))
+            found[num_found : num_found + len(rows)] = rows + run.start
+            num_found += len(rows)
+        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,23 +128,31 @@ class Level:
         return self.rows[self.offsets[chunk] : self.offsets[chunk + 1]]
 
 
-def intervals_of(tree: GaussianTree, chunks: TreeChunks) -> Intervals:
-    """The sizes at which each row of the tree is drawn."""
-    from_size = np.where(tree.is_leaf, np.float32(0), tree.extents)
-    from_size[chunks.is_spine] = np.inf
-    return intervals_from(from_size, tree.depth)
-
-
-def intervals_from(from_size: Float32[Array, "n"], depth: Array) -> Intervals:
-    """The intervals of rows in preorder that are drawn from these sizes on; ``depth`` counts from the topmost of them."""
-    to_size = np.full(len(from_size), np.inf, np.float32)
+def intervals_of(
+    tree: GaussianTree,
+    chunks: TreeChunks | None = None,
+    span: tuple[int, int] | None = None,
+    scratch: Scratch | None = None,
+) -> Intervals:
+    """The sizes at which rows of the tree are drawn: all, or those of ``span``, whole sibling subtrees."""
+    begin, end = (0, len(tree)) if span is None else span
+    is_spine = None if chunks is None else chunks.is_spine
+    intervals = Intervals(tree, begin, is_spine, (scratch or Scratch.endless()).zeros((end - begin,), np.float32))
+    to_size = intervals.to_size
+    to_size[:] = np.inf
+    depth = tree.depth if span is None else tree.depth[begin:end] - tree.depth[begin]
     for rows, parents in parents_by_level(depth):
-        to_size[rows] = np.minimum(to_size[parents], from_size[parents])
-    return Intervals(from_size, to_size)
+        to_size[rows] = np.minimum(to_size[parents], intervals.from_sizes(parents + np.int32(begin)))
+    return intervals
 
 
 def levels_of_tree(
-    tree: GaussianTree, chunks: TreeChunks, *, ratio: float = RATIO, num_levels: int | None = None
+    tree: GaussianTree,
+    chunks: TreeChunks,
+    *,
+    ratio: float = RATIO,
+    num_levels: int | None = None,
+    scratch: Scratch | None = None,
 ) -> tuple[Level, ...]:
     """The leaves, and coarser levels that each have about ``1 / ratio`` of the nodes of the level before.
 
@@ -126,16 +163,27 @@ def levels_of_tree(
         InputError: ``ratio`` is not above 1.2, or ``num_levels`` is not above 0.
     """
     check_ladder(ratio, num_levels)
-    intervals = intervals_of(tree, chunks)
-    sizes, counts = cuts_of(intervals)
-    levels = [_level(intervals, chunks, 0.0)]
-    for target in _targets(len(levels[0]), len(chunks), ratio, num_levels) if len(sizes) else ():
+    scratch = scratch or Scratch.endless()
+    soon_gone = scratch.part(0.5)
+    intervals = intervals_of(tree, chunks, scratch=soon_gone)
+    chosen = _sizes_of_levels(intervals, len(chunks), ratio, num_levels, soon_gone)
+    return tuple(_level(intervals, chunks, size, scratch) for size in chosen)
+
+
+def _sizes_of_levels(
+    intervals: Intervals, num_chunks: int, ratio: float, num_levels: int | None, scratch: Scratch
+) -> list[float]:
+    """The sizes of the levels, 0 first."""
+    sizes, counts = cuts_of(intervals, scratch)
+    chosen, num_nodes = [0.0], intervals.count_at(0.0)
+    for target in _targets(num_nodes, num_chunks, ratio, num_levels) if len(sizes) else ():
         nearest = _nearest(counts, target)
-        if len(levels) == num_levels:
+        if len(chosen) == num_levels:
             break
-        if counts[nearest] <= _SMALLER_MIN * len(levels[-1]):
-            levels.append(_level(intervals, chunks, float(sizes[nearest])))
-    return tuple(levels)
+        if counts[nearest] <= _SMALLER_MIN * num_nodes:
+            chosen.append(float(sizes[nearest]))
+            num_nodes = int(counts[nearest])
+    return chosen
 
 
 def check_ladder(ratio: float, num_levels: int | None) -> None:
@@ -159,31 +207,44 @@ def _targets(num_leaves: int, num_chunks: int, ratio: float, num_levels: int | N
     return targets if targets[-1] >= fewest else []
 
 
-def cuts_of(intervals: Intervals) -> tuple[Float32[Array, "d"], Int32[Array, "d"]]:
+def cuts_of(intervals: Intervals, scratch: Scratch | None = None) -> tuple[Float32[Array, "d"], Int32[Array, "d"]]:
     """Every size at which the cut changes, above 0, and the number of nodes from there on, which never grows.
 
-    A size at which nodes end is one at which the node above them begins. Memory: 16 bytes for each merged node.
+    A size at which nodes end is one at which the node above them begins. Memory: 8 bytes for each merged node, of ``scratch``.
     """
-    num_used, begins = 0, [np.zeros(0, np.float32)]
-    for run in _runs(len(intervals.from_size)):
-        used = intervals.from_size[run][intervals.from_size[run] < intervals.to_size[run]]
-        num_used += len(used)
-        begins.append(used[used > 0])
-    sizes = np.concatenate(begins)
-    del begins
-    num_nodes = num_used - len(sizes)  # of the finest cut
+    scratch, num_merged, num_finest = scratch or Scratch.endless(), 0, 0
+    for _, begins, ends in intervals.runs():
+        num_merged += int(((begins > 0) & (begins < ends)).sum())
+        num_finest += int(((begins <= 0) & (begins < ends)).sum())
+    sizes, num_filled = scratch.zeros((num_merged,), np.float32), 0
+    for _, begins, ends in intervals.runs():
+        used = begins[(begins > 0) & (begins < ends)]
+        sizes[num_filled : num_filled + len(used)] = used
+        num_filled += len(used)
     sizes.sort()
-    is_first = np.append(True, sizes[1:] != sizes[:-1])[: len(sizes)]
-    first = np.flatnonzero(is_first).astype(np.int32)
-    counts = np.diff(first, append=np.int32(len(sizes)))
-    sizes = sizes[is_first]
-    del first, is_first
-    for run in _runs(len(intervals.from_size)):
-        ends = intervals.to_size[run][intervals.from_size[run] < intervals.to_size[run]]
+    counts = scratch.zeros((num_merged,), np.int32)
+    num_sizes = _merge_equals(sizes, counts)
+    sizes, counts = sizes[:num_sizes], counts[:num_sizes]
+    for _, begins, ends in intervals.runs():
+        ends = ends[begins < ends]
         np.subtract.at(counts, np.searchsorted(sizes, ends[ends < np.inf]), 1)
     np.cumsum(counts, out=counts)
-    counts += np.int32(num_nodes)
+    counts += np.int32(num_finest)
     return sizes, counts
+
+
+def _merge_equals(values: Array, counts: Array) -> int:
+    """Move the different ones of ascending values to the front, count each in ``counts``, and return how many there are."""
+    num_different = 0
+    for first in range(0, len(values), _ROWS_AT_ONCE):
+        different, how_often = np.unique(values[first : first + _ROWS_AT_ONCE], return_counts=True)
+        if num_different and different[0] == values[num_different - 1]:
+            num_different -= 1
+            how_often[0] += counts[num_different]
+        values[num_different : num_different + len(different)] = different
+        counts[num_different : num_different + len(different)] = how_often
+        num_different += len(different)
+    return num_different
 
 
 def _nearest(counts: Array, target: float) -> int:
@@ -193,11 +254,6 @@ def _nearest(counts: Array, target: float) -> int:
     return len(counts) - int(np.searchsorted(counts[::-1], value, side="right"))
 
 
-def _runs(num_rows: int) -> Iterator[slice]:
-    """Rows in runs, so that what is made of them beside takes little."""
-    return (slice(first, min(first + _ROWS_AT_ONCE, num_rows)) for first in range(0, num_rows, _ROWS_AT_ONCE))
-
-
-def _level(intervals: Intervals, chunks: TreeChunks, size: float) -> Level:
-    rows = intervals.rows_at(size)
+def _level(intervals: Intervals, chunks: TreeChunks, size: float, scratch: Scratch) -> Level:
+    rows = intervals.rows_at(size, scratch)
     return Level(size, rows, np.append(np.searchsorted(rows, chunks.start), len(rows)))

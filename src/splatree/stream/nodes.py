@@ -23,12 +23,12 @@ import dataclasses
 import numpy as np
 
 from splatree.constants import ALPHA_MAX, DILATION_PX2
-from splatree.io.chunks import ROWS_PER_CHUNK
+from splatree.io.memory import Scratch
 from splatree.kernels.reference.project import follow
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Scene
 from splatree.shapes import Array
-from splatree.stream.levels import Level, cuts_of, intervals_from
+from splatree.stream.levels import Level, cuts_of, intervals_of
 
 __all__ = ["gaussians_of_level", "gaussians_of_tree"]
 
@@ -50,21 +50,20 @@ def gaussians_of_level(scene: Scene, level: Level, rows: Array, node_px: float) 
     return dataclasses.replace(g, log_scales=log_scales, logit_opacities=logits)
 
 
-def gaussians_of_tree(scene: Scene, node_px: float) -> Gaussians:
-    """All rows of the tree, each as a cut at its own size would have it; 0: as they are stored."""
+def gaussians_of_tree(scene: Scene, node_px: float, scratch: Scratch | None = None) -> Gaussians:
+    """All rows of the tree, each as a cut at its own size would have it, in arrays of ``scratch``; 0: as they are stored."""
     if not _follows(scene, node_px):
         return scene.gaussians
-    tree = scene.tree
-    from_size = np.where(tree.is_leaf, np.float32(0), tree.extents)
-    sizes, counts = cuts_of(intervals_from(from_size, tree.depth))
+    tree, scratch = scene.tree, scratch or Scratch.endless()
+    intervals = intervals_of(tree, scratch=scratch.part(0.25))
+    sizes, counts = cuts_of(intervals, scratch.part(0.25))
     g, curves = scene.gaussians, tree.curves
     assert curves is not None
-    log_scales, logits = np.empty_like(g.log_scales), np.empty_like(g.logit_opacities)
-    for first in range(0, len(tree), ROWS_PER_CHUNK):
-        run = slice(first, first + ROWS_PER_CHUNK)
-        at = np.maximum(np.searchsorted(sizes, from_size[run], side="right") - 1, 0)
-        dilations = _dilation(scene, from_size[run], counts[at], node_px)
-        log_scales[run], logits[run] = _drawn(g.rows(first, first + ROWS_PER_CHUNK), curves[run], dilations)
+    log_scales, logits = scratch.zeros((len(tree), 3), np.float32), scratch.zeros((len(tree),), np.float32)
+    for run, from_sizes, _ in intervals.runs():
+        at = np.maximum(np.searchsorted(sizes, from_sizes, side="right") - 1, 0)
+        dilations = _dilation(scene, from_sizes, counts[at], node_px)
+        log_scales[run], logits[run] = _drawn(g.rows(run.start, run.stop), curves[run], dilations)
     return dataclasses.replace(g, log_scales=log_scales, logit_opacities=logits)
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from splatree.io.formats.rad.container import open_rad
 from splatree.io.formats.rad.writer import write_chunked
+from splatree.io.memory import Scratch
 from splatree.io.replacing import replacing
 from splatree.io.writing import write
 from splatree.kernels.reference.paging import PAGE_ROWS
@@ -22,22 +23,28 @@ _NODE_PX = 4.0
 """Extent at which Spark draws nodes of a cut of half as many nodes as leaves (nodes.py)."""
 
 
-def as_written(scene: Scene, options: StreamOptions) -> Scene:
-    """The scene with its nodes as Spark draws them within a budget, without those that it hardly ever draws."""
+def as_written(scene: Scene, options: StreamOptions, scratch: Scratch | None = None) -> Scene:
+    """The scene with its nodes as Spark draws them within a budget, without those that it hardly ever draws.
+
+    What grows with the scene lies in ``scratch``.
+    """
+    scratch = scratch or Scratch.endless()
     node_px = _NODE_PX if options.node_px is None else options.node_px
     tree = replace(scene.tree, curves=None)
-    drawn = replace(scene, gaussians=gaussians_of_tree(scene, node_px), tree=tree, clusters=None, blocks=None)
-    return without_equals(drawn)
+    drawn = replace(scene, gaussians=gaussians_of_tree(scene, node_px, scratch), tree=tree, clusters=None, blocks=None)
+    return without_equals(drawn, scratch)
 
 
-def write_rad(scene: Scene, output: Path, options: StreamOptions, *, force: bool = False) -> Streamed:
+def write_rad(
+    scene: Scene, output: Path, options: StreamOptions, *, force: bool = False, scratch: Scratch | None = None
+) -> Streamed:
     """Write a scene with levels.
 
     Raises:
         OutputError: there is a file already, or the disk fails.
     """
     names = []
-    scene = as_written(scene, options)
+    scene = as_written(scene, options, scratch)
     if options.chunked:
         names = _write_chunked(scene, output, force=force)
     else:

@@ -18,6 +18,7 @@ import numpy as np
 from splatree.io.chunks import ROWS_PER_CHUNK, Chunks
 from splatree.io.formats.sog import writer as sog
 from splatree.io.formats.streamed_sog.format import MANIFEST
+from splatree.io.memory import Scratch
 from splatree.io.options import WriteOptions
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
@@ -32,7 +33,7 @@ from splatree.stream.nodes import gaussians_of_level
 from splatree.stream.options import StreamOptions
 from splatree.stream.parts import Folder, digest_of, write_files
 from splatree.stream.result import LevelWritten, Streamed
-from splatree.stream.workers import in_order
+from splatree.stream.workers import affordable, in_order
 
 __all__ = ["write_sog"]
 
@@ -68,7 +69,15 @@ class _Written:
     boxes: Array  # of each of its chunks "c 2 3"
 
 
-def write_sog(scene: Scene, output: Path, options: StreamOptions, *, force: bool = False, threads: int = 0) -> Streamed:
+def write_sog(
+    scene: Scene,
+    output: Path,
+    options: StreamOptions,
+    *,
+    force: bool = False,
+    threads: int = 0,
+    scratch: Scratch | None = None,
+) -> Streamed:
     """Write a scene with levels as a folder of streamed SOG.
 
     Raises:
@@ -77,9 +86,13 @@ def write_sog(scene: Scene, output: Path, options: StreamOptions, *, force: bool
     """
     chunk_leaves = options.chunk_leaves or leaves_of_chunk(scene.tree.num_leaves)
     options = replace(options, chunk_leaves=chunk_leaves)
-    chunks = chunks_of_tree(scene, chunk_leaves)
-    levels = levels_of_tree(scene.tree, chunks, ratio=options.ratio, num_levels=options.levels)
-    units = list(_units(levels, options.unit_rows or _CHUNKS_PER_UNIT * chunk_leaves))
+    scratch = scratch or Scratch.endless()
+    kept = scratch.part(0.5)
+    chunks = chunks_of_tree(scene, chunk_leaves, kept)
+    levels = levels_of_tree(scene.tree, chunks, ratio=options.ratio, num_levels=options.levels, scratch=kept)
+    unit_rows = options.unit_rows or _CHUNKS_PER_UNIT * chunk_leaves
+    units = list(_units(levels, unit_rows))
+    threads = affordable(threads, 2 * unit_rows * scene.gaussians.row_bytes, scratch.part(0.5))
     with Folder(output, MANIFEST, force=force) as folder:
         boxes = np.empty((len(chunks), 2, 3))
         boxes[:, 0], boxes[:, 1] = np.inf, -np.inf

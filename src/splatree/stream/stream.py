@@ -1,12 +1,18 @@
 """A scene as what viewers on the web load piece by piece."""
 
 import os
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import get_args
 
+import numpy as np
+
 from splatree.errors import InputError
+from splatree.io.chunks import ROWS_PER_CHUNK
 from splatree.io.formats.streamed_sog.format import MANIFEST as SOG_MANIFEST
+from splatree.io.memory import SMALLEST_MEMORY, Scratch, bytes_of
 from splatree.io.registry import formats
 from splatree.io.replacing import check_free
 from splatree.lod.options import BuildOptions
@@ -33,6 +39,7 @@ def stream(
     *,
     force: bool = False,
     threads: int = 0,
+    max_memory: str | None = None,
 ) -> Streamed:
     """Write a scene as a stream that viewers on the web load piece by piece, finer where the camera is near.
 
@@ -46,12 +53,14 @@ def stream(
         options: how the stream is cut; None: the defaults.
         force: replace an older stream.
         threads: threads to use; 0: all. The files are the same for any number.
+        max_memory: memory that may be taken beside the scene, such as 4G; what needs more waits in files beside the output, and
+            fewer threads are used. The files are the same. None: half of what is free.
 
     Returns:
         What was written.
 
     Raises:
-        InputError: the scene is empty, or the options contradict the format or each other.
+        InputError: the scene is empty, the options contradict the format or each other, or ``max_memory`` is less than 250M.
         OutputError: there is something else at ``output``, or a stream without ``force``, or the disk fails.
 
     Source:
@@ -72,11 +81,10 @@ def stream(
         raise InputError(f"format: found {format!r}, wanted one of {', '.join(get_args(StreamFormat))}")
     options.check_used(format)
     check_output(Path(output), format, options, force=force)
-    degree = scene.gaussians.sh_degree if options.sh_degree is None else options.sh_degree
-    if degree < scene.gaussians.sh_degree:
-        scene = replace(scene, gaussians=scene.gaussians.with_sh_degree(degree), clusters=None)
-    scene = with_levels(scene, threads=threads)
-    return replace(_written(scene, Path(output), format, options, force=force, threads=threads), options=options)
+    scratch = scratch_beside(Path(output), max_memory)
+    scene = with_levels(of_degree(scene, options.sh_degree, scratch), threads=threads)
+    write = _writer(format, options, threads)
+    return replace(write(scene, Path(output), options, force=force, scratch=scratch), options=options)
 
 
 def check_output(output: Path, format: StreamFormat, options: StreamOptions, *, force: bool) -> None:
@@ -113,16 +121,34 @@ def check_output(output: Path, format: StreamFormat, options: StreamOptions, *, 
     check_folder(output, SOG_MANIFEST if format == "sog" else TILES_MANIFEST, force=force)
 
 
-def _written(
-    scene: Scene, output: Path, format: StreamFormat, options: StreamOptions, *, force: bool, threads: int
-) -> Streamed:
+def _writer(format: StreamFormat, options: StreamOptions, threads: int) -> Callable[..., Streamed]:
     if format == "rad":
-        return write_rad(scene, output, options, force=force)
+        return write_rad
     if format == "3dtiles":
-        return write_tiles(scene, output, options, force=force, threads=threads)
-    if options.zip:
-        return write_archive(scene, output, options, force=force, threads=threads)
-    return write_sog(scene, output, options, force=force, threads=threads)
+        return partial(write_tiles, threads=threads)
+    return partial(write_archive if options.zip else write_sog, threads=threads)
+
+
+def scratch_beside(output: Path, max_memory: str | None) -> Scratch:
+    """Room for what grows with the scene.
+
+    Raises:
+        InputError: the memory is no number of bytes, or too little for anything.
+    """
+    if max_memory is not None and bytes_of(max_memory) < SMALLEST_MEMORY:
+        raise InputError(f"max_memory: found {max_memory}, wanted at least {SMALLEST_MEMORY // 10**6}M")
+    return Scratch.beside(output, max_memory)
+
+
+def of_degree(scene: Scene, sh_degree: int | None, scratch: Scratch) -> Scene:
+    """The scene without harmonics above a degree; None: with all of them."""
+    g = scene.gaussians
+    if sh_degree is None or sh_degree >= g.sh_degree:
+        return scene
+    sh = scratch.zeros((len(g), (sh_degree + 1) ** 2, 3), np.float32)
+    for begin in range(0, len(g), ROWS_PER_CHUNK):
+        sh[begin : begin + ROWS_PER_CHUNK] = g.sh[begin : begin + ROWS_PER_CHUNK, : sh.shape[1]]
+    return replace(scene, gaussians=replace(g, sh=sh), clusters=None)
 
 
 _FILES = (*(suffix for f in formats() for suffix in f.suffixes), ".json", ".zip")

@@ -22,6 +22,7 @@ from splatree.constants import SIGMAS
 from splatree.io.chunks import ROWS_PER_CHUNK, Chunks
 from splatree.io.formats.glb.names import EXTENSION, SPZ_EXTENSION
 from splatree.io.formats.glb.writer import write_tile
+from splatree.io.memory import Scratch
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Scene
@@ -29,11 +30,11 @@ from splatree.shapes import Array
 from splatree.stream.boxes import box_around
 from splatree.stream.chunks import count_leaves_before, divide
 from splatree.stream.earth import ecef_from_enu
-from splatree.stream.levels import cuts_of, intervals_from
+from splatree.stream.levels import cuts_of, intervals_of
 from splatree.stream.options import StreamOptions
 from splatree.stream.parts import Folder, digest_of
 from splatree.stream.result import LevelWritten, Streamed
-from splatree.stream.workers import in_order
+from splatree.stream.workers import affordable, in_order
 
 __all__ = ["MANIFEST", "Tile", "tiles_of_tree", "write_tiles"]
 
@@ -60,11 +61,10 @@ class Tile:
     """Places in the list."""
 
 
-def tiles_of_tree(scene: Scene, tile_nodes: int) -> list[Tile]:
+def tiles_of_tree(scene: Scene, tile_nodes: int, scratch: Scratch | None = None) -> list[Tile]:
     """The tiles of a scene with levels, parents first."""
-    tree = scene.tree
-    leaves_before = count_leaves_before(tree)
-    from_size = np.where(tree.is_leaf, np.float32(0), tree.extents)
+    tree, scratch = scene.tree, scratch or Scratch.endless()
+    leaves_before = count_leaves_before(tree, scratch)
     tiles: list[Tile] = []
     pending: list[tuple[int, int, Tile | None]] = [(0, len(tree), None)]
     while pending:
@@ -72,14 +72,16 @@ def tiles_of_tree(scene: Scene, tile_nodes: int) -> list[Tile]:
         num_leaves = int(leaves_before[end] - leaves_before[begin])
         limit = np.inf if parent is None else 0.99 * parent.size
         if num_leaves <= tile_nodes:
-            size, rows = 0.0, np.flatnonzero(tree.is_leaf[begin:end])
+            numbers = np.arange(begin, end, dtype=np.int32)
+            size, rows = 0.0, numbers[tree.subtree_end[begin:end] == numbers + 1]
         else:
-            intervals = intervals_from(from_size[begin:end], tree.depth[begin:end] - tree.depth[begin])
-            sizes, counts = cuts_of(intervals)
+            soon_gone = scratch.part(0.5)
+            intervals = intervals_of(tree, span=(begin, end), scratch=soon_gone)
+            sizes, counts = cuts_of(intervals, soon_gone)
             few = sizes[np.argmax(counts <= tile_nodes)] if (counts <= tile_nodes).any() else sizes[-1]
             size = min(float(few), limit)  # a child's error is less than its parent's
             rows = intervals.rows_at(size)
-        tile = Tile(0 if parent is None else parent.depth + 1, size, rows.astype(np.int32) + np.int32(begin))
+        tile = Tile(0 if parent is None else parent.depth + 1, size, rows)
         if parent is not None:
             parent.children.append(len(tiles))
         tiles.append(tile)
@@ -91,14 +93,22 @@ def tiles_of_tree(scene: Scene, tile_nodes: int) -> list[Tile]:
 
 
 def write_tiles(
-    scene: Scene, output: Path, options: StreamOptions, *, force: bool = False, threads: int = 0
+    scene: Scene,
+    output: Path,
+    options: StreamOptions,
+    *,
+    force: bool = False,
+    threads: int = 0,
+    scratch: Scratch | None = None,
 ) -> Streamed:
     """Write a scene with levels as a folder of 3D Tiles.
 
     Raises:
         OutputError: the folder holds something else, or the disk fails.
     """
-    tiles = tiles_of_tree(scene, options.tile_nodes)
+    scratch = scratch or Scratch.endless()
+    tiles = tiles_of_tree(scene, options.tile_nodes, scratch.part(0.5))
+    threads = affordable(threads, options.tile_nodes * scene.gaussians.row_bytes, scratch.part(0.5))
     with Folder(output, MANIFEST, force=force) as folder:
         names, own_boxes, num_there = [], [], 0
         with task(f"write {output.name}", sum(len(tile.rows) for tile in tiles)) as advance:

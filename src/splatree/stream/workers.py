@@ -5,12 +5,22 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TypeVar
 
+from splatree.io.memory import Scratch
 from splatree.kernels.cpu import _core
 
-__all__ = ["in_order"]
+__all__ = ["affordable", "in_order"]
+
+_COPIES = 4
+"""Memory that the making of a part takes for that of its rows."""
 
 T = TypeVar("T")
 R = TypeVar("R")
+
+
+def affordable(threads: int, part_bytes: int, scratch: Scratch) -> int:
+    """As many of these threads as there is room for the parts that they make; at least one."""
+    threads = threads or _core.hardware_threads()
+    return int(max(1, min(threads, scratch.room // max(1, _COPIES * part_bytes))))
 
 
 def in_order(make: Callable[[T], R], items: Sequence[T], threads: int = 0) -> Iterator[R]:

@@ -3,7 +3,8 @@
 The page sends views faster than they can be answered. For each kind of answer only the newest view is kept, in a slot and not in
 a queue, and a thread of the client's own answers: points first, then cuts, then pictures. A first cut comes in steps of 18,000,
 80,000 and 300,000 nodes, so that there is a picture after 0.65 MB; a newer view ends the steps of an older one. Over a slow line
-there are more steps, of what the line carries in two seconds (pace.py), and a view that is new for the most part begins again.
+there are more steps, of what the line carries in two seconds (pace.py). What the page holds of a view is kept, and the rest of it
+begins with few nodes (steps.py).
 """
 
 import threading
@@ -26,6 +27,7 @@ from splatree.view.messages import Ack, Request, Want, pack_message, parse
 from splatree.view.pace import Pace
 from splatree.view.pictures import encode, layer_of, pixels_of
 from splatree.view.slots import Slots
+from splatree.view.steps import advanced, mixed
 
 __all__ = ["Client"]
 
@@ -41,9 +43,16 @@ NODE_BYTES: Final = 36
 PNG_BYTES: Final = 2
 """Bytes of a PNG a pixel, about."""
 
-LONG_STEPS: Final = 4
-"""A view is begun again with few nodes if the line needs so many steps for its new ones: 8 s. Fewer are sent as they are: a cut
-of few nodes shares none with the one that the page holds."""
+LONG_STEP: Final = 1.5
+"""New nodes of a view are sent together if the line needs at most so many steps' time for them, 3 s."""
+
+LONGEST_STEP: Final = 4.0
+MOSTLY: Final = 0.25
+"""And 8 s if at most so large a share of the view's nodes are new: coarse nodes that come first take the place of others that the
+page holds, which would have to come again."""
+
+SOON: Final = 8.0
+"""A view for whose new nodes the line needs at most so many steps' time, 16 s, becomes coarse and then fine, nothing between."""
 
 LONG: Final[tuple[Want, ...]] = ("cut", "frame")
 """What a page acknowledges; it is sent once there is room."""
@@ -74,11 +83,14 @@ class Client:
         self._is_open = True
         self._slots = Slots(exhibit.shown, exhibit.centre, capacity)
         self._last = FIRST_TAU_PX  # τ_R of the last cut
+        self._last_whole = FIRST_TAU_PX  # of the last cut of a whole view
         self._last_of_frames = FIRST_TAU_PX
         self._motion: Motion | None = None
         self._quality = Carried(exhibit.session)
         self._reached = 0  # nodes that the last step was allowed
         self._stepping: Request | None = None  # the view that comes in steps
+        self._whole: Selection | None = None  # its cut, where parts of it are held
+        self._target: Selection | None = None  # the cut that its steps lead to next
         self._unfinished: tuple[Request, Selection] | None = None
         self._held: Selection | None = None  # the cut that the page holds
         self.camera: Camera | None = None
@@ -152,17 +164,16 @@ class Client:
         """
         deadline = None
         while self._is_open and not (self._news or self._new_exhibit):
-            want = next(
-                (want for want in ORDER if want in self._wanted and (want not in LONG or self._pace.has_room)), None
-            )
+            now = time.monotonic()
+            room_s = self._pace.wait_s(now)
+            want = next((want for want in ORDER if want in self._wanted and (want not in LONG or room_s == 0)), None)
             if want is not None:
                 return want
             if self._wanted:
-                now = time.monotonic()
                 deadline = now + PATIENCE_S if deadline is None else deadline
                 if now >= deadline:
                     raise TimeoutError(f"the page has taken nothing in for {PATIENCE_S:g} s")
-                self._turn.wait(deadline - now)
+                self._turn.wait(min(deadline - now, room_s))
             else:
                 self._turn.wait()
         return None
@@ -172,7 +183,7 @@ class Client:
             self._reached = self._capacity
         self._exhibit, self._motion, self._quality = exhibit, None, Carried(exhibit.session)
         self._slots = Slots(exhibit.shown, exhibit.centre, self._capacity)
-        self._unfinished = self._held = None
+        self._unfinished = self._held = self._whole = self._target = None
         self._send(pack_message({"kind": "scene", "capacity": self._capacity, **exhibit.facts}))
 
     def _answer(self, request: Request) -> None:
@@ -198,14 +209,14 @@ class Client:
         else:
             chosen, is_step = self._chosen(request, asked)
         selected = time.process_time()
-        change = self._slots.move(chosen.rows, request.camera.position, self._exhibit.session.view(request.camera))
+        view = self._exhibit.session.view(request.camera)
+        change = self._slots.move(chosen.rows, request.camera.position, view, has_colors=not is_step)
         packed = time.process_time()
-        self._held, self._last = chosen, chosen.pixel_error
+        self._held = chosen
         if is_step:
             self._stepping = request
-            self._last = _next_guess(chosen, min(self._after_step(), asked))
         else:
-            self._reached = self._capacity
+            self._reached, self._last_whole = self._capacity, chosen.pixel_error
             self._unfinished = (request, chosen) if change.is_behind else None
         is_last = not (is_step or change.is_behind)
         depths = np.bincount(self._exhibit.shown.depths(chosen.rows), minlength=1)
@@ -214,6 +225,7 @@ class Client:
             "seq": request.seq,
             "rows": len(chosen),
             "drop": len(change.drop),
+            "runs": len(change.runs),
             "add": len(change.add),
             "shape": len(change.shaped),
             "tint": len(change.tint),
@@ -233,13 +245,58 @@ class Client:
         """The rows of a view that the page may be sent next, and whether more of them follow."""
         select = self._quality.settled(request.camera, request.select)
         camera = guarded_by(request.camera, request.guard)
-        chosen = self._within(camera, select, min(self._after_step(), asked), asked)
-        # Over a slow line, a view that is new for the most part begins with fewer nodes. A step of one and the same view goes on.
         carried = self._pace.step_bytes / NODE_BYTES
-        most = max(LADDER[0], LONG_STEPS * carried)
-        if len(chosen) > most and self._stepping is not request and self._slots.num_new(chosen.rows) > most:
-            chosen = self._within(camera, select, int(max(LADDER[0], carried)), asked)
-        return chosen, self._reached < asked and len(chosen) > 0.5 * self._reached
+        # With occlusion a finer cut may be coarser in places, so there are no cuts between.
+        if self._held is not None and np.isfinite(carried) and not select.occlusion:
+            if self._stepping is not request:
+                return self._begun(camera, select, asked, carried)
+            return self._gone_on(request, camera, select, asked, carried)
+        self._whole = self._target = None
+        chosen = self._within(camera, select, min(self._next_rung(), asked), asked)
+        is_step = self._reached < asked and len(chosen) > 0.5 * self._reached
+        self._last = _next_guess(chosen, min(self._next_rung(), asked)) if is_step else chosen.pixel_error
+        return chosen, is_step
+
+    def _begun(self, camera: Camera, select: SelectOptions, asked: int, carried: float) -> tuple[Selection, bool]:
+        """Another view over a line of which the pace is known: all of it, or what the page holds of it and the rest coarse."""
+        whole = self._exhibit.cut(camera, replace(select, budget=asked), self._last_whole)
+        self._last_whole = whole.pixel_error
+        num_new = self._slots.num_new(whole.rows)
+        steps = LONGEST_STEP if num_new <= MOSTLY * len(whole) else LONG_STEP
+        if num_new <= min(steps * carried, self._next_rung()):
+            return whole, False
+        self._whole, self._target = whole, None
+        few = carried * len(whole) / num_new
+        chosen = self._within(camera, select, int(min(max(few, LADDER[0] / 4), LADDER[0], asked)), asked)
+        if num_new <= SOON * carried:
+            self._reached = LADDER[-1]  # no steps between
+        return replace(chosen, rows=mixed(chosen.rows, whole.rows, self._slots.holds(whole.rows))), True
+
+    def _gone_on(
+        self, request: Request, camera: Camera, select: SelectOptions, asked: int, carried: float
+    ) -> tuple[Selection, bool]:
+        """The next step of a view: what is in the middle of the picture becomes finer first."""
+        assert self._held is not None
+        rung = min(self._next_rung(), asked)
+        if self._target is None:
+            self._target = self._next_target(camera, select, rung, asked)
+        target, held = self._target, self._held.rows
+        order = np.argsort(_off_axis(request.camera, self._exhibit.shown.means(held)))
+        rows = advanced(held, target.rows, self._slots.holds(target.rows), order.astype(np.int32), carried)
+        if not np.array_equal(rows, target.rows):
+            return replace(target, rows=rows), True
+        self._reached, self._target = rung, None
+        self._last = _next_guess(target, min(self._next_rung(), asked))
+        return target, rung < asked and len(target) > 0.5 * rung
+
+    def _next_target(self, camera: Camera, select: SelectOptions, rung: int, asked: int) -> Selection:
+        """The cut of the next rung of a view, finer where the page holds its whole cut."""
+        if self._whole is not None and rung == asked:
+            return self._whole
+        target = self._exhibit.cut(camera, replace(select, budget=rung), self._last)
+        if self._whole is None:
+            return target
+        return replace(target, rows=mixed(target.rows, self._whole.rows, self._slots.holds(self._whole.rows)))
 
     def _within(self, camera: Camera, select: SelectOptions, budget: int, asked: int) -> Selection:
         """The cut of a view within a step's budget, or within that of the first step that holds the scene's roots."""
@@ -249,14 +306,10 @@ class Client:
         except InputError:
             if budget == asked:
                 raise
-            return self._within(camera, select, min(self._after_step(), asked), asked)
+            return self._within(camera, select, min(self._next_rung(), asked), asked)
 
-    def _after_step(self) -> int:
-        """Nodes of the next step: more than of the last by what the line carries; half of what comes replaces others."""
-        rung = next((rung for rung in LADDER if rung > self._reached), self._capacity)
-        if self._reached == 0:
-            return rung
-        return int(min(rung, self._reached + max(LADDER[0] / 4, 0.7 * self._pace.step_bytes / NODE_BYTES)))
+    def _next_rung(self) -> int:
+        return next((rung for rung in LADDER if rung > self._reached), self._capacity)
 
     def _frame(self, request: Request) -> None:
         start = time.perf_counter()
@@ -346,6 +399,14 @@ class Client:
 def finite(value: float) -> float | None:
     """JSON has no infinity."""
     return float(value) if np.isfinite(value) else None
+
+
+def _off_axis(camera: Camera, means: Array) -> Array:
+    """The cosine of the angle between the middle of a view and each point, turned round: least in the middle."""
+    away = means - camera.position.astype(np.float32)
+    return np.asarray(
+        -(away @ camera.camera_from_world[2, :3].astype(np.float32)) / np.linalg.norm(away, axis=1).clip(1e-12)
+    )
 
 
 def _next_guess(chosen: Selection, budget: int) -> float:

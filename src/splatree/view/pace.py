@@ -2,8 +2,9 @@
 
 A message cannot be taken back: while a long one is on its way over a slow line, newer views wait. The time from a message to its
 acknowledgement says how many bytes a second a page takes in, line and browser together. Until a first message has said so, only
-one is on its way; afterwards two, so that a fast line is never idle. Messages are kept to what the page takes in within two
-seconds: a cut comes in more steps then, each of them exact.
+one is on its way. Afterwards a second one leaves when the first is expected to be taken in within half a second: so a line is
+not idle, and a newer view waits for little more than the message that it finds on its way. Messages are kept to what the page
+takes in within two seconds: a cut comes in more steps then, each of them exact.
 """
 
 from collections import deque
@@ -19,6 +20,9 @@ TOLD_BYTES: Final = 65_536
 
 UNDER_WAY: Final = 2
 """Messages on their way at once."""
+
+LEAD_S: Final = 0.5
+"""A message leaves so long before the one on its way is taken in: the time to choose it, and the way to the page and back."""
 
 FRESH: Final = 0.5
 """Weight of the newest message against those before."""
@@ -48,10 +52,15 @@ class Pace:
                 self._rate = rate if self._rate is None else (1 - FRESH) * self._rate + FRESH * rate
             self._last = now
 
-    @property
-    def has_room(self) -> bool:
-        """Whether another message may leave."""
-        return len(self._under_way) < (1 if self._rate is None else UNDER_WAY)
+    def wait_s(self, now: float) -> float:
+        """Time until another message may leave, if nothing is acknowledged before; 0: at once."""
+        if not self._under_way:
+            return 0.0
+        if self._rate is None or len(self._under_way) >= UNDER_WAY:
+            return float("inf")
+        num_bytes, start = self._under_way[0]
+        taken_in = max(start, self._last) + num_bytes / self._rate
+        return max(0.0, taken_in - LEAD_S - now)
 
     @property
     def step_bytes(self) -> float:

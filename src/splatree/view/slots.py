@@ -13,11 +13,11 @@ from splatree.kernels.cpu.codec.nodes import pack_colors, pack_nodes, pack_shape
 from splatree.kernels.cpu.codec.slots import drifted, keep, release, stale
 from splatree.kernels.reference.nodes import NODE_WORDS, with_depths
 from splatree.scene.view import View
-from splatree.shapes import Array, Float64, Int32, UInt32
+from splatree.shapes import Array, Bool, Float64, Int32, UInt32
 from splatree.view.follow import DRIFT, Depths, depths_of, dilations_at
 from splatree.view.shown import Shown
 
-__all__ = ["Change", "Slots"]
+__all__ = ["Change", "Slots", "in_runs"]
 
 EYE_SHARE = 0.05
 """A node's colour is sent again when the eye has moved by this share of its distance since: an angle of 3° at most."""
@@ -32,7 +32,10 @@ class Change:
     """What takes a page from one cut to the next."""
 
     drop: UInt32[Array, "d"]
-    """Slots that fall free."""
+    """Slots that fall free, one by one."""
+    runs: UInt32[Array, "r 2"]
+    """Slots that fall free and follow each other: the first, and how many. A page that is sent elsewhere drops nearly all of its
+    slots, which would take a megabyte one by one."""
     add: UInt32[Array, "a"]
     """Slots that are filled; some may have fallen free by the same change."""
     nodes: UInt32[Array, "a 8"]
@@ -51,8 +54,18 @@ class Change:
     @property
     def payload(self) -> bytes:
         """All arrays one after the other, little-endian."""
-        parts = (self.drop, self.add, self.nodes, self.shaped, self.shapes, self.tint, self.colors)
+        parts = (self.drop, self.runs, self.add, self.nodes, self.shaped, self.shapes, self.tint, self.colors)
         return b"".join(np.ascontiguousarray(part, "<u4").tobytes() for part in parts)
+
+
+def in_runs(slots: Int32[Array, "d"]) -> tuple[UInt32[Array, "s"], UInt32[Array, "r 2"]]:
+    """Slots one by one, and those of three and more that follow each other as runs: the first, and how many."""
+    ascending = np.sort(slots).astype(np.uint32)
+    starts = np.flatnonzero(np.diff(ascending.astype(np.int64), prepend=-2) != 1)
+    counts = np.diff(starts, append=len(ascending))
+    is_long = counts > 2
+    runs = np.stack([ascending[starts[is_long]], counts[is_long].astype(np.uint32)], axis=1)
+    return ascending[~np.repeat(is_long, counts)], runs
 
 
 class Slots:
@@ -78,8 +91,17 @@ class Slots:
         self.slots: Int32[Array, v] = np.zeros(0, np.int32)
         """The slot of each of them."""
 
-    def move(self, rows: Int32[Array, "v"], eye: Float64[Array, "3"], view: View | None = None) -> Change:
+    def move(
+        self,
+        rows: Int32[Array, "v"],
+        eye: Float64[Array, "3"],
+        view: View | None = None,
+        *,
+        has_colors: bool = True,
+    ) -> Change:
         """Let the page hold ``rows``, ascending, at most as many as there are slots, seen from ``eye``.
+
+        Without ``has_colors``, colours that the eye has left behind wait for a later change.
 
         With the ``view`` that is drawn, merged nodes are sent as they look at their pixel; without, as they are stored.
         """
@@ -98,9 +120,13 @@ class Slots:
         self.rows, self.slots = rows, slots
         nodes = self._nodes(new, add, eye, depths)
         shaped, shapes = self._shapes(depths)
-        tint, colors = self._tints(eye)
-        dropped, added, changed, tinted = (places.view(np.uint32) for places in (drop, add, shaped, tint))
-        return Change(dropped, added, nodes, changed, shapes, tinted, colors, self._is_behind)
+        tint, colors = self._tints(eye, limit=TINTS if has_colors else 0)
+        added, changed, tinted = (places.view(np.uint32) for places in (add, shaped, tint))
+        return Change(*in_runs(drop), added, nodes, changed, shapes, tinted, colors, self._is_behind)
+
+    def holds(self, rows: Int32[Array, "v"]) -> Bool[Array, "v"]:
+        """Which of these rows the page holds."""
+        return np.asarray(self._slot_after[rows] != 0)
 
     def num_new(self, rows: Int32[Array, "v"]) -> int:
         """How many of these rows the page does not hold."""
@@ -135,14 +161,14 @@ class Slots:
             shapes[part.of_rows] = pack_shapes(part.gaussians, part.tree, part.places, dilations[part.of_rows])
         return slots, shapes
 
-    def _tints(self, eye: Array) -> tuple[Int32[Array, "t"], UInt32[Array, "t"]]:
+    def _tints(self, eye: Array, *, limit: int) -> tuple[Int32[Array, "t"], UInt32[Array, "t"]]:
         """The slots whose colours the eye has left behind, and their new colours."""
         if self._eyes is None or (not self._is_behind and self._eye is not None and np.array_equal(eye, self._eye)):
             return np.zeros(0, np.int32), np.zeros(0, np.uint32)
         self._eye = eye
         view, first = (eye, self._centre, EYE_SHARE), int(np.searchsorted(self.rows, self._first_behind))
         places, self._is_behind = stale(
-            self.slots, self._means, self._eyes, view, first % max(len(self.rows), 1), TINTS
+            self.slots, self._means, self._eyes, view, first % max(len(self.rows), 1), limit
         )
         rows, slots = self.rows[places], self.slots[places]
         if len(rows):

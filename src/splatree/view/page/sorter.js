@@ -5,7 +5,7 @@
 let means = new Float32Array(0), live = new Uint8Array(0), active = new Uint32Array(0);
 const counts = new Uint32Array(65537);
 
-function apply({ drop, add, points, capacity }) {
+function apply({ drop, runs, add, points, capacity }) {
   if (capacity) {
     means = new Float32Array(3 * capacity);
     live = new Uint8Array(capacity);
@@ -13,6 +13,7 @@ function apply({ drop, add, points, capacity }) {
     return;
   }
   for (const slot of drop) live[slot] = 0;
+  for (let i = 0; i < runs.length; i += 2) live.fill(0, runs[i], runs[i] + runs[i + 1]);
   for (let i = 0; i < add.length; i++) {
     const slot = add[i];
     live[slot] = 1;

@@ -36,7 +36,7 @@ export class Store {
       offset += 4 * count;
       return array;
     };
-    const change = { header, drop: part(header.drop), add: part(header.add), nodes: part(WORDS * header.add) };
+    const change = { header, drop: part(header.drop), runs: part(2 * header.runs), add: part(header.add), nodes: part(WORDS * header.add) };
     change.shaped = part(header.shape);
     change.shapes = part(2 * header.shape);
     change.tint = part(header.tint);
@@ -48,7 +48,8 @@ export class Store {
     for (let i = 0; i < header.add; i++) {
       for (let k = 0; k < 3; k++) points[3 * i + k] = floats[WORDS * i + k];
     }
-    this.worker.postMessage({ change: { drop: change.drop.slice(), add: change.add.slice(), points } }, [points.buffer]);
+    const { drop, runs, add } = change;
+    this.worker.postMessage({ change: { drop: drop.slice(), runs: runs.slice(), add: add.slice(), points } }, [points.buffer]);
   }
 
   /** Ask for the order of a view; the newest one follows when the worker is free. */
