@@ -27,7 +27,7 @@ from splatree.lod.present import (
     SMALL,
     Present,
 )
-from splatree.lod.region import EVERYWHERE
+from splatree.lod.region import EVERYWHERE, Region
 from splatree.lod.resolve import JUDGED_SIZE, measure, resolve
 from splatree.maths.covariance import covariances_from_gaussians
 from splatree.simplify.merge import weights_of
@@ -180,7 +180,7 @@ class Slow:
         merged = (1 - share) * both[0] + share * both[1] + share * (1 - share) * np.outer(apart, apart)
         return float(np.sqrt(np.linalg.eigvalsh(merged)[-1]))
 
-    def merge_level(self, size: float, pixel_size: float) -> np.ndarray:
+    def merge_level(self, size: float, pixel_size: float, is_frozen: np.ndarray) -> np.ndarray:
         """Where each row went."""
         went, is_classic, n = np.arange(len(self.g)), self.mode == "classic", len(self.g)
         dilation = 0.3 * pixel_size**2 if is_classic else 0.0
@@ -190,8 +190,9 @@ class Slow:
             if len(self.candidates[row]) < reference.NUM_NEIGHBORS * 3 // 4:
                 self.candidates[row] = self.nearest(row, np.delete(np.arange(n), row))
                 self.partners.pop(row, None)
-        while len(self.g) > 1:
+        while len(self.g) - is_frozen.sum() > 1:
             n = len(self.g)
+            num_left = n - is_frozen.sum()
             self.partners = {i: self.partners.get(i) or self.find_partner(i, dilation) for i in range(n)}
             representatives, num_pairs = np.full(n, -1, np.int32), 0
             for i in sorted(self.partners, key=lambda i: (self.partners[i][1], i)):
@@ -199,13 +200,14 @@ class Slow:
                 sigma = self.sigma(i, j)
                 allowed = cost <= CHANGE * size**2 and sigma <= LARGE * max(size, pixel_size)
                 allowed |= is_classic and sigma <= SMALL * pixel_size
-                free = representatives[i] < 0 and representatives[j] < 0
-                if allowed and free and num_pairs <= int(ROUND_SHARE * n):
+                free = representatives[i] < 0 and representatives[j] < 0 and not is_frozen[[i, j]].any()
+                if allowed and free and num_pairs <= int(ROUND_SHARE * num_left):
                     representatives[[i, j]] = i
                     num_pairs += 1
             if num_pairs:
-                went = self.merge(representatives, dilation)[went]
-            if num_pairs < LAST_SHARE * len(self.g):
+                to = self.merge(representatives, dilation)
+                went, is_frozen = to[went], is_frozen[np.unique(to, return_index=True)[1]]
+            if num_pairs < LAST_SHARE * (len(self.g) - is_frozen.sum()):
                 break
         return went
 
@@ -232,9 +234,11 @@ class Slow:
         return to
 
 
+@pytest.mark.parametrize("share_frozen", [0.0, 0.2])
 @pytest.mark.parametrize("mode", ["classic", "antialiased"])
-def test_levels_are_those_of_the_definition(mode):
+def test_levels_are_those_of_the_definition(mode, share_frozen):
     g = surface(50, seed=5)
+    frozen = np.random.default_rng(1).random(50) < share_frozen
     options = MergeOptions().resolved(mode, growth=2.0, of_pairs=True)
     weights = weights_of(g, options.weight)
     present = Present(g, weights, np.ones(50, np.float32), mode, options)
@@ -242,11 +246,14 @@ def test_levels_are_those_of_the_definition(mode):
     found = wanted = np.arange(50)
     for sizes in ((0.15, 0.3), (0.5, 0.4), (0.9, 0.5)):
         present.search(0)
-        found, wanted = present.merge_level(*sizes, 1, 0)[found], slow.merge_level(*sizes)[wanted]
+        of_present, of_slow = (np.isin(np.arange(went.max() + 1), went[frozen]) for went in (found, wanted))
+        found = present.merge_level(*sizes, 1, is_frozen=of_present)[found]
+        wanted = slow.merge_level(*sizes, of_slow)[wanted]
         # Of two that are each other's cheapest, rounding says which one stands for both: groups may have other numbers.
         firsts = [np.array([np.flatnonzero(went == group)[0] for group in went]) for went in (found, wanted)]
         np.testing.assert_array_equal(*firsts)
-    assert len(np.unique(wanted)) < 40
+        assert (np.bincount(found)[found[frozen]] == 1).all()
+    assert len(np.unique(wanted)) < 40 + 10 * share_frozen
 
 
 @pytest.mark.parametrize("mode", ["classic", "antialiased"])
@@ -261,7 +268,8 @@ def test_partners_kept_from_a_level_of_the_same_pixel_are_those_found_anew(mode)
         if mode == "classic":
             anew.partners.states[:] = STALE
             assert (kept.partners.states == FOUND).any() == (size > 0.2)
-        found, wanted = (present.merge_level(size, 0.01, 1, 0) for present in (kept, anew))
+        none = np.zeros(len(kept), bool)
+        found, wanted = (present.merge_level(size, 0.01, 1, is_frozen=none) for present in (kept, anew))
         np.testing.assert_array_equal(found, wanted)
         for name in NAMES:
             assert getattr(kept.gaussians, name).tobytes() == getattr(anew.gaussians, name).tobytes()
@@ -293,19 +301,45 @@ def test_the_record_names_the_rules_that_follow_from_the_mode():
     assert records["classic"]["visibility"]
 
 
-@given(st.integers(2, 300), st.integers(0, 1000), st.sampled_from(["classic", "antialiased"]), st.floats(-1, 1))
-def test_parts_that_wait_at_their_border_are_one_scene_with_nothing_lost(n, seed, mode, at):
+def leaves_at(scene, is_there, resolved):
+    """Some of the Gaussians of a scene, flat and as a forest, all of them seen."""
+    inputs = np.flatnonzero(is_there)
+    flat, seen = Scene.flat(scene.gaussians.take(inputs), mode=scene.mode), np.ones(len(inputs), np.float32)
+    return flat, forest_of_leaves(flat, resolved, inputs=inputs, visibilities=seen)
+
+
+def test_who_would_be_merged_across_a_border_waits_for_it():
+    """Four pairs in a row, the middle one across the border: it waits, and the others are merged as if there was no border."""
+    x = np.array([-2.02, -1.98, -0.02, 0.02, 1.98, 2.02, 3.98, 4.02], np.float32)
+    g = surface(8, seed=1)
+    like = np.zeros(8, int)  # all alike
+    g = replace(g.take(like), means=np.stack([x, 0 * x, 0 * x], axis=1))
+    scene, options = Scene.flat(g), replace(PAIRS, max_roots=1, follow=False, pixel_size=0.2)
+    resolved = resolve(options, measure(g, options, "classic"), "classic")
+    left = EVERYWHERE.halved(0, 0.0)[0]
+    is_left = left.holds(g.means)
+    inside, outside = (leaves_at(scene, side, resolved)[1] for side in (is_left, ~is_left))
+    part = grow_part_by_pairs(inside, resolved, Region(left, 10.0), outside, num_levels=1)
+    # The pair on the left, and the half of the one in the middle.
+    assert part.grown.tolist() == [1, 0] and part.counts == (3, 2)
+
+
+@given(
+    *(st.integers(2, 300), st.integers(0, 1000), st.sampled_from(["classic", "antialiased"]), st.floats(-1, 1)),
+    st.sampled_from([0.0, 0.1, 1.0]),
+)
+def test_parts_that_wait_at_their_border_are_one_scene_with_nothing_lost(n, seed, mode, at, reach):
     scene = Scene.flat(surface(n, seed=seed), mode=mode)
     options = replace(PAIRS, max_roots=1, follow=False)
     resolved = resolve(options, measure(scene.gaussians, options, mode), mode)
     parts = []
     for box in EVERYWHERE.halved(0, at):
-        inputs = np.flatnonzero(box.holds(scene.gaussians.means))
-        flat = Scene.flat(scene.gaussians.take(inputs), mode=mode)
+        distances, is_inside = box.distances(scene.gaussians.means), box.holds(scene.gaussians.means)
+        flat, forest = leaves_at(scene, is_inside, resolved)
         if not len(flat):
             continue
-        forest = forest_of_leaves(flat, resolved, inputs=inputs, visibilities=np.ones(len(flat), np.float32))
-        forest = grow_part_by_pairs(forest, resolved, box, fewest=n // 16)
+        around = leaves_at(scene, ~is_inside & (distances <= reach), resolved)[1]
+        forest = grow_part_by_pairs(forest, resolved, Region(box, reach), around, fewest=n // 16)
         parts.append(assemble(forest, flat, resolved))
     tree = graft(grow(forest_of_roots(parts, resolved), resolved), parts, resolved)
     leaves = np.flatnonzero(tree.tree.is_leaf)

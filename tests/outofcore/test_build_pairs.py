@@ -21,7 +21,7 @@ from splatree.outofcore.options import PAIR_CELL_ROWS, Room, cell_bytes
 from splatree.outofcore.work import new_array
 from splatree.simplify.visibility import visibilities_in
 
-from ..laws.hard_scenes import hard_scenes
+from ..laws.hard_scenes import hard_scene, hard_scenes
 from .conftest import check_is_drawn_as_the_whole_tree
 from .test_build_folder import SMALL, _build_and_die, check_is_tree_of, files_in
 
@@ -162,3 +162,22 @@ def test_what_is_seen_has_its_room_on_the_disk_before_it_is_written(tmp_path):
     array[-1] = 7
     array.flush()
     assert np.load(tmp_path / "seen.npy")[-1] == 7 and len(np.load(tmp_path / "seen.npy")) == 100_001
+
+
+def families_of(scene):
+    """The sets of leaves below merged nodes, as sums of random numbers of the leaves."""
+    leaves = scene.tree.is_leaf
+    numbers = np.random.default_rng(0).integers(0, 2**62, len(scene), np.int64)
+    sums = np.concatenate([[0], np.cumsum(np.where(leaves, numbers[np.where(leaves, scene.ids, 0)], 0))])
+    rows = np.flatnonzero(~leaves)
+    return sums[scene.tree.subtree_end[rows]] - sums[rows]
+
+
+def test_cells_merge_what_a_build_in_memory_merges_but_for_their_borders(tmp_path):
+    """Who would be merged across a border waits. Merged with a worse partner instead, it would be seen in pictures."""
+    path, options = tmp_path / "in.ply", replace(PAIRS, max_roots=1)
+    st.write(st.Scene.flat(hard_scene(3000, "surface", 3)), path)
+    wanted = families_of(st.build_lod(st.read(path), options))
+    built = st.build_folder(path, tmp_path / "out.splatree", options, st.FolderOptions(part_rows=300))
+    # 0.82; 0.67 where cells did not see what is around them. Cells of 300 rows are mostly border.
+    assert np.isin(wanted, families_of(st.read(built.path))).mean() > 0.78

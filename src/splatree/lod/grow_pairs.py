@@ -30,20 +30,18 @@ a Gaussian, are taken once a level in mode `classic` and where a partner has gon
 the level before, only by those whose candidates changed. Visibilities are measured once.
 """
 
-import dataclasses
 import math
 
 import numpy as np
 
 from splatree.constants import PIXEL_ERROR
-from splatree.kernels.cpu.build.thin import group, rows_by_group
+from splatree.kernels.cpu.build.thin import rows_by_group
 from splatree.lod.forest import Forest, NewLevel
 from splatree.lod.present import Present
-from splatree.lod.region import Box
+from splatree.lod.region import Region
 from splatree.lod.resolve import ResolvedBuild
 from splatree.progress import task
-from splatree.scene.gaussians import Gaussians
-from splatree.shapes import Array, Int32, Int64
+from splatree.shapes import Array, Bool, Int32
 
 __all__ = ["extent_of", "grow_by_pairs", "grow_part_by_pairs", "judged_at"]
 
@@ -59,7 +57,7 @@ def grow_by_pairs(
 ) -> Forest:
     """The forest with the levels of further pixel sizes, each merged as far as a view of that size does not show it.
 
-    A root that has gone through more sizes than others waits until they have caught up.
+    A root that has gone through more sizes than others waits until they have caught up, and holds up who would be merged with it.
 
     Args:
         forest: what has grown so far.
@@ -67,7 +65,7 @@ def grow_by_pairs(
         num_levels: sizes to go through; None: until at most ``max_roots`` nodes are left, or sizes end.
         threads: threads to use; 0: all.
     """
-    present = Present.of(forest, resolved, np.empty(0, np.int64))
+    present = Present.of(resolved, forest)
     fewest = resolved.max_roots if num_levels is None else 1
     with task("build levels", float(len(forest.roots))) as advance:
         for number, size in enumerate(resolved.sizes_from(forest.num_sizes, num_levels), forest.num_sizes):
@@ -77,13 +75,13 @@ def grow_by_pairs(
             if num_before <= fewest:
                 forest = forest.skipped()
                 continue
-            rows = rows_at(forest, number)
-            if len(rows) != len(present):
-                present = Present.of(forest, resolved, rows)
+            is_ahead = np.zeros(num_before, bool) if forest.grown is None else forest.grown > number
             present.search(threads)
-            most = max(1, fewest - (num_before - len(rows)))
-            group_from_row = present.merge_level(size, judged_at(size, resolved), most, threads)
-            forest = forest.with_level(level_of(forest, rows, present, group_from_row, size))
+            most = max(1, fewest - int(is_ahead.sum()))
+            group_from_row = present.merge_level(
+                size, judged_at(size, resolved), most, is_frozen=is_ahead, threads=threads
+            )
+            forest = forest.with_level(level_of(forest, present, group_from_row, is_ahead, size))
             advance(float(num_before - len(forest.roots)))
     return forest
 
@@ -91,7 +89,8 @@ def grow_by_pairs(
 def grow_part_by_pairs(
     forest: Forest,
     resolved: ResolvedBuild,
-    box: Box,
+    region: Region,
+    around: Forest,
     *,
     num_levels: int | None = None,
     fewest: int = 1,
@@ -99,30 +98,35 @@ def grow_part_by_pairs(
 ) -> Forest:
     """The forest with levels of what a part can merge without a look beyond its border.
 
-    A root whose candidates are farther than a side of the box may have nearer ones beyond it. It goes through no further size:
-    growth above all parts takes it on from there, beside those across the border that waited for it.
+    What is around the part stays as it is. A root that would be merged with it waits: it goes through no further size, and growth
+    above all parts takes it on from there, beside those across the border that waited for it. So does a root whose candidates
+    reach beyond what is known, and who would be merged with one that waits: nobody takes a worse partner because of a border.
 
     Args:
-        forest: all Gaussians of the scene in the box.
+        forest: all Gaussians of the scene in the box of the region.
         resolved: what was decided for the whole scene.
-        box: the box of the part.
+        region: the box of the part, and how much around it is known.
+        around: the Gaussians of the scene around the box, as far as they are known.
         num_levels: sizes to go through; None: until few enough roots are left that do not wait, or sizes end.
         fewest: so few.
         threads: threads to use; 0: all.
     """
-    present, rows = Present.of(forest, resolved, rows_at(forest, 0)), rows_at(forest, 0)
-    with task("build levels", float(len(rows))) as advance:
-        for number, size in enumerate(resolved.sizes_from(0, num_levels)):
-            if len(rows) <= fewest:
+    present, waits = Present.of(resolved, forest, around), np.zeros(len(forest.roots), bool)
+    are_around = np.ones(len(around.roots), bool)
+    with task("build levels", float(len(waits))) as advance:
+        for size in resolved.sizes_from(0, num_levels):
+            num_before = len(waits)
+            if num_before - waits.sum() <= fewest:
                 break
+            pixel_size = judged_at(size, resolved)
             present.search(threads)
-            waits = present.looks_out_of(box)
-            present, rows = present.of_rows(~waits, threads), rows[~waits]
-            num_before = len(forest.roots)
-            group_from_row = present.merge_level(size, judged_at(size, resolved), 1, threads)
-            forest = forest.with_level(level_of(forest, rows, present, group_from_row, size))
-            rows = rows_at(forest, number + 1)
-            advance(float(num_before - len(forest.roots)))
+            waits |= present.looks_out_of(region, num_before)
+            is_frozen = present.with_held_up(np.append(waits, are_around), size, pixel_size, threads)
+            group_from_row = present.merge_level(size, pixel_size, 1, is_frozen=is_frozen, threads=threads)[:num_before]
+            waits = is_frozen[:num_before]
+            forest = forest.with_level(level_of(forest, present, group_from_row, waits, size))
+            waits = np.isin(np.arange(len(forest.roots)), group_from_row[waits])
+            advance(float(num_before - len(waits)))
     return forest
 
 
@@ -136,62 +140,24 @@ def extent_of(size: float) -> np.float32:
     return np.float32(min(PIXEL_ERROR * size, FLOAT32_MAX))
 
 
-def rows_at(forest: Forest, num_sizes: int) -> Int64[Array, "_"]:
-    """The roots that have gone through so many sizes, by their place among the roots."""
-    if forest.grown is None:
-        return np.arange(len(forest.roots) if num_sizes == forest.num_sizes else 0)
-    return np.flatnonzero(forest.grown == num_sizes)
-
-
 def level_of(
-    forest: Forest, rows: Int64[Array, "p"], present: Present, group_from_row: Int32[Array, "p"], size: float
+    forest: Forest, present: Present, group_from_row: Int32[Array, "r"], waits: Bool[Array, "r"], size: float
 ) -> NewLevel:
-    """The level that merged some of the roots, ``rows``, to what is present now; the others stay as they are."""
-    start, by_group = rows_by_group(group_from_row, len(present))
-    assert forest.visibilities is not None
-    level = NewLevel(
+    """The level that merged the roots of a forest to the first rows that are present; those that wait do not go through it."""
+    num_left = int(group_from_row.max(initial=-1)) + 1
+    start, by_group = rows_by_group(group_from_row, num_left)
+    representatives, grown = by_group[start[:-1]], None
+    if waits.any() or forest.grown is not None:
+        before = np.full(len(waits), forest.num_sizes, np.int32) if forest.grown is None else forest.grown
+        grown = np.where(waits, before, np.int32(forest.num_sizes + 1))[representatives]
+    return NewLevel(
         size=size,
         rows=by_group,
         start=start[:-1],
-        representatives=by_group[start[:-1]],
-        merged=present.gaussians,
-        weights=present.weights,
-        visibilities=present.visibilities,
-        extents=np.full(len(present), extent_of(size)),
-    )
-    return level if len(rows) == len(forest.roots) else _among_others(forest, rows, level)
-
-
-def _among_others(forest: Forest, rows: Int64[Array, "p"], level: NewLevel) -> NewLevel:
-    """The level that some of the roots, ``rows``, have gone through, with the other roots as they are."""
-    n = len(forest.roots)
-    representatives = np.arange(n, dtype=np.int32)
-    first = rows[level.representatives]
-    representatives[rows[level.rows]] = np.repeat(first, np.diff(level.start, append=len(rows)))
-    groups = group(representatives)
-    takes_part = np.zeros(n, bool)
-    takes_part[rows] = True
-    takes_part = takes_part[groups.representatives]
-
-    def with_present(before: Array, now: Array) -> Array:
-        column = before[groups.representatives]
-        column[takes_part] = now
-        return column
-
-    columns = {
-        f.name: with_present(getattr(forest.present, f.name), getattr(level.merged, f.name))
-        for f in dataclasses.fields(Gaussians)
-    }
-    assert forest.visibilities is not None and level.visibilities is not None
-    grown = np.full(n, forest.num_sizes, np.int32) if forest.grown is None else forest.grown
-    return dataclasses.replace(
-        level,
-        rows=groups.rows,
-        start=groups.start[:-1],
-        representatives=groups.representatives,
-        merged=Gaussians(**columns),
-        weights=with_present(forest.root_weights, level.weights),
-        visibilities=with_present(forest.visibilities, level.visibilities),
-        extents=np.full(len(groups), extent_of(level.size)),
-        grown=with_present(grown, np.full(int(takes_part.sum()), forest.num_sizes + 1, np.int32)),
+        representatives=representatives,
+        merged=present.gaussians.rows(0, num_left),
+        weights=present.weights[:num_left],
+        visibilities=present.visibilities[:num_left],
+        extents=np.full(num_left, extent_of(size)),
+        grown=grown,
     )

@@ -1,8 +1,8 @@
 """The fourth pass: the levels of one cell.
 
 By a radius, a cell is loaded with as much around it as growing needs, seven times the radii together; where that is too little,
-half as much more, and again. Nothing is decided otherwise. By pairs, a cell is grown alone: what looks beyond its border waits,
-and is merged where it meets its neighbours, by the levels above.
+half as much more, and again. Nothing is decided otherwise. By pairs, what is around a cell stays as it is: who would be merged
+with it waits, and is merged where it meets its neighbours, by the levels above.
 
 What the cell owns is written as a part. Its roots are written again by themselves, as a cell of the work on the levels above,
 which goes the same way: cells of roots are grown to parts, whose leaves are copies of these roots. Where all roots fit in memory
@@ -27,7 +27,7 @@ from splatree.lod.grow_region import Owned, TooNarrowError, grow_region
 from splatree.lod.region import EVERYWHERE, Region
 from splatree.lod.shown import Shown, fit_shown, shown_above, shown_of_leaves
 from splatree.outofcore.follow import known_of_roots, seen_of
-from splatree.outofcore.load import Loaded, load, load_alone, reaches, with_harmonics
+from splatree.outofcore.load import Loaded, load, reaches, with_harmonics
 from splatree.outofcore.plan import Plan
 from splatree.outofcore.shuffle import write_bounds
 from splatree.outofcore.work import Work, read_array, write_array
@@ -38,6 +38,9 @@ from splatree.shapes import Array
 
 __all__ = ["grow_cell", "grow_cell_by_pairs", "grow_crown"]
 
+
+AROUND = 24.0
+"""Levels by pairs: how far around a cell is loaded, in pixels p_0: eight median Gaussians. Who looks farther waits."""
 
 FEWEST_SHARE = 16
 """Levels by pairs: a cell grows until one in so many of its rows is left, or waits at the border."""
@@ -53,7 +56,7 @@ def grow_cell(work: Work, plan: Plan, number: int, num_levels: int, threads: int
 
 
 def grow_cell_by_pairs(work: Work, plan: Plan, number: int, num_levels: int, threads: int = 0) -> dict[str, Any]:
-    """Grow a cell by pairs and write its part: as `grow_cell`, with no look at what is around it.
+    """Grow a cell by pairs and write its part: as `grow_cell`, where what is around it stays as it is.
 
     Args:
         work: where the pieces are.
@@ -62,21 +65,29 @@ def grow_cell_by_pairs(work: Work, plan: Plan, number: int, num_levels: int, thr
         num_levels: sizes to go through; 0: until a sixteenth of the rows is left, or to the end if this is the only cell.
         threads: threads to use; 0: all.
     """
-    loaded = load_alone(work, number)
-    seen = seen_of(work, plan, loaded.inputs)
-    scene = Scene.flat(loaded.gaussians, mode=plan.mode)
-    leaves = forest_of_leaves(scene, plan.resolved, inputs=loaded.inputs, visibilities=seen, threads=threads)
+    region = Region(plan.cells.boxes[number], AROUND * plan.resolved.judged_size)
+    both = load(work, plan, number, region.reach)
+    loaded, around = (both.take(np.flatnonzero(side)) for side in (both.cells == number, both.cells != number))
+    leaves, others = (_leaves_of(work, plan, part, threads) for part in (loaded, around))
     rows = leaves.base.order
     forest = replace(leaves, base=replace(leaves.base, order=np.arange(len(rows), dtype=np.int32)))
-    box, levels = plan.cells.boxes[number], num_levels or None
-    if box == EVERYWHERE:
+    levels = num_levels or None
+    if region.box == EVERYWHERE:
         forest = grow_by_pairs(forest, plan.resolved, num_levels=levels, threads=threads)
     else:
         fewest = 1 if num_levels else len(rows) // FEWEST_SHARE
-        forest = grow_part_by_pairs(forest, plan.resolved, box, num_levels=levels, fewest=fewest, threads=threads)
+        forest = grow_part_by_pairs(
+            forest, plan.resolved, region, others, num_levels=levels, fewest=fewest, threads=threads
+        )
     waiting = 0 if forest.grown is None else int((forest.grown < forest.num_sizes).sum())
     result: dict[str, Any] = {"merged": _merged(forest.sizes, forest.counts), "waiting": waiting}
     return result | _write_part(work, plan, number, forest, loaded, rows, leaves.visibilities, threads)
+
+
+def _leaves_of(work: Work, plan: Plan, loaded: Loaded, threads: int) -> Forest:
+    """Leaves by pairs, with what was measured of them in the whole scene."""
+    scene, seen = Scene.flat(loaded.gaussians, mode=plan.mode), seen_of(work, plan, loaded.inputs)
+    return forest_of_leaves(scene, plan.resolved, inputs=loaded.inputs, visibilities=seen, threads=threads)
 
 
 def grow_crown(work: Work, plan: Plan, number: int, argument: float = 0, threads: int = 0) -> dict[str, Any]:

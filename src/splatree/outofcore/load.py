@@ -14,7 +14,7 @@ from splatree.scene.gaussians import Gaussians
 from splatree.scene.roots import Roots
 from splatree.shapes import Array, Int32, Int64
 
-__all__ = ["Loaded", "load", "load_alone", "num_within", "reaches", "with_harmonics"]
+__all__ = ["Loaded", "load", "num_within", "reaches", "with_harmonics"]
 
 FIRST_REACH = 7.0
 """How far around a cell is loaded at first, in sums of the radii of its levels: of 112 cells of a city none needed more."""
@@ -37,6 +37,11 @@ class Loaded:
     """Its row there."""
     roots: Roots | None
     """Above parts, the state of growth of each."""
+
+    def take(self, rows: Array) -> "Loaded":
+        """Some of the rows."""
+        roots = None if self.roots is None else self.roots.take(rows)
+        return Loaded(self.gaussians.take(rows), self.inputs[rows], self.cells[rows], self.rows[rows], roots)
 
 
 def reaches(box: Box, radii: float) -> Iterator[float]:
@@ -87,15 +92,6 @@ def load(work: Work, plan: Plan, number: int, reach: float) -> Loaded:
     gaussians = Gaussians.concatenate([part[0] for part in parts])
     inputs, cells, rows_there = (np.concatenate([part[i] for part in parts]) for i in (1, 2, 3))
     return Loaded(gaussians, inputs, cells, rows_there, Roots.concatenate(states) if states else None)
-
-
-def load_alone(work: Work, number: int) -> Loaded:
-    """The rows of one cell."""
-    stored = open_scene(work.cell(number))
-    rows = stored.rows(0, len(stored))
-    assert rows.ids is not None
-    places = np.arange(len(stored), dtype=np.int64)
-    return Loaded(rows.gaussians, rows.ids.astype(np.int64), np.full(len(stored), number, np.int32), places, None)
 
 
 def with_harmonics(work: Work, plan: Plan, loaded: Loaded, rows: Array) -> Gaussians:

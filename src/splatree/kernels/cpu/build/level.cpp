@@ -22,14 +22,21 @@ class Level {
  public:
   explicit Level(const LevelJob& job)
       : job_(job), records_(allocate<PairRecord>(job.n)), is_new_(allocate<uint8_t>(job.n)), num_left_(job.n) {
-    std::iota(job.row_from_row, job.row_from_row + job.n, 0);
     std::memset(is_new_.get(), 0, job.n);
     parallel_ranges(job.n, GRAIN, job.threads, [&](int64_t begin, int64_t end) {
       for (int64_t row = begin; row < end; ++row) read_record(row);
     });
   }
 
+  void find_partners() const {
+    parallel_ranges(job_.n, GRAIN, job_.threads, [&](int64_t begin, int64_t end) {
+      for (int64_t row = begin; row < end; ++row) find_stale(row);
+    });
+  }
+
   int64_t merge() {
+    std::iota(job_.row_from_row, job_.row_from_row + job_.n, 0);
+    for (int64_t row = 0; row < job_.n; ++row) num_left_ -= job_.is_frozen[row];
     while (num_left_ > job_.limits.num_enough) {
       const int64_t most = static_cast<int64_t>(job_.limits.round_share * static_cast<double>(num_left_)) + 1;
       Scratch<KeyRow> listed;
@@ -48,6 +55,8 @@ class Level {
  private:
   bool is_left(int64_t row) const { return job_.row_from_row[row] == row; }
 
+  bool is_frozen(int64_t row) const { return job_.is_frozen[row]; }
+
   void read_record(int64_t row) const {
     PairJob job{};
     job.means = job_.means, job.quats = job_.quats, job.log_scales = job_.log_scales;
@@ -57,11 +66,16 @@ class Level {
     records_[row] = record_of(job, row);
   }
 
+  void find_stale(int64_t row) const {
+    if (job_.partners.states[row] == STALE) find_partner(records_.get(), row, job_.limits.dilation, job_.partners);
+  }
+
   bool may_merge(int64_t row) const {
     const PartnerColumns& partners = job_.partners;
     const LevelLimits& limits = job_.limits;
     const bool is_cheap = partners.costs[row] <= limits.cost;
-    if (partners.rows[row] < 0 || !(is_cheap || partners.least_sigmas[row] <= limits.small_sigma)) return false;
+    if (partners.rows[row] < 0 || is_frozen(row) || is_frozen(partners.rows[row])) return false;
+    if (!(is_cheap || partners.least_sigmas[row] <= limits.small_sigma)) return false;
     const float sigma = merged_sigma(records_[row], records_[partners.rows[row]], limits.dilation);
     return (is_cheap && sigma <= limits.sigma) || sigma <= limits.small_sigma;
   }
@@ -73,7 +87,7 @@ class Level {
       std::vector<KeyRow>& part = parts[begin / GRAIN];
       for (int64_t row = begin; row < end; ++row) {
         if (!is_left(row)) continue;
-        if (job_.partners.states[row] == STALE) find_partner(records_.get(), row, job_.limits.dilation, job_.partners);
+        find_stale(row);
         if (may_merge(row)) part.push_back(by_cost(job_.partners.costs[row], row));
       }
     });
@@ -156,5 +170,7 @@ class Level {
 }  // namespace
 
 int64_t merge_level(const LevelJob& job) { return Level(job).merge(); }
+
+void find_partners(const LevelJob& job) { Level(job).find_partners(); }
 
 }  // namespace splatree

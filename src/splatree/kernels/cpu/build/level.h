@@ -25,9 +25,14 @@ struct LevelJob {
   PartnerColumns partners;
   MergeJob rules;  // of merging: rule to `added`, and k
   LevelLimits limits;
-  int32_t* row_from_row;  // out: the row that each has become part of
+  const uint8_t* is_frozen;  // n: rows that stay as they are, and hold up whose cheapest partner they are
+  int32_t* row_from_row;     // out: the row that each has become part of
   int threads;
 };
+
+// Finds the partner of each row for which it is to be found. Limits and what is merged by are not looked at, but for the
+// dilation.
+void find_partners(const LevelJob& job);
 
 // Returns how many rows are left, those that have become part of themselves.
 int64_t merge_level(const LevelJob& job);

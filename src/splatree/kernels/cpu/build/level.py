@@ -8,9 +8,9 @@ from splatree.kernels.cpu import _core
 from splatree.kernels.cpu.build.partners import Partners
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.thinning import MergeOptions
-from splatree.shapes import Array, Float32, Int32
+from splatree.shapes import Array, Bool, Float32, Int32
 
-__all__ = ["LevelLimits", "merge_level"]
+__all__ = ["LevelLimits", "find_partners", "merge_level"]
 
 
 @dataclass(frozen=True)
@@ -35,6 +35,19 @@ class LevelLimits:
     """So few Gaussians need no further round."""
 
 
+def find_partners(
+    gaussians: Gaussians,
+    weights: Float32[Array, "n"],
+    visibilities: Float32[Array, "n"],
+    partners: Partners,
+    dilation: float,
+    *,
+    threads: int = 0,
+) -> None:
+    """Find the partners that are stale, in place, by costs with that dilation: `merge_level` would find the same ones first."""
+    _core.find_partners(gaussians, weights, visibilities, partners, dilation, threads)
+
+
 def merge_level(
     gaussians: Gaussians,
     weights: Float32[Array, "n"],
@@ -44,13 +57,19 @@ def merge_level(
     *,
     added: float,
     limits: LevelLimits,
+    is_frozen: Bool[Array, "n"],
     threads: int = 0,
 ) -> Int32[Array, "n"]:
     """Merge pairs until few may merge, in place: of two that become one, the first row becomes both. ``merge`` resolved.
+
+    Frozen rows stay as they are, and so does each row while its cheapest partner is frozen.
 
     Returns:
         The row that each has become part of. Other rows than these hold nothing any more.
     """
     row_from_row = np.empty(len(gaussians), np.int32)
-    _core.merge_level(gaussians, weights, visibilities, partners, merge, added, limits, row_from_row, threads)
+    frozen = is_frozen.view(np.uint8)
+    _core.merge_level(
+        *(gaussians, weights, visibilities, partners, merge, added, limits, frozen, row_from_row, threads)
+    )
     return row_from_row
