@@ -5,12 +5,17 @@ each scene (levels.py) at 960 × 540 px. A budget is a share of the leaves in vi
 leaves; better ones than 60 dB count as that. Milliseconds are of the processor, for the selection of a view alone, the cheaper of
 two.
 
+``--limit 40`` asks instead what could be saved at that PSNR, at 1920 × 1080 px, by one who knows the picture. Of all leaves, and
+of the cut of each of ``--cut-quality`` with occlusion, those are left out that show the least in the view itself: the sum over
+the tiles of a node of (Σ α T)². The number that is left out is found by halving.
+
 ``--pixel-error 2 4 8`` asks instead whether a τ_R means the same with occlusion as without: both cuts of each τ_R, their PSNR
 and their nodes.
 """
 
 import argparse
 import time
+from dataclasses import replace
 from typing import get_args
 
 import numpy as np
@@ -18,6 +23,7 @@ import numpy as np
 import splatree as st
 from harness import save, table
 from levels import BEST_DB, SCENES, views_of
+from pays import large
 from splatree.scene.frame import Selection
 from splatree.scene.thinning import Method
 
@@ -28,20 +34,29 @@ def main() -> None:
     parser.add_argument("--method", choices=get_args(Method), default="pairs")
     parser.add_argument("--shares", nargs="+", type=float, default=[2, 5, 10, 20, 40])
     parser.add_argument("--pixel-error", nargs="+", type=float, default=[])
+    parser.add_argument("--limit", type=float)
+    parser.add_argument("--cut-quality", nargs="+", type=float, default=[40.5, 42, 44])
+    parser.add_argument("--views", nargs="+", default=["near", "low", "street", "middle", "orbit", "far"])
     arguments = parser.parse_args()
     rows: list[dict[str, object]] = []
     for name in arguments.scenes:
         read = st.read(SCENES[name])
         flat = st.Scene.flat(read.gaussians.take(read.tree.is_leaf).with_sh_degree(0), mode=read.mode)
-        views = {key: view.resized(960, 540) for key, view in views_of(flat).items()}
+        views = {key: view for key, view in views_of(flat).items() if key in arguments.views}
+        views = {key: large(view) if arguments.limit else view.resized(960, 540) for key, view in views.items()}
         with st.open_session(st.build_lod(flat, st.BuildOptions(arguments.method))) as session:
             for key, view in views.items():
                 what: dict[str, object] = {"scene": name, "view": key}
-                if arguments.pixel_error:
+                if arguments.limit:
+                    rows += limits(session, view, arguments.limit, arguments.cut_quality, what)
+                elif arguments.pixel_error:
                     rows += by_size(session, view, arguments.pixel_error, what)
                 else:
                     rows += of_view(session, view, arguments.shares, what)
     print(table(rows))
+    if arguments.limit:
+        save("occlusion_limit", rows, about="Nodes at a PSNR if those are left out that show least in the view itself")
+        return
     if arguments.pixel_error:
         print(table(means(rows)))
         save("occlusion_meaning", rows, about="Cuts of a τ_R with occlusion and without")
@@ -88,6 +103,38 @@ def by_size(
             row[f"{name}, dB"] = min(st.psnr(np.clip(drawn.image, 0, 1), truth), BEST_DB)
             row[f"{name}, % of leaves"] = 100 * drawn.counters.num_selected / num_leaves
         rows.append(row)
+        print(rows[-1], flush=True)
+    return rows
+
+
+def limits(
+    session: st.Session, view: st.Camera, wanted: float, qualities: list[float], what: dict[str, object]
+) -> list[dict[str, object]]:
+    """A row for all leaves, for the cut of the PSNR itself, and for finer ones: nodes before and after some are left out."""
+    truth, num_leaves = all_leaves(session, view)
+    cuts = {"leaves": st.SelectOptions(pixel_error=0)}
+    cuts |= {
+        f"cut of {quality:g} dB": st.SelectOptions(quality=quality, occlusion=True) for quality in [wanted, *qualities]
+    }
+    rows = []
+    for name, select in cuts.items():
+        found = session.select(view, select=select)
+        frame = session.trace(view, st.Wanted(contributions=True), select=lambda view, threads=0, found=found: found)
+        per_pair = frame.contributions.astype(np.float64)
+        shown = np.bincount(frame.bins.splat_from_pair, per_pair**2, len(frame.splats))
+        by_light = frame.splats.rows[np.argsort(shown)]  # rows without a splat show nothing
+
+        def psnr(num_left_out: int, found: Selection = found, by_light: np.ndarray = by_light) -> float:
+            left = replace(found, rows=np.sort(by_light[num_left_out:]))
+            image = session.draw(view, select=lambda view, threads=0: left).image
+            return min(st.psnr(np.clip(image, 0, 1), truth), BEST_DB)
+
+        fewest, most = 0, len(by_light)
+        while most - fewest > max(1, num_leaves // 500):
+            middle = (fewest + most) // 2
+            fewest, most = (middle, most) if psnr(middle) >= wanted else (fewest, middle)
+        rows.append(what | {"of": name, "dB": psnr(0), "nodes, % of leaves": 100 * len(found) / num_leaves})
+        rows[-1] |= {f"left at {wanted:g} dB, % of leaves": 100 * (len(by_light) - fewest) / num_leaves}
         print(rows[-1], flush=True)
     return rows
 
