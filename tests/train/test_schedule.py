@@ -74,6 +74,14 @@ def test_photographs_grow_and_are_never_smaller_than_they_may_be():
     assert [Schedule(TrainOptions(), 8, 8, PIXELS).division(share) for share in shares] == [8, 8, 8, 8]
 
 
+def test_pictures_are_smaller_than_at_last_but_for_a_tree_that_grows():
+    shares = (0, 0.3, 0.65, 1)
+    assert [Schedule(TrainOptions(), 1, 8, PIXELS).times_smaller(share) for share in shares] == [4, 2, 2, 1]
+    assert [Schedule(TrainOptions(), 2, 8, PIXELS).times_smaller(share) for share in shares] == [2, 2, 1, 1]
+    grown = Schedule(TrainOptions(levels="grow"), 2, 8, PIXELS)
+    assert [grown.times_smaller(share) for share in shares] == [1, 1, 1, 1]
+
+
 def test_high_harmonics_come_late():
     schedule = Schedule(TrainOptions(degree=3), 1, 1, PIXELS)
     assert [schedule.sh_degree(share) for share in (0, 0.49, 0.5, 1)] == [1, 1, 3, 3]

@@ -201,7 +201,8 @@ def _step(work: Work, state: State, drawing: Drawing) -> None:
     division = work.schedule.division(share)
     target = work.targets.at(i, division)
     now = rates(share, extent, state.rows.moments, state.rows.gaussians.sh.shape[1])
-    drawing = replace(drawing, sh_degree=work.schedule.sh_degree(share))
+    sh_degree, times_smaller = work.schedule.sh_degree(share), work.schedule.times_smaller(share)
+    drawing = replace(drawing, sh_degree=sh_degree, times_smaller=times_smaller)
     loss, image = learn(state.rows, state.seen, target, state.exposures.of(i), now, extent, drawing)
     if work.options.exposure != "none" and share >= EXPOSURE_BEGINS:
         state.exposures.visit(i, loss, image, target.photo, target.mask)

@@ -85,6 +85,13 @@ class Schedule:
         division = next((k for end, k in steps if share < end), self.finest)
         return max(min(division, self.coarsest), self.finest)
 
+    def times_smaller(self, share: float) -> int:
+        """How many times smaller photographs are than at last, for the dilation (train/step.py).
+
+        1 where a tree grows: its upper levels are drawn small, with the dilation of large pictures, and learn for that.
+        """
+        return 1 if self.options.levels == "grow" else self.division(share) // self.finest
+
     def count_target(self, share: float, num_start: int) -> int:
         """Gaussians that there should be: n0 + (N − n0) min(1, p / ½)^0.8, of which small photographs allow but some."""
         more = self.options.max_gaussians - num_start

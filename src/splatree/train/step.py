@@ -2,13 +2,20 @@
 
     project ─► bin ─► blend ─► loss ─► blend backward ─► project backward ─► step of the optimiser
 
-Training draws with the stages of `render`, at τ = 1/255 and exact tiles: what is learned is what is drawn.
+Training draws with the stages of `render`, at τ = 1/255 and exact tiles: what is learned is what is drawn. Pixels of a small
+photograph are means of k × k pixels of a large one. There a splat would have its dilation δ, and its mean over k × k pixels is
+wider by their variance, so in pixels of the small one its dilation is
+
+    δ_k = (δ + (k² − 1) / 12) / k²
+
+With δ itself a run would learn from small photographs splats that are too thin for large ones.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
+from splatree.constants import DILATION_PX2
 from splatree.kernels.contract import TrainingStages
 from splatree.scene.cameras import Camera
 from splatree.scene.frame import Picture, Splats, TileBins
@@ -45,10 +52,14 @@ class Drawing:
     """Degree of the harmonics that are drawn."""
     threads: int
     """Threads; 0: all there are."""
+    times_smaller: int = 1
+    """k: pixels of the pictures that the scene is meant for, along each side of a pixel that is drawn."""
 
     def view(self, camera: Camera) -> View:
         """The view of a camera."""
-        return View(camera, mode=self.mode, sh_degree=self.sh_degree)
+        pixels = self.times_smaller**2
+        dilation_px2 = (DILATION_PX2 + (pixels - 1) / 12) / pixels
+        return View(camera, mode=self.mode, sh_degree=self.sh_degree, dilation_px2=dilation_px2)
 
 
 def drawn(gaussians: Gaussians, view: View, drawing: Drawing) -> tuple[Splats, TileBins, Picture]:
