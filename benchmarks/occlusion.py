@@ -7,7 +7,8 @@ two.
 
 ``--limit 40`` asks instead what could be saved at that PSNR, at 1920 × 1080 px, by one who knows the picture. Of all leaves, and
 of the cut of each of ``--cut-quality`` with occlusion, those are left out that show the least in the view itself: the sum over
-the tiles of a node of (Σ α T)². The number that is left out is found by halving.
+the tiles of a node of (Σ α T)². The number that is left out is found by halving. What nodes show is also taken from a picture of
+half the size.
 
 ``--pixel-error 2 4 8`` asks instead whether a τ_R means the same with occlusion as without: both cuts of each τ_R, their PSNR
 and their nodes.
@@ -119,22 +120,29 @@ def limits(
     rows = []
     for name, select in cuts.items():
         found = session.select(view, select=select)
-        frame = session.trace(view, st.Wanted(contributions=True), select=lambda view, threads=0, found=found: found)
-        per_pair = frame.contributions.astype(np.float64)
-        shown = np.bincount(frame.bins.splat_from_pair, per_pair**2, len(frame.splats))
-        by_light = frame.splats.rows[np.argsort(shown)]  # rows without a splat show nothing
+        row = what | {"of": name, "nodes, % of leaves": 100 * len(found) / num_leaves}
+        for size in (1.0, 0.5):
+            frame = session.trace(
+                view.scaled(size), st.Wanted(contributions=True), select=lambda view, threads=0, found=found: found
+            )
+            per_pair = frame.contributions.astype(np.float64)
+            shown = np.bincount(frame.bins.splat_from_pair, per_pair**2, len(frame.splats))
+            by_light = frame.splats.rows[np.argsort(shown)]
+            by_light = np.concatenate(
+                [np.setdiff1d(found.rows, by_light), by_light]
+            )  # without a splat they show nothing
 
-        def psnr(num_left_out: int, found: Selection = found, by_light: np.ndarray = by_light) -> float:
-            left = replace(found, rows=np.sort(by_light[num_left_out:]))
-            image = session.draw(view, select=lambda view, threads=0: left).image
-            return min(st.psnr(np.clip(image, 0, 1), truth), BEST_DB)
+            def psnr(num_left_out: int, found: Selection = found, by_light: np.ndarray = by_light) -> float:
+                left = replace(found, rows=np.sort(by_light[num_left_out:]))
+                image = session.draw(view, select=lambda view, threads=0: left).image
+                return min(st.psnr(np.clip(image, 0, 1), truth), BEST_DB)
 
-        fewest, most = 0, len(by_light)
-        while most - fewest > max(1, num_leaves // 500):
-            middle = (fewest + most) // 2
-            fewest, most = (middle, most) if psnr(middle) >= wanted else (fewest, middle)
-        rows.append(what | {"of": name, "dB": psnr(0), "nodes, % of leaves": 100 * len(found) / num_leaves})
-        rows[-1] |= {f"left at {wanted:g} dB, % of leaves": 100 * (len(by_light) - fewest) / num_leaves}
+            fewest, most = 0, len(by_light)
+            while most - fewest > max(1, num_leaves // 500):
+                middle = (fewest + most) // 2
+                fewest, most = (middle, most) if psnr(middle) >= wanted else (fewest, middle)
+            row |= {"dB": psnr(0), f"left by a picture of size {size:g}": 100 * (len(by_light) - fewest) / num_leaves}
+        rows.append(row)
         print(rows[-1], flush=True)
     return rows
 
