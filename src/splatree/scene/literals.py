@@ -8,7 +8,6 @@ of other kinds, such as arrays, are left to `splatree.shapes.check_fields`. A pa
 import dataclasses
 import difflib
 import numbers
-from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 from types import NoneType, UnionType
@@ -29,6 +28,7 @@ _ABSTRACT_FROM_TYPE: Final[dict[type, Any]] = {
     NoneType: NoneType,
 }
 """NumPy's numbers count as numbers too."""
+_PLAIN: Final[dict[type, type]] = {Path: type(Path())}
 _WORDS_FROM_TYPE: Final[dict[type, str]] = {
     float: "a number",
     int: "a whole number",
@@ -50,6 +50,8 @@ class _Choices:
     """Values named by ``Literal``."""
     types: tuple[Any, ...]
     """Other types, any value of which is allowed."""
+    plain: frozenset[type]
+    """Python's own types among them: most values are of these, and views are made for each frame."""
 
     def allows(self, value: object) -> bool:
         if any(type(value) is type(allowed) and value == allowed for allowed in self.values):
@@ -70,6 +72,8 @@ def check_literals(struct: Any) -> None:
     struct_type: Any = type(struct)
     for name, choices in _choices_from_field(struct_type).items():
         value = getattr(struct, name)
+        if type(value) in choices.plain:
+            continue
         if isinstance(value, str) and Path in choices.types and str not in choices.types:
             value = Path(value)
             object.__setattr__(struct, name, value)
@@ -79,11 +83,13 @@ def check_literals(struct: Any) -> None:
 
 
 def _is_of(value: object, kind: Any) -> bool:
+    if type(value) is int and kind is int:
+        return abs(value) <= _LARGEST
     if get_origin(kind) is tuple:
         parts = get_args(kind)
-        if not isinstance(value, Sequence | np.ndarray) or isinstance(value, str) or len(value) != len(parts):
+        if not isinstance(value, tuple | list | np.ndarray) or len(value) != len(parts):
             return False
-        return all(_is_of(part, float) for part in value)
+        return all(type(part) is float or _is_of(part, float) for part in value)
     if isinstance(value, bool | np.bool_) and kind is not bool:
         return False
     if kind is int and isinstance(value, numbers.Integral):
@@ -112,7 +118,11 @@ def _choices_from_field(struct: Any) -> dict[str, _Choices]:
         literals = [option for option in options if get_origin(option) is Literal]
         others = tuple(option for option in options if option not in literals)
         if all(map(_can_be_checked, others)):
-            found[field.name] = _Choices(tuple(value for literal in literals for value in get_args(literal)), others)
+            plain = frozenset(
+                _PLAIN.get(kind, kind) for kind in others if kind is not int and get_origin(kind) is not tuple
+            )
+            values = tuple(value for literal in literals for value in get_args(literal))
+            found[field.name] = _Choices(values, others, plain)
     return found
 
 
