@@ -18,7 +18,7 @@ from .conftest import small_pages
 def folder(ply, tmp_path_factory):
     """A folder of a few parts and pages: a request to a server takes longer than a page of this machine."""
     with small_pages(400):
-        options, running = st.BuildOptions(radius=0.1, max_roots=4), st.FolderOptions(part_rows=500)
+        options, running = st.BuildOptions(radius=0.1, max_roots=4, follow=False), st.FolderOptions(part_rows=500)
         return st.build_folder(ply, tmp_path_factory.mktemp("elsewhere") / "city.splatree", options, running).path
 
 
