@@ -117,7 +117,7 @@ def set_in(*keys, value):
         (set_in("__metadata__", "version", value="3"), "newer splatree"),
         (set_in("__metadata__", "mode", value='"blurry"'), "wanted 'classic' or 'antialiased'"),
         (set_in("__metadata__", "mode", value="[1]"), "mode"),
-        (set_in("__metadata__", "threshold", value='"x"'), "not supported"),
+        (set_in("__metadata__", "threshold", value='"x"'), "threshold: found 'x', wanted a number"),
         (set_in("__metadata__", "threshold", value="NaN"), "threshold"),
         (set_in("__metadata__", "source", value="[]"), "wanted an object"),
         (lambda h: h["__metadata__"].pop("threshold"), "no key 'threshold'"),

@@ -113,7 +113,7 @@ def test_rows_that_are_not_there_are_refused(tmp_path, rows):
         (set_in("tree.extents", "dtype", value="I32"), "tree.extents: found int32"),
         (set_in("__metadata__", "mode", value='"blurry"'), "mode: found 'blurry'"),
         (set_in("__metadata__", "threshold", value="2"), "threshold: found 2"),
-        (set_in("__metadata__", "threshold", value='"x"'), "not supported"),
+        (set_in("__metadata__", "threshold", value='"x"'), "threshold: found 'x', wanted a number"),
         (set_in("__metadata__", "version", value="3"), "newer splatree"),
         (set_in("__metadata__", "tree.record", value="{}"), "level record"),
     ],
