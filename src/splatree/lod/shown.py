@@ -9,7 +9,7 @@ each of its roots what the leaves below it show at the pixel of every level, and
 All of this adds up from children to parents, so a node above parts has the curve that its leaves give it. Covariances are added
 around the means of parts, so that nothing cancels. The equations are those of kernels/reference/curves.py.
 
-Cost: 0.1 processor seconds a million leaves. Memory: 14 + 2 d float64 for each root and node, d ≤ 30 dilations.
+Cost: 0.1 processor seconds a million leaves. 14 + 2 d float64 for each root and node, d ≤ 30 dilations, lie in a file.
 """
 
 from collections.abc import Sequence
@@ -28,7 +28,10 @@ from splatree.maths.rotations import quats_from_matrices
 from splatree.scene.gaussians import Gaussians
 from splatree.shapes import Array, Float32, Float64, Int64, check_fields
 
-__all__ = ["Shown", "dilations_of", "fit_shown", "shown_above", "shown_of_leaves"]
+__all__ = ["NODES_AT_A_TIME", "Shown", "dilations_of", "fit_shown", "shown_above", "shown_of_leaves"]
+
+NODES_AT_A_TIME = 1 << 15
+"""Nodes whose numbers are in memory together, 600 bytes each; those of all others may lie in a file."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,15 +53,6 @@ class Shown:
 
     def __post_init__(self) -> None:
         check_fields(self)
-
-    def take(self, rows: Array | slice) -> "Shown":
-        """Those of some of the nodes."""
-        return Shown(*(getattr(self, f.name)[rows] for f in fields(self)))
-
-    @staticmethod
-    def concatenate(parts: Sequence["Shown"]) -> "Shown":
-        """Those of several lists of nodes, one after the other; at least one."""
-        return Shown(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Shown)))
 
     def added(self, start: Int64[Array, "g"]) -> "Shown":
         """Of groups of nodes that follow each other; ``start`` is the first of each."""
@@ -120,16 +114,22 @@ def shown_of_leaves(
     return Shown(moments.alphas, moments.weights, moments.means, moments.covariances, *masses)
 
 
-def shown_above(base: Shown, families: Sequence[Families]) -> Shown:
-    """What the leaves of new nodes show, from the finest level up, given that of the nodes which growth began with."""
-    num_base, num_new = len(base.alphas), sum(len(level.start) for level in families)
-    columns = {f.name: getattr(base, f.name) for f in fields(Shown)}
-    nodes = Shown(*(np.concatenate([column, np.empty((num_new, *column.shape[1:]))]) for column in columns.values()))
+def shown_above(columns: Float64[Array, "n c"], families: Sequence[Families]) -> None:
+    """Fill in what the leaves of new nodes show, from the finest level up; the nodes which growth began with are there.
+
+    Args:
+        columns: what the leaves of each node show (`Shown.columns`); may be mapped from a file.
+        families: the nodes of each level, and their children.
+    """
     for level in families:
-        added = nodes.take(level.children).added(level.start)
-        for name in columns:
-            getattr(nodes, name)[level.parents] = getattr(added, name)
-    return nodes.take(slice(num_base, None))
+        ends = np.append(level.start[1:], len(level.children))
+        first = 0
+        while first < len(ends):
+            last = max(first + 1, int(np.searchsorted(ends, level.start[first] + NODES_AT_A_TIME, side="right")))
+            start = level.start[first:last] - level.start[first]
+            children = level.children[level.start[first] : ends[last - 1]]
+            columns[level.parents[first:last]] = Shown.of_columns(columns[children]).added(start).columns()
+            first = last
 
 
 def fit_shown(

@@ -32,7 +32,7 @@ from splatree.scene.gaussians import Gaussians
 from splatree.scene.tree import GaussianTree
 from splatree.shapes import Array, Float32, Float64, Int64
 
-__all__ = ["known_of_roots", "seen_of", "with_followed_nodes"]
+__all__ = ["SHAPE", "known_of_roots", "seen_of", "with_followed_nodes"]
 
 PIECE_ROWS = 1 << 19
 """Rows of the crown that are fitted together: 200 bytes each."""

@@ -12,6 +12,7 @@ together, they are one cell, and its part is the crown.
 from collections.abc import Iterable, Sequence
 from dataclasses import fields, replace
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,12 +26,12 @@ from splatree.lod.grow import grow
 from splatree.lod.grow_pairs import grow_by_pairs, grow_part_by_pairs
 from splatree.lod.grow_region import Owned, TooNarrowError, grow_region
 from splatree.lod.region import EVERYWHERE, Region
-from splatree.lod.shown import Shown, fit_shown, shown_above, shown_of_leaves
-from splatree.outofcore.follow import known_of_roots, seen_of
+from splatree.lod.shown import NODES_AT_A_TIME, Shown, fit_shown, shown_above, shown_of_leaves
+from splatree.outofcore.follow import SHAPE, known_of_roots, seen_of
 from splatree.outofcore.load import Loaded, load, reaches, with_harmonics
 from splatree.outofcore.plan import Plan
 from splatree.outofcore.shuffle import write_bounds
-from splatree.outofcore.work import Work, read_array, write_array
+from splatree.outofcore.work import Work, new_array, read_array, write_array
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Scene, Source
 from splatree.scene.tree import GaussianTree
@@ -165,20 +166,41 @@ def _with_copies(work: Work, plan: Plan, part: Scene) -> Scene:
 
 def _following(work: Work, plan: Plan, part: Scene, forest: Forest, loaded: Loaded, rows: Array) -> Scene:
     """The crown with nodes that follow the pixel they are drawn at, by what the leaves below their roots show."""
-    parts = [(file, loaded.rows[loaded.cells == file]) for file in np.unique(loaded.cells)]  # in the order of loading
-    base = Shown.concatenate([Shown.of_columns(read_array(work.shown(int(file)))[own]) for file, own in parts])
-    shown = shown_above(base.take(rows), forest.families)
     merged = Gaussians.concatenate(list(forest.columns[1:]))
     extents = np.concatenate([level.extents for level in forest.families if level.extents is not None])
-    merged, found = fit_shown(merged, extents, shown, plan.resolved)
     at = order_of(forest).row_from_node[len(rows) :]
-    columns = {f.name: getattr(part.gaussians, f.name).copy() for f in fields(Gaussians)}
-    for name in ("means", "quats", "log_scales", "logit_opacities"):
-        columns[name][at] = getattr(merged, name)
+    columns = {name: getattr(part.gaussians, name).copy() for name in SHAPE}
     assert part.tree.curves is not None
     curves = part.tree.curves.copy()
-    curves[at] = found
-    return replace(part, gaussians=Gaussians(**columns), tree=replace(part.tree, curves=curves))
+    path = work.folder / "shown_above.bin"
+    try:
+        shown = _shown_of_roots(work, loaded, rows, len(merged), path)
+        shown_above(shown, forest.families)
+        for begin in range(0, len(merged), NODES_AT_A_TIME):
+            some = slice(begin, min(begin + NODES_AT_A_TIME, len(merged)))
+            of_nodes, nodes = Shown.of_columns(shown[len(rows) :][some]), merged.rows(some.start, some.stop)
+            fitted, curves[at[some]] = fit_shown(nodes, extents[some], of_nodes, plan.resolved)
+            for name, column in columns.items():
+                column[at[some]] = getattr(fitted, name)
+    finally:
+        path.unlink(missing_ok=True)
+    return replace(part, gaussians=replace(part.gaussians, **columns), tree=replace(part.tree, curves=curves))
+
+
+def _shown_of_roots(work: Work, loaded: Loaded, rows: Array, num_new: int, path: Path) -> Array:
+    """What the leaves below roots show, in the order of ``rows``, with room for new nodes behind them: a mapped file."""
+    place = np.empty(len(rows), np.int64)
+    place[rows] = np.arange(len(rows))
+    shown, first = np.empty((0, 0)), 0
+    for file in np.unique(loaded.cells):  # in the order of loading
+        own = loaded.rows[loaded.cells == file]
+        of_part = read_array(work.shown(int(file)))
+        if not shown.size:
+            numbers = np.dtype([("shown", np.float64, of_part.shape[1])])
+            shown = new_array(path, len(rows) + num_new, numbers)["shown"]
+        shown[place[first : first + len(own)]] = of_part[own]
+        first += len(own)
+    return shown
 
 
 def _write_roots(
