@@ -1,15 +1,16 @@
 """Cuts of our levels against static sets, at equal visible nodes: the table that finds where levels lose.
 
-``python benchmarks/levels.py [--scenes ...] [--shares 2 5 10 20 40 80] [--peer-shares 10 40]`` needs the shared scenes. A scene
-is thinned by pairs to a share of its Gaussians, and by splat-transform's ``-d`` to each of the peer's shares (npm). In each view
-a thinned scene draws as many of its rows as are in view; the cuts of levels by a radius and by pairs get this number as their
-budget. All pictures are compared with that of all leaves; better ones than 60 dB count as that. Views are of six classes: near,
-low, street, middle, orbit, far.
+``python benchmarks/levels.py [--scenes ...] [--shares 2 5 10 20 40 80] [--peer-shares 10 40]`` needs the shared scenes, or takes
+files; rows of other scenes are kept. A scene is thinned by pairs to a share of its Gaussians, and by splat-transform's ``-d`` to
+each of the peer's shares (npm). In each view a thinned scene draws as many of its rows as are in view; the cuts of levels by a
+radius and by pairs get this number as their budget. All pictures are compared with that of all leaves; better ones than 60 dB
+count as that. Views are of six classes: near, low, street, middle, orbit, far.
 
 A cut that depends on the view should never be worse than a static set of as many Gaussians: a negative number is a loss.
 """
 
 import argparse
+import json
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,7 +19,7 @@ from typing import get_args
 import numpy as np
 
 import splatree as st
-from harness import DATA, save, table
+from harness import DATA, RESULTS, save, table
 from quality import decimated
 from splatree.errors import InputError
 from splatree.scene.thinning import Method
@@ -55,7 +56,7 @@ def views_of(scene: st.Scene) -> dict[str, st.Camera]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--scenes", nargs="+", choices=SCENES, default=["city 5_9", "biker"])
+    parser.add_argument("--scenes", nargs="+", default=["city 5_9", "biker"], help=f"files, or of {', '.join(SCENES)}")
     parser.add_argument("--shares", nargs="+", type=float, default=[2, 5, 10, 20, 40, 80])
     parser.add_argument(
         "--peer-shares", nargs="*", type=float, default=[], help="run splat-transform to these shares too"
@@ -63,7 +64,7 @@ def main() -> None:
     arguments = parser.parse_args()
     rows: list[dict[str, object]] = []
     for name in arguments.scenes:
-        read = st.read(SCENES[name])
+        read = st.read(SCENES.get(name) or name)
         flat = st.Scene.flat(read.gaussians.take(read.tree.is_leaf), mode=read.mode)
         trees = {method: st.build_lod(flat, st.BuildOptions(method)) for method in get_args(Method)}
         views = views_of(flat)
@@ -72,7 +73,7 @@ def main() -> None:
             for key, view in views.items():
                 image, budget = picture(static, view, None)
                 found = min(st.psnr(image, leaves[key]), BEST_DB)
-                row: dict[str, object] = {"scene": name, "static set": kind, "share, %": share, "view": key}
+                row: dict[str, object] = {"scene": Path(name).stem, "static set": kind, "share, %": share, "view": key}
                 row |= {"visible nodes": budget, "static, dB": found}
                 for method, tree in trees.items():
                     try:
@@ -86,6 +87,9 @@ def main() -> None:
                 print(row, flush=True)
     print(table(rows))
     print(table(summary(rows)))
+    path, here = RESULTS / "levels.json", {row["scene"] for row in rows}
+    kept = json.loads(path.read_text())["rows"] if path.exists() else []
+    rows = [row for row in kept if row["scene"] not in here] + rows
     save("levels", rows, about="Cuts of our levels against static sets of as many visible nodes")
 
 
