@@ -105,7 +105,7 @@ def trained(name: str, run: Run, files: Path | None) -> tuple[list[dict[str, Any
     else:
         options = st.TrainOptions(iterations=run.iterations, max_gaussians=run.max_gaussians)
     prepare = importlib.import_module("splatree.train.prepare")
-    fills = {name: getattr(prepare, name) for name in ("fill_empty_cells", "fill_small_cells", "add_apron")}
+    fills = {name: getattr(prepare, name) for name in ("fill_empty_cells", "add_apron")}
 
     def row(scored: st.Scored) -> dict[str, Any]:
         assert scored.score is not None

@@ -8,16 +8,7 @@ from splatree.io.cameras.points import Points
 from splatree.maths.harmonics import basis_from_directions
 from splatree.scene.cameras import Camera
 from splatree.scene.gaussians import Gaussians
-from splatree.train.start import (
-    APRON_CELLS,
-    SMALL_CELLS,
-    add_apron,
-    extent_of,
-    fill_empty_cells,
-    fill_small_cells,
-    neighbour_distances,
-    start_from,
-)
+from splatree.train.start import APRON_CELLS, add_apron, extent_of, fill_empty_cells, neighbour_distances, start_from
 
 from .conftest import views
 
@@ -105,65 +96,6 @@ def facing(x=0.0):
 def pixels_of(places, camera):
     seen = places @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3]
     return seen[:, :2] / seen[:, 2:] * np.diag(camera.K)[:2] + camera.K[:2, 2]
-
-
-def slanted():
-    """A view, and few points of a plane that fills it: four of ten small cells are empty."""
-    camera, plane = facing(), plane_of(200)
-    plane = plane.take(np.random.default_rng(0).random(len(plane)) < 0.6)
-    plane.means[:, 2] = 0.4 * plane.means[:, 0]
-    return camera, plane
-
-
-def small_cells_of(gaussians, camera):
-    """The small cells within the picture in which Gaussians lie, [h w]."""
-    n = 16 * SMALL_CELLS
-    cells = np.floor(pixels_of(gaussians.means.astype(np.float64), camera) * (n / 64)).astype(int)
-    taken = np.zeros((n, n), bool)
-    inside = ((cells >= 0) & (cells < n)).all(axis=1)
-    taken[cells[inside, 1], cells[inside, 0]] = True
-    return taken
-
-
-def test_small_cells_of_a_surface_get_something_of_their_colour_on_it():
-    camera, start = slanted()
-    photo = np.zeros((96, 96, 3), np.uint8)  # as many pixels as two for a small cell: red and blue stripes
-    stripe = np.arange(96) // 2 % 2 == 0
-    photo[:, stripe, 0], photo[:, ~stripe, 2] = 255, 255
-    filled = fill_small_cells(start, [camera], lambda i: photo, room=10**4)
-    assert small_cells_of(filled, camera).all()
-    new = filled.take(slice(len(start), None))
-    assert len(new) == (~small_cells_of(start, camera)).sum() > 100  # one for each empty one
-    # The depth of a cell is that of its median point, not of its middle: a cell is 0.16 units wide, and the slope 0.4.
-    assert np.abs(new.means[:, 2] - 0.4 * new.means[:, 0]).max() < 0.05
-    pixel = pixels_of(new.means.astype(np.float64), camera)
-    np.testing.assert_array_equal(new.sh[:, 0, 0] > 0, (pixel[:, 0] * 1.5).astype(int) // 2 % 2 == 0)
-    half = new.scales()[:, 0] * camera.K[0, 0] / (new.means[:, 2] + 3)
-    np.testing.assert_allclose(half, 64 / 16 / SMALL_CELLS / 2, rtol=1e-4)  # σ is half of a small cell
-
-
-def test_small_cells_leave_room_and_edges_free():
-    """What comes after needs half of the room, and between a thing and what lies behind it there is nothing."""
-    camera, start = slanted()
-    photo = np.full((64, 64, 3), 90, np.uint8)
-    assert len(fill_small_cells(start, [camera], lambda i: photo, room=20)) == len(start) + 10
-    left = start.take(start.means[:, 0] < 0)
-    behind = left.take(slice(None))
-    behind.means[:] = (left.means + (0, 0, 3)) * (-2, 2, 2) - (0, 0, 3)  # the right half, twice as far
-    both = Gaussians.concatenate([left, behind])
-    new = fill_small_cells(both, [camera], lambda i: photo, room=10**4).take(slice(len(both), None))
-    # From 2.5 to 3 units on the left, twice as far on the right. At the edge the depths of cells are 3 and 6, so small cells
-    # between their middles, 2 px to each side of it, lie on no surface.
-    from_edge = np.abs(pixels_of(new.means.astype(np.float64), camera)[:, 0] - 32)
-    assert len(new) > 400 and from_edge.min() > 1.99
-    assert not ((new.means[:, 2] > 0.1) & (new.means[:, 2] < 1.8)).any()
-
-
-def test_the_same_small_cells_are_filled_once():
-    cameras, start = [facing(x) for x in (0, 0, 0.01)], slanted()[1]
-    photo = np.full((64, 64, 3), 90, np.uint8)
-    one, two, three = (len(fill_small_cells(start, cameras[:n], lambda i: photo, room=10**5)) for n in (1, 2, 3))
-    assert one == two and three - two < 0.2 * (one - len(start))
 
 
 def test_beyond_the_border_lies_the_colour_of_the_border():

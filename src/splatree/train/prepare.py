@@ -19,14 +19,7 @@ from splatree.train.densify import along_curve
 from splatree.train.options import DIVISIONS, TrainOptions
 from splatree.train.schedule import Schedule, generator
 from splatree.train.score import HeldOut
-from splatree.train.start import (
-    add_apron,
-    extent_of,
-    fill_empty_cells,
-    fill_small_cells,
-    random_points,
-    start_from,
-)
+from splatree.train.start import add_apron, extent_of, fill_empty_cells, random_points, start_from
 from splatree.train.targets import Targets, coarsest_division, finest_division
 from splatree.train.world import World
 
@@ -76,10 +69,7 @@ class Work:
             return self.targets.at(i, division).photo
 
         gaussians = fill_empty_cells(gaussians, cameras, photo_of, room=room - len(gaussians))
-        is_object = self.options.alpha == "match"  # it stands before nothing
-        if not is_object and self.options.levels != "grow":  # the roots of a tree are coarse
-            gaussians = fill_small_cells(gaussians, cameras, photo_of, room=room - len(gaussians))
-        if not is_object:
+        if self.options.alpha != "match":  # an object stands before nothing
             gaussians = add_apron(gaussians, cameras, photo_of, room=room - len(gaussians))
         return gaussians.take(along_curve(gaussians))
 

@@ -3,9 +3,8 @@
 A point becomes a sphere of σ = the root mean square distance to its three nearest neighbours, held to [mean / 6, 4 mean]. Corners
 that no point reaches would stay empty, because births come only from what is there. So each photograph is divided into cells of
 its plane; a cell in which no Gaussian lies gets one, at the median depth of its surroundings and of the photograph's own colour.
-Where the surface is smooth, so does each small cell, a ninth of a cell: what few photographs show has few points, and few
-steps in which Gaussians could be divided. Beyond the borders of all photographs, planes go on for a few cells: the apron. Without
-any points, `RANDOM_POINTS` lie in the box of the cameras.
+Beyond the borders of all photographs, planes go on for a few cells: the apron. Without any points, `RANDOM_POINTS` lie in the box
+of the cameras.
 
 Cost: once a run; a fraction of a second for 100,000 points.
 """
@@ -28,7 +27,6 @@ __all__ = [
     "add_apron",
     "extent_of",
     "fill_empty_cells",
-    "fill_small_cells",
     "neighbour_distances",
     "random_points",
     "start_from",
@@ -48,15 +46,6 @@ EMPTY_OPACITY = 0.1
 
 CELLS = 16
 """Cells along the longer side of a photograph."""
-
-SMALL_CELLS = 3
-"""Small cells along the side of a cell."""
-
-SMALL_SPREAD = 1.1
-"""Where the depths of four cells differ by a larger factor, what lies between them is no surface."""
-
-SMALL_SHARE = 0.5
-"""Share of the room that Gaussians in small cells may take: the apron and births need some too."""
 
 APRON_CELLS = 4
 """So many cells beyond the border of a photograph get one too, where no photograph shows anything."""
@@ -184,38 +173,6 @@ def fill_empty_cells(
     return Gaussians.concatenate([gaussians, *added])
 
 
-def fill_small_cells(
-    gaussians: Gaussians, cameras: Sequence[Camera], photo_of: Callable[[int], UInt8[Array, "h w 3"]], *, room: int
-) -> Gaussians:
-    """The Gaussians, and one in each empty small cell whose depth the cells around tell, at most `SMALL_SHARE` of ``room``.
-
-    Args:
-        gaussians: what there is, something in each cell.
-        cameras: the views; what one of them gets, the next ones see.
-        photo_of: the photograph of a view, at any size.
-        room: Gaussians that may be added, by this and by what comes after.
-    """
-    places, added, room = gaussians.means.astype(np.float64), [], int(SMALL_SHARE * room)
-    for i, camera in enumerate(cameras):
-        across, down = (SMALL_CELLS * n for n in _cells(camera))
-        depths = _depths_between(_median_depths(places, camera, *_cells(camera)), SMALL_CELLS)
-        pixel, _, inside = _seen(places, camera)
-        taken = (pixel[inside] * (across / camera.width, down / camera.height)).astype(int)
-        taken = np.minimum(taken, (across - 1, down - 1))  # a pixel just before the border may be rounded to it
-        depths[taken[:, 1], taken[:, 0]] = np.nan
-        empty = np.argwhere(depths > camera.near)[:room]
-        if not len(empty):
-            continue
-        z = depths[tuple(empty.T)]
-        new = _placed((empty[:, ::-1] + 0.5) * (camera.width / across, camera.height / down), z, camera)
-        colors = _cell_means(photo_of(i), across, down)[tuple(empty.T)]
-        sigma = z * max(camera.width, camera.height) / (2 * SMALL_CELLS * CELLS * camera.K[0, 0])
-        added.append(_spheres(new, sigma, colors, START_OPACITY, gaussians.sh_degree))
-        places = np.concatenate([places, new])
-        room -= len(new)
-    return Gaussians.concatenate([gaussians, *added])
-
-
 def add_apron(
     gaussians: Gaussians, cameras: Sequence[Camera], photo_of: Callable[[int], UInt8[Array, "h w 3"]], *, room: int
 ) -> Gaussians:
@@ -303,23 +260,6 @@ def _continued_depths(
     ratio = found[:, 0] / inverse.mean(axis=1)
     fits = (left < PLANE_ERROR * inverse.mean(axis=1)) & (ratio > 1 / FARTHEST) & (ratio < FARTHEST)
     return np.where(fits, 1 / np.where(fits, found[:, 0], 1), 0)
-
-
-def _depths_between(depths: Float64[Array, "y x"], times: int) -> Float64[Array, "h w"]:
-    """Depths of ``times`` as many cells along each side, between those of four cells; NaN where these lie on no surface.
-
-    Inverse depths are interpolated, and beyond the outermost cells continued, linearly: that is exact for planes.
-    """
-    h, w = depths.shape
-    if min(h, w) < 2:
-        return np.full((times * h, times * w), np.nan)
-    y, x = ((np.arange(times * n) + 0.5) / times - 0.5 for n in (h, w))
-    row, column = (np.clip(np.floor(at).astype(int), 0, n - 2) for at, n in ((y, h), (x, w)))
-    below, right = (y - row)[:, None], (x - column)[None]
-    four = a, b, c, d = [(1 / depths)[row + i][:, column + j] for i in (0, 1) for j in (0, 1)]
-    found = (1 - below) * ((1 - right) * a + right * b) + below * ((1 - right) * c + right * d)
-    is_surface = (np.maximum.reduce(four) <= SMALL_SPREAD * np.minimum.reduce(four)) & (found > 0)
-    return np.where(is_surface, 1 / np.where(is_surface, found, 1), np.nan)
 
 
 def _seen(places: Array, camera: Camera) -> tuple[Float64[Array, "n 2"], Float64[Array, "n"], Bool[Array, "n"]]:
