@@ -92,12 +92,12 @@ def test_a_temporary_file_that_another_writer_took_for_abandoned_is_left_for_a_n
 
 
 def test_folders_are_checked_before_any_work_and_none_is_made(tmp_path):
-    module.check_folder(tmp_path / "new" / "deep", ["a.json"])
+    module.check_free_in(tmp_path / "new" / "deep", ["a.json"], force=False)
     assert not list(tmp_path.iterdir())
     (tmp_path / "a.json").write_text("{}")
     with pytest.raises(OutputError, match=r"a\.json: exists already; choose another folder"):
-        module.check_folder(tmp_path, ["b.csv", "a.json"])
-    module.check_folder(tmp_path, ["a.json"], force=True)
+        module.check_free_in(tmp_path, ["b.csv", "a.json"], force=False)
+    module.check_free_in(tmp_path, ["a.json"], force=True)
     for below in ("a.json", "a.json/deep"):
         with pytest.raises(OutputError, match=r"cannot be made a folder, .*a\.json is a file"):
-            module.check_folder(tmp_path / below)
+            module.check_free_in(tmp_path / below, [], force=False)

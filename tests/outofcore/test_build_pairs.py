@@ -7,6 +7,7 @@ import signal
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from itertools import pairwise
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -14,9 +15,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as hs
 
 import splatree as st
+from splatree.lod import shown
 from splatree.lod.follow import with_curves
 from splatree.lod.resolve import measure, resolve
-from splatree.outofcore import build, sight
+from splatree.outofcore import build, grow, sight
 from splatree.outofcore.options import PAIR_CELL_ROWS, Room, cell_bytes
 from splatree.outofcore.work import new_array
 from splatree.simplify.visibility import visibilities_in
@@ -82,12 +84,20 @@ def test_what_is_seen_is_what_is_seen_in_memory_bit_for_bit(tmp_path, ply, monke
 
 
 @settings(max_examples=6, deadline=None)
-@given(hard_scenes(most=200, degree=1), hs.sampled_from([16, 60]), hs.sampled_from([None, 1]))
-def test_all_nodes_follow_the_pixel_by_what_their_leaves_show(tmp_path_factory, gaussians, part_rows, part_levels):
+@given(
+    hard_scenes(most=200, degree=1), hs.sampled_from([16, 60]), hs.sampled_from([None, 1]), hs.sampled_from([1, 7, 999])
+)
+def test_all_nodes_follow_the_pixel_by_what_their_leaves_show(
+    tmp_path_factory, gaussians, part_rows, part_levels, nodes_at_a_time
+):
     path = tmp_path_factory.mktemp("scene") / "in.ply"
     st.write(st.Scene.flat(gaussians), path)
     running, options = st.FolderOptions(part_rows=part_rows, part_levels=part_levels), replace(FOLLOWING, max_roots=1)
-    built = st.build_folder(path, path.with_name("out.splatree"), options, running)
+    with (
+        mock.patch.multiple(shown, NODES_AT_A_TIME=nodes_at_a_time),
+        mock.patch.multiple(grow, NODES_AT_A_TIME=nodes_at_a_time),
+    ):
+        built = st.build_folder(path, path.with_name("out.splatree"), options, running)
     assert not any("drawn as stored" in note for note in built.notes)
     merged = st.build_folder(path, path.with_name("merged.splatree"), replace(options, follow=False), running)
     tree, plain = st.read(built.path), st.read(merged.path)

@@ -13,7 +13,7 @@ from splatree.bench.draw import check_drawable
 from splatree.bench.experiment import Report, Table
 from splatree.bench.files import write_report
 from splatree.cli.console import Console, table
-from splatree.io.replacing import check_folder
+from splatree.io.replacing import check_free_in
 
 T = TypeVar("T")
 
@@ -66,7 +66,7 @@ def run(command: Command[T]) -> Benched:
     if command.output is not None:
         check_drawable()
         name = type(command.experiment).__module__.rpartition(".")[2]
-        check_folder(command.output, [f"{name}.json"], force=command.force)
+        check_free_in(command.output, [f"{name}.json"], force=command.force)
     report: Report = import_module(type(command.experiment).__module__).run(command.experiment)
     written = write_report(report, command.output, force=command.force) if command.output is not None else ()
     return Benched(report.name, report.title, report.about, report.tables, written)

@@ -19,7 +19,7 @@ from splatree.hardware.report import ablation_rows, frame_rows, page_of, summary
 from splatree.hardware.study import ablation, draw_traces, on_machine
 from splatree.hardware.trace import FrameTrace, read_trace, write_trace
 from splatree.io.cameras.files import read_cameras
-from splatree.io.replacing import check_folder, replacing
+from splatree.io.replacing import check_free_in, replacing
 from splatree.render.paths import PathOptions, flyout
 from splatree.scene.options import SelectOptions
 from splatree.scene.scene import Scene
@@ -91,9 +91,9 @@ class Result:
 def run(command: Command) -> Result:
     """Draw or read the frames, simulate, write the report."""
     if command.output is not None:
-        check_folder(command.output, _NAMES, force=command.force)
+        check_free_in(command.output, _NAMES, force=command.force)
     if command.traces is not None:
-        check_folder(command.traces, ["frame_000.npz"], force=command.force)
+        check_free_in(command.traces, ["frame_000.npz"], force=command.force)
     machine = _machine_of(command)
     swept = _sweep_of(command.sweep, machine) if command.sweep else None
     traces = _traces_of(command, machine)

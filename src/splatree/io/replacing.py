@@ -248,8 +248,8 @@ def check_free(path: str | os.PathLike[str], *, force: bool) -> Path:
     return target
 
 
-def check_folder(folder: Path, names: Sequence[str] = (), *, force: bool = False) -> None:
-    """Refuse a folder that files of these names cannot be written into, before any work is done for them; nothing is made.
+def check_free_in(folder: Path, names: Sequence[str], *, force: bool) -> None:
+    """As `check_free`, of files in a folder that need not be there yet: before any work is done for them; nothing is made.
 
     Raises:
         OutputError: a file is in its place, nothing may be written there, or a name is taken and ``force`` is not set.

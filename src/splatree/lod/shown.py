@@ -28,7 +28,7 @@ from splatree.maths.rotations import quats_from_matrices
 from splatree.scene.gaussians import Gaussians
 from splatree.shapes import Array, Float32, Float64, Int64, check_fields
 
-__all__ = ["NODES_AT_A_TIME", "Shown", "dilations_of", "fit_shown", "shown_above", "shown_of_leaves"]
+__all__ = ["NODES_AT_A_TIME", "Shown", "dilations_of", "fit_shown", "num_columns", "shown_above", "shown_of_leaves"]
 
 NODES_AT_A_TIME = 1 << 15
 """Nodes whose numbers are in memory together, 600 bytes each; those of all others may lie in a file."""
@@ -86,6 +86,11 @@ def dilations_of(resolved: ResolvedBuild) -> Float64[Array, "d"]:
     """The variances that pixels add, world units², ascending: none, that of the pixel p_0, and that of each level by pairs."""
     extents = np.array([extent_of(size) for size in resolved.sizes()])
     return np.unique(np.concatenate([[0.0, _kept_dilation(resolved)], _dilation_of(extents, resolved)]))
+
+
+def num_columns(resolved: ResolvedBuild) -> int:
+    """Numbers of a node: `Shown.columns`."""
+    return 14 + 2 * len(dilations_of(resolved))
 
 
 def shown_of_leaves(

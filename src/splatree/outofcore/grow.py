@@ -12,7 +12,6 @@ together, they are one cell, and its part is the crown.
 from collections.abc import Iterable, Sequence
 from dataclasses import fields, replace
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,7 +25,7 @@ from splatree.lod.grow import grow
 from splatree.lod.grow_pairs import grow_by_pairs, grow_part_by_pairs
 from splatree.lod.grow_region import Owned, TooNarrowError, grow_region
 from splatree.lod.region import EVERYWHERE, Region
-from splatree.lod.shown import NODES_AT_A_TIME, Shown, fit_shown, shown_above, shown_of_leaves
+from splatree.lod.shown import NODES_AT_A_TIME, Shown, fit_shown, num_columns, shown_above, shown_of_leaves
 from splatree.outofcore.follow import SHAPE, known_of_roots, seen_of
 from splatree.outofcore.load import Loaded, load, reaches, with_harmonics
 from splatree.outofcore.plan import Plan
@@ -174,7 +173,9 @@ def _following(work: Work, plan: Plan, part: Scene, forest: Forest, loaded: Load
     curves = part.tree.curves.copy()
     path = work.folder / "shown_above.bin"
     try:
-        shown = _shown_of_roots(work, loaded, rows, len(merged), path)
+        numbers = np.dtype([("shown", np.float64, num_columns(plan.resolved))])
+        shown = new_array(path, len(rows) + len(merged), numbers)["shown"]
+        _fill_shown_of_roots(shown, work, loaded, rows)
         shown_above(shown, forest.families)
         for begin in range(0, len(merged), NODES_AT_A_TIME):
             some = slice(begin, min(begin + NODES_AT_A_TIME, len(merged)))
@@ -187,20 +188,14 @@ def _following(work: Work, plan: Plan, part: Scene, forest: Forest, loaded: Load
     return replace(part, gaussians=replace(part.gaussians, **columns), tree=replace(part.tree, curves=curves))
 
 
-def _shown_of_roots(work: Work, loaded: Loaded, rows: Array, num_new: int, path: Path) -> Array:
-    """What the leaves below roots show, in the order of ``rows``, with room for new nodes behind them: a mapped file."""
-    place = np.empty(len(rows), np.int64)
+def _fill_shown_of_roots(shown: Array, work: Work, loaded: Loaded, rows: Array) -> None:
+    """Fill in what the leaves below each root show, in the order of ``rows``."""
+    place, first = np.empty(len(rows), np.int64), 0
     place[rows] = np.arange(len(rows))
-    shown, first = np.empty((0, 0)), 0
     for file in np.unique(loaded.cells):  # in the order of loading
         own = loaded.rows[loaded.cells == file]
-        of_part = read_array(work.shown(int(file)))
-        if not shown.size:
-            numbers = np.dtype([("shown", np.float64, of_part.shape[1])])
-            shown = new_array(path, len(rows) + num_new, numbers)["shown"]
-        shown[place[first : first + len(own)]] = of_part[own]
+        shown[place[first : first + len(own)]] = read_array(work.shown(int(file)))[own]
         first += len(own)
-    return shown
 
 
 def _write_roots(

@@ -26,10 +26,10 @@ def write_archive(
     scene: Scene,
     output: Path,
     options: StreamOptions,
+    scratch: Scratch,
     *,
     force: bool = False,
     threads: int = 0,
-    scratch: Scratch | None = None,
 ) -> Streamed:
     """Write a scene with levels as a streamed SOG in a ZIP.
 
@@ -43,7 +43,7 @@ def write_archive(
     ):
         folder = Path(made) / output.stem
         try:
-            written = write_sog(scene, folder, options, threads=threads, scratch=scratch)
+            written = write_sog(scene, folder, options, scratch, threads=threads)
         except SplatreeError as error:
             error.args = tuple(name_in(str(part), folder, output) for part in error.args)
             raise

@@ -35,9 +35,7 @@ def as_written(scene: Scene, options: StreamOptions, scratch: Scratch | None = N
     return without_equals(drawn, scratch)
 
 
-def write_rad(
-    scene: Scene, output: Path, options: StreamOptions, *, force: bool = False, scratch: Scratch | None = None
-) -> Streamed:
+def write_rad(scene: Scene, output: Path, options: StreamOptions, scratch: Scratch, *, force: bool = False) -> Streamed:
     """Write a scene with levels.
 
     Raises:

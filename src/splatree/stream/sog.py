@@ -73,10 +73,10 @@ def write_sog(
     scene: Scene,
     output: Path,
     options: StreamOptions,
+    scratch: Scratch,
     *,
     force: bool = False,
     threads: int = 0,
-    scratch: Scratch | None = None,
 ) -> Streamed:
     """Write a scene with levels as a folder of streamed SOG.
 
@@ -86,7 +86,6 @@ def write_sog(
     """
     chunk_leaves = options.chunk_leaves or leaves_of_chunk(scene.tree.num_leaves)
     options = replace(options, chunk_leaves=chunk_leaves)
-    scratch = scratch or Scratch.endless()
     kept = scratch.part(0.5)
     chunks = chunks_of_tree(scene, chunk_leaves, kept)
     levels = levels_of_tree(scene.tree, chunks, ratio=options.ratio, num_levels=options.levels, scratch=kept)

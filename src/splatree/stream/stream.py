@@ -84,7 +84,7 @@ def stream(
     scratch = scratch_beside(Path(output), max_memory)
     scene = with_levels(of_degree(scene, options.sh_degree, scratch), threads=threads)
     write = _writer(format, options, threads)
-    return replace(write(scene, Path(output), options, force=force, scratch=scratch), options=options)
+    return replace(write(scene, Path(output), options, scratch, force=force), options=options)
 
 
 def check_output(output: Path, format: StreamFormat, options: StreamOptions, *, force: bool) -> None:

@@ -96,17 +96,16 @@ def write_tiles(
     scene: Scene,
     output: Path,
     options: StreamOptions,
+    scratch: Scratch,
     *,
     force: bool = False,
     threads: int = 0,
-    scratch: Scratch | None = None,
 ) -> Streamed:
     """Write a scene with levels as a folder of 3D Tiles.
 
     Raises:
         OutputError: the folder holds something else, or the disk fails.
     """
-    scratch = scratch or Scratch.endless()
     tiles = tiles_of_tree(scene, options.tile_nodes, scratch.part(0.5))
     threads = affordable(threads, options.tile_nodes * scene.gaussians.row_bytes, scratch.part(0.5))
     with Folder(output, MANIFEST, force=force) as folder:
