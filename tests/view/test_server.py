@@ -3,9 +3,11 @@
 import json
 import socket
 import struct
+import sys
 import time
 import urllib.error
 import urllib.request
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,7 +21,7 @@ from splatree.view import connection
 from splatree.view import server as module
 from splatree.view.files import page_files
 from splatree.view.options import ViewOptions
-from splatree.view.viewer import Viewer
+from splatree.view.viewer import Viewer, view
 
 from .scenes import scene
 
@@ -303,6 +305,18 @@ def test_there_is_no_scene_beside_the_first(viewer):
 
 def test_a_notebook_shows_the_page_in_a_frame(viewer):
     assert f'<iframe src="{viewer.url}"' in viewer._repr_html_()
+
+
+@pytest.mark.parametrize(("shell", "waits"), [({"kernel": object()}, False), ({}, True)])
+def test_a_cell_of_a_notebook_does_not_wait(monkeypatch, shell, waits):
+    """Its viewer is shown when the cell has ended; the terminal of IPython has no kernel and waits as any other."""
+    ipython = SimpleNamespace(get_ipython=lambda: SimpleNamespace(**shell))
+    monkeypatch.setitem(sys.modules, "IPython", ipython)
+    waited = []
+    monkeypatch.setattr(Viewer, "wait", lambda self: waited.append(self))
+    with view(scene(), open_browser=False) as shown:
+        assert bool(waited) == waits
+        assert waits or urllib.request.urlopen(shown.url).status == 200
 
 
 def test_a_port_that_is_taken_is_an_error(viewer):

@@ -2,6 +2,7 @@
 
 import contextlib
 import secrets
+import sys
 import threading
 import webbrowser
 from collections.abc import Mapping
@@ -27,7 +28,7 @@ def view(
     beside: Scene | Store | None = None,
     cameras: Cameras | None = None,
     photos: Mapping[str, Array] | None = None,
-    block: bool = True,
+    block: bool | None = None,
     open_browser: bool | None = None,
 ) -> "Viewer":
     """Show a scene in the browser.
@@ -41,8 +42,9 @@ def view(
         beside: another scene to compare it with, under the same camera.
         cameras: views listed in the page, for instance those of the training.
         photos: their photographs by the camera's name, float32 "h w 3".
-        block: wait until interrupted (Ctrl-C); False returns at once and the viewer goes on until it is closed.
-        open_browser: open the address in a browser; None: only if ``block``.
+        block: wait until interrupted (Ctrl-C); False returns at once and the viewer goes on until it is closed. None: wait,
+            except in a notebook.
+        open_browser: open the address in a browser; None: only if it waits.
 
     Returns:
         The viewer; as the last value of a notebook's cell it shows the scene there.
@@ -57,8 +59,9 @@ def view(
         >>> viewer.set_scene(st.thin(scene.gaussians).gaussians)  # doctest: +SKIP
     """
     viewer = Viewer(scene, options, beside=beside, cameras=cameras, photos=photos)
-    is_opened = block if open_browser is None else open_browser
-    if not block:
+    waits = not _in_notebook() if block is None else block
+    is_opened = waits if open_browser is None else open_browser
+    if not waits:
         if is_opened:
             webbrowser.open(viewer.url)
         return viewer
@@ -68,6 +71,13 @@ def view(
             webbrowser.open(viewer.url)
         viewer.wait()
     return viewer
+
+
+def _in_notebook() -> bool:
+    """Whether a notebook's kernel runs this: the value of a cell is shown when the cell ends."""
+    ipython = sys.modules.get("IPython")
+    shell = None if ipython is None else ipython.get_ipython()
+    return getattr(shell, "kernel", None) is not None
 
 
 class Viewer:
