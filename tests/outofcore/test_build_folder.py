@@ -326,9 +326,15 @@ def test_memory_is_spent_on_rows_then_on_processes():
             bytes_of(wrong)
     for memory in ("250M", "500M", "1G", "4G"):
         for k in (1, 16):
-            room = Room.of(st.FolderOptions(max_memory=memory, workers=3), k)
+            room = Room.of(st.FolderOptions(max_memory=memory, workers=3), 10**9, k)
             assert room.workers * cell_bytes(room.part_rows, k) <= bytes_of(memory)
-    assert Room.of(st.FolderOptions(max_memory="64G", workers=3), 16) == Room(64 * 10**9, 1_000_000, 3, 64 * 10**9)
+    assert Room.of(st.FolderOptions(max_memory="64G", workers=3), 10**9, 16) == Room(
+        64 * 10**9, 1_000_000, 3, 64 * 10**9
+    )
+    cramped = st.FolderOptions(
+        max_memory="1G", workers=3
+    )  # processes for cells of a thousand rows, one for a full cell
+    assert [Room.of(cramped, rows, 16).workers for rows in (1000, 10**9)] == [3, 1]
 
 
 def test_a_container_has_what_its_limit_leaves(tmp_path):

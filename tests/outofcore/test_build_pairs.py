@@ -149,11 +149,26 @@ def test_a_killed_build_by_pairs_goes_on(tmp_path, ply, pieces):
 
 def test_cells_do_not_follow_the_memory():
     for memory in ("500M", "4G"):
-        room = Room.of(st.FolderOptions(max_memory=memory, workers=8), 1, by_pairs=True)
+        room = Room.of(st.FolderOptions(max_memory=memory, workers=8), 10**9, 1, by_pairs=True)
         assert room.part_rows == PAIR_CELL_ROWS
         assert room.workers * cell_bytes(room.part_rows, 1, by_pairs=True) <= room.max_bytes
     with pytest.raises(st.InputError, match="found 250 MB for a cell of 262144 Gaussians, wanted at least"):
-        Room.of(st.FolderOptions(max_memory="250M"), 16, by_pairs=True)
+        Room.of(st.FolderOptions(max_memory="250M"), 10**9, 16, by_pairs=True)
+
+
+def test_a_small_scene_is_reckoned_with_its_own_size(tmp_path, ply):
+    """A full cell of degree 3 takes 400 MB."""
+    least, cell = st.FolderOptions(max_memory="250M"), cell_bytes(PAIR_CELL_ROWS, 16, by_pairs=True)
+    assert cell > 250e6
+    fitting = next(rows for rows in range(PAIR_CELL_ROWS, 0, -1) if cell_bytes(rows, 16, by_pairs=True) <= 250e6)
+    assert Room.of(least, fitting, 16, by_pairs=True).part_rows == PAIR_CELL_ROWS  # the tree does not depend on it
+    with pytest.raises(st.InputError, match=f"found 250 MB for a cell of {fitting + 1} Gaussians, wanted at least 25"):
+        Room.of(least, fitting + 1, 16, by_pairs=True)
+    scene = st.read(ply)
+    st.write(replace(scene, gaussians=scene.gaussians.with_sh_degree(3)), tmp_path / "in.ply")
+    for method in ("pairs", "radius"):
+        built = st.build_folder(tmp_path / "in.ply", tmp_path / method, st.BuildOptions(method), least)
+        assert built.num_parts == 1 and not any("memory is short" in note for note in built.notes)
 
 
 def test_what_does_not_fit_is_refused(tmp_path, ply, monkeypatch):

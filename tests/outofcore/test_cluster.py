@@ -176,11 +176,11 @@ def test_without_dask_the_extra_is_named(tmp_path, ply, monkeypatch):
 
 def test_cells_are_cut_to_what_a_worker_holds():
     options = st.FolderOptions(max_memory="64G")
-    assert Room.of(options, 16).part_rows == 1_000_000
-    room = Room.of(options, 16, 600e6)
+    assert Room.of(options, 10**9, 16).part_rows == 1_000_000
+    room = Room.of(options, 10**9, 16, 600e6)
     assert cell_bytes(room.part_rows, 16) <= room.piece_bytes == 600e6 < cell_bytes(room.part_rows + 1, 16)
     with pytest.raises(st.InputError, match="found a worker with 100 MB for each of its threads, wanted at least"):
-        Room.of(options, 16, 100e6)
+        Room.of(options, 10**9, 16, 100e6)
     assert SMALLEST_MEMORY > 100e6
     with pytest.raises(st.InputError, match="found 2 processes of this machine and a scheduler"):
         st.FolderOptions(workers=2, scheduler="tcp://here:1")

@@ -67,8 +67,8 @@ class Cut:
     def notes(self, running: FolderOptions) -> tuple[str, ...]:
         """What the user should know, a sentence each."""
         kept = notes_in(self.plan.metadata, self.plan.origin)
-        by_pairs = self.plan.resolved.method == "pairs"
-        if running.part_rows is not None or self.plan.part_rows == PART_ROWS or by_pairs:
+        by_pairs, is_one = self.plan.resolved.method == "pairs", self.plan.num_rows <= self.plan.part_rows
+        if running.part_rows is not None or self.plan.part_rows == PART_ROWS or by_pairs or is_one:
             return kept
         return (
             *kept,
@@ -148,11 +148,11 @@ def _runners(
     num_coefficients, by_pairs = (chunks.sh_degree + 1) ** 2, options.named_method == "pairs"
     follows = follows_pixels(options, chunks.mode)
     if running.scheduler is None:
-        room = Room.of(running, num_coefficients, by_pairs=by_pairs, follows=follows)
+        room = Room.of(running, len(chunks), num_coefficients, by_pairs=by_pairs, follows=follows)
         yield Workers(room.workers, executor), room
         return
     with cluster_at(running.scheduler, work) as cluster:
-        room = Room.of(running, num_coefficients, cluster.thread_bytes, by_pairs=by_pairs, follows=follows)
+        room = Room.of(running, len(chunks), num_coefficients, cluster.thread_bytes, by_pairs=by_pairs, follows=follows)
         yield Workers(1, cluster.executor, cluster.died), room
 
 

@@ -110,6 +110,7 @@ class Room:
     @staticmethod
     def of(
         options: FolderOptions,
+        num_rows: int,
         num_coefficients: int,
         thread_bytes: float = math.inf,
         *,
@@ -120,6 +121,7 @@ class Room:
 
         Args:
             options: what the user allows.
+            num_rows: Gaussians of the scene: no cell has more.
             num_coefficients: of the harmonics.
             thread_bytes: what workers elsewhere have for a cell.
             by_pairs: levels are made by pairs, which depend on the cells: these do not follow the memory.
@@ -138,17 +140,18 @@ class Room:
         piece_bytes = min(max_bytes, thread_bytes)
         if by_pairs:
             rows = options.part_rows or PAIR_CELL_ROWS
-            cell = cell_bytes(rows, num_coefficients, by_pairs=True)
+            largest = min(rows, num_rows)
+            cell = cell_bytes(largest, num_coefficients, by_pairs=True)
             if cell > piece_bytes:
                 raise InputError(
-                    f"max_memory: found {piece_bytes / 1e6:.0f} MB for a cell of {rows} Gaussians, wanted at least "
+                    f"max_memory: found {piece_bytes / 1e6:.0f} MB for a cell of {largest} Gaussians, wanted at least "
                     f"{cell // 10**6} MB to choose pairs in it; raise --max-memory, or lower --part-rows: levels by pairs depend "
                     "on it"
                 )
             return Room(max_bytes, rows, _beside(options, max_bytes, cell), piece_bytes)
         fitting = int((piece_bytes - PROCESS_BYTES) // row_bytes_of(num_coefficients, follows=follows))
         rows = options.part_rows or min(PART_ROWS, max(fitting, FEWEST_ROWS))
-        cell = cell_bytes(rows, num_coefficients, follows=follows)
+        cell = cell_bytes(min(rows, num_rows), num_coefficients, follows=follows)
         return Room(max_bytes, rows, _beside(options, max_bytes, cell), piece_bytes)
 
 
