@@ -29,6 +29,13 @@ def values(photos):
     return {name: round(255 * float(photos[name].mean())) for name in photos}
 
 
+def test_who_asks_whether_there_is_a_photograph_reads_none(tmp_path):
+    Image.new("RGB", SIZE).save(tmp_path / "a.jpg")
+    photos = Photos(tmp_path, [replace(VIEW, name="a.jpg"), replace(VIEW, name="b.jpg")])
+    (tmp_path / "a.jpg").unlink()
+    assert "a.jpg" in photos and "b.jpg" not in photos and list(photos) == ["a.jpg"]
+
+
 def test_masks_beside_the_images_are_no_photographs(tmp_path):
     for i in range(3):
         save(tmp_path / "images" / f"{i}.png", 100 + i)

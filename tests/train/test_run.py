@@ -56,6 +56,25 @@ def test_held_out_photographs_that_are_missing_cost_the_scores_alone(whole, phot
     assert trained.notes[-1] == "no photograph of 1 of the 1 held-out views, which count in no score: photo_0.png"
 
 
+@pytest.mark.parametrize("share", [0.01, 0.9])
+@pytest.mark.parametrize(
+    ("name", "advice"),
+    [("photo_0.png", "; it belongs to a held-out view: mend or remove it, or train"), ("photo_2.png", "")],
+)
+def test_a_damaged_photograph_is_told_before_the_first_step(photographs, name, advice, share):
+    """In its head, or behind it: a JPEG, whose head can be read alone. Those who want no scores need no held-out one."""
+    from PIL import Image
+
+    path = photographs / "images" / name
+    Image.open(path).save(path, format="JPEG")
+    data = path.read_bytes()
+    path.write_bytes(data[: int(share * len(data))])
+    with pytest.raises(st.FormatError, match=f"{name}: .*{advice}"):
+        prepare(photographs, OPTIONS, None)
+    if advice:
+        assert prepare(photographs, replace(OPTIONS, score=False), None).held_out is None
+
+
 def test_a_toy_is_learned(photographs):
     """More than 10 dB in 400 steps on the photographs that are trained on: the smallest proof that all derivatives point down."""
     options = st.TrainOptions(iterations=400, max_gaussians=300, held_out=4, exposure="none")

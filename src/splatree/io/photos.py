@@ -108,6 +108,10 @@ class Photos(Mapping[str, Array]):
         photo = read_image(self._paths[name], size=(taken.width, taken.height), turned=name in self._turned)
         return photo if taken.lens is None else straighten(photo, taken, view)
 
+    def __contains__(self, name: object) -> bool:
+        """Whether a view has a photograph; a `Mapping` would read it to say so."""
+        return name in self._paths
+
     def path_of(self, name: str) -> Path:
         """The file of a photograph."""
         return self._paths[name]

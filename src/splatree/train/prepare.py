@@ -75,12 +75,12 @@ class Work:
 
 
 def prepare(folder: Path, options: TrainOptions, cameras: Path | None) -> Work:
-    """Read the cameras and find the photographs of the training views; of the held-out ones only the names are known.
+    """Read the cameras and find the photographs of the training views; those of the held-out ones are read for scores alone.
 
     Raises:
         InputError: there are too few photographs, or none that belong to the cameras, or all were taken at one place; or no pixel
             of them counts, or none of them shows a point.
-        FormatError: a file of cameras or points is damaged.
+        FormatError: a file of cameras or points, or a photograph, is damaged.
     """
     views = read_cameras(cameras or folder)
     split = split_views(views.views, options.held_out)
@@ -108,11 +108,12 @@ def prepare(folder: Path, options: TrainOptions, cameras: Path | None) -> Work:
         _check_seen(points, targets.cameras)
     world, points = _placed(points, extent)
     targets.placed(world.near, np.asarray(world.origin))
-    held_out = (
-        HeldOut(folder, split.held_out, options.masks, options.alpha) if options.score and split.held_out else None
-    )
     schedule = _schedule(options, targets.cameras)
     targets.check_pixels(schedule.finest)
+    targets.read_all(schedule.division(0.0))
+    held_out = None
+    if options.score and split.held_out:
+        held_out = HeldOut(folder, split.held_out, options.masks, options.alpha, schedule.finest, world)
     return Work(options, targets, held_out, split.rule, schedule, world, points, tuple(notes))
 
 

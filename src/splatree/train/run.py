@@ -222,7 +222,7 @@ def _keep(work: Work, state: State, drawing: Drawing, watch: Callable[[Scored], 
     score, gaussians = None, state.rows.gaussians
     if work.held_out is not None:
         drawing = replace(drawing, sh_degree=work.schedule.sh_degree(1.0))
-        score = work.held_out.score(gaussians, drawing, work.schedule.finest, work.world)
+        score = work.held_out.score(gaussians, drawing)
     share = 1.0 if is_end else state.share
     state.history.append(Scored(share, state.step, state.spent_s, len(gaussians), state.loss, score))
     watch(state.history[-1])

@@ -1,6 +1,7 @@
 """Scores of a scene in training on photographs that are held out: always two numbers, as rendered and with the exposure fitted.
 
-Held-out photographs are opened here alone, when a score is taken; nothing of them comes back but numbers.
+Held-out photographs are opened here alone. They are read before the first step, so that a damaged one is told there, not at the
+first score, minutes later. Nothing of them comes back but numbers.
 """
 
 from collections.abc import Sequence
@@ -10,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from splatree.constants import SSIM_WINDOW_PX
+from splatree.errors import FormatError
 from splatree.io.photo_search import NoPhotosError
 from splatree.metrics.gain import psnr_with_gain
 from splatree.metrics.psnr import psnr
@@ -18,7 +20,7 @@ from splatree.scene.cameras import Camera
 from splatree.scene.gaussians import Gaussians
 from splatree.train.options import Alpha
 from splatree.train.step import Drawing, drawn
-from splatree.train.targets import Targets
+from splatree.train.targets import Target, Targets
 from splatree.train.world import World
 
 __all__ = ["HeldOut", "Score"]
@@ -40,47 +42,55 @@ class Score:
 
 
 class HeldOut:
-    """Held-out views of a folder, whose photographs are opened when they are scored."""
+    """Held-out views of a folder, with their photographs at one size.
+
+    Raises:
+        InputError: a photograph or its mask has another shape than its view.
+        FormatError: a photograph is damaged.
+    """
 
     def __init__(
-        self, folder: Path, cameras: Sequence[Camera], masks: Path | None = None, alpha: Alpha = "mask"
+        self, folder: Path, cameras: Sequence[Camera], masks: Path | None, alpha: Alpha, division: int, world: World
     ) -> None:
-        self._folder, self._cameras, self._masks, self._alpha = folder, cameras, masks, alpha
+        self._num_views, self._division = len(cameras), division
         self._targets: Targets | None = None
-        self._missing: tuple[str, ...] = ()
+        try:
+            self._targets = Targets(folder, cameras, masks=masks, alpha=alpha)
+            self._missing = self._targets.used.missing
+            self._targets.placed(world.near, np.asarray(world.origin))
+            self._targets.read_all(division)
+        except NoPhotosError:  # those of the training views are there: a scene without scores is better than none
+            self._missing = tuple(camera.name for camera in cameras)
+        except FormatError as error:
+            raise FormatError(
+                f"{error}; it belongs to a held-out view: mend or remove it, or train without scores"
+            ) from error
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What a score found missing, a sentence each."""
+        """What is missing for scores, a sentence each."""
         names = ", ".join(self._missing[:_SHOWN]) + (", ..." if len(self._missing) > _SHOWN else "")
-        count = f"{len(self._missing)} of the {len(self._cameras)} held-out views"
+        count = f"{len(self._missing)} of the {self._num_views} held-out views"
         return (f"no photograph of {count}, which count in no score: {names}",) if self._missing else ()
 
-    def score(self, gaussians: Gaussians, drawing: Drawing, division: int, world: World) -> Score:
-        """Draw each view that has a photograph and compare it with that at a division."""
+    def score(self, gaussians: Gaussians, drawing: Drawing) -> Score:
+        """Draw each view that has a photograph and compare it with that."""
         if self._targets is None:
-            try:
-                self._targets = Targets(self._folder, self._cameras, masks=self._masks, alpha=self._alpha)
-            except NoPhotosError:  # those of the training views are there: a scene without scores is better than none
-                self._missing = tuple(camera.name for camera in self._cameras)
-                return Score(None, None, None)
-            self._missing = self._targets.used.missing
-            self._targets.placed(world.near, np.asarray(world.origin))
-        found = [self._one(gaussians, drawing, i, division) for i in range(len(self._targets))]
+            return Score(None, None, None)
+        found = [_one(gaussians, drawing, self._targets.at(i, self._division)) for i in range(len(self._targets))]
         return Score(*(_mean(numbers) for numbers in zip(*found, strict=True)))
 
-    def _one(self, gaussians: Gaussians, drawing: Drawing, i: int, division: int) -> tuple[float | None, ...]:
-        assert self._targets is not None
-        target = self._targets.at(i, division)
-        image = drawn(gaussians, drawing.view(target.camera), drawing)[2].image
-        photo, clipped = target.photo / np.float32(255), np.clip(image, 0, 1)
-        fitted = psnr_with_gain(image, photo, target.mask)
-        if target.mask is not None and not target.mask.any():
-            return None, None, None
-        if target.mask is not None:
-            return psnr(clipped[target.mask][None], photo[target.mask][None]), fitted, None
-        is_large = min(image.shape[:2]) >= SSIM_WINDOW_PX
-        return psnr(clipped, photo), fitted, ssim(clipped, photo) if is_large else None
+
+def _one(gaussians: Gaussians, drawing: Drawing, target: Target) -> tuple[float | None, ...]:
+    image = drawn(gaussians, drawing.view(target.camera), drawing)[2].image
+    photo, clipped = target.photo / np.float32(255), np.clip(image, 0, 1)
+    fitted = psnr_with_gain(image, photo, target.mask)
+    if target.mask is not None and not target.mask.any():
+        return None, None, None
+    if target.mask is not None:
+        return psnr(clipped[target.mask][None], photo[target.mask][None]), fitted, None
+    is_large = min(image.shape[:2]) >= SSIM_WINDOW_PX
+    return psnr(clipped, photo), fitted, ssim(clipped, photo) if is_large else None
 
 
 def _mean(numbers: Sequence[float | None]) -> float | None:

@@ -106,6 +106,15 @@ class Targets:
             self._num_bytes += num_bytes
         return self._kept[i, division]
 
+    def read_all(self, division: int) -> None:
+        """Read all photographs at a division, so that a damaged one is told now; as many as there is room for are kept.
+
+        Raises:
+            FormatError: one is damaged.
+        """
+        for i in range(len(self)):
+            self.at(i, division)
+
     def check_pixels(self, division: int) -> None:
         """Refuse photographs of which no pixel counts; they are decoded up to the first that has one.
 
