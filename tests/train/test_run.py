@@ -58,7 +58,8 @@ def test_held_out_photographs_that_are_missing_cost_the_scores_alone(whole, phot
 
 @pytest.mark.parametrize("share", [0.01, 0.9])
 @pytest.mark.parametrize(
-    ("name", "advice"), [("photo_0.png", "; it belongs to a held-out view: mend or remove it, or train"), ("photo_2.png", "")]
+    ("name", "advice"),
+    [("photo_0.png", "; it belongs to a held-out view: mend or remove it, or train"), ("photo_2.png", "")],
 )
 def test_a_damaged_photograph_is_told_before_the_first_step(photographs, name, advice, share):
     """In its head, or behind it: a JPEG, whose head can be read alone. Those who want no scores need no held-out one."""

@@ -62,7 +62,9 @@ class HeldOut:
         except NoPhotosError:  # those of the training views are there: a scene without scores is better than none
             self._missing = tuple(camera.name for camera in cameras)
         except FormatError as error:
-            raise FormatError(f"{error}; it belongs to a held-out view: mend or remove it, or train without scores") from error
+            raise FormatError(
+                f"{error}; it belongs to a held-out view: mend or remove it, or train without scores"
+            ) from error
 
     @property
     def notes(self) -> tuple[str, ...]:
