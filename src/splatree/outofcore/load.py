@@ -8,7 +8,7 @@ import numpy as np
 from splatree.io.formats.splatree.rows import open_scene
 from splatree.lod.region import Box
 from splatree.outofcore.plan import Plan
-from splatree.outofcore.shuffle import BOUND_ROWS
+from splatree.outofcore.shuffle import BOUND_ROWS, harmonics_of
 from splatree.outofcore.work import Work, read_array
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.roots import Roots
@@ -95,14 +95,16 @@ def load(work: Work, plan: Plan, number: int, reach: float) -> Loaded:
 
 
 def with_harmonics(work: Work, plan: Plan, loaded: Loaded, rows: Array) -> Gaussians:
-    """The loaded Gaussians in the order of ``rows``, with the harmonics of their cells."""
+    """The loaded Gaussians in the order of ``rows``, with all of their harmonics."""
     leaves = loaded.gaussians.take(rows)
     if not plan.sh_degree:
         return leaves
+    cells = loaded.cells[rows]
+    if plan.first_roots is None:
+        return replace(leaves, sh=harmonics_of(work, plan, loaded.inputs[rows], cells))
     sh = np.empty((len(rows), (plan.sh_degree + 1) ** 2, 3), np.float32)
     sh[:, :1] = leaves.sh
-    cells, places = loaded.cells[rows], loaded.rows[rows]
-    for cell in np.unique(cells):
-        of_cell = np.flatnonzero(cells == cell)
-        sh[of_cell, 1:] = read_array(work.harmonics(int(cell)))[places[of_cell]]
+    for part in np.unique(cells):
+        of_part = np.flatnonzero(cells == part)
+        sh[of_part, 1:] = np.take(read_array(work.harmonics(int(part))), loaded.rows[rows[of_part]], axis=0)
     return replace(leaves, sh=sh)

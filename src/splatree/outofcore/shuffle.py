@@ -1,8 +1,8 @@
 """The second and the third pass: rows of the input to slices by cell, then each cell along the Morton curve.
 
 A slice is some consecutive rows of the input, sorted by cell, with a table of where each cell begins. A cell takes its runs from
-all slices in their order, so rows of equal Morton code stand in the order of the input. What growing a cell asks of its
-neighbours is in a file without harmonics, with the bounds of each 2,048 rows.
+all slices in their order, so rows of equal Morton code stand in the order of the input. It has the bounds of each 2,048 rows and
+no harmonics above degree 0, since its neighbours do not ask for them. These stay in the slices until a part is written.
 """
 
 from collections.abc import Iterator
@@ -22,9 +22,9 @@ from splatree.outofcore.work import Work, write_array
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Scene
-from splatree.shapes import Array
+from splatree.shapes import Array, Float32, Int32, Int64
 
-__all__ = ["BOUND_ROWS", "make_cell", "make_slices", "write_bounds"]
+__all__ = ["BOUND_ROWS", "harmonics_of", "make_cell", "make_slices", "write_bounds"]
 
 BOUND_ROWS = 2048
 """Rows of a cell that share a box of bounds."""
@@ -90,22 +90,37 @@ def make_cell(work: Work, plan: Plan, number: int, argument: float = 0, threads:
     for source in range(plan.num_slices):
         start = _start(work, plan, source)
         if start[number] < start[number + 1]:
-            rows = open_scene(work.slice(source)).rows(int(start[number]), int(start[number + 1]))
-            parts.append(rows.gaussians)
+            rows = open_scene(work.slice(source)).rows(int(start[number]), int(start[number + 1]), harmonics=False)
+            parts.append(rows.gaussians.with_sh_degree(0))
             assert rows.ids is not None
             ids.append(rows.ids)
-    gaussians = Gaussians.concatenate(parts) if parts else Gaussians.empty(plan.sh_degree)
+    gaussians = Gaussians.concatenate(parts)
     inputs = np.concatenate(ids) if ids else np.empty(0, np.uint32)
     order = np.argsort(morton_codes(gaussians.means, plan.resolved.frame), kind="stable")
     head = SceneHead(len(order), 0, plan.mode, has_ids=True)
     with create_scene(work.cell(number), head, force=True) as writer:
         for begin in range(0, len(order), BATCH_ROWS):
             batch = order[begin : begin + BATCH_ROWS]
-            writer.append(replace(Scene.flat(gaussians.take(batch).with_sh_degree(0)), ids=inputs[batch]))
-    if plan.sh_degree:
-        write_array(work.harmonics(number), gaussians.sh[order, 1:])
+            writer.append(replace(Scene.flat(gaussians.take(batch)), ids=inputs[batch]))
     write_bounds(work, number, gaussians.means[order])
     return {}
+
+
+def harmonics_of(
+    work: Work, plan: Plan, inputs: Int64[Array, "n"], cells: Int32[Array, "n"]
+) -> Float32[Array, "n k 3"]:
+    """All harmonics of rows of the input, from the slices; ``cells`` are those that they lie in."""
+    sh = np.empty((len(inputs), (plan.sh_degree + 1) ** 2, 3), np.float32)
+    sources = inputs // plan.slice_rows
+    for source in np.unique(sources):
+        start, file = _start(work, plan, int(source)), open_scene(work.slice(int(source))).file
+        of_slice = np.flatnonzero(sources == source)
+        for cell in np.unique(cells[of_slice]):
+            here = of_slice[cells[of_slice] == cell]
+            run = int(start[cell]), int(start[cell + 1])
+            places = np.searchsorted(file.rows("ids", *run), inputs[here])  # ids ascend in the run of a cell
+            sh[here] = np.take(file.rows("gaussians.sh", *run), places, axis=0)
+    return sh
 
 
 def write_bounds(work: Work, number: int, means: Array) -> None:

@@ -4,8 +4,9 @@
       lock                          which process works here (lock.py)
       plan.json                     what was decided for the whole scene
       slices/00000.splatree         rows of the input, by cell
-      cells/00000.splatree .npy     one cell along the curve: degree 0, and the harmonics above; of roots that follow
-                                    the pixel, .drawn.splatree and .shown.npy: as they are drawn, and what leaves show
+      cells/00000.splatree          one cell along the curve, to degree 0; of roots of parts, .sh.npy: the harmonics above;
+                                    where they follow the pixel, .drawn.splatree and .shown.npy: as they are drawn, and
+                                    what leaves show
       sight/0.npy                   what is seen of each row of the input along one axis
       sight/seen.npy                what others leave to be seen of each row
       above/                        the work on the levels above: its cells are the roots of the parts
@@ -95,7 +96,7 @@ class Work:
         return self.folder / "cells" / f"{number:05}.splatree"
 
     def harmonics(self, number: int) -> Path:
-        """The harmonics of a cell above degree 0."""
+        """The harmonics above degree 0 of a cell of roots; those of a cell of the input stay in the slices."""
         return self.folder / "cells" / f"{number:05}.sh.npy"
 
     def bounds(self, number: int) -> Path:

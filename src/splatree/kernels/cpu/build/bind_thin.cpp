@@ -12,6 +12,7 @@
 #include "cpu/build/pairs.h"
 #include "cpu/build/thin.h"
 #include "cpu/build/visibility.h"
+#include "cpu/runtime/isa.h"
 #include "cpu/runtime/structs.h"
 
 namespace splatree {
@@ -233,11 +234,18 @@ void bind_thin(nb::module_& m) {
     nb::gil_scoped_release release;
     steps_of_depths(static_cast<int64_t>(depths.shape(0)), depths.data(), nearest, farthest, steps.data());
   });
-  m.def("look_on", [](nb::handle gaussians, nb::handle sight, int64_t axis, bool backwards, Out<float> passing, Out<float> depths,
-                      Out<float> sums, int threads) {
+  m.def("sighted_along", [](nb::handle gaussians, nb::handle sight, int64_t axis, Out<float> splats, int threads) {
     const VisibilityJob job = visibility_job(gaussians, sight, threads);
     nb::gil_scoped_release release;
-    look_on(job, {axis, backwards, passing.data(), depths.data(), sums.data()});
+    sighted_along(job, axis, reinterpret_cast<Sighted*>(splats.data()));
+  });
+  m.def("see_through", [](Out<float> splats, nb::handle sight, bool backwards, Out<float> passing, Out<float> depths) {
+    const auto width = nb::cast<int64_t>(sight.attr("width"));
+    const auto inverse_reach = float(nb::cast<double>(sight.attr("cell")) / nb::cast<double>(sight.attr("reach")));
+    Sighted* const first = reinterpret_cast<Sighted*>(splats.data());
+    const auto count = int64_t(splats.shape(0));
+    nb::gil_scoped_release release;
+    kernels().see_through({first, count, backwards, width, passing.data(), depths.data(), inverse_reach});
   });
   m.def("match_pairs",
         [](In<int32_t> partner_from_row, In<float> costs, int64_t max_pairs, Out<int32_t> representative_from_row, int threads) {

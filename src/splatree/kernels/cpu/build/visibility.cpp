@@ -159,17 +159,10 @@ void steps_of_depths(int64_t n, const float* depths, float nearest, float farthe
   for (int64_t i = 0; i < n; ++i) steps[i] = step_of(depths[i], nearest, in_depth);
 }
 
-void look_on(const VisibilityJob& job, const LookJob& look) {
-  const Scratch<Sighted> splats = allocate<Sighted>(job.n);
+void sighted_along(const VisibilityJob& job, int64_t axis, Sighted* splats) {
   parallel_ranges(job.n, 1 << 13, job.threads, [&](int64_t begin, int64_t end) {
-    for (int64_t i = begin; i < end; ++i) {
-      splats[i] = project(source_of(job, i), FRAMES[look.axis], job.width);
-      splats[i].sum = look.sums[i];
-    }
+    for (int64_t i = begin; i < end; ++i) splats[i] = project(source_of(job, i), FRAMES[axis], job.width);
   });
-  const float inverse_reach = static_cast<float>(job.cell / job.reach);
-  kernels().see_through({splats.get(), job.n, look.backwards, job.width, look.passing, look.depths, inverse_reach});
-  for (int64_t i = 0; i < job.n; ++i) look.sums[i] = splats[i].sum;
 }
 
 }  // namespace splatree

@@ -28,15 +28,6 @@ void depths_along(const VisibilityJob& job, int64_t axis, float* depths);
 // The step of depth that each falls into, of the steps from the nearest to the farthest of the whole scene.
 void steps_of_depths(int64_t n, const float* depths, float nearest, float farthest, uint32_t* steps);
 
-// Looks along an axis at rows that follow, by their depth, those that left the plane as it is; adds the square of what is seen of
-// each to its sum.
-struct LookJob {
-  int64_t axis;
-  bool backwards;  // the rows still stand by rising depth
-  float *passing, *depths, *sums;
-};
-void look_on(const VisibilityJob& job, const LookJob& look);
-
 constexpr int SIGHT_LANES = 8;
 constexpr int SIGHT_CELLS = 32;                              // along u and v, that a splat is looked at in at most
 constexpr int64_t SIGHT_MARGIN = SIGHT_CELLS + SIGHT_LANES;  // of a row of the plane
@@ -49,6 +40,10 @@ struct Sighted {
   float opacity;
   float sum;  // of the squares of what is seen on either way
 };
+static_assert(sizeof(Sighted) == 10 * sizeof(float), "SIGHTED in visibility.py");
+
+// Rows as they are seen along an axis, in their order.
+void sighted_along(const VisibilityJob& job, int64_t axis, Sighted* splats);
 
 struct SightJob {
   Sighted* splats;  // by rising depth

@@ -8,10 +8,13 @@ from splatree.kernels.cpu import _core
 from splatree.scene.gaussians import Gaussians
 from splatree.shapes import Array, Float32, Float64, UInt32
 
-__all__ = ["NUM_AXES", "Plane", "Sight", "depths_along", "measure_visibilities", "steps_of_depths"]
+__all__ = ["NUM_AXES", "Plane", "Sight", "depths_along", "measure_visibilities", "sighted_along", "steps_of_depths"]
 
 NUM_AXES = 4
 """Axes along which a scene is looked at, both ways."""
+
+SIGHTED = ("u", "v", "depth", "a", "b", "c", "half_u", "half_v", "opacity", "sum")
+"""Columns of a splat as it is seen along an axis (``Sighted``), lengths in cells; the sum is of the squares of what is seen."""
 
 MARGIN = 40
 """Cells that a row of the plane has besides its width (``SIGHT_MARGIN``)."""
@@ -55,17 +58,24 @@ def steps_of_depths(depths: Float32[Array, "n"], nearest: float, farthest: float
     return steps
 
 
-class Plane:
-    """The plane through which a scene is seen along an axis, while Gaussians pass by in the order of their depth."""
+def sighted_along(gaussians: Gaussians, sight: Sight, axis: int, *, threads: int = 0) -> Float32[Array, "n 10"]:
+    """Each Gaussian as a splat along an axis, of which nothing is seen yet: ``Sighted`` in visibility.h."""
+    splats = np.empty((len(gaussians), len(SIGHTED)), np.float32)
+    _core.sighted_along(gaussians, sight, axis, splats, threads)
+    return splats
 
-    def __init__(self, sight: Sight, axis: int, *, backwards: bool) -> None:
-        self.sight, self.axis, self.backwards = sight, axis, backwards
+
+class Plane:
+    """The plane through which a scene is seen along an axis, while its splats pass by in the order of their depth."""
+
+    def __init__(self, sight: Sight, *, backwards: bool) -> None:
+        self.sight, self.backwards = sight, backwards
         self._passing = np.ones(sight.width * (sight.width + MARGIN), np.float32)
         self._depths = np.zeros(sight.width * (sight.width + MARGIN), np.float32)
 
-    def look_on(self, gaussians: Gaussians, sums: Float32[Array, "n"], *, threads: int = 0) -> None:
-        """Look at the next Gaussians, by rising depth whichever way; adds the square of what is seen of each to ``sums``."""
-        _core.look_on(gaussians, self.sight, self.axis, self.backwards, self._passing, self._depths, sums, threads)
+    def look_on(self, splats: Float32[Array, "n 10"]) -> None:
+        """Look at the next splats, by rising depth whichever way; adds the square of what is seen of each to its sum."""
+        _core.see_through(splats, self.sight, self.backwards, self._passing, self._depths)
 
 
 def plane_bytes(sight: Sight) -> int:
