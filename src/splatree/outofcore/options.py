@@ -113,6 +113,7 @@ class Room:
         num_coefficients: int,
         thread_bytes: float = math.inf,
         *,
+        num_rows: float = math.inf,
         by_pairs: bool = False,
         follows: bool = False,
     ) -> "Room":
@@ -122,6 +123,7 @@ class Room:
             options: what the user allows.
             num_coefficients: of the harmonics.
             thread_bytes: what workers elsewhere have for a cell.
+            num_rows: Gaussians of the scene: no cell has more.
             by_pairs: levels are made by pairs, which depend on the cells: these do not follow the memory.
             follows: merged Gaussians follow the pixel that they are drawn at.
 
@@ -138,12 +140,13 @@ class Room:
         piece_bytes = min(max_bytes, thread_bytes)
         if by_pairs:
             rows = options.part_rows or PAIR_CELL_ROWS
-            cell = cell_bytes(rows, num_coefficients, by_pairs=True)
+            largest = int(min(rows, num_rows))
+            cell = cell_bytes(largest, num_coefficients, by_pairs=True)
             if cell > piece_bytes:
                 raise InputError(
-                    f"max_memory: found {piece_bytes / 1e6:.0f} MB for a cell of {rows} Gaussians, wanted at least "
-                    f"{cell // 10**6} MB to choose pairs in it; raise --max-memory, or lower --part-rows: levels by pairs depend "
-                    "on it"
+                    f"max_memory: found {piece_bytes / 1e6:.0f} MB for a cell of {largest} Gaussians, wanted at least "
+                    f"{cell // 10**6} MB to choose pairs in it; raise --max-memory, make levels with --method radius, or lower "
+                    "--part-rows: levels by pairs depend on it"
                 )
             return Room(max_bytes, rows, _beside(options, max_bytes, cell), piece_bytes)
         fitting = int((piece_bytes - PROCESS_BYTES) // row_bytes_of(num_coefficients, follows=follows))
