@@ -8,8 +8,10 @@ from dataclasses import dataclass, field
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from typing import ClassVar
+from unittest import mock
 
-from splatree.io.http import close_connections
+from splatree.io import http
 
 
 class Ranges(SimpleHTTPRequestHandler):
@@ -121,6 +123,75 @@ class Proxy(Ranges):
             self.send_error(407)
 
 
+class Busy(Ranges):
+    """Gives half an answer, then a page that says it is busy, then what it was asked for, and so on."""
+
+    asked = 0
+
+    def do_GET(self) -> None:
+        type(self).asked += 1
+        if type(self).asked % 3 == 2:
+            self.send_error(503)
+        elif type(self).asked % 3 == 1:
+            self.send_response(206)
+            self.send_header("Content-Range", "bytes 0-99/100")
+            self.send_header("Content-Length", "100")
+            self.end_headers()
+            self.wfile.write(b"half")
+            self.close_connection = True
+        else:
+            super().do_GET()
+
+
+class Down(Ranges):
+    """Is always busy."""
+
+    def do_GET(self) -> None:
+        self.sent.append(0)
+        self.send_error(503)
+
+
+class Stamped(Ranges):
+    """Says of which state of a file its answers are."""
+
+    is_replaced = False
+    """Whether it is the second state."""
+    changes: ClassVar = {"ETag", "Last-Modified"}
+    """Which stamps the other state has."""
+
+    def end_headers(self) -> None:
+        for name in ("ETag", "Last-Modified"):
+            self.send_header(name, f'"{name} {self.is_replaced and name in self.changes}"')
+        super().end_headers()
+
+
+class Mirrored(Stamped):
+    """Is one of two machines with the same files, each of which makes up its own ETags."""
+
+    changes: ClassVar = {"ETag"}
+
+
+class Forbidding(Ranges):
+    """Says "forbidden" of what is not there, as buckets do whose names may not be listed."""
+
+    def do_GET(self) -> None:
+        if Path(self.translate_path(self.path)).is_file():
+            super().do_GET()
+        else:
+            self.send_error(403)
+
+
+class Unpacked(SimpleHTTPRequestHandler):
+    """Says that a file is packed which is not."""
+
+    def end_headers(self) -> None:
+        self.send_header("Content-Encoding", "gzip")
+        super().end_headers()
+
+    def log_message(self, *_: object) -> None:
+        pass
+
+
 class Refusing(Ranges):
     """Has nothing, and says so on a page."""
 
@@ -129,6 +200,11 @@ class Refusing(Ranges):
         self.send_header("Content-Length", "1000")
         self.end_headers()
         self.wfile.write(bytes(1000))
+
+
+class _Server(ThreadingHTTPServer):
+    def handle_error(self, *_: object) -> None:
+        """A connection that was closed on either side."""
 
 
 @dataclass
@@ -148,13 +224,16 @@ def served(folder: Path, handler: type[SimpleHTTPRequestHandler] = Ranges) -> It
     """A folder, served while the context lasts."""
     found = Served()
     counting = type("Counting", (handler,), {"sent": found.sent, "opened": found.opened})
-    with ThreadingHTTPServer(("127.0.0.1", 0), partial(counting, directory=str(folder))) as server:
+    with (
+        mock.patch.object(http, "WAITS_S", (0.0, 0.0)),
+        _Server(("127.0.0.1", 0), partial(counting, directory=str(folder))) as server,
+    ):
         thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
         thread.start()
         try:
             found.address = f"http://127.0.0.1:{server.server_port}"
             yield found
         finally:
-            close_connections()
+            http.close_connections()
             server.shutdown()
             thread.join()

@@ -1,8 +1,10 @@
 """``splatree bench`` from end to end on a small real scene."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from splatree.bench.measure import Judge
@@ -11,9 +13,13 @@ from splatree.cli.main import commands_of
 from splatree.io.cameras.files import write_cameras
 from splatree.io.images import write_image
 from splatree.io.reading import read
+from splatree.io.writing import write
 from splatree.render.paths import PathOptions, flyout
 from splatree.render.pipeline import render
 from splatree.scene.options import SelectOptions
+from splatree.scene.scene import Scene
+
+from ..scenes import random_gaussians
 
 SMALL = ("--views", "2", "--size", "64")
 
@@ -158,3 +164,18 @@ def test_options_out_of_range_are_a_wrong_command_line(splatree):
         code, _, err = splatree("bench", *words)
         assert code == 2
         assert words[1].removeprefix("--").replace("-", "_") in err
+
+
+@pytest.mark.parametrize("name", ["fig5", "fig6", "fig7", "table3"])
+def test_a_scene_of_which_nothing_is_seen_has_no_pairs(splatree, tmp_path, name):
+    seen = random_gaussians(20, degree=0)
+    hidden = replace(seen, logit_opacities=np.full(20, -np.inf, np.float32))
+    write(Scene.flat(hidden), tmp_path / "hidden.ply")
+    found = result_of(
+        splatree(
+            "bench", name, "--scene", tmp_path / "hidden.ply", "--views", "1", "--size", "32", "--frames", "1", "--json"
+        )
+    )
+    rows = next(table["rows"] for table in found["tables"] if not table["name"].endswith("_paper"))
+    assert {row["N_P"] for row in rows} == {0}
+    assert {row.get("N_P / 3σ", 0) for row in rows} == {0}

@@ -126,3 +126,18 @@ def test_report_needs_a_reference(splatree, small_ply, tmp_path):
     assert code == 2 and "found no --reference" in err
     code, _, err = splatree("eval", small_ply, "--reference", small_ply, "--data", tmp_path)
     assert code == 2 and "found it beside --data" in err
+
+
+@pytest.mark.parametrize(
+    "words", [("thin", "--keep", "0.5"), ("convert",), ("build", "--flat", "--clusters", "4"), ("demo", "--views", "1")]
+)
+def test_a_report_of_what_fails_leaves_no_folder(splatree, tmp_path, monkeypatch, words):
+    monkeypatch.setattr(import_module("splatree.cli.demo"), "read", lambda path: read(tmp_path / "gone.ply"))
+    (tmp_path / "b").touch()
+    if words[0] == "demo":
+        words = (*words, "-o", tmp_path / "lost")
+    else:
+        words = (words[0], tmp_path / "gone.ply", tmp_path / "a.splatree", *words[1:], "--report", tmp_path / "lost")
+    code, _, err = splatree(*words)
+    assert code == 1 and "gone.ply: not found" in err
+    assert [path.name for path in tmp_path.iterdir()] == ["b"]

@@ -151,3 +151,13 @@ def test_memory_is_limited_where_the_scene_is_not_read_whole(splatree, small_ply
         assert code == 2 and f"splatree build {source} -o parts.splatree --max-memory 1G" in err
     code, _, err = splatree("stream", folder, tmp_path / "no", "--max-memory", "1M")
     assert code == 1 and "max_memory: found 1M, wanted at least 250M" in err and not (tmp_path / "no").exists()
+
+
+@pytest.mark.parametrize(
+    "words",
+    [("stream", "gone.splatree", "web"), ("calibrate", "gone.splatree"), ("render", "gone.splatree", "-o", "frames")],
+)
+def test_a_limit_of_memory_for_what_is_not_there_is_answered_with_that(splatree, tmp_path, monkeypatch, words):
+    monkeypatch.chdir(tmp_path)
+    code, _, err = splatree(*words, "--max-memory", "300M")
+    assert code == 1 and "gone.splatree: not found; wanted a scene file or folder" in err

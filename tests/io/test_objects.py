@@ -9,13 +9,30 @@ import fsspec
 import pytest
 
 import splatree as st
+from splatree.cli.main import main
 from splatree.errors import FormatError, InputError, MissingExtraError, OutputError
 from splatree.io import http, objects, sources
 from splatree.io.objects import ObjectPath, located
 from splatree.io.registry import stored_bytes
 from splatree.scene.scene import Source
 
-from ..ranged_server import Closing, Cutting, Leading, Proxy, Refusing, Shifted, Sizeless, Unsaid, served
+from ..ranged_server import (
+    Busy,
+    Closing,
+    Cutting,
+    Down,
+    Forbidding,
+    Leading,
+    Mirrored,
+    Proxy,
+    Refusing,
+    Shifted,
+    Sizeless,
+    Stamped,
+    Unpacked,
+    Unsaid,
+    served,
+)
 from ..scenes import random_gaussians
 
 SUFFIXES = (".ply", ".compressed.ply", ".spz", ".splat", ".sog", ".ksplat", ".glb", ".rad", ".splatree", ".hier")
@@ -153,7 +170,7 @@ def test_what_a_store_refuses_is_said_with_the_address(bucket, scene, monkeypatc
 def test_an_object_that_shrinks_while_it_is_read_is_not_believed(bucket, scene, monkeypatch):
     st.write(scene, f"{bucket}/a.ply")
     read = sources._Fsspec.read
-    monkeypatch.setattr(sources._Fsspec, "read", lambda self, url, begin, end: read(self, url, begin, end)[:-1])
+    monkeypatch.setattr(sources._Fsspec, "read", lambda self, url, begin, end, _: read(self, url, begin, end)[:-1])
     with pytest.raises(InputError, match=r"a\.ply: found [\d,]+ of [\d,]+ bytes from byte 0 on; the connection broke"):
         st.read(f"{bucket}/a.ply")
 
@@ -232,7 +249,7 @@ def test_an_error_of_a_server_leaves_the_connection_open(tmp_path):
         assert len(server.opened) == 1
 
 
-def test_servers_without_ranges_or_bytes_are_refused(scene, tmp_path):
+def test_servers_without_ranges_or_bytes_are_refused(scene, tmp_path, capsys):
     from http.server import SimpleHTTPRequestHandler
 
     class Whole(SimpleHTTPRequestHandler):
@@ -262,5 +279,65 @@ def test_servers_without_ranges_or_bytes_are_refused(scene, tmp_path):
             st.open_store(f"{address}/empty.splatree")
         with pytest.raises(InputError, match=r"gone\.splatree: cannot be read \(No such object\)"):
             st.open_store(f"{address}/gone.splatree")
+        assert main(["render", f"{address}/gone.splatree", "-o", str(tmp_path / "x"), "--max-memory", "250M"]) == 1
+        assert "gone.splatree: not found; wanted a scene" in capsys.readouterr().err
     with pytest.raises(InputError, match=r"a\.splatree.*: cannot be fetched \(.*refused"):
         st.open_store(f"{address}/a.splatree")
+
+
+def test_a_server_that_is_busy_or_breaks_off_is_asked_again(scene, tmp_path):
+    st.write(scene, tmp_path / "sog" / "meta.json")
+    st.write(scene, tmp_path / "a.ply")
+    Busy.asked = 0
+    with served(tmp_path, Busy) as server:
+        check_are_equal(st.read(f"{server.address}/sog/meta.json"), st.read(tmp_path / "sog"))
+    with served(tmp_path, Down) as server:
+        for name in ("sog/meta.json", "a.ply"):
+            server.sent.clear()
+            with pytest.raises(InputError, match=rf"{name}: cannot be fetched \(status 503, Service Unavailable\)$"):
+                st.read(f"{server.address}/{name}")
+            assert len(server.sent) == 3
+
+
+def test_an_object_that_is_replaced_while_it_is_read_is_not_mixed_with_the_one_before(scene, tmp_path, monkeypatch):
+    path = tmp_path / "a.splatree"
+    st.write(scene, path)
+    camera = st.Camera.look_at([0, 0, -5], [0, 0, 0], width=32, height=24)
+    for handler in (Stamped, Mirrored):
+        monkeypatch.setattr(handler, "is_replaced", False)
+        with served(tmp_path, handler) as server, st.open_store(f"{server.address}/a.splatree") as store:
+            monkeypatch.setattr(
+                handler, "is_replaced", True
+            )  # the index is of the first state, what is drawn of the second
+            if handler is Stamped:
+                with pytest.raises(
+                    InputError, match=r"a\.splatree: was replaced while it was read; read it again from "
+                ):
+                    st.render(store, camera)
+            else:
+                assert st.render(store, camera).image.tobytes() == st.render(st.read(path), camera).image.tobytes()
+
+
+def test_a_server_may_answer_as_it_likes_for_a_manifest_that_is_not_there(scene, tmp_path):
+    path = tmp_path / "a.splatree"
+    st.write(scene, path)
+    with served(tmp_path, Forbidding) as server:
+        assert (st.read(f"{server.address}/a.splatree").ids == scene.ids).all()
+        with st.open_store(f"{server.address}/a.splatree") as store:
+            assert store.index.num_rows == len(scene)
+        with pytest.raises(InputError, match=r"/gone\.splatree: cannot be fetched \(status 403, Forbidden\)"):
+            st.read(f"{server.address}/gone.splatree")
+
+
+def test_errors_of_what_a_server_packs_name_the_address(scene, tmp_path):
+    st.write(scene, tmp_path / "a.ply")
+    with (
+        served(tmp_path, Unpacked) as server,
+        pytest.raises(FormatError, match=rf"^{server.address}/a\.ply: not a whole"),
+    ):
+        st.read(f"{server.address}/a.ply")
+
+
+def test_a_reason_is_one_line_that_no_terminal_obeys():
+    assert http.reason_of(ValueError("a\x1b[2J\nsecond line")) == "a?[2J"
+    assert http.reason_of(ValueError("")) == "ValueError"

@@ -19,6 +19,7 @@ from splatree.lod import shown
 from splatree.lod.follow import with_curves
 from splatree.lod.resolve import measure, resolve
 from splatree.outofcore import build, grow, sight
+from splatree.outofcore import options as options_of_cells
 from splatree.outofcore.options import PAIR_CELL_ROWS, Room, cell_bytes
 from splatree.outofcore.work import new_array
 from splatree.simplify.visibility import visibilities_in
@@ -169,6 +170,20 @@ def test_a_small_scene_is_reckoned_with_its_own_size(tmp_path, ply):
     for method in ("pairs", "radius"):
         built = st.build_folder(tmp_path / "in.ply", tmp_path / method, st.BuildOptions(method), least)
         assert built.num_parts == 1 and not any("memory is short" in note for note in built.notes)
+
+
+def test_a_scene_of_fewer_rows_than_a_cell_takes_no_more_memory_than_it_needs(tmp_path, ply):
+    built = st.build_folder(ply, tmp_path / "out.splatree", PAIRS, st.FolderOptions(max_memory="250M"))
+    check_is_tree_of(built.path, ply, PAIRS, "classic")
+
+
+def test_a_build_that_is_refused_before_it_began_leaves_nothing(tmp_path, ply):
+    with (
+        pytest.raises(st.InputError, match="found 250 MB for a cell of 700 Gaussians, wanted at least"),
+        mock.patch.object(options_of_cells, "row_bytes_of", lambda *_, **__: 10**6),
+    ):
+        st.build_folder(ply, tmp_path / "out.splatree", PAIRS, st.FolderOptions(max_memory="250M"))
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_what_does_not_fit_is_refused(tmp_path, ply, monkeypatch):

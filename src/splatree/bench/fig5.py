@@ -51,12 +51,12 @@ def run(options: Options) -> Report:
     selections = {"all leaves (3DGS)": ALL_LEAVES, "cut": SelectOptions(options.pixel_error)}
     for name, select in track(list(selections.items()), "selections"):
         panels.append([])
-        unshrunk, base = judge.of_shrinking(select), 0.0
+        unshrunk, base = judge.of_shrinking(select), 1.0
         for way in ways(subject, select, lambda_g=options.lambda_g, loss_db=options.loss_db):
             row = shrinking_row(judge, unshrunk, select, way.options, options.frames)
             image = render(subject.scene, camera, way.options, judge.selector(select)).image
             panels[-1].append(Panel(f"{name}\n{way.name}\n{row['PSNR']:.2f} dB, {row['N_P']:,} pairs", image[window]))
-            base = number(row, "N_P") if way.options == THREE_SIGMA else base
+            base = max(number(row, "N_P"), 1.0) if way.options == THREE_SIGMA else base
             rows.append({"selection": name, "shrinking": way.name, **row, "N_P / 3σ": number(row, "N_P") / base})
     return Report(
         "fig5",

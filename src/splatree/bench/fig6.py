@@ -61,7 +61,7 @@ def run(options: Options) -> Report:
     for rule, parameter, drawn in track(list(_sweep(subject, select, options)), "sweep"):
         row = shrinking_row(judge, unshrunk, select, drawn, options.frames)
         rows.append({"rule": rule, "parameter": parameter, **row})
-    base = number(rows[0], "N_P")
+    base = max(number(rows[0], "N_P"), 1.0)
     rows = [{**row, "N_P / 3σ": number(row, "N_P") / base} for row in rows]
     histograms = {way.name: _histogram(judge, select, way.options) for way in _counted(subject, select)}
     return Report(

@@ -14,6 +14,7 @@ from splatree.errors import InputError
 from splatree.io.cameras.files import read_cameras
 from splatree.io.cameras.split import split_views
 from splatree.io.formats.folder.manifest import MANIFEST, checked_path, read_manifest
+from splatree.io.inputs import check_are_there
 from splatree.io.objects import located
 from splatree.io.photos import Photos, PhotosUsed, photographed
 from splatree.io.reading import read
@@ -115,6 +116,7 @@ def run(command: Command) -> Calibrated:
     views = training_views(command.views)
     is_folder = in_place and (output / MANIFEST).exists()
     if command.max_memory is not None and not is_folder:
+        check_are_there(inputs)
         raise UsageError(
             f"max_memory: found {', '.join(map(str, inputs))}, wanted one folder of parts, which is changed in place; other "
             "scenes are written whole, from memory"

@@ -18,9 +18,10 @@ from tyro.conf import arg
 from splatree.cli.console import Console, UsageError, counted, table
 from splatree.cli.eval_views import row_of, view_of
 from splatree.cli.flight import Demo, DemoView
+from splatree.cli.pictures import make_folder
 from splatree.cli.report import write_report
-from splatree.errors import OutputError
 from splatree.io.reading import read
+from splatree.io.replacing import check_free_in
 from splatree.metrics.psnr import psnr
 from splatree.progress import task
 from splatree.render.build import build_lod
@@ -31,6 +32,7 @@ from splatree.scene.options import SelectOptions
 from splatree.scene.scene import Scene
 
 SCENE = "semarang_5_9.sog"
+REPORT = "report.html"
 
 CREDIT = (
     "Scene: a piece of “KARANGKIDUL KOTA SEMARANG 2” by Samuel Hiero, https://superspl.at/scene/b4b950fe, "
@@ -58,10 +60,7 @@ def run(command: Command) -> Demo:
         raise UsageError(
             "found --quality, wanted --pixel-error or --budget: the demo shows what pixel errors look like"
         )
-    try:
-        command.output.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"{command.output}: cannot be made a folder for the report ({error.strerror})") from error
+    check_free_in(command.output, [REPORT], force=True)
     seconds: dict[str, float] = {}
     with _timed(seconds, "read"), as_file(files("splatree") / "data" / SCENE) as path:
         scene = read(path)
@@ -76,6 +75,7 @@ def run(command: Command) -> Demo:
         for evaluation in evaluations:
             views.append(_demo_view(scene, evaluation, command.select))
             advance(1)
+    make_folder(command.output)
     demo = Demo(
         num_gaussians=scene.tree.num_leaves,
         num_nodes=len(scene),
@@ -85,7 +85,7 @@ def run(command: Command) -> Demo:
         select=command.select,
         seconds=seconds,
         views=tuple(views),
-        report=command.output / "report.html",
+        report=command.output / REPORT,
         credit=CREDIT,
     )
     write_report(demo, scene, evaluations)

@@ -9,6 +9,7 @@ from splatree.cli.console import UsageError
 from splatree.cli.files import Reading, read_scene
 from splatree.io.formats.splatree.format import is_compact
 from splatree.io.formats.splatree.rows import open_scene
+from splatree.io.inputs import check_are_there
 from splatree.io.local import is_brought, place_of
 from splatree.io.memory import free_bytes
 from splatree.io.registry import detect, stored_bytes
@@ -43,6 +44,7 @@ def opened(
             raise UsageError(
                 f"max_memory: found {_named(whole)}, which needs all rows in memory; leave out one of both"
             )
+        check_are_there(paths)
         raise UsageError(
             f"max_memory: found {', '.join(map(str, paths))}, wanted one .splatree or one folder of parts; splatree build makes "
             "either"

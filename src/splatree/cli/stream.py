@@ -13,6 +13,7 @@ from splatree.cli.files import Reading, in_mode, lost_and_noted, read_scene, rep
 from splatree.errors import InputError
 from splatree.io.cameras.files import read_cameras
 from splatree.io.formats.folder.manifest import holds_parts
+from splatree.io.inputs import check_are_there
 from splatree.io.memory import give_back_freed
 from splatree.io.notes import origin_in_words
 from splatree.io.replacing import check_target, replacing
@@ -103,6 +104,7 @@ def _check_is_mapped(inputs: tuple[Path, ...], max_memory: str) -> None:
     """Refuse a limit of memory for a scene that is read whole."""
     tree = stored_runs(inputs[0]) if len(inputs) == 1 and inputs[0].exists() else None
     if tree is None or tree.head.source.format not in _MAPPED or tree.num_leaves == len(tree):
+        check_are_there(inputs)
         raise UsageError(
             f"found --max-memory for {', '.join(map(str, inputs))}, but only a folder of parts and an exact .splatree with "
             f"levels are not read whole; build the levels through files first: splatree build {' '.join(map(str, inputs))} "

@@ -275,6 +275,8 @@ def read_trace(path: Path) -> FrameTrace:
     try:
         with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
             columns = {f.name: file[f.name] for f in fields(FrameTrace)}
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: not found; wanted a trace (.npz) that splatree simulate --traces wrote") from error
     except (OSError, ValueError, EOFError) as error:
         raise InputError(f"{path}: cannot be read as a trace (.npz): {error}") from error
     except KeyError as error:

@@ -4,6 +4,9 @@ A new connection of https takes two to three round trips before its first reques
 So a connection is kept when its answer has been read to the end, and the next request to the same server takes it, from whichever
 thread. As many are open as requests were under way at the same time.
 
+A server that is busy, and a connection that breaks off, are asked again (`tried_again`): a picture of a scene elsewhere takes
+hundreds of requests, and one of them fails now and then.
+
 Redirections and proxies are left to the standard library, which by itself closes a connection after each request.
 """
 
@@ -13,14 +16,17 @@ import os
 import threading
 import time
 from collections import defaultdict
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from functools import cache
-from http.client import HTTPConnection, HTTPException, HTTPResponse
-from typing import Any
+from http.client import HTTPConnection, HTTPException, HTTPResponse, IncompleteRead
+from typing import Any, Final, TypeVar
+from urllib.error import HTTPError
 from urllib.request import HTTPHandler, HTTPSHandler, OpenerDirector, Request, build_opener
 from urllib.response import addinfourl
 
-__all__ = ["TIMEOUT_S", "close_connections", "open_range"]
+__all__ = ["TIMEOUT_S", "close_connections", "open_range", "reason_of", "tried_again"]
+
+_Answer = TypeVar("_Answer")
 
 TIMEOUT_S = 30.0
 """A server that sends nothing for so long is given up."""
@@ -30,6 +36,12 @@ IDLE_S = 20.0
 
 MOST_IDLE = 16
 """Connections to one server that wait for the next request."""
+
+WAITS_S = (0.5, 2.0)
+"""Before a request is made again: a server that is busy, or starts anew, needs about as long."""
+
+_BUSY: Final = (429, 500, 502, 503, 504)
+"""Status of answers that may be others a little later."""
 
 _LEAST_BYTES = 1 << 16
 """What is read of an answer at least, so that the connection is kept after the page of an error, too."""
@@ -44,8 +56,53 @@ def open_range(url: str, begin: int, end: int) -> addinfourl:
         HTTPException, OSError, ValueError: the connection broke off, or the address is none.
     """
     headers = {"User-Agent": "splatree", "Range": f"bytes={begin}-{end - 1}"}
-    answer: addinfourl = _opener().open(Request(url, headers=headers), timeout=TIMEOUT_S)
-    return answer
+
+    def ask() -> addinfourl:
+        answer: addinfourl = _opener().open(Request(url, headers=headers), timeout=TIMEOUT_S)
+        return answer
+
+    return tried_again(ask)
+
+
+def tried_again(ask: Callable[[], _Answer]) -> _Answer:
+    """What ``ask`` gets from a server, which it asks again where the server is busy or the connection breaks off.
+
+    A server that refuses connections or sends nothing is not asked again: it is not there.
+
+    Raises:
+        HTTPError, HTTPException, OSError: the last answer was of this kind, or the first one will not be another.
+    """
+    for wait_s in WAITS_S:
+        try:
+            return ask()
+        except HTTPError as error:
+            if error.code not in _BUSY:
+                raise
+            error.close()
+        except (HTTPException, ConnectionError) as error:
+            if isinstance(error, ConnectionRefusedError):
+                raise
+        time.sleep(wait_s)
+    return ask()
+
+
+def reason_of(error: Exception) -> str:
+    """Why there is no answer, in one line."""
+    if isinstance(error, IncompleteRead):
+        return f"the connection broke off after {len(error.partial):,} bytes, try again"
+    if isinstance(error, HTTPError):
+        return f"status {error.code}, {_one_line(error.reason)}"
+    return _one_line(getattr(error, "reason", None) or error)
+
+
+def _one_line(said: object) -> str:
+    """The first line of what a library or a server says, without what a terminal would obey."""
+    lines = [line for line in str(said).splitlines() if line.strip()]
+    return (
+        "".join(letter if letter.isprintable() else "?" for letter in lines[0].strip())
+        if lines
+        else type(said).__name__
+    )
 
 
 def close_connections() -> None:
@@ -81,8 +138,11 @@ class _Keeping(HTTPHandler, HTTPSHandler):
                 connection.set_tunnel(behind, headers={name: value for name, value in to_proxy.items() if value})
             answer = _answer(connection, req.selector, headers)
         first, last = map(int, headers["Range"].removeprefix("bytes=").split("-"))
+        most = max(last - first + 2, _LEAST_BYTES)
         try:
-            data = answer.read(max(last - first + 2, _LEAST_BYTES))
+            data = answer.read(most)
+            if answer.length and len(data) < most:
+                raise IncompleteRead(data, answer.length)
         finally:
             if answer.isclosed() and not answer.will_close:
                 self._keep(place, connection)

@@ -61,6 +61,17 @@ def find_inputs(paths: Sequence[Path], is_scene: Callable[[Path], bool]) -> Inpu
     return Inputs(found, tuple(notes))
 
 
+def check_are_there(paths: Iterable[Path]) -> None:
+    """Refuse what no reader could find, where more is to be said of it than that.
+
+    Raises:
+        InputError: a path leads nowhere, and is no pattern of one that does.
+    """
+    for path in paths:
+        if not path.exists():
+            _match(path)
+
+
 def _find(path: Path, is_scene: Callable[[Path], bool], notes: list[str]) -> list[Path]:
     try:
         is_there = path.exists()

@@ -159,7 +159,7 @@ def _how_to_bring(path: Path) -> Callable[[Path], Path] | None:
 def _how_to_inflate(path: Path) -> Callable[[Path], Path] | None:
     suffix = path.suffix.lower()
     if suffix == ".gz" and path.is_file():
-        return lambda folder: _gunzip(path, folder, path.name[: -len(".gz")])
+        return lambda folder: _gunzip(path, folder, path.name[: -len(".gz")], str(path))
     if suffix in _ZIPPED and path.is_file():
         return _unzip(path)
     return None
@@ -170,15 +170,19 @@ def _download(address: str, folder: Path) -> Path:
     from urllib.error import URLError
     from urllib.request import Request, urlopen
 
-    from splatree.io.http import TIMEOUT_S
+    from splatree.io.http import TIMEOUT_S, reason_of, tried_again
 
     name = Path(unquote(parts_of(address).path)).name or "scene"
     target = folder / re.sub(r"[^\w.-]", "_", name)
+    request = Request(address, headers={"User-Agent": "splatree"})
     try:
-        with urlopen(Request(address, headers={"User-Agent": "splatree"}), timeout=TIMEOUT_S) as answer:
+        with tried_again(lambda: urlopen(request, timeout=TIMEOUT_S)) as answer:
             if urlsplit(answer.url).scheme not in ("http", "https"):
                 raise InputError(f"{address}: leads to {answer.url}, wanted https or http")
-            announced = int(answer.headers.get("Content-Length") or 0)
+            said = answer.headers.get("Content-Length") or "0"
+            if not (said.isascii() and said.isdigit()):
+                raise InputError(f"{address}: found {said!r} as its size, wanted a number of bytes; fetch it yourself")
+            announced = int(said)
             if announced > DOWNLOAD_MAX:
                 raise InputError(
                     f"{address}: found {announced:,} bytes, wanted at most {DOWNLOAD_MAX:,}; fetch it yourself"
@@ -197,8 +201,8 @@ def _download(address: str, folder: Path) -> Path:
     except (URLError, HTTPException, OSError, ValueError) as error:
         if isinstance(error, InputError):
             raise
-        raise InputError(f"{address}: cannot be fetched ({getattr(error, 'reason', None) or error})") from error
-    return target if encoding == "identity" else _gunzip(target, folder / "plain", target.name)
+        raise InputError(f"{address}: cannot be fetched ({reason_of(error)})") from error
+    return target if encoding == "identity" else _gunzip(target, folder / "plain", target.name, address)
 
 
 def _from_standard_input(folder: Path) -> Path:
@@ -216,7 +220,8 @@ def _from_standard_input(folder: Path) -> Path:
     return target
 
 
-def _gunzip(path: Path, folder: Path, name: str) -> Path:
+def _gunzip(path: Path, folder: Path, name: str, where: str) -> Path:
+    """Unpack a file, which the user knows as ``where``."""
     folder.mkdir(exist_ok=True)
     target = folder / name
     limit = max(INFLATED_ALWAYS, INFLATION_MAX * path.stat().st_size)
@@ -227,11 +232,11 @@ def _gunzip(path: Path, folder: Path, name: str) -> Path:
             target.open("wb") as file,
             task(f"unpack {path.name}", None) as advance,
         ):
-            _copy(packed, file, limit, str(path), advance)  # type: ignore[arg-type]  # a GzipFile reads like any file
+            _copy(packed, file, limit, where, advance)  # type: ignore[arg-type]  # a GzipFile reads like any file
     except (OSError, EOFError, zlib.error) as error:
         if isinstance(error, FormatError):
             raise
-        raise FormatError(f"{path}: not a whole .gz ({error}); fetch it again") from error
+        raise FormatError(f"{where}: not a whole .gz ({error}); fetch it again") from error
     return target
 
 

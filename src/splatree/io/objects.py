@@ -62,18 +62,18 @@ class ObjectPath(type(Path())):  # type: ignore[misc]  # PosixPath or WindowsPat
         found = _known[url] = source_of(url).info(url)
         return found
 
-    def read_range(self, begin: int, end: int) -> bytes:
-        """The bytes ``begin`` to ``end``.
+    def read_range(self, begin: int, end: int, known: Info | None = None) -> bytes:
+        """The bytes ``begin`` to ``end``; ``known`` is what the reader was told of the object when it began to read it.
 
         Raises:
-            InputError: they cannot be read, or are fewer.
+            InputError: they cannot be read, are fewer, or are of an object that has replaced that one.
         """
         if begin >= end:
             return b""
-        info = _known.get(str(self))
-        if info is not None and end <= len(info.head):
-            return info.head[begin:end]
-        data = source_of(str(self)).read(str(self), begin, end)
+        known = known or _known.get(str(self))
+        if known is not None and end <= len(known.head):
+            return known.head[begin:end]
+        data = source_of(str(self)).read(str(self), begin, end, known)
         if len(data) != end - begin:
             raise InputError(
                 f"{self}: found {len(data):,} of {end - begin:,} bytes from byte {begin:,} on; the connection broke off or the "
@@ -144,9 +144,8 @@ class _ObjectFile(io.RawIOBase):
     """An object that is read by ranges."""
 
     def __init__(self, path: ObjectPath) -> None:
-        self._path, self._size = path, path.stat().st_size
-        info = path.info()
-        self._block = b"" if info is None else info.head
+        self._path, self._size, self._info = path, path.stat().st_size, path.info()
+        self._block = b"" if self._info is None else self._info.head
         self._place, self._begin = 0, 0 if self._block else -1
         self._ahead = FIRST_BYTES
 
@@ -180,7 +179,7 @@ class _ObjectFile(io.RawIOBase):
         self._ahead = min(2 * self._ahead, MOST_BYTES) if goes_on else FIRST_BYTES
         self._begin = self._place
         end = min(self._size, self._place + max(self._ahead, min(count, MOST_BYTES)))
-        self._block = self._path.read_range(self._begin, end)
+        self._block = self._path.read_range(self._begin, end, self._info)
 
 
 def located(path: str | os.PathLike[str]) -> Path:

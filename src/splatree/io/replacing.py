@@ -260,6 +260,8 @@ def check_free_in(folder: Path, names: Sequence[str], *, force: bool) -> None:
     if not os.access(there, os.W_OK | os.X_OK):
         raise OutputError(f"{folder}: cannot be written, nothing may be written into {there}")
     for name in names:
+        if folder.exists():
+            check_target(folder / name)
         if (folder / name).exists() and not force:
             raise OutputError(f"{folder / name}: exists already; choose another folder or replace it with --force")
 

@@ -6,7 +6,7 @@ them: s3fs for ``s3://``, gcsfs for ``gs://``, adlfs for ``az://``. `splatree.io
 
 import re
 import zlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol
 from urllib.parse import SplitResult, urlsplit
@@ -33,6 +33,13 @@ class Info:
     """A number that is another when the object has been replaced."""
     head: bytes = field(default=b"", repr=False)
     """Its first bytes, if they came along."""
+    stamps: frozenset[str] = frozenset()
+    """What the server says of its state, of which each copy of a file may have its own: ETag and Last-Modified."""
+
+    def is_of(self, later: "Info") -> bool:
+        """Whether what is known later is of the same bytes: size, and one of the stamps where both have any."""
+        alike = not self.stamps or not later.stamps or bool(self.stamps & later.stamps)
+        return alike and self.num_bytes == later.num_bytes
 
 
 class Source(Protocol):
@@ -41,8 +48,12 @@ class Source(Protocol):
     def info(self, url: str) -> Info | None:
         """Size and kind; None: there is no such object."""
 
-    def read(self, url: str, begin: int, end: int) -> bytes:
-        """The bytes ``begin`` to ``end``, fewer only where the object ends or the connection breaks off."""
+    def read(self, url: str, begin: int, end: int, known: Info | None = None) -> bytes:
+        """The bytes ``begin`` to ``end``, fewer only where the object ends or the connection breaks off.
+
+        Raises:
+            InputError: they cannot be read, or a server says that they are of another object than what is ``known``.
+        """
 
     def names(self, url: str) -> list[str]:
         """Names of what is in a folder."""
@@ -86,22 +97,18 @@ class _Http:
         status, headers, head = self._get(url, 0, HEAD_BYTES, missing_ok=True)
         if status == 404:
             return None
-        whole = (
-            headers.get("Content-Range", "").rpartition("/")[2] if status == 206 else headers.get("Content-Length", "")
-        )
-        version = zlib.crc32((headers.get("ETag") or headers.get("Last-Modified") or "").encode())
-        if status != 416 and not (whole.isascii() and whole.isdigit()):
-            raise InputError(f"{url}: found {whole!r} as its size, wanted a number of bytes; fetch the file yourself")
-        num_bytes = int(whole) if status != 416 else 0
-        return Info(num_bytes, version=version, head=head if len(head) == min(HEAD_BYTES, num_bytes) else b"")
+        found = _said_of(url, status, headers)
+        return replace(found, head=head if len(head) == min(HEAD_BYTES, found.num_bytes) else b"")
 
-    def read(self, url: str, begin: int, end: int) -> bytes:
-        status, _, data = self._get(url, begin, end)
+    def read(self, url: str, begin: int, end: int, known: Info | None = None) -> bytes:
+        status, headers, data = self._get(url, begin, end)
         if status != 206:
             raise InputError(
                 f"{url}: found a server that answers with the whole file (status {status}), wanted one that gives ranges of "
                 "bytes; fetch the file yourself"
             )
+        if known is not None and not known.is_of(_said_of(url, status, headers)):
+            raise InputError(f"{url}: was replaced while it was read; read it again from its beginning")
         return data
 
     def names(self, url: str) -> list[str]:
@@ -121,7 +128,7 @@ class _Http:
         from http.client import HTTPException
         from urllib.error import HTTPError, URLError
 
-        from splatree.io.http import open_range  # what it imports takes as long as the rest of the program
+        from splatree.io.http import open_range, reason_of  # what it imports takes as long as the rest of the program
 
         try:
             with open_range(url, begin, end) as answer:
@@ -136,11 +143,21 @@ class _Http:
             with error:
                 if error.code == 416 or (error.code == 404 and missing_ok):  # 416: of no bytes at all
                     return error.code, error.headers, b""
-                raise InputError(f"{url}: cannot be fetched (status {error.code}, {error.reason})") from error
+                raise InputError(f"{url}: cannot be fetched ({reason_of(error)})") from error
         except InputError:
             raise
         except (URLError, HTTPException, OSError, ValueError) as error:
-            raise InputError(f"{url}: cannot be fetched ({getattr(error, 'reason', None) or error})") from error
+            raise InputError(f"{url}: cannot be fetched ({reason_of(error)})") from error
+
+
+def _said_of(url: str, status: int, headers: Any) -> Info:
+    """What an answer says of the whole object."""
+    whole = headers.get("Content-Range", "").rpartition("/")[2] if status == 206 else headers.get("Content-Length", "")
+    if status != 416 and not (whole.isascii() and whole.isdigit()):
+        raise InputError(f"{url}: found {whole!r} as its size, wanted a number of bytes; fetch the file yourself")
+    stamps = [stamp for stamp in (headers.get("ETag"), headers.get("Last-Modified")) if stamp]
+    version = zlib.crc32(stamps[0].encode()) if stamps else 0
+    return Info(int(whole) if status != 416 else 0, version=version, stamps=frozenset(stamps))
 
 
 @dataclass(frozen=True)
@@ -176,8 +193,8 @@ class _Fsspec:
         stamp = next((found[key] for key in ("ETag", "etag", "LastModified", "mtime", "created") if key in found), "")
         return Info(int(found.get("size") or 0), found["type"] == "directory", zlib.crc32(str(stamp).encode()))
 
-    def read(self, url: str, begin: int, end: int) -> bytes:
-        try:
+    def read(self, url: str, begin: int, end: int, known: Info | None = None) -> bytes:
+        try:  # what a store says of an object comes with no range: asking would take a request more for each
             return bytes(self.files.cat_file(self._name(url), start=begin, end=end))
         except Exception as error:
             raise _unread(url, error) from error

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -67,8 +68,9 @@ class Cut:
     def notes(self, running: FolderOptions) -> tuple[str, ...]:
         """What the user should know, a sentence each."""
         kept = notes_in(self.plan.metadata, self.plan.origin)
-        by_pairs, is_one = self.plan.resolved.method == "pairs", self.plan.num_rows <= self.plan.part_rows
-        if running.part_rows is not None or self.plan.part_rows == PART_ROWS or by_pairs or is_one:
+        by_pairs = self.plan.resolved.method == "pairs"
+        fit = self.plan.part_rows >= min(PART_ROWS, self.plan.num_rows)
+        if running.part_rows is not None or fit or by_pairs:
             return kept
         return (
             *kept,
@@ -129,15 +131,19 @@ def cut_into_cells(
     request = request_of([_identity(path) for path in opened.found], asked, running, reading, chunks.mode)
     with errors_of_writing(work), alone_in(work.folder):
         work.begin()
-        with _runners(work, running, options, executor, chunks) as (workers, room):
-            plan = _plan_to_go_on_with(work, request, room)
-            if plan is None:
-                _clear(work)
-                plan = make_plan(work, chunks, options, request, room)
-            make_slices(work, plan, chunks)
-            _check_room(work, plan, room)
-            run_cells(work, plan, "cell", workers)
-            yield Cut(plan, workers, room)
+        try:
+            with _runners(work, running, options, executor, chunks) as (workers, room):
+                plan = _plan_to_go_on_with(work, request, room)
+                if plan is None:
+                    _clear(work)
+                    plan = make_plan(work, chunks, options, request, room)
+                make_slices(work, plan, chunks)
+                _check_room(work, plan, room)
+                run_cells(work, plan, "cell", workers)
+                yield Cut(plan, workers, room)
+        finally:
+            if work.folder.exists() and not work.plan.exists():  # nothing to go on with
+                work.clear()
 
 
 @contextmanager
@@ -145,14 +151,20 @@ def _runners(
     work: Work, running: FolderOptions, options: BuildOptions, executor: Executor | None, chunks: Chunks
 ) -> Iterator[tuple[Workers, Room]]:
     """Who grows the cells, and how much memory there is for each."""
-    num_coefficients, by_pairs = (chunks.sh_degree + 1) ** 2, options.named_method == "pairs"
-    follows = follows_pixels(options, chunks.mode)
+    room_of = partial(
+        Room.of,
+        running,
+        len(chunks),
+        (chunks.sh_degree + 1) ** 2,
+        by_pairs=options.named_method == "pairs",
+        follows=follows_pixels(options, chunks.mode),
+    )
     if running.scheduler is None:
-        room = Room.of(running, len(chunks), num_coefficients, by_pairs=by_pairs, follows=follows)
+        room = room_of()
         yield Workers(room.workers, executor), room
         return
     with cluster_at(running.scheduler, work) as cluster:
-        room = Room.of(running, len(chunks), num_coefficients, cluster.thread_bytes, by_pairs=by_pairs, follows=follows)
+        room = room_of(thread_bytes=cluster.thread_bytes)
         yield Workers(1, cluster.executor, cluster.died), room
 
 

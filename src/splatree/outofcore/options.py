@@ -145,8 +145,8 @@ class Room:
             if cell > piece_bytes:
                 raise InputError(
                     f"max_memory: found {piece_bytes / 1e6:.0f} MB for a cell of {largest} Gaussians, wanted at least "
-                    f"{cell // 10**6} MB to choose pairs in it; raise --max-memory, or lower --part-rows: levels by pairs depend "
-                    "on it"
+                    f"{cell // 10**6} MB to choose pairs in it; raise --max-memory, make levels with --method radius, or lower "
+                    "--part-rows: levels by pairs depend on it"
                 )
             return Room(max_bytes, rows, _beside(options, max_bytes, cell), piece_bytes)
         fitting = int((piece_bytes - PROCESS_BYTES) // row_bytes_of(num_coefficients, follows=follows))

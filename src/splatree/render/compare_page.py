@@ -13,7 +13,7 @@ import numpy as np
 
 from splatree.errors import InputError, OutputError
 from splatree.io.images import write_image
-from splatree.io.replacing import check_target, replacing
+from splatree.io.replacing import check_free_in, replacing
 from splatree.render.compare import ComparedView, Difference, summary_of
 from splatree.render.page import data_uri, filled
 from splatree.shapes import Array, Float32
@@ -102,6 +102,10 @@ def write_comparison(
     place = None if folder is None else Path(folder)
     if place is not None:
         check_comparison_folder(place, force=force)
+        try:
+            place.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise OutputError(f"{place}: cannot be made a folder ({error.strerror})") from error
     differences, cards = [], []
     for i, view in enumerate(views):
         differences.append(view.difference)
@@ -132,18 +136,12 @@ def write_comparison(
 
 
 def check_comparison_folder(folder: Path, *, force: bool) -> None:
-    """Make the folder of a comparison, before any work is done for it.
+    """Refuse a folder that no comparison can be written to, before any work is done for it; nothing is made yet.
 
     Raises:
         OutputError: it cannot be made, or holds a page already and ``force`` is not set.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"{folder}: cannot be made a folder ({error.strerror})") from error
-    check_target(folder / PAGE)
-    if (folder / PAGE).exists() and not force:
-        raise OutputError(f"{folder / PAGE}: exists already; choose another folder or replace it with --force")
+    check_free_in(folder, [PAGE], force=force)
 
 
 def error_colors(errors: Float32[Array, "h w"]) -> Float32[Array, "h w 3"]:

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from splatree.errors import FormatError
+from splatree.errors import FormatError, InputError
 from splatree.io import untrusted
 from splatree.io.objects import ObjectPath, at_once
 
@@ -84,11 +84,15 @@ def folder_of(path: Path) -> Path:
 
 
 def is_manifest(path: Path) -> bool:
-    """Whether a file is the manifest of a scene in a folder."""
+    """Whether a file is the manifest of a scene in a folder.
+
+    Servers answer for a file that is not there as they like: "not found", "forbidden", or with a page. Where a server cannot be
+    asked at all, the next question to it says so.
+    """
     try:
         with path.open("rb") as file:
             return f'"format": "{KIND}"'.encode() in file.read(256)
-    except OSError:
+    except (OSError, InputError):
         return False
 
 

@@ -17,6 +17,7 @@ import numpy as np
 from splatree.errors import FormatError
 from splatree.io import untrusted
 from splatree.io.objects import MOST_BYTES, ObjectPath, at_once
+from splatree.io.sources import Info
 from splatree.shapes import Array
 
 __all__ = ["COMPACT_VERSION", "VERSION", "Column", "Container", "header_bytes", "open_container", "placed"]
@@ -147,11 +148,13 @@ class Ranged:
     """The bytes of an object of a store, each range read when it is asked for."""
 
     path: ObjectPath
+    info: Info | None
+    """What the store said of it when it was opened."""
 
     def arrays(self, wanted: Sequence[Column]) -> list[Array]:
         """Columns, read now: near ones by one request, others by requests at the same time."""
         runs = list(_near(wanted))
-        blocks = at_once(lambda run: self.path.read_range(*run), runs)
+        blocks = at_once(lambda run: self.path.read_range(*run, self.info), runs)
         found = []
         for each in wanted:
             block, (begin, _) = next(
@@ -198,7 +201,7 @@ def open_container(path: Path) -> Container:
             )
         header = untrusted.as_object(untrusted.parse_json(file.read(header_size), where), where)
         if isinstance(path, ObjectPath):
-            held: Mapped | Ranged = Ranged(path)
+            held: Mapped | Ranged = Ranged(path, path.info())
         else:
             held = Mapped(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
     values = untrusted.as_object(header.pop("__metadata__", None), f"{where}: __metadata__")
