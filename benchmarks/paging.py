@@ -2,8 +2,9 @@
 
 ``python benchmarks/paging.py [--chunks 10] [--store city.splatree] [--memory 500M] [--views 15 12 6 0]`` needs the shared city.
 The folder is built first unless one is named. For each view the store is opened anew. *Touched* are the 4,096-byte pages of the
-files that hold what is looked at: all columns but the harmonics of each page that is loaded, the harmonics of 256 rows of which
-one is drawn, and the index. *Whole pages* are the store's pages that a drawn row is in, as a server would have to send them.
+files that hold what is looked at: of each page that is loaded all columns that a selection reads, the others (harmonics, and how
+nodes follow the pixel) of 64 rows of which one is drawn, and the index. *Whole pages* are the store's pages that a drawn row is
+in, as a server would have to send them.
 """
 
 import argparse
@@ -17,10 +18,12 @@ import numpy as np
 import splatree as st
 from harness import DATA, save, table
 from splatree.io.cameras.files import read_cameras
-from splatree.outofcore.page import HARMONIC_ROWS
+from splatree.outofcore.page import DRAWN_ROWS
 from splatree.outofcore.pages import row_bytes_of
 
 SYSTEM_PAGE = 4096
+DRAWN = {"gaussians.sh", "tree.curves"}
+"""What drawing alone reads."""
 VIEWS = DATA / "cameras" / "semarang_city_made_views.json"
 
 
@@ -35,12 +38,15 @@ def touched_bytes(store: st.Store) -> int:
 
     for number, page in store._pages.items():
         file = store.index.file_of(number)
-        for name in store._files[file].file.columns:
-            if name != "gaussians.sh":
+        stored = store._files[file]
+        for name, column in stored.file.columns.items():
+            # Parts also hold how their roots grew, which no view looks at.
+            if name not in DRAWN and column.shape[0] == len(stored):
                 touch(file, name, page.begin, page.begin + len(page))
         for block in np.flatnonzero(page.is_checked):
-            begin = page.begin + int(block) * HARMONIC_ROWS
-            touch(file, "gaussians.sh", begin, min(begin + HARMONIC_ROWS, page.begin + len(page)))
+            begin = page.begin + int(block) * DRAWN_ROWS
+            for name in DRAWN & stored.file.columns.keys():
+                touch(file, name, begin, min(begin + DRAWN_ROWS, page.begin + len(page)))
     pages = sum(len(np.unique(np.concatenate(runs))) for runs in found.values())
     return SYSTEM_PAGE * pages + store.index.nbytes
 
@@ -98,7 +104,7 @@ def main() -> None:
             store, ply = Path(name) / "city.splatree", Path(name) / "city.ply"
             city = DATA / "trained" / "semarang_city"
             st.convert(sorted(path for path in city.iterdir() if path.is_dir())[: arguments.chunks], ply)
-            st.build_folder(ply, store, st.BuildOptions(follow=False))
+            st.build_folder(ply, store, st.BuildOptions("radius"))
         whole = Path(name) / "whole.splatree"
         st.write(st.read(store), whole)
         scene, cameras = st.read(whole), list(read_cameras(VIEWS))

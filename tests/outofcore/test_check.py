@@ -49,7 +49,7 @@ def test_a_flipped_byte_anywhere_in_a_folder_is_found(copy, name):
 
 
 @pytest.mark.parametrize(
-    "name", ["table.lower", "table.block_upper", "table.leaf_scales", "block_checksums", "table.means"]
+    "name", ["table.lower", "table.block_upper", "table.leaf_scales", "drawn_checksums", "table.means"]
 )
 def test_an_index_that_is_not_that_of_the_files_is_found(copy, name):
     rewritten(copy, put(name, -1, 3))

@@ -79,13 +79,16 @@ def test_a_damaged_page_is_named(copy):
         store.select(CAMERAS[0], ALL)
 
 
-def test_damaged_harmonics_are_found_where_they_are_drawn(copy):
+@pytest.mark.parametrize("name", ["gaussians.sh", "tree.curves"])
+def test_what_drawing_alone_reads_is_checked_where_it_is_drawn(copy, name):
     part = copy / "parts" / "00001.splatree"
-    column = open_container(part).columns["gaussians.sh"]
+    column = open_container(part).columns[name]
     flip(part, column.start + column.num_bytes // 2)
     with st.open_store(copy) as store:
-        store.select(CAMERAS[0], ALL)  # looks at no harmonics
-        with pytest.raises(st.FormatError, match=r"00001\.splatree: rows \d+ to \d+: found harmonics of checksum"):
+        store.select(CAMERAS[0], ALL)  # looks at neither
+        with pytest.raises(
+            st.FormatError, match=r"00001\.splatree: rows \d+ to \d+: found harmonics and curves of checksum"
+        ):
             st.render(store, CAMERAS[0], select=ALL)
 
 
@@ -140,7 +143,7 @@ HOSTILE = {
     "no such column": (lambda columns, numbers: columns.pop("whole_rows"), "found no column 'whole_rows'"),
     "blocks": (lambda columns, numbers: columns.update(shorter(columns)), "table: found 1 blocks"),
     "a type": (lambda columns, numbers: columns.update(whole_rows=np.zeros(3, np.float32)), "found dtype float32"),
-    "checksums": (lambda columns, numbers: columns.update(block_checksums=np.zeros(3, np.uint32)), "found 3 checksums"),
+    "checksums": (lambda columns, numbers: columns.update(drawn_checksums=np.zeros(3, np.uint32)), "found 3 checksums"),
 }
 
 

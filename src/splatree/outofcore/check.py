@@ -127,7 +127,7 @@ def _pages(stored: StoredScene, *, checksums: bool = False) -> FilePages:
     """Go through a file with its harmonics."""
 
     def look(page: Page) -> None:
-        page.check_harmonics(np.arange(len(page), dtype=np.int32))
+        page.check_drawn(np.arange(len(page), dtype=np.int32))
 
     with task(f"check {stored.file.path.name}", float(len(stored))) as advance:
         return table_of(stored, checksums=checksums, look=look, advance=advance)

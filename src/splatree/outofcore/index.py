@@ -10,7 +10,7 @@ from splatree.constants import BLOCK_ROWS
 from splatree.errors import FormatError, InputError, ShapeError
 from splatree.io.chunks import ROWS_PER_CHUNK
 from splatree.io.formats.splatree.rows import StoredScene
-from splatree.outofcore.page import HARMONIC_ROWS, Checksums
+from splatree.outofcore.page import DRAWN_ROWS, Checksums
 from splatree.outofcore.pages import FilePages, PageTable, table_of
 from splatree.shapes import Array, Int32, UInt32, check_fields
 
@@ -39,26 +39,26 @@ class StoreIndex:
     """Row in the whole tree of each row of the crown; None: there are no parts."""
     plain_checksums: UInt32[Array, "p"] | None = None
     """`Checksums.plain` of each page; None: not known."""
-    block_checksums: UInt32[Array, "h"] | None = None
-    """`Checksums.harmonics` of all pages, one after the other; None: not known."""
+    drawn_checksums: UInt32[Array, "h"] | None = None
+    """`Checksums.drawn` of all pages, one after the other; None: not known."""
 
-    _block_start: Array = field(init=False, repr=False)
+    _run_start: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         check_fields(self, p=len(self.table), f=len(self.file_start) - 1)
-        num_blocks = -(-(self.table.end - self.table.begin) // HARMONIC_ROWS)
-        object.__setattr__(self, "_block_start", np.concatenate([[0], np.cumsum(num_blocks)]))
-        if self.block_checksums is not None and len(self.block_checksums) != self._block_start[-1]:
+        num_runs = -(-(self.table.end - self.table.begin) // DRAWN_ROWS)
+        object.__setattr__(self, "_run_start", np.concatenate([[0], np.cumsum(num_runs)]))
+        if self.drawn_checksums is not None and len(self.drawn_checksums) != self._run_start[-1]:
             raise ShapeError(
-                f"StoreIndex: found {len(self.block_checksums)} checksums of blocks, wanted {self._block_start[-1]}"
+                f"StoreIndex: found {len(self.drawn_checksums)} checksums of runs, wanted {self._run_start[-1]}"
             )
 
     def checksums_of(self, page: int) -> Checksums | None:
         """Those of a page; None: not known."""
-        if self.plain_checksums is None or self.block_checksums is None:
+        if self.plain_checksums is None or self.drawn_checksums is None:
             return None
-        blocks = slice(self._block_start[page], self._block_start[page + 1])
-        return Checksums(int(self.plain_checksums[page]), self.block_checksums[blocks])
+        runs = slice(self._run_start[page], self._run_start[page + 1])
+        return Checksums(int(self.plain_checksums[page]), self.drawn_checksums[runs])
 
     @property
     def nbytes(self) -> int:
@@ -145,7 +145,7 @@ def index_of_folder(crown: StoredScene, own: FilePages, pages: Iterable[FilePage
         largest_id=largest_id,
         whole_rows=np.cumsum(sizes, dtype=np.int32) - sizes,
         plain_checksums=np.array([each.plain for each in noted], np.uint32) if has_checksums else None,
-        block_checksums=np.concatenate([each.harmonics for each in noted]) if has_checksums else None,
+        drawn_checksums=np.concatenate([each.drawn for each in noted]) if has_checksums else None,
     )
 
 

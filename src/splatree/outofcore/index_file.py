@@ -27,7 +27,7 @@ INDEX = "pages.index"
 """Name of the file."""
 
 NUMBERS = ("num_rows", "num_leaves", "num_levels", "num_roots", "largest_id")
-COLUMNS = ("file_start", "whole_rows", "plain_checksums", "block_checksums")
+COLUMNS = ("file_start", "whole_rows", "plain_checksums", "drawn_checksums")
 
 
 def write_index(index: StoreIndex, path: Path) -> None:

@@ -4,7 +4,8 @@ A page begins anywhere and ends behind a leaf. An ancestor of a row of a page th
 first row, too. So a page is decided alone, given the few ancestors of its first row: where one of them is drawn, it shadows the
 rows up to its end, which are a run at the beginning of the page. Blocks of 256 rows (scene/tree.py) do the same.
 
-The harmonics of a page are three quarters of its bytes. They are read and checked in runs of 64 rows, of which one is drawn.
+A selection reads neither harmonics, three quarters of the bytes of a page, nor how nodes follow the pixel. What drawing alone
+reads is read and checked in runs of 64 rows, of which one is drawn.
 """
 
 import zlib
@@ -25,11 +26,11 @@ from splatree.scene.tree import BlockIndex, GaussianTree
 from splatree.scene.view import View
 from splatree.shapes import Array, Bool, Int32, Int64, UInt8, UInt32
 
-__all__ = ["HARMONIC_ROWS", "Checksums", "Page", "page_of"]
+__all__ = ["DRAWN_ROWS", "Checksums", "Page", "page_of"]
 
-HARMONIC_ROWS = 64
-"""Rows whose harmonics are read and checked together: 12 kB at degree 3. Runs of 256 rows touch a sixth more harmonics in a near
-view, runs of 16 a twelfth fewer for four times the checksums."""
+DRAWN_ROWS = 64
+"""Rows of which is read and checked together what drawing alone reads: 13 kB at degree 3. Runs of 256 rows touch a sixth more
+harmonics in a near view, runs of 16 a twelfth fewer for four times the checksums."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,17 +44,17 @@ class Page:
     gaussians: Gaussians
     """Its Gaussians, mapped; harmonics are not checked yet."""
     tree: GaussianTree
-    """Its rows as a forest of their own: subtrees that go on behind the page end with it."""
+    """Its rows as a forest of their own: subtrees that go on behind the page end with it; curves are not checked yet."""
     blocks: BlockIndex
     """Index of its blocks."""
     depth: UInt8[Array, "n"]
     """Edges from the root, in the file."""
     ids: UInt32[Array, "n"] | None
     """Identity of each row in the file; None: the row number."""
-    harmonics: UInt32[Array, "h"] | None
-    """CRC-32 of the harmonics of each 64 rows; None: it is not known."""
+    drawn: UInt32[Array, "h"] | None
+    """`Checksums.drawn`; None: they are not known."""
     is_checked: Bool[Array, "h"]
-    """Whether the harmonics of each 64 rows have been checked; the first one who draws one of them does so."""
+    """Whether what is drawn of each 64 rows has been checked; the first one who draws one of them does so."""
 
     def __len__(self) -> int:
         return len(self.tree)
@@ -77,31 +78,37 @@ class Page:
         """Which of the rows are at most as large as the pixel error."""
         return kernel.small(self.gaussians, self.tree, rows, view, options, threads=1)
 
-    def check_harmonics(self, rows: Int32[Array, "v"]) -> None:
-        """Read the harmonics around rows that are drawn, and check them once.
+    @property
+    def drawn_bytes(self) -> int:
+        """Bytes of what drawing alone reads."""
+        return self.gaussians.sh.nbytes + (0 if self.tree.curves is None else self.tree.curves.nbytes)
+
+    def check_drawn(self, rows: Int32[Array, "v"]) -> None:
+        """Read the harmonics and curves around rows that are drawn, and check them once.
 
         Raises:
             FormatError: a value cannot be used, or they are not those that were indexed.
         """
-        blocks = np.unique(rows // HARMONIC_ROWS)
-        blocks = blocks[~self.is_checked[blocks]]
-        for run in np.split(blocks, np.flatnonzero(np.diff(blocks) > 1) + 1) if len(blocks) else ():
-            self._check_run(int(run[0]), int(run[-1]) + 1)
+        runs = np.unique(rows // DRAWN_ROWS)
+        runs = runs[~self.is_checked[runs]]
+        for together in np.split(runs, np.flatnonzero(np.diff(runs) > 1) + 1) if len(runs) else ():
+            self._check_runs(int(together[0]), int(together[-1]) + 1)
 
-    def _check_run(self, first_block: int, end_block: int) -> None:
-        first, sh = first_block * HARMONIC_ROWS, self.gaussians.sh
-        if not largest_magnitude(sh[first : end_block * HARMONIC_ROWS]) <= SH_MAX:
-            rows = np.arange(first, min(end_block * HARMONIC_ROWS, len(self)))
+    def _check_runs(self, first_run: int, end_run: int) -> None:
+        first, sh = first_run * DRAWN_ROWS, self.gaussians.sh
+        if not largest_magnitude(sh[first : end_run * DRAWN_ROWS]) <= SH_MAX:
+            rows = np.arange(first, min(end_run * DRAWN_ROWS, len(self)))
             refuse_unusable(self.gaussians.take(rows), self.where, first_row=self.begin + first)
-        wanted = {} if self.harmonics is None else dict(enumerate(self.harmonics[first_block:end_block], first_block))
-        for block, checksum in wanted.items():
-            begin, end = block * HARMONIC_ROWS, min((block + 1) * HARMONIC_ROWS, len(self))
-            if checksum != (found := zlib.crc32(sh[begin:end].data)):
+        wanted = {} if self.drawn is None else dict(enumerate(self.drawn[first_run:end_run], first_run))
+        for run, checksum in wanted.items():
+            begin, end = run * DRAWN_ROWS, min((run + 1) * DRAWN_ROWS, len(self))
+            if checksum != (found := _drawn_checksum(sh, self.tree.curves, begin)):
+                columns = "harmonics" if self.tree.curves is None else "harmonics and curves"
                 raise FormatError(
-                    f"{self.where}: rows {self.begin + begin} to {self.begin + end}: found harmonics of checksum {found:08x}, "
+                    f"{self.where}: rows {self.begin + begin} to {self.begin + end}: found {columns} of checksum {found:08x}, "
                     f"wanted {checksum:08x}; the file is damaged or has been replaced"
                 )
-        self.is_checked[first_block:end_block] = True
+        self.is_checked[first_run:end_run] = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,15 +116,15 @@ class Checksums:
     """What the bytes of a page were when it was indexed."""
 
     plain: int
-    """CRC-32 of all columns but the harmonics."""
-    harmonics: UInt32[Array, "h"]
-    """CRC-32 of the harmonics of each 64 rows."""
+    """CRC-32 of all columns but the harmonics and the curves."""
+    drawn: UInt32[Array, "h"]
+    """CRC-32 of the harmonics and the curves of each 64 rows."""
 
     @staticmethod
     def of(rows: SceneRows) -> "Checksums":
         """Those of rows; reads all of them."""
-        sh = rows.gaussians.sh
-        runs = [zlib.crc32(sh[first : first + HARMONIC_ROWS].data) for first in range(0, len(rows), HARMONIC_ROWS)]
+        sh, curves = rows.gaussians.sh, rows.curves
+        runs = [_drawn_checksum(sh, curves, first) for first in range(0, len(rows), DRAWN_ROWS)]
         return Checksums(_plain_checksum(rows), np.array(runs, np.uint32))
 
 
@@ -153,19 +160,25 @@ def page_of(rows: SceneRows, file: str, path: Int64[Array, "a"], *, checksums: C
         blocks=index_blocks(rows.gaussians, tree, threads=1),
         depth=rows.depth,
         ids=rows.ids,
-        harmonics=None if checksums is None else checksums.harmonics,
-        is_checked=np.zeros(-(-len(rows) // HARMONIC_ROWS), bool),
+        drawn=None if checksums is None else checksums.drawn,
+        is_checked=np.zeros(-(-len(rows) // DRAWN_ROWS), bool),
     )
 
 
 def _plain_checksum(rows: SceneRows) -> int:
     gaussians = rows.gaussians
     columns = (gaussians.means, gaussians.quats, gaussians.log_scales, gaussians.logit_opacities)
-    tree = (rows.subtree_end, rows.depth, rows.extents, rows.curves, rows.ids)
+    tree = (rows.subtree_end, rows.depth, rows.extents, rows.ids)
     check = 0
     for column in (*columns, *(column for column in tree if column is not None)):
         check = zlib.crc32(column.data, check)
     return check
+
+
+def _drawn_checksum(sh: Array, curves: Array | None, first: int) -> int:
+    """Of the run that begins with a row."""
+    check = zlib.crc32(sh[first : first + DRAWN_ROWS].data)
+    return check if curves is None else zlib.crc32(curves[first : first + DRAWN_ROWS].data, check)
 
 
 def _check_path(rows: SceneRows, tree: GaussianTree, path: Int64[Array, "a"], where: str) -> None:

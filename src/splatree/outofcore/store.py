@@ -237,7 +237,7 @@ class Store:
         ]
 
     def page_to_draw(self, number: int, places: Int32[Array, "w"]) -> Page:
-        """A page whose harmonics have been checked in some of its rows.
+        """A page of which harmonics and curves have been checked in some of its rows.
 
         Raises:
             FormatError: it is damaged.
@@ -245,7 +245,7 @@ class Store:
         with self._lock:
             page = self.page(number)
             before = self._bytes_of(page)
-            page.check_harmonics(places)
+            page.check_drawn(places)
             self._bytes += self._bytes_of(page) - before
             self._give_up()
             return page
@@ -336,12 +336,11 @@ class Store:
             return  # who draws the view is told, if it is drawn
 
     def _bytes_of(self, page: Page) -> int:
-        """What has been read of a page: all of an object of a store; of a file the harmonics only where they were checked."""
-        harmonics = page.gaussians.sh.nbytes
+        """What has been read of a page: all of an object of a store; of a file what drawing alone reads where it was checked."""
         all_bytes = len(page) * (row_bytes_of(self._files[0].head) + INDEX_BYTES)
         if self._files[0].file.is_elsewhere:
             return all_bytes
-        return all_bytes - int(harmonics * (1 - page.is_checked.mean()))
+        return all_bytes - int(page.drawn_bytes * (1 - page.is_checked.mean()))
 
     def _give_up(self) -> None:
         """Give up the pages that were used longest ago while there are too many, but not the last one."""

@@ -131,7 +131,8 @@ class StoredScene:
             begin: first row, 0 or more.
             end: one past the last row, at most the number of rows.
             harmonics: check the harmonics too. False: they are mapped, but not read; of an object of a store they are fetched,
-                but not checked. None: they are zeros, which take no memory, and those of the file are not asked for.
+                but not checked. None: they are zeros, which take no memory, and those of the file are not asked for; nor are
+                curves, which are None.
 
         Returns:
             The rows, read-only, as views of the file. They stay valid when the handle is gone.
@@ -147,7 +148,7 @@ class StoredScene:
         where, file, sh = str(self.file.path), self.file, "gaussians.sh"
         wanted = [f"gaussians.{f.name}" for f in fields(Gaussians) if harmonics is not None or f.name != "sh"]
         wanted += [f"tree.{name}" for name in ("subtree_end", "depth", "extents")]
-        wanted += ["ids"] * self.head.has_ids + ["tree.curves"] * self.head.has_curves
+        wanted += ["ids"] * self.head.has_ids + ["tree.curves"] * (self.head.has_curves and harmonics is not None)
         columns = dict(zip(wanted, file.rows_of(wanted, begin, end), strict=True))
         if harmonics is None:
             columns[sh] = np.zeros((end - begin, *file.columns[sh].shape[1:]), np.float32)
