@@ -11,7 +11,7 @@ playbot by pairs, and of the playbot by a radius. ``--margins 0 0.25 0.5 0.75 1`
 Gaussians.
 
 What Spark draws of a `.rad` is compared likewise, with the nodes as the tree stores them and as `stream` writes them. The last
-table counts the chunks of 65,536 nodes that Spark loads in three orders.
+table counts the chunks of 65,536 nodes that Spark loads in three orders; ``--loads`` makes this one alone.
 """
 
 import argparse
@@ -105,9 +105,9 @@ def spark_chunks(name: str, tree: splatree.Scene, made: Sequence[splatree.Camera
 
 
 def of_spark(tree: splatree.Scene, ours: Nodes) -> Nodes:
-    """The nodes of a tree in the order of Spark's tool: batches are divided at the middle of their boxes."""
+    """The nodes of a tree in the order of Spark's tool: batches are divided at the middle of their boxes and end early."""
     g, above = tree.gaussians, len(ours.joined_root)
-    rows = page_order(g.means, log_sizes(g), tree.tree.subtree_end, above, divide=at_the_middle)
+    rows = page_order(g.means, log_sizes(g), tree.tree.subtree_end, above, divide=at_the_middle, fills=False)
     place = np.argsort(ours.rows)[rows] + above  # of each row among ours
     num_children = np.concatenate([ours.num_children[:above], ours.num_children[place]])
     number = np.empty(len(rows) + 1, np.int64)
@@ -207,6 +207,7 @@ def main() -> None:
     parser.add_argument("--chunks", nargs="+", default=["5_1", "5_9"])
     parser.add_argument("--peer", help="the command of splat-transform; without it our stream stands alone")
     parser.add_argument("--spark", action="store_true", help="only what Spark draws and loads")
+    parser.add_argument("--loads", action="store_true", help="only the chunks of a .rad that Spark loads")
     parser.add_argument("--city", action="store_true", help="the whole city too")
     parser.add_argument("--ratios", nargs="+", type=float, help="only compare ladders of these ratios")
     parser.add_argument("--margins", nargs="+", type=float, help="only compare boxes that reach so far beyond chunks")
@@ -227,12 +228,23 @@ def main() -> None:
     for name, files, peer in scenes:
         scene = splatree.edit(splatree.read(files), splatree.EditOptions(sh_degree=0))
         build = measure(lambda scene=scene: splatree.build_lod(scene, splatree.BuildOptions(method="pairs")))
+        chunks += spark_chunks(name, build.value, made if name == "city" else ())
+        print(table(chunks))
+        if arguments.loads:
+            continue
         if not arguments.spark:
             rows, cost = in_playcanvas(name, scene, build, peer)
             seen_rows, costs = seen_rows + rows, costs + cost
-        chunks += spark_chunks(name, build.value, made if name == "city" else ())
         quality += spark_quality(name, build.value)
-        print(table(chunks), table(quality), sep="\n")
+        print(table(quality))
+    about = (
+        "Chunks of 65,536 nodes of a .rad that Spark loads within a budget: in the order that `stream` writes, in that of "
+        "Spark's own tool, and breadth-first. Made views are every fourth of the shared ones of the city: a flight, round a "
+        "stadium, from afar."
+    )
+    save("streams_rad", chunks, about=about)
+    if arguments.loads:
+        return
     quality += spark_quality(
         "playbot", splatree.build_lod(splatree.read(PLAYBOT), splatree.BuildOptions(method="pairs"))
     )
@@ -248,12 +260,6 @@ def main() -> None:
         save("streams_cost", costs, about=about)
     about = "PSNR of what Spark draws of a .rad within a budget, with nodes as the tree stores them and as `stream` writes them."
     save("streams_spark", quality, about=about)
-    about = (
-        "Chunks of 65,536 nodes of a .rad that Spark loads within a budget: in the order that `stream` writes, in that of "
-        "Spark's own tool, and breadth-first. Made views are every fourth of the shared ones of the city: a flight, round a "
-        "stadium, from afar."
-    )
-    save("streams_rad", chunks, about=about)
 
 
 def compare_ladders(ratios: list[float], chunks: list[str]) -> None:

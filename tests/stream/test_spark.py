@@ -41,6 +41,26 @@ def test_a_family_larger_than_a_page_has_an_order():
     np.testing.assert_array_equal(reference.page_order(*arguments, page_rows=8), np.arange(100))
 
 
+def test_pages_end_with_a_family():
+    """The families of a scene of 3,000 nodes are small beside pages of 64, so some always fill a page up; but for the regions
+    whose nodes end within a page, no family begins in one page and ends in the next."""
+    scene = forest(3000, seed=1)
+    tree, sizes = scene.tree, scene.gaussians.log_scales.max(axis=1)
+    links = links_from_preorder(tree.depth)
+    num_children = np.empty(3000, int)
+    num_children[links.row_from_node] = links.num_children
+
+    def num_cut(rows):
+        number = np.argsort(rows)
+        parents = np.flatnonzero(num_children)
+        first = number[parents + 1]
+        return np.count_nonzero(first // 64 != (first + num_children[parents] - 1) // 64)
+
+    arguments = (scene.gaussians.means, sizes, tree.subtree_end, 0)
+    filled = num_cut(page_order(*arguments, page_rows=64))
+    assert filled <= 0.5 * num_cut(reference.page_order(*arguments, page_rows=64, fills=False))
+
+
 def test_children_follow_each_other_and_lie_in_two_chunks_at_most(tmp_path):
     scene = forest(3000, seed=1)
     nodes = nodes_of(scene, tmp_path / "a.rad")

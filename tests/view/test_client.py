@@ -22,6 +22,7 @@ from splatree.view import client as module
 from splatree.view import pace, slots
 from splatree.view.client import Client
 from splatree.view.exhibit import Exhibit, exhibit
+from splatree.view.messages import parse
 
 from .scenes import gaussians, on_show, scene
 
@@ -202,6 +203,28 @@ def test_over_a_slow_line_another_view_begins_with_fewer_nodes(monkeypatch):
     expected = select(page.exhibit.scene, looking(page, 0.5), SelectOptions(pixel_error=0.0))
     np.testing.assert_array_equal(page.client._slots.rows, expected.rows)
     assert first["rows"] > 100
+
+
+def test_over_a_slow_line_new_nodes_come_before_what_has_changed_of_others_and_not_twice_in_turn(monkeypatch):
+    for name in ("LONG_STEP", "LONGEST_STEP"):
+        monkeypatch.setattr(module, name, 1e9)  # a view comes in one message
+    shown, sent = on_show(), []
+    client = Client(
+        shown, lambda data: sent.append(json.loads(data[4 : 4 + struct.unpack("<I", data[:4])[0]])), 1 << 16
+    )
+    framing, page, away = shown.framing, FakePage(shown), shown.framing.eye - shown.framing.target
+    page.close()
+    eyes = [(1.0, 0.0), (0.5, 0.5), (0.25, 1.0)]
+    requests = []
+    monkeypatch.setattr(page.client, "receive", lambda text: requests.append(parse(text, shown.centre)))
+    for seq, (share, side) in enumerate(eyes):
+        eye = framing.target + share * away + side * np.cross(framing.up, away)
+        page.ask(Camera.look_at(eye, framing.target, up=framing.up, width=160, height=90), tau=0.0, seq=seq)
+    for request in requests:
+        client._cut(request)
+        client._pace._rate = 20 * module.NODE_BYTES / pace.STEP_S
+    changes = [(header["add"] > 20, header["shape"] + header["tint"] > 0, header["last"]) for header in sent]
+    assert changes == [(True, False, True), (True, False, False), (True, True, True)]
 
 
 def test_over_a_slow_line_what_the_page_holds_of_another_view_is_kept(monkeypatch):

@@ -4,7 +4,9 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+import splatree
 from splatree.kernels.cpu.codec.nodes import pack_nodes
+from splatree.kernels.reference.project import follow
 from splatree.view import slots as module
 from splatree.view.shown import InMemory
 from splatree.view.slots import Slots, in_runs
@@ -87,6 +89,19 @@ def test_colours_wait_for_a_change_that_has_them():
     assert len(slots.move(rows, near).tint) > 0
 
 
+def test_shapes_wait_for_a_change_that_has_them():
+    shown = splatree.build_lod(scene(degree=0), splatree.BuildOptions(max_roots=4))
+    slots, session = Slots(InMemory(shown), CENTRE, 2048), splatree.open_session(shown)
+    rows = np.arange(0, len(shown), 3, dtype=np.int32)
+    cameras = [splatree.Camera.look_at([0, 0, -z], [0, 0, 0], width=64, height=48) for z in (3.0, 30.0)]
+    views = [(camera.position, session.view(camera)) for camera in cameras]
+    slots.move(rows, *views[0])
+    waiting = slots.move(rows, *views[1], has_shapes=False)
+    assert len(waiting.shaped) == 0 and waiting.is_behind
+    change = slots.move(rows, *views[1])
+    assert len(change.shaped) > 0 and not change.is_behind
+
+
 def test_the_slots_can_be_filled_to_the_last():
     slots, mirror = Slots(InMemory(scene()), CENTRE, 400), Mirror(400)
     for first in (0, 400, 800, 200):
@@ -146,9 +161,6 @@ def test_the_oldest_colours_come_first_where_a_message_does_not_hold_all(monkeyp
 
 
 def test_merged_nodes_come_as_they_look_and_come_again_when_that_changes():
-    import splatree
-    from splatree.kernels.reference.project import follow
-
     shown = splatree.build_lod(scene(degree=0), splatree.BuildOptions(max_roots=4))
     assert shown.tree.curves is not None
     slots, mirror = Slots(InMemory(shown), CENTRE, 2048), Mirror(2048)

@@ -4,7 +4,7 @@ The page sends views faster than they can be answered. For each kind of answer o
 a queue, and a thread of the client's own answers: points first, then cuts, then pictures. A first cut comes in steps of 18,000,
 80,000 and 300,000 nodes, so that there is a picture after 0.65 MB; a newer view ends the steps of an older one. Over a slow line
 there are more steps, of what the line carries in two seconds (pace.py). What the page holds of a view is kept, and the rest of it
-begins with few nodes (steps.py).
+begins with few nodes (steps.py). New nodes come first, and what has changed of others after them.
 """
 
 import threading
@@ -51,6 +51,10 @@ MOSTLY: Final = 0.25
 """And 8 s if at most so large a share of the view's nodes are new: coarse nodes that come first take the place of others that the
 page holds, which would have to come again."""
 
+ALONE: Final = 0.25
+"""New nodes for which the line needs more of a step's time, 0.5 s, come without the colours and shapes of nodes that the page
+holds. These follow, and wait no longer than one message, so that they are sent while the camera moves on."""
+
 SOON: Final = 8.0
 """A view for whose new nodes the line needs at most so many steps' time, 16 s, becomes coarse and then fine, nothing between."""
 
@@ -93,6 +97,7 @@ class Client:
         self._target: Selection | None = None  # the cut that its steps lead to next
         self._unfinished: tuple[Request, Selection] | None = None
         self._held: Selection | None = None  # the cut that the page holds
+        self._has_put_off = False  # whether the last cut came without what has changed of held nodes
         self.camera: Camera | None = None
         """The newest view of the page."""
         self.seen_s = time.monotonic()
@@ -210,12 +215,17 @@ class Client:
             chosen, is_step = self._chosen(request, asked)
         selected = time.process_time()
         view = self._exhibit.session.view(request.camera)
-        change = self._slots.move(chosen.rows, request.camera.position, view, has_colors=not is_step)
+        puts_off = not is_step and not self._has_put_off and self._is_long(chosen)
+        has_colors = not (is_step or puts_off)
+        change = self._slots.move(
+            chosen.rows, request.camera.position, view, has_colors=has_colors, has_shapes=not puts_off
+        )
         packed = time.process_time()
         self._held = chosen
         if is_step:
             self._stepping = request
         else:
+            self._has_put_off = puts_off and change.is_behind
             self._reached, self._last_whole = self._capacity, chosen.pixel_error
             self._unfinished = (request, chosen) if change.is_behind else None
         is_last = not (is_step or change.is_behind)
@@ -240,6 +250,11 @@ class Client:
         if not is_last:
             with self._turn:
                 self._wanted.setdefault("cut", request)
+
+    def _is_long(self, chosen: Selection) -> bool:
+        """Whether the line needs long for the new nodes of a cut."""
+        carried = ALONE * self._pace.step_bytes / NODE_BYTES
+        return bool(np.isfinite(carried)) and self._slots.num_new(chosen.rows) > carried
 
     def _chosen(self, request: Request, asked: int) -> tuple[Selection, bool]:
         """The rows of a view that the page may be sent next, and whether more of them follow."""

@@ -49,7 +49,7 @@ class Change:
     colors: UInt32[Array, "t"]
     """Their colours."""
     is_behind: bool
-    """Whether more colours have to change than one message holds."""
+    """Whether more colours and shapes have to change than this message holds."""
 
     @property
     def payload(self) -> bytes:
@@ -98,10 +98,12 @@ class Slots:
         view: View | None = None,
         *,
         has_colors: bool = True,
+        has_shapes: bool = True,
     ) -> Change:
         """Let the page hold ``rows``, ascending, at most as many as there are slots, seen from ``eye``.
 
-        Without ``has_colors``, colours that the eye has left behind wait for a later change.
+        Without ``has_colors``, colours that the eye has left behind wait for a later change. Without ``has_shapes``, so do shapes
+        of nodes whose pixel has changed.
 
         With the ``view`` that is drawn, merged nodes are sent as they look at their pixel; without, as they are stored.
         """
@@ -119,10 +121,10 @@ class Slots:
             self._eyes[add] = eye - self._centre
         self.rows, self.slots = rows, slots
         nodes = self._nodes(new, add, eye, depths)
-        shaped, shapes = self._shapes(depths)
+        shaped, shapes, is_behind = self._shapes(depths, is_sent=has_shapes)
         tint, colors = self._tints(eye, limit=TINTS if has_colors else 0)
         added, changed, tinted = (places.view(np.uint32) for places in (add, shaped, tint))
-        return Change(*in_runs(drop), added, nodes, changed, shapes, tinted, colors, self._is_behind)
+        return Change(*in_runs(drop), added, nodes, changed, shapes, tinted, colors, self._is_behind or is_behind)
 
     def holds(self, rows: Int32[Array, "v"]) -> Bool[Array, "v"]:
         """Which of these rows the page holds."""
@@ -149,17 +151,20 @@ class Slots:
         with_depths(nodes, self._shown.depths(rows))
         return nodes
 
-    def _shapes(self, depths: Depths | None) -> tuple[Int32[Array, "s"], UInt32[Array, "s 2"]]:
-        """The slots of merged nodes that look too different by now, and how they look."""
+    def _shapes(self, depths: Depths | None, *, is_sent: bool) -> tuple[Int32[Array, "s"], UInt32[Array, "s 2"], bool]:
+        """The slots of merged nodes that look too different by now, and how they look; whether some are not sent."""
+        nothing = np.zeros(0, np.int32), np.zeros((0, 2), np.uint32)
         if depths is None:
-            return np.zeros(0, np.int32), np.zeros((0, 2), np.uint32)
+            return *nothing, False
         places, dilations = drifted(self.slots, self._means, self._limits, self._dilations, depths, DRIFT)
+        if not is_sent:
+            return *nothing, len(places) > 0
         rows, slots = self.rows[places], self.slots[places]
         self._dilations[slots] = dilations
         shapes = np.empty((len(rows), 2), np.uint32)
         for part in self._shown.parts(rows):
             shapes[part.of_rows] = pack_shapes(part.gaussians, part.tree, part.places, dilations[part.of_rows])
-        return slots, shapes
+        return slots, shapes, False
 
     def _tints(self, eye: Array, *, limit: int) -> tuple[Int32[Array, "t"], UInt32[Array, "t"]]:
         """The slots whose colours the eye has left behind, and their new colours."""

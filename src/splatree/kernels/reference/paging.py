@@ -2,9 +2,13 @@
 
 A page is ``page_rows`` consecutive nodes, and the children of a node follow each other. Pages are filled batch by batch, as in
 Spark (`chunk_tree.rs`). A batch is a set of nodes that have their numbers already; the first is the roots. The largest node of a
-batch gets its children numbered, they join the batch, and so on, until the next family would pass the first border between pages
-that lies at least an eighth of a page beyond the start of the batch. The nodes that are left are halved by the place of their
-centres, along the axis on which the middle nine tenths of them reach farthest, and each half is a later batch.
+batch gets its children numbered, they join the batch, and so on, up to the first border between pages that lies at least an
+eighth of a page beyond the start of the batch. The nodes that are left are halved by the place of their centres, along the axis
+on which the middle nine tenths of them reach farthest, and each half is a later batch.
+
+A family that would pass the border is passed over for a smaller one, and so is one that would leave a single row. So pages are
+filled to the last row. In Spark such a family ends the batch, and the largest family of another region begins in the rows that
+are left: most views of that region load a page for it alone.
 
 So a page holds the large nodes of one region. Spark divides a batch at the middle of its box, which a few far nodes move: of a
 city with surroundings most nodes then stay together, and a view loads pages of more than it sees. With halves of equally many
@@ -49,10 +53,12 @@ def page_order(
     *,
     page_rows: int = PAGE_ROWS,
     divide: Callable[[Array, list[int]], list[list[int]]] = halves,
+    fills: bool = True,
 ) -> Int32[Array, "n"]:
     """The rows of a preorder tree in the order of their numbers; row ``page_order[i]`` has the number ``first_number + i``.
 
     Larger ``sizes`` come first, and of equal ones the smaller row. ``divide`` makes parts of the rows that a batch leaves.
+    Without ``fills`` a family that would pass the border ends its batch.
     """
     n = len(sizes)
     roots: list[int] = []
@@ -72,12 +78,19 @@ def page_order(
         start = first_number + len(order)
         end = -(-(start + page_rows // 8) // page_rows) * page_rows
         is_first = True  # a family that fits nowhere begins a batch
-        while heap and (is_first or first_number + len(order) + len(children[heap[0][1]]) <= end):
+        waiting: list[int] = []
+        while heap and (is_first or first_number + len(order) < end):
             _, row = heapq.heappop(heap)
-            order += children[row]
-            for child in children[row]:
-                if children[child]:
-                    heapq.heappush(heap, (-sizes[child], child))
+            room = end - first_number - len(order) - len(children[row])
+            if is_first or (room >= 0 and not (fills and room == 1)):
+                order += children[row]
+                for child in children[row]:
+                    if children[child]:
+                        heapq.heappush(heap, (-sizes[child], child))
+            else:
+                waiting.append(row)
+                if not fills:
+                    break
             is_first = False
-        batches += divide(means, sorted(row for _, row in heap))
+        batches += divide(means, sorted(waiting + [row for _, row in heap]))
     return np.array(order, np.int32)

@@ -56,6 +56,7 @@ int64_t drifted_slots(const int32_t* slots, int64_t num_slots, const SentNodes& 
   for (int64_t i = 0; i < num_slots; ++i) {
     const int64_t slot = slots[i];
     const double limit = sent.limits[slot], before = sent.dilations[slot];
+    if (limit == 0) continue;  // a leaf: half of a cut and more, whose means need not be looked up
     const float* mean = sent.means + 3 * slot;
     const double depth = plane[0] * mean[0] + plane[1] * mean[1] + plane[2] * mean[2] + plane[3];
     const double whole = unit * depth * depth, found = whole < limit ? whole : limit;
