@@ -7,8 +7,7 @@ each level by halving the one before and writes them as its streamed SOG. Both s
 MB of whole files. The exact cut is that of the tree for as many nodes as our stream draws.
 
 ``--ratios 2 2.3 2.5 2.83`` compares ladders instead: nodes of a level for each of the next coarser one, of both pieces and the
-playbot by pairs, and of the playbot by a radius. ``--margins 0 0.25 0.5 0.75 1`` compares boxes of chunks that reach beyond their
-Gaussians.
+playbot by pairs, and of the playbot by a radius.
 
 What Spark draws of a `.rad` is compared likewise, with the nodes as the tree stores them and as `stream` writes them. The last
 table counts the chunks of 65,536 nodes that Spark loads in three orders; ``--loads`` makes this one alone.
@@ -20,11 +19,10 @@ import shlex
 import subprocess
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
-from unittest import mock
 
 import numpy as np
 
@@ -33,7 +31,6 @@ from harness import DATA, Cost, measure, save, table
 from splatree.io.formats.rad.nodes import Nodes, log_sizes, nodes_of
 from splatree.kernels.reference.paging import PAGE_ROWS, page_order
 from splatree.maths.forests import links_from_preorder
-from splatree.stream import boxes
 from splatree.stream.rad import as_written
 from splatree.stream.readers.playcanvas import select_playcanvas
 from splatree.stream.readers.sog_stream import SogStream, open_sog_stream
@@ -210,13 +207,9 @@ def main() -> None:
     parser.add_argument("--loads", action="store_true", help="only the chunks of a .rad that Spark loads")
     parser.add_argument("--city", action="store_true", help="the whole city too")
     parser.add_argument("--ratios", nargs="+", type=float, help="only compare ladders of these ratios")
-    parser.add_argument("--margins", nargs="+", type=float, help="only compare boxes that reach so far beyond chunks")
     arguments = parser.parse_args()
     if arguments.ratios:
         compare_ladders(arguments.ratios, arguments.chunks)
-        return
-    if arguments.margins:
-        compare_margins(arguments.margins, arguments.chunks)
         return
     seen_rows, costs, quality, chunks = [], [], [], []
     made = list(splatree.read_cameras(DATA / "cameras" / "semarang_city_made_views.json"))[::4]
@@ -264,67 +257,37 @@ def main() -> None:
 
 def compare_ladders(ratios: list[float], chunks: list[str]) -> None:
     """What PlayCanvas draws of streams whose levels differ in size by each ratio."""
-
-    def write(tree: splatree.Scene, output: Path, ratio: float) -> splatree.Streamed:
-        return splatree.stream(tree, output, options=splatree.StreamOptions(ratio=ratio))
-
-    rows = compare(ratios, chunks, ("pairs", "radius"), write)
-    about = "What PlayCanvas draws of a streamed SOG within a budget, by the ratio of its levels."
-    save("streams_ratios", rows, about=about)
-
-
-def compare_margins(margins: list[float], chunks: list[str]) -> None:
-    """What PlayCanvas draws of streams whose boxes reach so many half sides of a usual box beyond their Gaussians."""
-
-    def write(tree: splatree.Scene, output: Path, margin: float) -> splatree.Streamed:
-        with mock.patch.object(boxes, "_AROUND", margin):
-            return splatree.stream(tree, output)
-
-    rows = compare(margins, chunks, ("pairs",), write)
-    about = (
-        "What PlayCanvas draws of a streamed SOG within a budget, by how far the boxes of its chunks reach beyond their "
-        "Gaussians, in half sides of a usual box."
-    )
-    save("streams_margins", rows, about=about)
-
-
-def compare(
-    values: list[float],
-    chunks: list[str],
-    of_playbot: Sequence[str],
-    write: Callable[[splatree.Scene, Path, float], splatree.Streamed],
-) -> list[dict[str, Any]]:
-    """What PlayCanvas draws of the streams that ``write`` makes with each value: of chunks by pairs, and of the playbot."""
     rows: list[dict[str, Any]] = []
-    scenes = [(name, CITY / name, "pairs") for name in chunks] + [("playbot", PLAYBOT, method) for method in of_playbot]
+    scenes = [(name, CITY / name, "pairs") for name in chunks] + [("playbot", PLAYBOT, m) for m in ("pairs", "radius")]
     for name, path, method in scenes:
         scene = splatree.edit(splatree.read(path), splatree.EditOptions(sh_degree=0))
         tree = splatree.build_lod(scene, splatree.BuildOptions(method))
         with tempfile.TemporaryDirectory() as folder:
             streams = {}
-            for value in values:
-                written = write(tree, Path(folder) / str(value), value)
-                streams[value] = open_sog_stream(Path(folder) / str(value)), written.bytes / 1e6
+            for ratio in ratios:
+                written = splatree.stream(tree, Path(folder) / str(ratio), options=splatree.StreamOptions(ratio=ratio))
+                streams[ratio] = open_sog_stream(Path(folder) / str(ratio)), written.bytes / 1e6
             for view, camera in views_of(tree):
                 truth = np.clip(splatree.render(tree, camera, select=EVERY_ROW).image, 0, 1)
                 for budget in (n for n in BUDGETS if len(scene) / 25 < n < len(scene)):
                     row: dict[str, Any] = {"scene": name, "levels": method, "view": view, "budget": budget}
-                    for value, (stream, megabytes) in streams.items():
-                        found = seen(stream, camera, budget, truth)
-                        row |= {f"{value:g}, dB": found["dB"], f"{value:g}, MB": found["MB"]}
-                        row[f"{value:g}, MB of all levels"] = megabytes
+                    for ratio, (stream, megabytes) in streams.items():
+                        row[f"{ratio:g}, dB"] = seen(stream, camera, budget, truth)["dB"]
+                        row[f"{ratio:g}, MB of all levels"] = megabytes
                     rows.append(row)
     print(table(rows))
     for name, method in dict.fromkeys((row["scene"], row["levels"]) for row in rows):
         for view in ("near", "middle", "far"):
             some = [row for row in rows if (row["scene"], row["levels"], row["view"]) == (name, method, view)]
             means = {
-                f"{value:g}, {what}": round(float(np.mean([row[f"{value:g}, {what}"] for row in some])), 2)
-                for what in ("dB", "MB")
-                for value in values
+                f"{ratio:g}": round(float(np.mean([row[f"{ratio:g}, dB"] for row in some])), 2) for ratio in ratios
             }
             print(name, method, view, means)
-    return rows
+    save(
+        "streams_ratios",
+        rows,
+        about="What PlayCanvas draws of a streamed SOG within a budget, by the ratio of its levels.",
+    )
 
 
 def cost_row(scene: str, what: str, cost: Cost, millions: float) -> dict[str, Any]:

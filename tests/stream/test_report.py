@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import splatree as st
-from splatree.stream.boxes import box_around
 from splatree.stream.chunk_quality import quality_of_chunks
 from splatree.stream.errors import chunk_views
 from splatree.stream.readers.sog_stream import open_sog_stream
@@ -81,10 +80,8 @@ def test_a_chunk_is_judged_by_its_own_pictures(scene, tmp_path):
     found = quality_of_chunks(opened)
     assert [chunk.chunk for chunk in found] == list(range(written.num_chunks))
     assert all(chunk.psnr_db[0] is None for chunk in found)
-    levels = [opened.rows_of(7, level) for level in range(4)]
-    finest, coarser = levels[0], levels[2]
-    box = box_around(st.Gaussians.concatenate(levels), np.zeros(1, int), sigmas=1.0)[0]
-    views = chunk_views(finest, box, most_px=256)
+    finest, coarser = opened.rows_of(7, 0), opened.rows_of(7, 2)
+    views = chunk_views(finest, opened.ranges.boxes[7], most_px=256)
     images = [
         np.concatenate([np.clip(st.render(st.Scene.flat(part), view).image, 0, 1) for view in views])
         for part in (coarser, finest)

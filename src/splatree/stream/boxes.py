@@ -9,13 +9,9 @@ from splatree.maths.covariance import axes_from_gaussians
 from splatree.scene.gaussians import Gaussians
 from splatree.shapes import Array, Float64
 
-__all__ = ["around_usual", "box_around", "outward"]
+__all__ = ["box_around", "outward"]
 
 _DIGITS = 7
-
-_AROUND = 0.5
-"""How far boxes that viewers choose by reach beyond their Gaussians, in half sides of a usual box. At 0 near views lose up to
-0.8 dB on the mean of a scene; at 1 and at 0.75 single ones lose 0.9 and 1.4 dB, because the nearest chunks take the budget."""
 
 
 def box_around(gaussians: Gaussians, starts: Array, *, sigmas: float) -> Float64[Array, "g 2 3"]:
@@ -28,17 +24,6 @@ def box_around(gaussians: Gaussians, starts: Array, *, sigmas: float) -> Float64
     low = np.minimum.reduceat(gaussians.means - reach, starts, axis=0)
     high = np.maximum.reduceat(gaussians.means + reach, starts, axis=0)
     return np.stack([low, high], axis=1)
-
-
-def around_usual(boxes: Float64[Array, "c 2 3"]) -> Float64[Array, "c 2 3"]:
-    """The boxes, all larger to each side by half of the median half side.
-
-    A viewer's bands of distance triple, but the nodes of a level are about twice as large as those of the level before. So a
-    viewer would spend too much of its budget far away. All distances become shorter by the same length: near ones by a larger
-    share, so bands are narrower near the eye, and nodes grow more nearly as their distance does. Far views change little.
-    """
-    margin = _AROUND * float(np.median(boxes[:, 1] - boxes[:, 0])) / 2
-    return np.stack([boxes[:, 0] - margin, boxes[:, 1] + margin], axis=1)
 
 
 def outward(low: Sequence[float] | Array, high: Sequence[float] | Array) -> tuple[list[float], list[float]]:

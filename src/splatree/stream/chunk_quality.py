@@ -6,8 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from splatree.progress import track
-from splatree.scene.gaussians import Gaussians
-from splatree.stream.boxes import box_around
 from splatree.stream.errors import chunk_pictures, chunk_views
 from splatree.stream.readers.sog_stream import SogStream
 
@@ -37,13 +35,12 @@ def quality_of_chunks(stream: SogStream) -> tuple[ChunkQuality, ...]:
     for chunk in track(range(num_chunks), "judge chunks"):
         counts = stream.ranges.counts[:, chunk].tolist()
         present = [level for level in range(num_levels) if counts[level]]
-        levels = [stream.rows_of(chunk, level) for level in present]
-        box = box_around(Gaussians.concatenate(levels), np.zeros(1, np.int64), sigmas=1.0)[0]
-        views = chunk_views(levels[0], box, most_px=_SIDE_MAX_PX)
-        truth = [np.clip(p[:, :, :3], 0, 1) for p in chunk_pictures(levels[0], views, stream.mode)]
+        finest = stream.rows_of(chunk, present[0])
+        views = chunk_views(finest, stream.ranges.boxes[chunk], most_px=_SIDE_MAX_PX)
+        truth = [np.clip(p[:, :, :3], 0, 1) for p in chunk_pictures(finest, views, stream.mode)]
         quality: list[float | None] = [None] * num_levels
-        for level, gaussians in zip(present[1:], levels[1:], strict=True):
-            pictures = chunk_pictures(gaussians, views, stream.mode)
+        for level in present[1:]:
+            pictures = chunk_pictures(stream.rows_of(chunk, level), views, stream.mode)
             squares = [np.square(np.clip(p[:, :, :3], 0, 1) - t) for p, t in zip(pictures, truth, strict=True)]
             mean = float(np.mean(squares, dtype=np.float64))
             quality[level] = -10 * math.log10(mean) if mean > 0 else None

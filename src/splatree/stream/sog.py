@@ -25,7 +25,7 @@ from splatree.scene.gaussians import Gaussians
 from splatree.scene.names import Mode
 from splatree.scene.scene import Scene
 from splatree.shapes import Array
-from splatree.stream.boxes import around_usual, box_around, outward
+from splatree.stream.boxes import box_around, outward
 from splatree.stream.chunks import TreeChunks, chunks_of_tree, leaves_of_chunk
 from splatree.stream.errors import errors_of_levels
 from splatree.stream.levels import Level, levels_of_tree
@@ -107,7 +107,7 @@ def write_sog(
                 offsets = levels[unit.level].offsets
                 advance(int(offsets[unit.end_chunk] - offsets[unit.first_chunk]))
         errors = list(_errors(scene, options, levels, boxes, threads)) if options.errors else None
-        manifest = _manifest(scene, options, levels, names, _leaves(levels, units, errors), around_usual(boxes))
+        manifest = _manifest(scene, options, levels, names, _leaves(levels, units, errors), boxes)
         folder.finish(json.dumps(manifest, separators=(",", ":")), names)
     return _result(output, folder, chunks, levels, units, names, num_there)
 
