@@ -1,10 +1,11 @@
 """Cuts of our levels against static sets, at equal visible nodes: the table that finds where levels lose.
 
-``python benchmarks/levels.py [--scenes ...] [--shares 2 5 10 20 40 80] [--peer-shares 10 40]`` needs the shared scenes, or takes
-files; rows of other scenes are kept. A scene is thinned by pairs to a share of its Gaussians, and by splat-transform's ``-d`` to
-each of the peer's shares (npm). In each view a thinned scene draws as many of its rows as are in view; the cuts of levels by a
-radius and by pairs get this number as their budget. All pictures are compared with that of all leaves; better ones than 60 dB
-count as that. Views are of six classes: near, low, street, middle, orbit, far.
+``python benchmarks/levels.py [--scenes ...] [--shares 2 5 10 20 40 80] [--peer-shares 10 40] [--levels radius]`` needs the shared
+scenes, or takes files; rows of other scenes are kept. A scene is thinned by pairs to a share of its Gaussians, and by
+splat-transform's ``-d`` to each of the peer's shares (npm). In each view a thinned scene draws as many of its rows as are in
+view; the cuts of levels by a radius and by pairs get this number as their budget. All pictures are compared with that of all
+leaves; better ones than 60 dB count as that. Views are of six classes: near, low, street, middle, orbit, far. With ``--levels``
+of one method, static sets and the column of the other method are those of the kept rows.
 
 A cut that depends on the view should never be worse than a static set of as many Gaussians: a negative number is a loss.
 """
@@ -61,36 +62,60 @@ def main() -> None:
     parser.add_argument(
         "--peer-shares", nargs="*", type=float, default=[], help="run splat-transform to these shares too"
     )
+    parser.add_argument(
+        "--levels",
+        nargs="+",
+        choices=get_args(Method),
+        default=get_args(Method),
+        help="levels that are measured; of one method alone, all else is as it was kept",
+    )
     arguments = parser.parse_args()
+    path = RESULTS / "levels.json"
+    kept: list[dict[str, object]] = json.loads(path.read_text())["rows"] if path.exists() else []
     rows: list[dict[str, object]] = []
     for name in arguments.scenes:
         read = st.read(SCENES.get(name) or name)
         flat = st.Scene.flat(read.gaussians.take(read.tree.is_leaf), mode=read.mode)
-        trees = {method: st.build_lod(flat, st.BuildOptions(method)) for method in get_args(Method)}
+        trees = {method: st.build_lod(flat, st.BuildOptions(method)) for method in arguments.levels}
         views = views_of(flat)
         leaves = {key: picture(flat, view, None)[0] for key, view in views.items()}
-        for kind, share, static in statics(flat, arguments.shares, arguments.peer_shares):
-            for key, view in views.items():
-                image, budget = picture(static, view, None)
-                found = min(st.psnr(image, leaves[key]), BEST_DB)
-                row: dict[str, object] = {"scene": Path(name).stem, "static set": kind, "share, %": share, "view": key}
-                row |= {"visible nodes": budget, "static, dB": found}
-                for method, tree in trees.items():
-                    try:
-                        cut, _ = picture(tree, view, budget)
-                    except InputError:  # more roots are in view than the static set shows rows
-                        row[f"cut, {method}, dB"] = row[f"{method} − static"] = ""
-                        continue
-                    psnr = min(st.psnr(cut, leaves[key]), BEST_DB)
-                    row |= {f"cut, {method}, dB": psnr, f"{method} − static": psnr - found}
-                rows.append(row)
-                print(row, flush=True)
+        cells = [row for row in kept if row["scene"] == Path(name).stem]
+        if len(trees) == len(get_args(Method)):
+            cells = list(cells_of(name, flat, views, leaves, arguments.shares, arguments.peer_shares))
+        for row in cells:
+            key, budget, found = str(row["view"]), int(row["visible nodes"]), float(row["static, dB"])  # type: ignore[call-overload,arg-type]
+            for method, tree in trees.items():
+                try:
+                    cut, _ = picture(tree, views[key], budget)
+                except InputError:  # more roots are in view than the static set shows rows
+                    row[f"cut, {method}, dB"] = row[f"{method} − static"] = ""
+                    continue
+                psnr = min(st.psnr(cut, leaves[key]), BEST_DB)
+                row |= {f"cut, {method}, dB": psnr, f"{method} − static": psnr - found}
+            rows.append(row)
+            print(row, flush=True)
     print(table(rows))
     print(table(summary(rows)))
-    path, here = RESULTS / "levels.json", {row["scene"] for row in rows}
-    kept = json.loads(path.read_text())["rows"] if path.exists() else []
+    here = {row["scene"] for row in rows}
     rows = [row for row in kept if row["scene"] not in here] + rows
     save("levels", rows, about="Cuts of our levels against static sets of as many visible nodes")
+
+
+def cells_of(
+    name: str,
+    flat: st.Scene,
+    views: dict[str, st.Camera],
+    leaves: dict[str, np.ndarray],
+    shares: list[float],
+    peer_shares: list[float],
+) -> Iterator[dict[str, object]]:
+    """A row for each static set and view: what the static set shows."""
+    for kind, share, static in statics(flat, shares, peer_shares):
+        for key, view in views.items():
+            image, budget = picture(static, view, None)
+            found = min(st.psnr(image, leaves[key]), BEST_DB)
+            row: dict[str, object] = {"scene": Path(name).stem, "static set": kind, "share, %": share, "view": key}
+            yield row | {"visible nodes": budget, "static, dB": found}
 
 
 def statics(flat: st.Scene, shares: list[float], peer_shares: list[float]) -> Iterator[tuple[str, float, st.Scene]]:

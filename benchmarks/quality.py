@@ -1,8 +1,8 @@
 """How near thinned scenes and cuts of the tree come to the full scene, from near to far, in the scene's own mode.
 
-``python benchmarks/quality.py [scene] [--mode classic antialiased] [--peer] [--cuts] [--dilation 0]``;
-without a scene, one chunk of the shared city. Six views at growing distance (each twice as far as the one before)
-around the median of the scene. Table 1: one thinning to 50, 25, 10 % by pairs and by a radius with
+``python benchmarks/quality.py [scene] [--mode classic antialiased] [--peer] [--cuts] [--levels radius]
+[--dilation 0]``; without a scene, one chunk of the shared city. Six views at growing distance (each twice as far as the one
+before) around the median of the scene. Table 1: one thinning to 50, 25, 10 % by pairs and by a radius with
 each named rule, and splat-transform's output of the same share with ``--peer`` (npm).
 Table 2, for levels by a radius and by pairs: the cut at τ_R = 3 px and more with its share of the leaves over the whole
 scene, and the cut that draws at most 10 % of the leaves. All PSNRs are against all leaves, drawn by the
@@ -10,6 +10,7 @@ same renderer.
 """
 
 import argparse
+import json
 import shutil
 import subprocess
 import tempfile
@@ -19,7 +20,7 @@ from typing import get_args
 import numpy as np
 
 import splatree
-from harness import DATA, save, table
+from harness import DATA, RESULTS, save, table
 from splatree.metrics.psnr import psnr
 from splatree.scene.thinning import Method
 
@@ -140,6 +141,13 @@ def main() -> None:
     parser.add_argument("--mode", nargs="+", choices=("classic", "antialiased"), default=["classic", "antialiased"])
     parser.add_argument("--peer", action="store_true", help="also run splat-transform through npx")
     parser.add_argument("--cuts", action="store_true", help="table 2 alone")
+    parser.add_argument(
+        "--levels",
+        nargs="+",
+        choices=get_args(Method),
+        default=get_args(Method),
+        help="levels of table 2; rows of the others are kept",
+    )
     parser.add_argument("--dilation", type=float, help="table 2 alone, for a tree made with this --dilation")
     arguments = parser.parse_args()
     if arguments.peer and shutil.which("npx") is None:
@@ -154,7 +162,7 @@ def main() -> None:
         if arguments.dilation is None and not arguments.cuts:
             thin_rows += thinned(judge, peers)
             print(table([row for row in thin_rows if row["mode"] == mode]), end="\n\n", flush=True)
-        for method in get_args(Method) if arguments.dilation is None else ("radius",):
+        for method in arguments.levels if arguments.dilation is None else ("radius",):
             cut_rows += cuts(judge, method, arguments.dilation)
         print(table([row for row in cut_rows if row["mode"] == mode]), end="\n\n", flush=True)
     name = arguments.scene.name.split(".")[0]
@@ -166,6 +174,11 @@ def main() -> None:
         )
     if arguments.dilation is not None:
         name += f"_dilation_{arguments.dilation:g}"
+    path = RESULTS / f"quality_cut_{name}.json"
+    if path.exists() and arguments.dilation is None:
+        here = {(row["mode"], row["levels"]) for row in cut_rows}
+        kept = json.loads(path.read_text())["rows"]
+        cut_rows = [row for row in kept if (row["mode"], row["levels"]) not in here] + cut_rows
     save(f"quality_cut_{name}", cut_rows, about="PSNR of the cut against all leaves, six views near to far")
 
 

@@ -1,10 +1,12 @@
 """Small scenes made of random numbers, for tests. The same arguments give the same scene on every machine."""
 
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 
 import splatree as st
+from splatree.maths.forests import subtree_radii
 
 Numbers = tuple[Literal["normal", "uniform"], float, float]
 """A distribution: normal with its mean and standard deviation, or uniform with its ends."""
@@ -96,3 +98,12 @@ def camera(width: int = 52, height: int = 37, *, distance: float = 4.0, **change
     K[0, 2] += changes.get("shift_x", 0.0)
     K[1, 2] += changes.get("shift_y", 0.0)
     return st.Camera(view.camera_from_world, K, width, height, near=changes.get("near", view.near))
+
+
+def with_balls(scene: st.Scene) -> st.Scene:
+    """A tree as files of before have it by a radius: drawn by the nodes' size on the screen, with balls as extents."""
+    g, record = scene.gaussians, scene.tree.record
+    assert record is not None
+    balls = subtree_radii(g.means, g.reach(), scene.tree.depth)
+    tree = replace(scene.tree, extents=balls, record=replace(record, profile="exact"))
+    return replace(scene, tree=tree, blocks=None)

@@ -40,7 +40,7 @@ def test_info_counts_and_places_the_scene(splatree, small_tree):
     assert info["num_gaussians"] == NUM_GAUSSIANS
     assert info["num_nodes"] == len(scene) > NUM_GAUSSIANS
     assert info["levels"] == scene.tree.num_levels == len(info["nodes_per_depth"])
-    assert (info["record"]["rule"], info["record"]["profile"]) == ("radius-thinning", "exact")
+    assert (info["record"]["rule"], info["record"]["profile"]) == ("radius-thinning", "pixel")
     assert info["record"]["steps"] == list(scene.tree.record.steps)
     assert sum(info["nodes_per_depth"]) == info["num_nodes"]
     assert info["sh_degree"] == 3
@@ -211,7 +211,7 @@ def test_every_verb_takes_the_axes_of_a_file_that_names_none(splatree, small_sce
 
 
 def test_render_says_once_what_to_know_of_the_selection(splatree, small_tree, tmp_path):
-    words = ("render", small_tree, "-o", tmp_path, "--views", "2", *SIZE, "--pixel-error", "0.5")
+    words = ("render", small_tree, "-o", tmp_path, "--views", "2", *SIZE, "--profile", "exact", "--pixel-error", "0.5")
     code, out, _ = splatree(*words)
     assert code == 0
     assert out.count("note: pixel_error 0.5 px is below") == 1

@@ -41,7 +41,7 @@ def test_results_are_shown_in_words(splatree, small_ply):
 
 
 def test_levels_of_detail_are_drawn_by_a_machine_that_selects_them(splatree, small_tree):
-    words = ("simulate", small_tree, "--views", 1, "--clusters", 20, "--pixel-error", 20, "--json")
+    words = ("simulate", small_tree, "--views", 1, "--clusters", 20, "--pixel-error", 60, "--json")
     code, _, err = splatree(*words)
     assert code != 0 and "selects_levels=true" in err
     code, out, _ = splatree(*words, "--set", "selects_levels=true")

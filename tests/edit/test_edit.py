@@ -13,6 +13,8 @@ from splatree.edit.rows import keep_leaves
 from splatree.edit.similarity import Similarity, move_from_options
 from splatree.lod.select import select
 
+from ..scenes import with_balls
+
 COLUMNS = ("means", "quats", "log_scales", "logit_opacities", "sh")
 MOVE = EditOptions(scale=2.5, rotate=(33.0, -71.0, 160.0), translate=(40.0, -7.0, 300.0))
 
@@ -109,8 +111,13 @@ def test_morton_order_brings_neighbours_together(city):
 
 
 @pytest.fixture(scope="module")
-def tree(city) -> Scene:
+def levels(city) -> Scene:
     return build_lod(Scene.flat(city.gaussians.take(np.arange(0, len(city), 10))))
+
+
+@pytest.fixture(scope="module")
+def tree(levels) -> Scene:
+    return with_balls(levels)
 
 
 def check_extents(scene: Scene) -> None:
@@ -120,6 +127,12 @@ def check_extents(scene: Scene) -> None:
     for i, end in enumerate(scene.tree.subtree_end):
         distances = np.linalg.norm(means[i:end] - means[i], axis=1) + reach[i:end]
         assert distances.max() <= scene.tree.extents[i]
+
+
+def test_extents_of_levels_are_scaled(levels):
+    moved = edit(levels, MOVE)
+    raised = 2**-20 * np.abs(moved.gaussians.means).max()  # by what float32 may have rounded
+    np.testing.assert_allclose(moved.tree.extents, 2.5 * levels.tree.extents, rtol=2**-20, atol=raised)
 
 
 def test_a_moved_tree_keeps_its_levels_and_bounds(tree):

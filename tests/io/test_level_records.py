@@ -9,11 +9,12 @@ import pytest
 import splatree as st
 from splatree.io.formats.rad.container import open_rad
 from splatree.io.joined import joined
+from splatree.kernels.reference.select import radii
 from splatree.lod.link import link_levels
 from splatree.scene.levels import UNKNOWN_LEVELS, LevelRecord
 
 from ..lod.test_select import camera_at
-from ..scenes import surface
+from ..scenes import surface, with_balls
 from .test_store import rewrite
 
 PAIRS, RADIUS = st.BuildOptions(method="pairs"), st.BuildOptions(radius=0.2)
@@ -48,12 +49,34 @@ def test_sizes_of_levels_of_joined_trees_are_listed_together_and_what_differs_is
     assert record.steps == tuple(sorted({step for part in parts for step in part.tree.record.steps}))
     assert record.growth is None and record.rule == "radius-thinning" and record.importance == "opacity-scale"
     assert record.merge is None  # the dilation follows from the growth
-    assert record.profile == "exact"
+    assert record.profile == "pixel"
 
 
-def test_joined_trees_of_different_rules_are_drawn_by_spheres():
+def test_joined_trees_of_different_rules_are_mixed():
     record = joined([tree(RADIUS), tree(PAIRS)]).tree.record
-    assert (record.rule, record.profile, record.mode) == ("mixed", "sphere", "classic")
+    assert (record.rule, record.profile, record.mode) == ("mixed", "pixel", "classic")
+
+
+@pytest.mark.parametrize("other", [linked, lambda: with_balls(tree(RADIUS))])
+def test_joined_trees_of_different_profiles_are_drawn_by_spheres(other):
+    assert joined([tree(RADIUS), other()]).tree.record.profile == "sphere"
+
+
+def test_files_of_before_are_drawn_as_before(tmp_path):
+    """Their record says how: each node by its size on the screen, whatever the rule that made them."""
+    scene, camera = with_balls(tree(RADIUS)), camera_at(12.0)
+    options = st.SelectOptions(pixel_error=20)
+    for suffix in (".splatree", ".rad"):
+        st.write(scene, tmp_path / f"a{suffix}")
+        back = st.read(tmp_path / f"a{suffix}")
+        assert back.tree.record == scene.tree.record
+        chosen = st.select(back, camera, options)
+        assert chosen.profile == "exact"
+        if suffix == ".splatree":
+            sizes = radii(back.gaussians, back.tree.extents, camera, "exact", 0.3)
+            inner = chosen.rows[~back.tree.is_leaf[chosen.rows]]
+            assert len(inner) and (sizes[inner] <= 20 * (1 + 1e-4)).all()
+            assert back.tree.extents.tobytes() == scene.tree.extents.tobytes()
 
 
 def test_a_scene_without_levels_goes_with_any():
@@ -78,9 +101,11 @@ def test_the_native_format_keeps_the_record(tmp_path, made):
 @pytest.mark.parametrize("made", MADE)
 def test_older_native_files_say_it_in_their_provenance(tmp_path, made):
     scene = MADE[made]()
+    if made == "radius":
+        scene = with_balls(scene)
     parts = [scene, joined([scene, scene])]
     if made == "radius":
-        parts.append(joined([scene, tree(replace(RADIUS, radius=0.3))]))
+        parts.append(joined([scene, with_balls(tree(replace(RADIUS, radius=0.3)))]))
     for part in parts:
         st.write(part, tmp_path / "a.splatree", force=True)
         rewrite(tmp_path / "a.splatree", lambda header: header["__metadata__"].pop("tree.record"))
@@ -113,9 +138,8 @@ def test_rad_keeps_the_record_and_what_the_profile_asks(tmp_path, made, compress
     assert not any("drawn" in sentence for sentence in lost)
     back, inner = st.read(tmp_path / "a.rad"), ~scene.tree.is_leaf
     assert back.tree.record == scene.tree.record
-    if made != "radius":
-        np.testing.assert_array_equal(back.tree.extents[inner], scene.tree.extents[inner])
-    if made != "radius" and compression == 0:
+    np.testing.assert_array_equal(back.tree.extents[inner], scene.tree.extents[inner])
+    if compression == 0:
         camera = camera_at(12.0)
         np.testing.assert_array_equal(st.select(back, camera).rows, st.select(scene, camera).rows)
 

@@ -1,3 +1,4 @@
+import dataclasses
 import json
 
 import numpy as np
@@ -6,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from splatree import BuildOptions, Gaussians, InputError, MergeOptions, Scene, build_lod
+from splatree.lod.grow_radius import extents_of
 from splatree.lod.report import report_levels
 from splatree.maths.covariance import covariances_from_gaussians
 
@@ -68,16 +70,49 @@ def test_inner_nodes_have_two_children_or_more(gaussians):
     assert (parents < 0).sum() == min(1, len(gaussians))
 
 
-@given(small_scenes)
-def test_extents_hold_the_subtree_and_grow_upwards(gaussians):
-    scene = build_lod(Scene.flat(gaussians), BuildOptions(max_roots=2))
-    extents, means = scene.tree.extents.astype(np.float64), scene.gaussians.means.astype(np.float64)
-    reach = 3 * np.exp(scene.gaussians.log_scales.max(axis=1, initial=-np.inf).astype(np.float64))
-    for i, end in enumerate(scene.tree.subtree_end):
-        inside = slice(i, end)
-        # The farthest point of a 3σ ellipsoid is at most its longest half axis beyond its centre.
-        assert (np.linalg.norm(means[inside] - means[i], axis=1) + reach[inside] <= extents[i]).all()
-        assert (extents[inside] <= extents[i]).all()
+@given(small_scenes, st.sampled_from(["classic", "antialiased"]), st.sampled_from([1.3, 2.0, 3.0]))
+def test_extents_lie_within_their_level_and_grow_upwards(gaussians, mode, growth):
+    """So levels are drawn one after the other, and extents by rule are those of no other level."""
+    scene = build_lod(Scene.flat(gaussians, mode=mode), BuildOptions("radius", max_roots=2, growth=growth))
+    if scene.tree.record is None or len(scene) == len(gaussians):
+        return
+    extents, inner = scene.tree.extents.astype(np.float64), np.flatnonzero(~scene.tree.is_leaf)
+    radii = np.array(scene.tree.record.steps)
+    nearest = radii[np.abs(np.log(extents[inner, None] / (2 * radii))).argmin(axis=1)]
+    assert (np.abs(np.log(extents[inner] / (2 * nearest))) < np.log(growth) / 2).all()
+    parents = parents_of(scene)
+    below = inner[parents[inner] >= 0]
+    assert (extents[below] < extents[parents[below]]).all()
+
+
+def test_large_nodes_of_a_level_are_drawn_from_farther_away():
+    """By the closed form: e = 2 r (1.5 σ / r)^¼ near a usual node, and never beyond half a level."""
+    many = surface(60, 1)
+    sizes = np.geomspace(1e-3, 1e3, 60)
+    many = dataclasses.replace(many, log_scales=np.repeat(np.log(sizes), 3).reshape(60, 3).astype(np.float32))
+    extents = extents_of(many, radius=0.3, growth=2.0)
+    assert (np.diff(extents) > 0).all()
+    usual = np.abs(np.log(1.5 * sizes / 0.3)) < 0.3
+    np.testing.assert_allclose(extents[usual], 0.6 * (1.5 * sizes[usual] / 0.3) ** 0.25, rtol=2e-3)
+    assert extents.min() > 0.6 / np.sqrt(2) and extents.max() < 0.6 * np.sqrt(2)
+
+
+@pytest.mark.parametrize("log_scale", [-1e4, 0.0, 1e4])
+@pytest.mark.parametrize("radius", [1e-45, 1e30])
+def test_extents_of_absurd_levels_are_numbers(log_scale, radius):
+    """Above 0, for at a τ_R of 0 all leaves are drawn."""
+    odd = dataclasses.replace(surface(5, 1), log_scales=np.full((5, 3), log_scale, np.float32))
+    extents = extents_of(odd, radius=radius, growth=2.0)
+    assert np.isfinite(extents).all() and (extents > 0).all()
+
+
+def test_gaussians_at_one_place_are_drawn_by_the_ball_around_them():
+    one = surface(90, 3)
+    one = dataclasses.replace(one, means=np.zeros_like(one.means))
+    scene = build_lod(Scene.flat(one), BuildOptions("radius", max_roots=1, color_radius=None, follow=False))
+    reach = 3 * np.exp(scene.gaussians.log_scales.max(axis=1).astype(np.float64))
+    assert scene.tree.depth[0] == 0 and (scene.tree.depth == 0).sum() == 1
+    assert scene.tree.extents[0] >= reach.max()
 
 
 def test_an_inner_node_has_the_mean_and_covariance_of_its_leaves():

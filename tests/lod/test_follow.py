@@ -52,6 +52,15 @@ def test_a_node_shows_the_mass_of_its_leaves_at_any_distance(method):
             np.testing.assert_allclose(opacity[0], min(mass, 0.99), rtol=tolerance)
 
 
+def test_nodes_by_a_radius_are_stored_for_a_wider_pixel_than_they_are_drawn_from():
+    """Four times as wide, e / 3 at a pixel error of 3 px, and 4 r_0 at least: far views draw fine levels there."""
+    scene = built("radius", radius=0.1)
+    inner = ~scene.tree.is_leaf
+    stored = np.maximum(4 * scene.tree.extents[inner].astype(np.float64) / 3, 4 * 0.1)
+    np.testing.assert_allclose(scene.tree.curves[inner, 3], 0.3 * stored**2, rtol=1e-6)
+    assert (stored == 0.4).any() and (stored > 0.4).any()
+
+
 @pytest.mark.parametrize("method", METHODS)
 def test_leaves_stay_and_the_option_turns_it_off(method):
     plain, following = built(method, follow=False), built(method)

@@ -9,6 +9,7 @@ import signal
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from unittest import mock
@@ -19,6 +20,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as hs
 
 import splatree as st
+from splatree.io.formats.folder.manifest import read_manifest
 from splatree.io.memory import PROCESS_BYTES, _free_of_group, bytes_of
 from splatree.outofcore import build, crown, follow, run, shuffle
 from splatree.outofcore.needs import needs_of
@@ -482,3 +484,20 @@ def test_formats_that_are_not_read_in_chunks_are_named_as_the_user_did(tmp_path,
         st.InputError, match=r"^.*a\.rad: found a format that is not read in chunks; convert it to \.ply first"
     ):
         st.build_folder(tmp_path / "a.rad", tmp_path / "parts.splatree")
+
+
+@pytest.mark.parametrize("follows", [False, True])
+def test_leaves_of_the_crown_are_copies_of_roots(tmp_path, ply, follows):
+    """Their extents, shapes and curves too, whatever the tier that they were grown in."""
+    with room_for(20), small_pages(60):
+        built = st.build_folder(ply, tmp_path / "out.splatree", replace(LITTLE, follow=follows), TIERS)
+    crown = st.read(built.path / "crown.splatree")
+    parts = [st.read(built.path / file.name) for file in read_manifest(built.path).parts]
+    copies = np.flatnonzero(crown.tree.is_leaf)
+    roots = [(part, np.flatnonzero(part.tree.depth == 0)) for part in parts]
+    assert len(parts) > 1 and len(copies) == sum(len(rows) for _, rows in roots)
+    for name in ("extents", "curves") if follows else ("extents",):
+        of_roots = np.concatenate([getattr(part.tree, name)[rows] for part, rows in roots])
+        assert getattr(crown.tree, name)[copies].tobytes() == of_roots[crown.ids[copies]].tobytes()
+    scales = np.concatenate([part.gaussians.log_scales[rows] for part, rows in roots])
+    assert crown.gaussians.log_scales[copies].tobytes() == scales[crown.ids[copies]].tobytes()

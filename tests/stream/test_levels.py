@@ -91,6 +91,13 @@ def test_all_cuts_are_counted_and_the_nearest_is_found(scene, chunk_leaves, targ
         assert levels._nearest(counts, target) == np.argmin(np.abs(np.log(counts / target)))
 
 
+def test_levels_by_a_radius_have_cuts_of_any_size(city_tree):
+    """Extents differ within a level. With one extent a level, cuts come in steps."""
+    _, counts = cuts_of(intervals_of(city_tree.tree))
+    counts = counts[counts >= city_tree.tree.num_leaves / 64].astype(np.float64)
+    assert (counts[:-1] / counts[1:]).max() < 1.01
+
+
 def test_levels_shrink_by_the_ratio_to_a_sixty_fourth(city_tree):
     chunks = chunks_of_tree(city_tree)
     counts = [len(level) for level in levels_of_tree(city_tree.tree, chunks)]

@@ -83,7 +83,7 @@ def assemble(
     if seen is not None and n > num_leaves:
         seen_from_row = np.ones(n, np.float32)
         seen_from_row[row[:num_leaves]] = seen
-        pixels = (resolved.judged_size, resolved.stored_size) if resolved.method == "pairs" else (0.0, 0.0)
+        pixels = resolved.judged_size, resolved.stored_size
         gaussians, tree = with_curves(gaussians, tree, seen_from_row, pixels=pixels, threads=threads)
     source = with_report(scene.source, resolved, list(forest.sizes), {"nodes": list(forest.counts)})
     return with_tree(scene, gaussians, tree, ids, source, threads=threads)
@@ -114,7 +114,7 @@ def record_of(resolved: ResolvedBuild, sizes: Sequence[float]) -> LevelRecord:
     by_pairs = resolved.method == "pairs"
     return LevelRecord(
         rule="pairs" if by_pairs else "radius-thinning",
-        profile="pixel" if by_pairs else "exact",
+        profile="pixel",
         mode=resolved.mode,
         steps=tuple(sizes),
         growth=resolved.growth,

@@ -11,9 +11,9 @@ the leaves, and large far away, where they overlap. What others hide counts less
 visibility of a leaf (simplify/visibility.py), and the node gets the mass G = √(ρ ρ_v). Mass beyond one Gaussian widens the splat
 with its dilation: its variance becomes w (v + h), w = max(1, G / 0.99)^0.3, so that of the node w v + (w − 1) h.
 
-A node is *stored* as it is drawn at a pixel h_l. For levels by a radius it is the one that the level was made for. For levels by
-pairs it is four times as wide as that, and at least eight times the median Gaussian: far views with generous budgets draw
-levels where the pixel is wider than their own. Nearer than h_l a node is drawn with less: `GaussianTree.curves` keeps m = M(0),
+A node is *stored* as it is drawn at a pixel h_l: four times as wide as the one from which on it is drawn at τ_R = 3 px, and by
+pairs at least eight times the median Gaussian, by a radius at least 4 r_0. Far views with generous budgets draw levels where the
+pixel is wider than their own. Nearer than h_l a node is drawn with less: `GaussianTree.curves` keeps m = M(0),
 n = M'(∞), g = G(h_l) and h_l, from which G follows at any h by a closed form. It is exact at 0, at h_l and far away
 (kernels/reference/project.py):
 
@@ -31,19 +31,22 @@ Cost: 0.6 CPU-seconds a million leaves, and 0.7 for visibilities where the level
 
 import dataclasses
 
-from splatree.constants import DILATION_PX2, PIXEL_ERROR, SIGMAS
-from splatree.kernels.cpu.build.curves import fit_curves
-from splatree.maths.forests import subtree_radii
-from splatree.scene.gaussians import Gaussians
-from splatree.scene.names import EXTENT_PROFILES
-from splatree.scene.tree import GaussianTree
-from splatree.shapes import Array, Float32
+import numpy as np
 
-__all__ = ["WIDER", "kept_extent", "share_by_radius", "with_curves"]
+from splatree.constants import DILATION_PX2, PIXEL_ERROR
+from splatree.kernels.cpu.build.curves import fit_curves
+from splatree.scene.gaussians import Gaussians
+from splatree.scene.tree import GaussianTree
+from splatree.shapes import Array, Float32, Float64
+
+__all__ = ["STORED_SHARE", "dilations_of_extents", "kept_extent", "least_dilation", "with_curves"]
 
 WIDER = 4.0
-"""Levels by pairs are stored for a pixel so many times as wide as that of their level: a far view with a generous budget draws
-them there (τ_R = ¾ px). A city at 20 % gains 1.5 dB from outside and 4 dB from afar."""
+"""Nodes are stored for a pixel so many times as wide as that of their level: a far view with a generous budget draws them there
+(τ_R = ¾ px). By pairs, a city at 20 % gains 1.5 dB from outside and 4 dB from afar."""
+
+STORED_SHARE = DILATION_PX2 * (WIDER / PIXEL_ERROR) ** 2
+"""h_l as a share of a node's extent²."""
 
 
 def kept_extent(judged: float) -> float:
@@ -51,9 +54,14 @@ def kept_extent(judged: float) -> float:
     return PIXEL_ERROR * judged * (1 + 1e-6)
 
 
-def share_by_radius(growth: float) -> float:
-    """Levels by a radius: h_l in variances along the longest axis, of the pixel where a node's 3σ are the pixel error, τ_R."""
-    return DILATION_PX2 * growth / ((PIXEL_ERROR / SIGMAS) ** 2 - DILATION_PX2)
+def least_dilation(stored: float) -> float:
+    """The least h_l, world units², given the finest pixel that nodes are stored for, world units."""
+    return max(DILATION_PX2 * stored**2, 1e-30)
+
+
+def dilations_of_extents(extents: Float32[Array, "n"], stored: float) -> Float64[Array, "n"]:
+    """h_l of nodes, world units², given the finest pixel that nodes are stored for, world units."""
+    return np.maximum(STORED_SHARE * extents.astype(np.float64) ** 2, least_dilation(stored))
 
 
 def with_curves(
@@ -70,8 +78,8 @@ def with_curves(
         gaussians: the rows; leaves stay bit for bit.
         tree: the levels.
         seen: visibility of each row, 0 to 1; those of leaves count.
-        pixels: for levels that are drawn by their extents, world units: the pixel p_0 at which fine levels were judged, whose
-            nodes keep their Gaussian; and the finest pixel that nodes are stored for.
+        pixels: world units: the pixel p_0 at which fine levels by pairs were judged, whose nodes keep their Gaussian; and the
+            finest pixel that nodes are stored for.
         threads: threads to use; 0: all.
 
     Returns:
@@ -80,19 +88,12 @@ def with_curves(
     Source:
         The sums are exact moments of mixtures; the closed form of M was found by measurement (docs/explanation/build.md).
     """
-    record, extents = tree.record, tree.extents
-    if record is not None and record.profile in EXTENT_PROFILES:  # the pixel of its level is a share of a node's extent
-        share = DILATION_PX2 * (WIDER / PIXEL_ERROR) ** 2
-        judged, stored = pixels
-        followed, curves = fit_curves(
-            *(gaussians, tree.subtree_end, seen, share, extents),
-            kept_extent=kept_extent(judged),
-            kept_dilation=DILATION_PX2 * judged**2,
-            least_dilation=DILATION_PX2 * stored**2,
-            threads=threads,
-        )
-        return followed, dataclasses.replace(tree, curves=curves)
-    share = share_by_radius(1.0 if record is None else record.growth or 1.0)
-    followed, curves = fit_curves(gaussians, tree.subtree_end, seen, share, threads=threads)
-    extents = subtree_radii(followed.means, followed.reach(), tree.depth)  # balls that hold all that is below
-    return followed, dataclasses.replace(tree, curves=curves, extents=extents)
+    judged, stored = pixels
+    followed, curves = fit_curves(
+        *(gaussians, tree.subtree_end, seen, STORED_SHARE, tree.extents),
+        kept_extent=kept_extent(judged),
+        kept_dilation=DILATION_PX2 * judged**2,
+        least_dilation=least_dilation(stored),
+        threads=threads,
+    )
+    return followed, dataclasses.replace(tree, curves=curves)

@@ -24,9 +24,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from splatree.errors import InputError
-from splatree.kernels.cpu.build import merge as merge_kernel
 from splatree.kernels.cpu.build import thin as thin_kernel
-from splatree.lod.forest import Base, Forest, NewLevel
+from splatree.lod.forest import Base, Forest
+from splatree.lod.grow_radius import level_of
 from splatree.lod.order import Families
 from splatree.lod.region import ROUNDING, Region
 from splatree.lod.resolve import ResolvedBuild
@@ -108,16 +108,7 @@ def _with_level(forest: Forest, resolved: ResolvedBuild, radius: float, represen
     groups = thin_kernel.group(representatives)
     if len(groups) == len(forest.roots):
         return forest.skipped()
-    return forest.with_level(
-        NewLevel(
-            size=radius,
-            rows=groups.rows,
-            start=groups.start[:-1],
-            representatives=groups.representatives,
-            merged=merge_kernel.merge(forest.present, groups, forest.root_weights, resolved.merge, threads=threads),
-            weights=np.add.reduceat(forest.root_weights[groups.rows], groups.start[:-1]),
-        )
-    )
+    return forest.with_level(level_of(forest, resolved, radius, groups, threads))
 
 
 def _of_roots(forest: Forest, is_kept: Bool[Array, "r"]) -> Forest:
@@ -148,7 +139,9 @@ def _below(forest: Forest) -> tuple[Forest, Int32[Array, "n"]]:
         if of_family.any():
             fan_out = level.fan_out[of_family]
             children = number[level.children[np.repeat(of_family, level.fan_out)]]
-            families.append(Families(int(number[level.parents[of_family][0]]), children, np.cumsum(fan_out) - fan_out))
+            extents = None if level.extents is None else level.extents[of_family]
+            first = int(number[level.parents[of_family][0]])
+            families.append(Families(first, children, np.cumsum(fan_out) - fan_out, extents))
             sizes.append(size)
             counts.append(counts[-1] - len(children) + len(fan_out))
     ends = np.cumsum([len(part) for part in forest.weights])[:-1]

@@ -17,9 +17,9 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from splatree.constants import ALPHA_MAX, DILATION_PX2, MERGED_LOG_SCALE_MAX, PIXEL_ERROR
+from splatree.constants import ALPHA_MAX, DILATION_PX2, MERGED_LOG_SCALE_MAX
 from splatree.kernels.reference.curves import LARGEST, LEAST_OPACITY, LEAST_VARIANCE, LEAST_WEIGHT, WIDENING, areas
-from splatree.lod.follow import WIDER, kept_extent
+from splatree.lod.follow import dilations_of_extents, kept_extent
 from splatree.lod.grow_pairs import extent_of
 from splatree.lod.order import Families
 from splatree.lod.resolve import ResolvedBuild
@@ -85,7 +85,8 @@ class Shown:
 def dilations_of(resolved: ResolvedBuild) -> Float64[Array, "d"]:
     """The variances that pixels add, world units², ascending: none, that of the pixel p_0, and that of each level by pairs."""
     extents = np.array([extent_of(size) for size in resolved.sizes()])
-    return np.unique(np.concatenate([[0.0, _kept_dilation(resolved)], _dilation_of(extents, resolved)]))
+    stored = dilations_of_extents(extents, resolved.stored_size)
+    return np.unique(np.concatenate([[0.0, _kept_dilation(resolved)], stored]))
 
 
 def num_columns(resolved: ResolvedBuild) -> int:
@@ -169,7 +170,7 @@ def fit_shown(
         alphas = np.minimum(kept.opacities().astype(np.float64), ALPHA_MAX)
         shows = mass(np.full(len(extents), np.searchsorted(dilations, dilation)))[keeps]
         scale[keeps] = alphas * areas(own[keeps], dilation) / shows
-    h = _dilation_of(extents, resolved)
+    h = dilations_of_extents(extents, resolved.stored_size)
     drawn = scale * mass(np.searchsorted(dilations, h)) / areas(own, h[:, None])
     wide = np.maximum(drawn / ALPHA_MAX, 1.0) ** WIDENING
     opacities = np.clip(drawn, LEAST_OPACITY, ALPHA_MAX)
@@ -180,12 +181,6 @@ def fit_shown(
     curves[~(curves.max(axis=1, initial=0) < LARGEST)] = 0
     columns = (log_scales.astype(np.float32), logits.astype(np.float32))
     return Gaussians(means, quats, *columns, gaussians.sh), curves.astype(np.float32)
-
-
-def _dilation_of(extents: Array, resolved: ResolvedBuild) -> Array:
-    """h_l: what the pixel of the level of a node adds to variances, from its extent."""
-    shares = DILATION_PX2 * (WIDER / PIXEL_ERROR) ** 2 * np.asarray(extents, np.float64) ** 2
-    return np.maximum(shares, max(DILATION_PX2 * resolved.stored_size**2, 1e-30))
 
 
 def _kept_dilation(resolved: ResolvedBuild) -> float:

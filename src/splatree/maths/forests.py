@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from splatree.errors import InputError
-from splatree.shapes import Array, Float32, Float64, Int32, UInt8
+from splatree.shapes import Array, Float32, Int32, UInt8
 
 __all__ = [
     "Links",
@@ -23,9 +23,7 @@ __all__ = [
     "links_from_preorder",
     "parents_by_level",
     "preorder_from_links",
-    "rounded_up",
     "subtree_radii",
-    "subtree_reaches",
 ]
 
 DEPTH_MAX = 255
@@ -175,22 +173,12 @@ def subtree_radii(means: Array, reach: Array, depth: Array) -> Float32[Array, "n
 
     max(reach, max over children c of |x_c − x| + radius_c), in float64, rounded upwards to float32.
     """
-    return rounded_up(subtree_reaches(means, reach, depth))
-
-
-def subtree_reaches(means: Array, reach: Array, depth: Array) -> Float64[Array, "n"]:
-    """`subtree_radii` before they are rounded: as ``reach`` of a leaf, they go on above the subtrees that it stands for."""
     radii = reach.astype(np.float64)
     for rows, parents in reversed(list(parents_by_level(depth))):
         apart = np.take(means, rows, axis=0).astype(np.float64) - np.take(means, parents, axis=0)
         distances = np.sqrt(np.einsum("ij,ij->i", apart, apart))
         family, start = np.unique(parents, return_index=True)
         radii[family] = np.maximum(radii[family], np.maximum.reduceat(distances + radii[rows], start))
-    return radii
-
-
-def rounded_up(radii: Float64[Array, "n"]) -> Float32[Array, "n"]:
-    """Radii as float32, upwards."""
     largest = np.finfo(np.float32).max
     # Float64 rounding of the sums, once a level, stays far below this rounding upwards.
     return np.nextafter(np.minimum(radii * (1 + 1e-9), largest).astype(np.float32), largest)

@@ -1,11 +1,11 @@
 """Levels by a radius that follow the pixel they are drawn at, above parts: with the bits of a build in memory.
 
-What a node shows at the pixel of its level is a sum over all of its leaves (lod/follow.py). That pixel follows from the node's
-shape, so it is known only when the node is. A part holds all leaves below its nodes, and is fitted by itself. The crown is fitted
-when it is whole:
+What a node shows at the pixel that it is stored for is a sum over all of its leaves (lod/follow.py). That pixel follows from the
+node's extent, so it is known only when the node is. A part holds all leaves below its nodes, and is fitted by itself. The crown
+is fitted when it is whole:
 
-1. The moments of its nodes add up from those of the roots of parts. They say at which dilation each node is stored.
-2. All leaves pass by in the order of the tree, and are added to the sums of the nodes above them.
+1. All leaves pass by in the order of the tree, and are added to the sums of the nodes above them.
+2. The moments of its nodes add up from those of the roots of parts.
 3. The nodes become what moments and sums say. Copies of roots become what the roots are in their parts.
 
 Sums run in the order in which they run in memory. The crown is gone through in pieces of whole subtrees, and then what lies above
@@ -22,15 +22,15 @@ import numpy as np
 
 from splatree.io.chunks import ROWS_PER_CHUNK
 from splatree.io.formats.splatree.rows import SceneRows, StoredScene, open_scene
-from splatree.kernels.cpu.build.curves import MOMENTS, add_shown, dilations_above, fit_curves_above, root_moments
-from splatree.lod.follow import share_by_radius
-from splatree.maths.forests import depth_from_ends, rounded_up, subtree_reaches
+from splatree.kernels.cpu.build.curves import MOMENTS, add_shown, fit_curves_above, root_moments
+from splatree.lod.follow import STORED_SHARE, dilations_of_extents, least_dilation
+from splatree.maths.forests import depth_from_ends
 from splatree.outofcore.plan import Plan
 from splatree.outofcore.work import Work, new_array, read_array
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.tree import GaussianTree
-from splatree.shapes import Array, Float32, Float64, Int64
+from splatree.shapes import Array, Float32, Int64
 
 __all__ = ["SHAPE", "known_of_roots", "seen_of", "with_followed_nodes"]
 
@@ -41,7 +41,7 @@ PASS_LEAVES = 1 << 18
 """Leaves that pass by at a time, or those below one root."""
 
 SHAPE = {"means": (3,), "quats": (4,), "log_scales": (3,), "logit_opacities": ()}
-"""What of a node follows, beside its curve and its extent."""
+"""What of a node follows, beside its curve."""
 
 
 def seen_of(work: Work, plan: Plan, inputs: Int64[Array, "n"]) -> Float32[Array, "n"]:
@@ -50,7 +50,7 @@ def seen_of(work: Work, plan: Plan, inputs: Int64[Array, "n"]) -> Float32[Array,
 
 
 def known_of_roots(gaussians: Gaussians, tree: GaussianTree, seen: Float32[Array, "n"], threads: int) -> Array:
-    """What the crown has to know of each root of a part (r 14): the moments of its leaves, and the radius of the ball around it.
+    """What the crown has to know of each root of a part (r 13): the moments of its leaves.
 
     Args:
         gaussians: the rows of the part, following.
@@ -58,9 +58,8 @@ def known_of_roots(gaussians: Gaussians, tree: GaussianTree, seen: Float32[Array
         seen: visibilities of its rows; those of leaves count.
         threads: threads to use; 0: all.
     """
-    is_root = tree.depth == 0
-    moments = root_moments(gaussians, tree.subtree_end, int(is_root.sum()), seen=seen, threads=threads)
-    return _known(moments, subtree_reaches(gaussians.means, gaussians.reach(), tree.depth)[is_root])
+    num_roots = int((tree.depth == 0).sum())
+    return root_moments(gaussians, tree.subtree_end, num_roots, seen=seen, threads=threads)
 
 
 def with_followed_nodes(
@@ -80,7 +79,7 @@ def with_followed_nodes(
         above = _Above(work, plan, num_roots, crown, path)
         pieces, is_above = list(_pieces(above.ends)), np.ones(len(crown), bool)
         with task("let nodes follow the pixel", float(plan.num_rows)) as advance:
-            known = [np.empty((0, MOMENTS + 1))]
+            known = [np.empty((0, MOMENTS))]
             for begin, end in pieces:
                 is_above[begin:end] = False
                 rows = np.arange(begin, end)
@@ -115,17 +114,13 @@ def _roots_in(ends: Array, begin: int, end: int) -> Iterator[int]:
         begin = int(ends[begin])
 
 
-def _known(moments: Float64[Array, "r m"], reaches: Float64[Array, "r"]) -> Float64[Array, "r 14"]:
-    return np.concatenate([moments, reaches[:, None]], axis=1)
-
-
 class _Above:
     """The crown while it is fitted."""
 
     def __init__(self, work: Work, plan: Plan, num_roots: Sequence[int], crown: StoredScene, path: Path) -> None:
         n = len(crown)
         self._work, self._plan, self._crown = work, plan, crown
-        self._share = share_by_radius(plan.resolved.growth)
+        self._stored = plan.resolved.stored_size
         self.ends = crown.file.rows("tree.subtree_end")
         """One past the last row of the subtree of each row."""
         self._copies = np.flatnonzero(self.ends == np.arange(1, n + 1))
@@ -135,6 +130,7 @@ class _Above:
         self._row = np.empty(len(numbers), np.int32)  # of its part
         types = [(name, "<f4", shape) for name, shape in SHAPE.items()] + [("curves", "<f4", 4), ("extents", "<f4")]
         self._columns = new_array(path, n, np.dtype(types))
+        self._columns["extents"] = crown.file.rows("tree.extents")
         num_leaves = np.zeros(n, np.int64)
         for file in np.unique(self._file):
             of_file = self._file == file
@@ -161,7 +157,7 @@ class _Above:
         """What `known_of_roots` said of the roots that the copies among rows stand for."""
         first, last = np.searchsorted(self._copies, (rows[0], rows[-1] + 1))
         files, own = self._file[first:last], self._number[first:last]
-        known = np.empty((len(own), MOMENTS + 1))
+        known = np.empty((len(own), MOMENTS))
         for file in np.unique(files):
             known[files == file] = read_array(self._work.above.shown(int(file)))[own[files == file]]
         return known
@@ -170,23 +166,23 @@ class _Above:
         """Fit the nodes among rows that are a forest, given what is known of its leaves; returns what is known of its roots."""
         ends = np.searchsorted(rows, self.ends[rows]).astype(np.int32)
         is_node, depth = ends > np.arange(1, len(rows) + 1), depth_from_ends(ends)
-        nodes, below, here = rows[is_node], np.ascontiguousarray(known[:, :MOMENTS]), self._columns[rows]
+        nodes, here = rows[is_node], self._columns[rows]
         columns = {name: np.ascontiguousarray(here[name]) for name in SHAPE}
         gaussians = Gaussians(**columns, sh=np.zeros((len(rows), 1, 3), np.float32))
-        dilations = dilations_above(gaussians, ends, below, self._share, threads=threads)
+        extents = np.ascontiguousarray(here["extents"])
+        dilations = dilations_of_extents(extents[is_node], self._stored)
         sums, spans = np.zeros((len(nodes), 2)), (self.first_leaf[nodes], self.first_leaf[self.ends[nodes]])
         for first, (log_scales, logits, seen) in self._leaves(int(rows[0]), int(self.ends[rows].max())):
             add_shown(log_scales, logits, seen, first, spans, dilations, sums, threads=threads)
-        gaussians, curves = fit_curves_above(gaussians, ends, below, self._share, sums, threads=threads)
-        reach = gaussians.reach()
-        reach[~is_node] = known[:, MOMENTS]
-        reaches = subtree_reaches(gaussians.means, reach, depth)
+        least = least_dilation(self._stored)
+        gaussians, curves = fit_curves_above(
+            *(gaussians, ends, known, STORED_SHARE, extents, sums), least_dilation=least, threads=threads
+        )
         for name in SHAPE:
             here[name] = getattr(gaussians, name)
-        here["curves"], here["extents"] = curves, rounded_up(reaches)
+        here["curves"] = curves
         self._columns[nodes] = here[is_node]
-        moments = root_moments(gaussians, ends, int((depth == 0).sum()), below=below, threads=threads)
-        return _known(moments, reaches[depth == 0])
+        return root_moments(gaussians, ends, int((depth == 0).sum()), below=known, threads=threads)
 
     def _leaves(self, begin: int, end: int) -> Iterator[tuple[int, tuple[Array, Array, Array]]]:
         """The leaves of the whole tree below rows: the number of the first, their log-scales, logits and visibilities."""

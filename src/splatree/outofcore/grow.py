@@ -131,7 +131,7 @@ def _write_part(
     part = replace(part, blocks=None, source=Source())  # the crown has the provenance
     if follows and part.tree.curves is None:  # no node follows
         part = replace(part, tree=replace(part.tree, curves=np.zeros((len(part), 4), np.float32)))
-    if plan.first_roots is not None and by_pairs:
+    if plan.first_roots is not None and (by_pairs or not plan.follows):
         part = _with_copies(work, plan, part)
         if follows and forest.families:
             part = _following(work, plan, part, forest, loaded, rows)
@@ -144,7 +144,7 @@ def _write_part(
 
 
 def _with_copies(work: Work, plan: Plan, part: Scene) -> Scene:
-    """The crown by pairs, its leaves as copies of roots: extents are not those of balls, and they may follow the pixel."""
+    """The crown, its leaves as copies of roots: extents are not those of balls, and they may follow the pixel."""
     assert plan.first_roots is not None and part.ids is not None
     copies = np.flatnonzero(part.tree.is_leaf)
     numbers = part.ids[copies].astype(np.int64)

@@ -4,8 +4,8 @@ A tree says which nodes stand for which. It does not say from which size on a no
 levels were made. `LevelRecord` holds this knowledge beside the tree (`GaussianTree.record`), and the selection takes its
 default profile from there.
 
-Every rule makes extents that allow the profile `sphere`. Levels by a radius are made for the profile `exact`, levels by pairs for
-`pixel`.
+Every rule makes extents that allow the profile `sphere`. Levels that `build_lod` makes are drawn by their extents, profile
+`pixel`. Files of before have levels by a radius whose extents are balls: their record says `exact`, and they are drawn by that.
 """
 
 import dataclasses
@@ -34,7 +34,7 @@ class LevelRecord:
     Example:
         >>> record = st.build_lod(st.read("city.ply")).tree.record
         >>> record.profile, st.LevelRecord.from_json(record.to_json()) == record
-        ('exact', True)
+        ('pixel', True)
     """
 
     rule: LevelRule

@@ -59,7 +59,7 @@ class SelectOptions:
     """Rule of the selection: `cut` is exact and draws nothing twice; the others reproduce published methods."""
     profile: Profile | None = None
     """Radius of a node, px: `exact` is 3 √λ of the dilated splat, `sphere` that of a ball of its extent, `pixel` its extent over
-    the distance of its mean; None: as the levels were made for: `pixel` for levels by pairs, `sphere` for linked ones, else
+    the distance of its mean; None: as the levels were made for: `pixel` for levels by `build`, `sphere` for linked ones, else
     `exact`."""
     view_test: ViewTest = "footprint"
     """Nodes that are dropped as out of view: splats that miss the image (`footprint`), centres outside of it (`centre`), or

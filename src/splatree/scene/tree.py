@@ -35,9 +35,9 @@ class GaussianTree:
     depth: UInt8[Array, "n"]
     """Edges from the root; 0 for a root."""
     extents: Float32[Array, "n"]
-    """Size of each row, world units, which the profiles `sphere` and `pixel` compare with the distance. Levels by radius: radius
-    of a ball around the row's mean that holds the 3σ ellipsoids of the row and its descendants. Levels by pairs: three pixels of
-    the width from which the row stands for its descendants, which may be less."""
+    """Size of each row, world units, which the profiles `sphere` and `pixel` compare with the distance. Levels that
+    `build_lod` makes: three pixels of the width from which the row stands for its descendants. Of leaves, of linked levels and of
+    files without a record: radius of a ball around the row's mean that holds the 3σ ellipsoids of the row and its descendants."""
     curves: Float32[Array, "n 4"] | None = None
     """How each node follows the pixel that it is drawn at (lod/follow.py): m, world units²; n; the mass g as it is stored;
     the dilation at that pixel, world units². 0 for leaves. None: nodes are drawn as stored."""

@@ -47,7 +47,7 @@ def fit_curves(
     subtree_end: Int32[Array, "n"],
     seen: Float32[Array, "n"],
     dilation_share: float,
-    extents: Float32[Array, "n"] | None = None,
+    extents: Float32[Array, "n"],
     *,
     kept_extent: float = 0.0,
     kept_dilation: float = 0.0,
@@ -55,8 +55,8 @@ def fit_curves(
 ) -> tuple[Gaussians, Float32[Array, "n 4"]]:
     """The Gaussians with other inner nodes, and the curve of each row: m, n, g, h_l; 0 for leaves.
 
-    ``seen`` are visibilities; those of leaves count. h_l is ``dilation_share`` times the square of a node's extent, or without
-    extents times its variance along the longest axis; and at least ``least_dilation``. ``kept_dilation`` is h_k.
+    ``seen`` are visibilities; those of leaves count. h_l is ``dilation_share`` times the square of a node's extent, and at least
+    ``least_dilation``. ``kept_dilation`` is h_k.
     """
     columns = {name: getattr(gaussians, name).copy() for name in ("means", "quats", "log_scales", "logit_opacities")}
     curves = np.zeros((len(gaussians), 4), np.float32)
@@ -78,7 +78,7 @@ def fit_curves(
             return float(np.sqrt((alphas @ shows) * (weights @ shows)))
 
         scale = 1.0
-        if extents is not None and extents[row] <= kept_extent:
+        if extents[row] <= kept_extent:
             node = gaussians.take(np.array([row]))
             own = np.maximum(
                 np.exp(2 * np.minimum(node.log_scales[0].astype(np.float64), MERGED_LOG_SCALE_MAX)), LEAST_VARIANCE
@@ -89,8 +89,7 @@ def fit_curves(
         else:
             columns["means"][row] = mean
             columns["quats"][row] = quats_from_matrices((axes * [1, 1, np.sign(np.linalg.det(axes))])[None])[0]
-        size2 = float(own[0] if extents is None else np.float64(extents[row]) ** 2)
-        h = max(dilation_share * size2, least_dilation, 1e-30)
+        h = max(dilation_share * float(extents[row]) ** 2, least_dilation, 1e-30)
         curve = scale * np.array([shown(0.0), np.sqrt(alphas.sum() * weights.sum())])
         mass = scale * shown(h) / areas(own[None], h)[0]
         wide = max(mass / ALPHA_MAX, 1.0) ** WIDENING

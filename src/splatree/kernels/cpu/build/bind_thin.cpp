@@ -105,12 +105,11 @@ CurvesJob curves_job_of(nb::handle gaussians, In<int32_t> subtree_end, int threa
   return job;
 }
 
-void fit_rows(nb::handle gaussians, In<int32_t> subtree_end, In<float> seen, double dilation_share,
-              std::optional<In<float>> extents, double kept_extent, double kept_dilation, double least_dilation,
-              Out<float> curves, int threads) {
+void fit_rows(nb::handle gaussians, In<int32_t> subtree_end, In<float> seen, double dilation_share, In<float> extents,
+              double kept_extent, double kept_dilation, double least_dilation, Out<float> curves, int threads) {
   CurvesJob job = curves_job_of(gaussians, subtree_end, threads);
   job.seen = seen.data();
-  job.extents = extents ? extents->data() : nullptr;
+  job.extents = extents.data();
   job.dilation_share = dilation_share;
   job.kept_extent = kept_extent, job.kept_dilation = kept_dilation, job.least_dilation = least_dilation;
   job.curves = curves.data();
@@ -118,11 +117,12 @@ void fit_rows(nb::handle gaussians, In<int32_t> subtree_end, In<float> seen, dou
   fit_curves(job);
 }
 
-void fit_rows_above(nb::handle gaussians, In<int32_t> subtree_end, In<double> below, double dilation_share, In<double> sums,
-                    Out<float> curves, int threads) {
+void fit_rows_above(nb::handle gaussians, In<int32_t> subtree_end, In<double> below, double dilation_share, double least_dilation,
+                    In<float> extents, In<double> sums, Out<float> curves, int threads) {
   CurvesJob job = curves_job_of(gaussians, subtree_end, threads);
   job.below = below.data();
-  job.dilation_share = dilation_share;
+  job.extents = extents.data();
+  job.dilation_share = dilation_share, job.least_dilation = least_dilation;
   job.sums = sums.data();
   job.curves = curves.data();
   nb::gil_scoped_release release;
@@ -149,16 +149,6 @@ void moments_of_roots(nb::handle gaussians, In<int32_t> subtree_end, std::option
   job.below = below ? below->data() : nullptr;
   nb::gil_scoped_release release;
   root_moments(job, moments.data());
-}
-
-void dilations_above(nb::handle gaussians, In<int32_t> subtree_end, In<double> below, double dilation_share,
-                     Out<double> dilations, int threads) {
-  CurvesJob job = moments_job_of(gaussians, subtree_end, threads);
-  job.below = below.data();
-  job.dilation_share = dilation_share;
-  job.dilations = dilations.data();
-  nb::gil_scoped_release release;
-  fit_curves(job);
 }
 
 void add_shown_by_leaves(In<float> log_scales, In<float> logit_opacities, In<float> seen, int64_t first, In<int64_t> begin,
@@ -263,12 +253,11 @@ void bind_thin(nb::module_& m) {
                      threads);
   });
   m.def("fit_curves", &fit_rows, nb::arg("gaussians"), nb::arg("subtree_end"), nb::arg("seen"), nb::arg("dilation_share"),
-        nb::arg("extents").none(), nb::arg("kept_extent"), nb::arg("kept_dilation"), nb::arg("least_dilation"), nb::arg("curves"),
+        nb::arg("extents"), nb::arg("kept_extent"), nb::arg("kept_dilation"), nb::arg("least_dilation"), nb::arg("curves"),
         nb::arg("threads"), "Overwrite the inner nodes, and fill their curves.");
   m.def("fit_curves_above", &fit_rows_above, "As fit_curves, of rows whose leaves stand for others.");
   m.def("root_moments", &moments_of_roots, nb::arg("gaussians"), nb::arg("subtree_end"), nb::arg("seen").none(),
         nb::arg("below").none(), nb::arg("moments"), nb::arg("threads"), "Moments of each root.");
-  m.def("dilations_above", &dilations_above, "The dilation of each inner node.");
   m.def("add_shown", &add_shown_by_leaves, "Add what leaves show at the dilations of the nodes above them.");
 }
 

@@ -76,10 +76,10 @@ class Fitter {
     add_up();
     parallel_ranges(job_.n, 1 << 8, job_.threads, [&](int64_t begin, int64_t end) {
       for (int64_t row = begin; row < end; ++row) {
-        if (!is_leaf(row))
-          write(row);
-        else if (!job_.dilations)
+        if (is_leaf(row))
           std::fill_n(job_.curves + 4 * row, 4, 0.f);
+        else
+          write(row);
       }
     });
   }
@@ -148,13 +148,9 @@ class Fitter {
 
   void write(int64_t row) const {
     double variance[3];
-    const double scale =
-        job_.extents && job_.extents[row] <= job_.kept_extent ? keep(row, variance) : become_moments(row, variance);
-    const double h = level_of(row, variance[0]);
-    if (job_.dilations) {
-      job_.dilations[inner(row)] = h;
-      return;
-    }
+    const double extent = job_.extents[row],
+                 scale = extent <= job_.kept_extent ? keep(row, variance) : become_moments(row, variance);
+    const double h = std::max({job_.dilation_share * (extent * extent), job_.least_dilation, 1e-30});
     const double mass = scale * shown(row, h) / area(variance, h);  // G(h_l)
     const double wide = std::pow(std::max(mass / constants::ALPHA_MAX, 1.0), WIDENING);
     const double opacity = std::min(std::max(mass, LEAST_OPACITY), constants::ALPHA_MAX);
@@ -183,16 +179,9 @@ class Fitter {
     double matrix[3][3] = {{c[0], c[1], c[2]}, {c[1], c[3], c[4]}, {c[2], c[4], c[5]}}, rotation[9];
     eigen_symmetric(matrix, variance, rotation);
     for (int a = 0; a < 3; ++a) variance[a] = std::max(variance[a], LEAST_VARIANCE);
-    if (job_.dilations) return 1;
     for (int a = 0; a < 3; ++a) job_.means[3 * row + a] = static_cast<float>(m.mean[a]);
     quat_from_rotation(rotation, job_.quats + 4 * row);
     return 1;
-  }
-
-  // h_l, from the extent or the variance along the longest axis
-  double level_of(int64_t row, double variance) const {
-    const double size2 = job_.extents ? static_cast<double>(job_.extents[row]) * job_.extents[row] : variance;
-    return std::max({job_.dilation_share * size2, job_.least_dilation, 1e-30});
   }
 
   // √(Σ α 3 A(h) Σ α v 3 A(h))

@@ -8,16 +8,15 @@ struct CurvesJob {
   int64_t n;
   const int32_t* subtree_end;
   const float* seen;                  // n: visibilities; those of leaves are read
-  const float* extents;               // n; null: the level of a node follows from its longest axis
+  const float* extents;               // n
   double kept_extent, kept_dilation;  // nodes of at most this extent keep their Gaussian, whose opacity is that at this h
-  double dilation_share;              // h_l is this share of extent², or of the variance along the longest axis,
+  double dilation_share;              // h_l is this share of extent²,
   double least_dilation;              // and at least this
   float *means, *quats, *log_scales, *logit_opacities;  // n: leaves are read, inner nodes written
   float* curves;                                        // n 4, out
   // Rows whose leaves stand for leaves elsewhere, such as the roots of parts:
   const double* below;  // leaves MOMENTS: the moments of what each leaf stands for; null: leaves are Gaussians
   const double* sums;   // inner nodes 2: what the leaves below show at h_l, by `add_shown`
-  double* dilations;    // inner nodes, out: h_l, and nothing else is written; null: all else is
   int threads;
 };
 

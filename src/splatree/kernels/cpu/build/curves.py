@@ -6,7 +6,7 @@ from splatree.kernels.cpu import _core
 from splatree.scene.gaussians import Gaussians
 from splatree.shapes import Array, Float32, Float64, Int32, Int64
 
-__all__ = ["MOMENTS", "add_shown", "dilations_above", "fit_curves", "fit_curves_above", "root_moments"]
+__all__ = ["MOMENTS", "add_shown", "fit_curves", "fit_curves_above", "root_moments"]
 
 MOMENTS = 13
 """Numbers that say what the leaves below a node are together: mean, covariance, sums of opacities and of masses."""
@@ -17,7 +17,7 @@ def fit_curves(
     subtree_end: Int32[Array, "n"],
     seen: Float32[Array, "n"],
     dilation_share: float,
-    extents: Float32[Array, "n"] | None = None,
+    extents: Float32[Array, "n"],
     *,
     kept_extent: float = 0.0,
     kept_dilation: float = 0.0,
@@ -46,20 +46,6 @@ def root_moments(
     return moments
 
 
-def dilations_above(
-    gaussians: Gaussians,
-    subtree_end: Int32[Array, "n"],
-    below: Float64[Array, "l m"],
-    dilation_share: float,
-    *,
-    threads: int = 0,
-) -> Float64[Array, "i"]:
-    """h_l of each inner node, of rows whose leaves stand for others: ``below`` has the moments of these."""
-    dilations = np.empty(len(gaussians) - len(below))
-    _core.dilations_above(gaussians, subtree_end, below, dilation_share, dilations, threads)
-    return dilations
-
-
 def add_shown(
     log_scales: Float32[Array, "n 3"],
     logit_opacities: Float32[Array, "n"],
@@ -83,13 +69,18 @@ def fit_curves_above(
     subtree_end: Int32[Array, "n"],
     below: Float64[Array, "l m"],
     dilation_share: float,
+    extents: Float32[Array, "n"],
     sums: Float64[Array, "i 2"],
     *,
+    least_dilation: float = 0.0,
     threads: int = 0,
 ) -> tuple[Gaussians, Float32[Array, "n 4"]]:
-    """As `fit_curves`, of rows whose leaves stand for others, given what these show: the bits of all rows together."""
+    """As `fit_curves`, of rows whose leaves stand for others, given what these show: the bits of all rows together.
+
+    ``below`` has the moments of what each leaf stands for (`root_moments`).
+    """
     fitted, curves = _room_for(gaussians)
-    _core.fit_curves_above(fitted, subtree_end, below, dilation_share, sums, curves, threads)
+    _core.fit_curves_above(fitted, subtree_end, below, dilation_share, least_dilation, extents, sums, curves, threads)
     return fitted, curves
 
 
