@@ -10,6 +10,7 @@ from splatree.errors import DeviceError
 from splatree.kernels.cuda.driver import Device
 from splatree.kernels.cuda.renderer import Renderer
 from splatree.lod.blocks import with_blocks
+from splatree.lod.select import for_levels
 from splatree.scene.view import view_of
 
 from ..scenes import camera, gaussians
@@ -35,7 +36,7 @@ DRAWING = st.RenderOptions(background=(0.2, 0.5, 0.9))
 @pytest.mark.parametrize("pixel_error", [0.0, 3.0, 12.0])
 def test_picture_is_that_of_the_processor(mode: str, pixel_error: float, device: Device) -> None:
     scene, seen_by, chosen = tree_scene(mode=mode), camera(), st.SelectOptions(pixel_error=pixel_error)
-    picture = renderer_of(scene, device).draw(view_of(scene, seen_by, DRAWING), chosen)
+    picture = renderer_of(scene, device).draw(view_of(scene, seen_by, DRAWING), for_levels(chosen, scene))
     frame = st.trace(scene, seen_by, DRAWING, chosen)
     # Another order of operations rounds otherwise: 1e-7 a product, hundreds of them; 60 dB are 1e-3.
     assert st.psnr(picture.image.numpy(), frame.result.image) > 90
@@ -74,7 +75,8 @@ def test_recorded_frames_follow_the_camera(device: Device) -> None:
     renderer = renderer_of(scene, device)
     for i in range(5):
         seen_by = replace(camera(), K=camera().K + np.array([[i, 0, i], [0, i, 0], [0, 0, 0.0]]))
-        picture = renderer.draw(view_of(scene, seen_by, DRAWING), st.SelectOptions(pixel_error=float(i)))
+        chosen = for_levels(st.SelectOptions(pixel_error=float(i)), scene)
+        picture = renderer.draw(view_of(scene, seen_by, DRAWING), chosen)
         wanted = st.render(scene, seen_by, DRAWING, st.SelectOptions(pixel_error=float(i)))
         assert st.psnr(picture.image.numpy(), wanted.image) > 90
 
@@ -113,7 +115,8 @@ def test_schedule_and_kernel_change_no_bit(ids: bool, emulator: Emulator) -> Non
 
 def test_trace_has_what_each_stage_left(device: Device) -> None:
     scene, seen_by = tree_scene(), camera()
-    traced = renderer_of(scene, device).trace(view_of(scene, seen_by, DRAWING), st.SelectOptions())
+    chosen = for_levels(st.SelectOptions(), scene)
+    traced = renderer_of(scene, device).trace(view_of(scene, seen_by, DRAWING), chosen)
     frame = st.trace(scene, seen_by, DRAWING)
     np.testing.assert_array_equal(traced.rows, frame.selection.rows)
     np.testing.assert_array_equal(traced.splats.rows, frame.splats.rows)
