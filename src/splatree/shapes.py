@@ -8,6 +8,7 @@ h w image. An axis may be written ``n+1``.
 
 import dataclasses
 from functools import cache
+from types import NoneType
 from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
 
 import numpy as np
@@ -74,23 +75,24 @@ else:
 
 
 @cache
-def _axes_from_field(struct: type) -> dict[str, Axes]:
+def _axes_from_field(struct: type) -> dict[str, tuple[Axes, bool]]:
+    """Type and axes of each array field, and whether it may be None."""
     hints = get_type_hints(struct, include_extras=True)
-    found: dict[str, Axes] = {}
+    found: dict[str, tuple[Axes, bool]] = {}
     for field in dataclasses.fields(struct):
         hint = hints[field.name]
         for candidate in (hint, *get_args(hint)):  # also inside "| None"
             metadata = getattr(candidate, "__metadata__", ())
             axes = next((m for m in metadata if isinstance(m, Axes)), None)
             if axes is not None:
-                found[field.name] = axes
+                found[field.name] = axes, NoneType in get_args(hint)
     return found
 
 
 def check_fields(struct: Any, **sizes: int) -> dict[str, int]:
     """Check dtype, shape and layout of each annotated array field; return the size bound to each axis name.
 
-    ``sizes`` are bindings known beforehand. Fields that hold None are skipped.
+    ``sizes`` are bindings known beforehand. Fields that may hold None and do are skipped.
 
     Raises:
         ShapeError: a field is not an array, or not of the annotated dtype and shape, or not C-contiguous.
@@ -98,9 +100,9 @@ def check_fields(struct: Any, **sizes: int) -> dict[str, int]:
     bound = dict(sizes)
     owner = type(struct).__name__
     struct_type: Any = type(struct)
-    for name, axes in _axes_from_field(struct_type).items():
+    for name, (axes, may_be_none) in _axes_from_field(struct_type).items():
         value = getattr(struct, name)
-        if value is None:
+        if value is None and may_be_none:
             continue
         if not isinstance(value, np.ndarray):
             raise ShapeError(f"{owner}.{name}: found {type(value).__name__}, wanted a NumPy array")

@@ -127,7 +127,7 @@ def test_the_columns_go_with_the_session(scene: st.Scene, held: Emulator) -> Non
 
 
 def test_a_device_that_is_not_known_is_refused(scene: st.Scene) -> None:
-    with pytest.raises(st.InputError, match="device: found 'gpu', wanted one of cpu, cuda, reference"):
+    with pytest.raises(st.InputError, match="render: device: found 'gpu', wanted 'cpu', 'cuda', 'reference'"):
         st.render(scene, VIEWS[0], device="gpu")  # type: ignore[arg-type]
 
 

@@ -141,7 +141,7 @@ def test_mode_and_threshold_are_those_of_the_scene_unless_given() -> None:
 
 
 def test_unknown_backend_is_refused() -> None:
-    with pytest.raises(st.InputError, match="found 'metal', wanted one of"):
+    with pytest.raises(st.InputError, match="found 'metal', wanted 'cpu', 'cuda'"):
         st.render(st.Scene.flat(cloud(1, 0)), CAMERA, device="metal")  # type: ignore[arg-type]
 
 

@@ -24,6 +24,7 @@ from splatree.kernels.cpu.build.spheres import bound_clusters
 from splatree.kernels.cpu.frame.blocks import index_blocks
 from splatree.kernels.devices import DeviceName
 from splatree.maths.morton import morton_codes
+from splatree.scene.arguments import checked
 from splatree.scene.given import check_threads, given
 from splatree.scene.literals import check_literals
 from splatree.scene.scene import Scene, Source
@@ -79,6 +80,7 @@ class ClusterOptions:
             raise InputError(f"seed: found {self.seed}, wanted 0 or more")
 
 
+@checked
 def build_clusters(
     scene: Scene,
     num_clusters: int | Literal["auto"] = "auto",

@@ -38,6 +38,7 @@ from splatree.constants import (
 from splatree.errors import InputError
 from splatree.kernels.cpu.frame import cull as kernel
 from splatree.maths.slopes import held_slopes
+from splatree.scene.arguments import checked
 from splatree.scene.cameras import Camera
 from splatree.scene.clusters import ClusterIndex, Culling, Sides
 from splatree.scene.options import Cull
@@ -77,6 +78,7 @@ class Margins(NamedTuple):
     """f g: px that a unit of radius at unit depth covers at most, with the slopes that the Jacobian can have."""
 
 
+@checked
 def cull(clusters: ClusterIndex, view: Camera | View, rule: Cull = "exact", *, threads: int = 0) -> Culling:
     """Decide which clusters may be in a picture.
 

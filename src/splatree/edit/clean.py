@@ -23,6 +23,7 @@ import numpy as np
 from splatree.edit.rows import keep_leaves
 from splatree.errors import InputError
 from splatree.maths.medians import median_of
+from splatree.scene.arguments import checked
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.given import given
 from splatree.scene.literals import check_literals
@@ -95,6 +96,7 @@ class Cleaned:
     """Number of leaves dropped in all."""
 
 
+@checked
 def clean(scene: Scene, options: CleanOptions, *, cameras: Float64[Array, "v 3"] | None = None) -> Cleaned:
     """Drop leaves that do not belong to a scene: floaters, and Gaussians that are too large, too small or too far.
 
@@ -219,6 +221,12 @@ def survey(
         cameras: centres of the cameras, world units, for ``max_distance``.
     """
     points = None if cameras is None else np.asarray(cameras, np.float64)
+    if points is not None and not (
+        points.ndim == 2 and points.shape[1] == 3 and len(points) and np.isfinite(points).all()
+    ):
+        raise InputError(
+            f"cameras: found an array of shape {points.shape}, wanted a centre x y z, finite, for each camera"
+        )
     centre, radius = np.zeros(3), LEAST_RADIUS
     if num_leaves and (options.floaters or (options.max_distance is not None and points is None)):
         centre, radius = _middle(lambda: (leaves.means.astype(np.float64) for leaves in begin()), num_leaves)

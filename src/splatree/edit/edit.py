@@ -13,6 +13,7 @@ from splatree.edit.options import EditOptions
 from splatree.edit.rows import in_morton_order, keep_leaves
 from splatree.edit.similarity import Move, move_from_options
 from splatree.kernels.cpu.frame.blocks import index_blocks
+from splatree.scene.arguments import checked
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.given import given
 from splatree.scene.origin import Origin
@@ -22,6 +23,7 @@ from splatree.shapes import Array, Bool, Float32
 __all__ = ["edit", "edit_rows", "kept_rows", "merged_lost", "move_from_options", "with_loss"]
 
 
+@checked
 def edit(scene: Scene, options: EditOptions) -> Scene:
     """Filter, move, turn, scale, crop and order a scene, in the order that `EditOptions` states.
 

@@ -14,6 +14,7 @@ from splatree.hardware.simulate import FrameTime, simulate_frame
 from splatree.hardware.trace import FrameTrace, trace_frame
 from splatree.progress import track
 from splatree.render.session import open_session
+from splatree.scene.arguments import checked
 from splatree.scene.cameras import Camera
 from splatree.scene.options import SelectOptions
 from splatree.scene.scene import Scene
@@ -66,6 +67,7 @@ class Simulation:
         return float(np.mean([energy.total for energy in self.energies]))
 
 
+@checked
 def simulate(
     scene: Scene, cameras: Iterable[Camera], machine: Machine | str = "jo2024", *, select: SelectOptions | None = None
 ) -> Simulation:

@@ -35,6 +35,7 @@ from splatree.io.runs import TreeRuns
 from splatree.io.tree_runs import kept_runs, open_runs, write_runs
 from splatree.io.writing import write, write_chunks
 from splatree.progress import track
+from splatree.scene.arguments import checked
 from splatree.scene.gaussians import Gaussians
 from splatree.shapes import Array, Bool, Float32, Float64
 
@@ -68,6 +69,7 @@ class CleanedFile:
     """What reading did that the user should know, a sentence each."""
 
 
+@checked
 def clean_file(
     inputs: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
     output: str | os.PathLike[str] | None,

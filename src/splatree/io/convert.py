@@ -36,6 +36,7 @@ from splatree.io.sorting import along_curve
 from splatree.io.tree_runs import cut_chunks, kept_runs, moved_runs, open_runs, write_runs
 from splatree.io.writing import write, write_chunks
 from splatree.progress import track
+from splatree.scene.arguments import checked
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.given import given
 from splatree.scene.literals import check_literals
@@ -100,6 +101,7 @@ class Converted:
     """What reading did that the user should know, a sentence each."""
 
 
+@checked
 def convert(
     inputs: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
     output: str | os.PathLike[str],

@@ -11,6 +11,7 @@ from splatree.errors import FormatError, InputError, ShapeError
 from splatree.io.exr import SOFTWARE, write_exr
 from splatree.io.foreign import not_content
 from splatree.io.replacing import replacing
+from splatree.scene.arguments import checked
 from splatree.shapes import Array, Float32, UInt8
 
 if TYPE_CHECKING:
@@ -29,6 +30,7 @@ _ORIENTATION = 0x0112
 """Tag of EXIF that says how a picture is to be turned and mirrored, 1 to 8."""
 
 
+@checked
 def read_image(
     path: str | os.PathLike[str], *, size: tuple[int, int] | None = None, turned: bool = False
 ) -> Float32[Array, "h w 3"]:
@@ -127,6 +129,7 @@ def image_size(path: str | os.PathLike[str]) -> tuple[int, int]:
     return image_head(path)[0]
 
 
+@checked
 def write_image(image: Float32[Array, "h w 3"], path: str | os.PathLike[str], *, force: bool = False) -> None:
     """Write RGB or grey, 0 to 1, as PNG with 8 bits a channel; values are clipped and rounded.
 

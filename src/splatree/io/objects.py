@@ -186,6 +186,8 @@ def located(path: str | os.PathLike[str]) -> Path:
     """The path that a user names: of an address a path that reads from there, of others the path itself."""
     if isinstance(path, ObjectPath):
         return path
+    if "\0" in str(path):
+        raise InputError(f"{str(path)!r}: found a zero in a path, wanted letters that a name can have")
     match = _ADDRESS.fullmatch(str(path).replace("\\", "/"))
     if match is None:
         return Path(path)

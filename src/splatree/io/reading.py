@@ -16,9 +16,11 @@ from splatree.io.notes import with_notes
 from splatree.io.options import ReadOptions, Repair
 from splatree.io.registry import FORMATS, detect, files_of
 from splatree.maths.axes import AxesName
+from splatree.scene.arguments import checked
 from splatree.scene.scene import Scene
 
 
+@checked
 def read(
     path: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
     *,
@@ -77,6 +79,7 @@ def _within_budget(paths: Sequence[Path], options: ReadOptions) -> Iterator[Scen
         yield scene
 
 
+@checked
 def read_levels(path: str | os.PathLike[str], *, repair: bool = False) -> tuple[Scene, ...]:
     """Read all levels of a format that has several.
 

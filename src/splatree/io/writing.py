@@ -13,10 +13,12 @@ from splatree.io.objects import ObjectPath, located
 from splatree.io.options import WriteOptions
 from splatree.io.registry import FOLDER_FILE, Format, format_to_write
 from splatree.io.replacing import replacing
+from splatree.scene.arguments import checked
 from splatree.scene.given import given
 from splatree.scene.scene import Scene, check_is_scene
 
 
+@checked
 def write(
     scene: Scene,
     path: str | os.PathLike[str],

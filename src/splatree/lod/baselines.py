@@ -38,6 +38,7 @@ from splatree.kernels.cpu.frame import select as cpu_select
 from splatree.lod.bands import Bands, centres_of, drawn_alone, flod_bands, octree_bands
 from splatree.lod.select import count_nested, count_uncovered, for_levels
 from splatree.lod.serial import child_table_of, select_serial
+from splatree.scene.arguments import checked
 from splatree.scene.cameras import Camera
 from splatree.scene.frame import Selection
 from splatree.scene.literals import check_literals
@@ -180,6 +181,7 @@ def violations(tree: GaussianTree, rows: Array) -> Violations:
     return Violations(count_nested(tree, rows), count_uncovered(tree, rows))
 
 
+@checked
 def baseline(
     method: BaselineName, scene: Scene, cameras: Sequence[Camera] = (), options: BaselineOptions | None = None
 ) -> Baseline:

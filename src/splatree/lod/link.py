@@ -28,6 +28,7 @@ from splatree.kernels.cpu.frame.blocks import index_blocks
 from splatree.lod.order import Families, preorder
 from splatree.maths.morton import morton_codes
 from splatree.progress import task
+from splatree.scene.arguments import checked
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.levels import LevelRecord
 from splatree.scene.scene import Scene
@@ -42,6 +43,7 @@ _ROUNDS = 32
 """Rounds in which nodes without children look for one. A round serves at least half of them, unless many share a place."""
 
 
+@checked
 def link_levels(levels: Sequence[Scene], *, threads: int = 0) -> Scene:
     """Make one tree of levels that another tool made: each Gaussian hangs below its nearest one of the next coarser level.
 

@@ -28,6 +28,7 @@ from splatree.lod.budget import fill_budget, meet_budget, meet_budget_from
 from splatree.lod.occlusion import Cover, blurred, cover_of, first_look, light_of, select_eased
 from splatree.lod.quality import Gauge
 from splatree.lod.serial import select_serial
+from splatree.scene.arguments import checked
 from splatree.scene.cameras import Camera, check_is_camera
 from splatree.scene.clusters import Culling
 from splatree.scene.frame import CutRange, Selection
@@ -65,6 +66,7 @@ class Selector(Protocol):
         ...
 
 
+@checked
 def select(
     scene: Scene,
     view: Camera | View,

@@ -22,6 +22,7 @@ import numpy as np
 
 from splatree.errors import InputError
 from splatree.metrics.psnr import comparable
+from splatree.scene.arguments import checked
 from splatree.shapes import Array, Float32, Float64
 
 __all__ = ["PIXELS_PER_DEGREE", "flip", "flip_map"]
@@ -58,6 +59,7 @@ WHITE: Final = XYZ_FROM_RGB.sum(axis=1)
 """XYZ of white."""
 
 
+@checked
 def flip(image: Float32[Array, "h w 3"], reference: Float32[Array, "h w 3"]) -> float:
     """Mean FLIP error of two sRGB pictures: how different they look when they are shown in turn.
 

@@ -3,9 +3,14 @@
 import numpy as np
 
 from splatree.errors import InputError
+from splatree.scene.arguments import checked
 from splatree.shapes import Array, Float32
 
+PEAK_MAX = 1e9
+"""White of pictures of any kind is less; the squares of what is larger would be infinite."""
 
+
+@checked
 def psnr(image: Float32[Array, "h w 3"], reference: Float32[Array, "h w 3"], *, peak: float = 1.0) -> float:
     """Peak signal-to-noise ratio of two pictures.
 
@@ -36,8 +41,11 @@ def comparable(image: Array, reference: Array, peak: float = 1.0) -> tuple[Array
     """Both pictures in float64.
 
     Raises:
-        InputError: they differ in shape, are empty, hold NaN or infinity, or are whole numbers whose largest is said to be 1.
+        InputError: they differ in shape, are empty, hold NaN or infinity, or are whole numbers whose largest is said to be 1;
+            or ``peak`` is no largest value of pictures.
     """
+    if not 0 < peak <= PEAK_MAX:
+        raise InputError(f"peak: found {peak}, wanted more than 0, at most {PEAK_MAX:,}: the value of white")
     for picture in (image, reference):
         if peak == 1 and (dtype := np.asarray(picture).dtype).kind in "iu":
             raise InputError(f"pictures to compare: found {dtype.name}, wanted floats from 0 to 1; divide bytes by 255")

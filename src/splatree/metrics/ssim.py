@@ -18,12 +18,14 @@ import numpy as np
 from splatree.constants import SSIM_K1, SSIM_K2, SSIM_SIGMA_PX, SSIM_WINDOW_PX
 from splatree.errors import InputError
 from splatree.metrics.psnr import comparable
+from splatree.scene.arguments import checked
 from splatree.shapes import Array, Float32, Float64
 
 Border = Literal["valid", "zero"]
 """Where the window is evaluated: inside the picture only, or everywhere with zeros beyond the edge."""
 
 
+@checked
 def ssim(
     image: Float32[Array, "h w 3"], reference: Float32[Array, "h w 3"], *, peak: float = 1.0, border: Border = "valid"
 ) -> float:

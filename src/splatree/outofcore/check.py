@@ -30,6 +30,7 @@ from splatree.outofcore.index_file import read_index
 from splatree.outofcore.page import Page
 from splatree.outofcore.pages import FilePages, table_of
 from splatree.progress import task, track
+from splatree.scene.arguments import checked
 from splatree.scene.given import given
 
 __all__ = ["Checked", "check"]
@@ -59,6 +60,7 @@ class Checked:
     """Whether it went through in pages or chunks, with bounded memory."""
 
 
+@checked
 def check(
     path: str | os.PathLike[str] | Sequence[str | os.PathLike[str]], options: ReadOptions | None = None
 ) -> tuple[Checked, ...]:

@@ -44,6 +44,7 @@ from splatree.io.tree_runs import stored_runs
 from splatree.kernels.cpu.build.spheres import bound_clusters
 from splatree.maths.morton import frame_of_sample, morton_codes, morton_sample
 from splatree.progress import task
+from splatree.scene.arguments import checked
 from splatree.scene.clusters import ClusterIndex
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.given import given
@@ -92,6 +93,7 @@ class ClusteredFile:
     """What reading did that the user should know, a sentence each."""
 
 
+@checked
 def cluster_file(
     inputs: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
     output: str | os.PathLike[str],

@@ -13,10 +13,12 @@ from splatree.outofcore.index_file import read_index
 from splatree.outofcore.pages import table_of
 from splatree.outofcore.store import Store
 from splatree.progress import task
+from splatree.scene.arguments import checked
 
 __all__ = ["open_store"]
 
 
+@checked
 def open_store(path: str | os.PathLike[str], *, max_memory: str | None = None) -> Store:
     """Open a scene on disk, to select and draw from it without reading all of it.
 

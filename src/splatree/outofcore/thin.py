@@ -27,6 +27,7 @@ from splatree.outofcore.options import FolderOptions, cell_bytes
 from splatree.outofcore.plan import Plan
 from splatree.outofcore.run import run_cells
 from splatree.outofcore.work import Work, read_array
+from splatree.scene.arguments import checked
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.given import given
 from splatree.scene.names import Mode
@@ -67,6 +68,7 @@ class ThinnedFile:
     """What reading and thinning did that the user should know, a sentence each."""
 
 
+@checked
 def thin_file(
     inputs: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
     output: str | os.PathLike[str],

@@ -7,6 +7,7 @@ from splatree.lod.select import Selector
 from splatree.outofcore.store import Store
 from splatree.progress import track
 from splatree.render.session import NOTHING, open_session
+from splatree.scene.arguments import checked
 from splatree.scene.cameras import Camera, several
 from splatree.scene.frame import Frame, RenderResult
 from splatree.scene.options import RenderOptions, SelectOptions
@@ -16,6 +17,7 @@ from splatree.scene.view import Wanted
 __all__ = ["render_batch", "trace_batch"]
 
 
+@checked
 def render_batch(
     scene: Scene | Store,
     cameras: Iterable[Camera],
@@ -51,6 +53,7 @@ def render_batch(
             yield session.draw(camera)
 
 
+@checked
 def trace_batch(
     scene: Scene | Store,
     cameras: Iterable[Camera],

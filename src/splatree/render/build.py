@@ -5,6 +5,7 @@ import dataclasses
 from splatree.lod.build import build_levels, leaves_of
 from splatree.lod.options import BuildOptions
 from splatree.render.trial import FEWEST, SAMPLE, middle_of, try_both
+from splatree.scene.arguments import checked
 from splatree.scene.given import check_threads, given
 from splatree.scene.scene import Scene, check_is_scene
 from splatree.scene.trial import MethodTrial
@@ -12,6 +13,7 @@ from splatree.scene.trial import MethodTrial
 __all__ = ["build_lod"]
 
 
+@checked
 def build_lod(scene: Scene, options: BuildOptions | None = None, *, threads: int = 0) -> Scene:
     """Build levels of detail over the leaves of a scene.
 

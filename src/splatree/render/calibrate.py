@@ -38,6 +38,7 @@ from splatree.progress import task
 from splatree.render.calibration import CalibrateOptions, Calibration
 from splatree.render.session import open_session
 from splatree.render.studio import BISECTIONS, FOUND_BY_LOSS, Studio
+from splatree.scene.arguments import checked
 from splatree.scene.cameras import Camera, several
 from splatree.scene.given import given
 from splatree.scene.options import RenderOptions, SelectOptions
@@ -47,6 +48,7 @@ from splatree.shapes import Array
 __all__ = ["calibrate"]
 
 
+@checked
 def calibrate(
     scene: Scene | Store,
     cameras: Sequence[Camera],

@@ -12,6 +12,7 @@ from typing import Final, Literal
 
 from splatree.errors import InputError
 from splatree.render.contribution import Tiles, Unit
+from splatree.scene.arguments import checked
 from splatree.scene.literals import check_literals
 from splatree.scene.scene import Scene, TileRule
 
@@ -144,6 +145,7 @@ class Calibration:
         return 1 / (len(self.views) + 1)
 
 
+@checked
 def calibrated(scene: Scene, calibration: Calibration, **provenance: str) -> Scene:
     """Store a calibration in a scene.
 

@@ -23,6 +23,7 @@ from splatree.progress import track
 from splatree.render.framing.frame import frame_scene
 from splatree.render.paths import PathOptions, turn
 from splatree.render.session import open_session
+from splatree.scene.arguments import checked
 from splatree.scene.cameras import Camera, Cameras
 from splatree.scene.frame import RenderResult
 from splatree.scene.options import RenderOptions, SelectOptions
@@ -96,6 +97,7 @@ class ComparedView:
         check_fields(self)
 
 
+@checked
 def compare(
     scene: Scene,
     reference: Scene,
@@ -164,6 +166,7 @@ def _compared(camera: Camera, drawn: RenderResult, whole: RenderResult) -> Compa
     return ComparedView(camera, difference, image, wanted, errors)
 
 
+@checked
 def comparison_views(reference: Scene, options: PathOptions | None = None) -> Cameras:
     """Make views of a scene, to compare others with it: all round; from outside, every second view is from nearer.
 

@@ -16,6 +16,7 @@ from splatree.io.images import write_image
 from splatree.io.replacing import check_free_in, replacing
 from splatree.render.compare import ComparedView, Difference, summary_of
 from splatree.render.page import data_uri, filled
+from splatree.scene.arguments import checked
 from splatree.shapes import Array, Float32
 
 __all__ = [
@@ -68,6 +69,7 @@ class Comparison:
     """What puts the numbers in doubt, a sentence each."""
 
 
+@checked
 def write_comparison(
     views: Iterable[ComparedView],
     folder: str | os.PathLike[str] | None = None,

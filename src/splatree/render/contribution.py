@@ -30,6 +30,7 @@ import numpy as np
 
 from splatree.constants import TILE_PX
 from splatree.errors import InputError
+from splatree.scene.arguments import checked
 from splatree.scene.frame import Frame
 from splatree.shapes import Array, Float32, Float64, Int64, check_fields
 
@@ -91,6 +92,7 @@ class TileContributions:
         return float(counted.mean()) if len(counted) else 0.0
 
 
+@checked
 def tile_contributions(frame: Frame) -> TileContributions:
     """Sum what the pairs of each tile contribute to a picture: the alpha of its pixels.
 
@@ -154,6 +156,7 @@ class ContributionHistogram:
         return self.num_redundant / self.num_pairs if self.num_pairs else 0.0
 
 
+@checked
 def contribution_histogram(
     contributions: Iterable[Float32[Array, "m"] | None], edges_px: Iterable[float] = EDGES_PX
 ) -> ContributionHistogram:

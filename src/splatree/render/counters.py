@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from splatree.io.replacing import replacing
+from splatree.scene.arguments import checked
 from splatree.scene.frame import Frame
 from splatree.scene.scene import Scene
 from splatree.shapes import Array, Bool, Int32, Int64, check_fields
@@ -52,6 +53,7 @@ class FrameCounters:
         check_fields(self)
 
 
+@checked
 def frame_counters(scene: Scene, frame: Frame) -> FrameCounters:
     """Count the work of a traced frame by cluster and by tile.
 
@@ -86,6 +88,7 @@ def frame_counters(scene: Scene, frame: Frame) -> FrameCounters:
     )
 
 
+@checked
 def write_counters(counters: FrameCounters, path: Path, *, force: bool = False) -> None:
     """Write counters as .npz, whole or not at all.
 

@@ -19,6 +19,7 @@ from splatree.metrics.ssim import ssim
 from splatree.outofcore.store import Store
 from splatree.progress import track
 from splatree.render.session import open_session
+from splatree.scene.arguments import checked
 from splatree.scene.cameras import Camera, several
 from splatree.scene.frame import Frame
 from splatree.scene.given import given
@@ -65,6 +66,7 @@ class Evaluation:
     """Score of all leaves against the photograph: what the scene itself reaches; None if there is no photograph."""
 
 
+@checked
 def evaluate(
     scene: Scene | Store,
     cameras: Iterable[Camera],

@@ -11,12 +11,14 @@ from splatree.outofcore.build import BuiltFolder, check_target, grow_folder
 from splatree.outofcore.cut import opened_inputs
 from splatree.outofcore.options import FolderOptions
 from splatree.render.trial import FEWEST, middle_of_chunks, try_both
+from splatree.scene.arguments import checked
 from splatree.scene.given import given
 from splatree.scene.names import Mode
 
 __all__ = ["build_folder"]
 
 
+@checked
 def build_folder(
     inputs: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
     output: str | os.PathLike[str],

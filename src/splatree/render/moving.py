@@ -28,6 +28,7 @@ from splatree.render.stages import Clock
 from splatree.scene.cameras import Camera
 from splatree.scene.frame import Counters, Selection
 from splatree.scene.gaussians import Gaussians
+from splatree.scene.literals import check_literals
 from splatree.scene.options import RenderOptions, SelectOptions
 from splatree.scene.scene import Scene
 from splatree.scene.view import View, Wanted, view_of
@@ -83,6 +84,7 @@ class Moving:
     """Share of the distance by which the eye may move until the cut and its colours are chosen anew; 0.1 are 6° at most."""
 
     def __post_init__(self) -> None:
+        check_literals(self)
         if self.target_ms is not None and not self.target_ms > 0:
             raise InputError(f"target_ms: found {self.target_ms}, wanted more than 0 ms")
         if not 0 < self.least_scale <= 1:

@@ -17,6 +17,7 @@ from splatree.maths.rotations import matrices_from_quats, quat_from_matrix
 from splatree.render.framing.frame import Framing
 from splatree.render.framing.survey import survey_of
 from splatree.render.framing.upright import guess_up
+from splatree.scene.arguments import checked
 from splatree.scene.cameras import SIDE_MAX_PX, Camera, Cameras
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.given import given
@@ -41,6 +42,9 @@ RIM_MAX: Final = 1.25
 NEAR_SHARE: Final = 0.01
 """The near plane is at most this share of the distance to the target: a scene in kilometres must not vanish in front of it."""
 
+
+FARTHEST: Final = 1e6
+"""Radii from which a scene is less than a pixel."""
 
 VIEWS_MAX: Final = 1_000_000
 """Nine hours of a video; more is a mistake."""
@@ -91,6 +95,7 @@ class PathOptions:
             raise InputError(f"fov_y_deg: found {self.fov_y_deg}, wanted between 0 and 180")
 
 
+@checked
 def orbit(scene: Scene, options: PathOptions | None = None) -> Cameras:
     """Views on a circle around a scene that look at its centre, with 99 % of its opacity in the picture.
 
@@ -125,6 +130,7 @@ def orbit(scene: Scene, options: PathOptions | None = None) -> Cameras:
     return _cameras(_upright(scene, options), centre, turns, np.full(options.views, distance))
 
 
+@checked
 def flyout(scene: Scene, options: PathOptions | None = None, *, nearest: float = 0.3, farthest: float = 8.0) -> Cameras:
     """Views that move away from a scene, so that it runs through its levels.
 
@@ -148,13 +154,16 @@ def flyout(scene: Scene, options: PathOptions | None = None, *, nearest: float =
         True
     """
     options = given(options, PathOptions, "options of a path")
-    if not 0 < nearest <= farthest:
-        raise InputError(f"flyout: found nearest {nearest} and farthest {farthest}, wanted 0 < nearest <= farthest")
+    if not 0 < nearest <= farthest <= FARTHEST:
+        raise InputError(
+            f"flyout: found nearest {nearest} and farthest {farthest}, wanted 0 < nearest <= farthest <= {FARTHEST:,} radii"
+        )
     centre, radius = bounds_of(scene)
     distances = radius * np.geomspace(nearest, farthest, options.views)
     return _cameras(_upright(scene, options), centre, np.zeros(options.views), distances)
 
 
+@checked
 def through(cameras: Sequence[Camera], views: int) -> Cameras:
     """A path of cameras through given ones, in their order.
 
@@ -247,6 +256,7 @@ def _weighted_quantile(values: Array, weights: Array, share: float) -> float:
     return float(values[order[np.searchsorted(below, share * below[-1])]])
 
 
+@checked
 def turn(framing: Framing, options: PathOptions | None = None) -> Cameras:
     """Views all round: about the target if the scene is seen from outside, about the eye if it is seen from within.
 

@@ -9,6 +9,7 @@ from splatree.lod.select import Selector
 from splatree.outofcore.store import Store
 from splatree.render.session import NOTHING, open_session
 from splatree.render.tensors import TensorScene
+from splatree.scene.arguments import checked
 from splatree.scene.cameras import Camera
 from splatree.scene.frame import Frame, RenderResult
 from splatree.scene.options import RenderOptions, SelectOptions
@@ -18,6 +19,7 @@ from splatree.scene.view import Wanted
 __all__ = ["render", "trace"]
 
 
+@checked
 def render(
     scene: Scene | TensorScene | Store,
     camera: Camera,
@@ -57,6 +59,7 @@ def render(
         return session.draw(camera)
 
 
+@checked
 def trace(
     scene: Scene | TensorScene | Store,
     camera: Camera,

@@ -21,6 +21,7 @@ from splatree.kernels.devices import DeviceName
 from splatree.metrics.psnr import psnr
 from splatree.progress import track
 from splatree.render.session import Session, open_session
+from splatree.scene.arguments import checked
 from splatree.scene.cameras import Camera, Cameras, several
 from splatree.scene.frame import Selection
 from splatree.scene.options import RenderOptions, SelectOptions
@@ -62,6 +63,7 @@ class Pop:
     """Nodes of it that are not in the cut before."""
 
 
+@checked
 def dolly(scene: Scene, camera: Camera, frames: int, *, step: float = 0.01) -> Cameras:
     """A camera that moves slowly forwards: each frame it covers a share of the distance to what it looks at.
 
@@ -102,6 +104,7 @@ def dolly(scene: Scene, camera: Camera, frames: int, *, step: float = 0.01) -> C
     return Cameras(tuple(path))
 
 
+@checked
 def measure_pops(
     scene: Scene,
     cameras: Cameras | Sequence[Camera],

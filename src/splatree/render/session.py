@@ -33,6 +33,7 @@ from splatree.render.paged import PagedEngine
 from splatree.render.pending import Pending, Turns
 from splatree.render.stages import Clock
 from splatree.render.tensors import TensorScene
+from splatree.scene.arguments import checked
 from splatree.scene.cameras import Camera
 from splatree.scene.frame import Frame, RenderResult, Selection
 from splatree.scene.gaussians import Gaussians
@@ -48,6 +49,7 @@ NOTHING = Wanted()
 """No output beside colour, alpha and depth."""
 
 
+@checked
 def open_session(
     scene: Scene | TensorScene | Store,
     *,
@@ -139,10 +141,12 @@ class Session:
         """The stages of the back end, for programs that run some of them alone (kernels/contract.py)."""
         return self._engine.stages
 
+    @checked
     def view(self, camera: Camera, options: RenderOptions | None = None, wanted: Wanted = NOTHING) -> View:
         """The view that a camera is drawn as; of a camera with a lens, that of the pinhole that stands for it."""
         return view_of(self._engine.scene, pinhole_of(camera), options or self._options, wanted)
 
+    @checked
     def draw(
         self,
         camera: Camera,
@@ -171,6 +175,7 @@ class Session:
             view, chosen = self._settled(camera, options, select)
             return through_lens(self._engine.draw(view, chosen), view.camera, camera)
 
+    @checked
     def enqueue(
         self,
         camera: Camera,
@@ -195,6 +200,7 @@ class Session:
                 drawn = self._turns.begun(lambda: self._engine.draw(view, chosen))
             return self._turns.pending(lambda: through_lens(drawn(), view.camera, camera))
 
+    @checked
     def trace(
         self,
         camera: Camera,
@@ -226,6 +232,7 @@ class Session:
             frame = self._engine.trace(*self._settled(camera, options, select, wanted))
             return replace(frame, result=through_lens(frame.result, frame.camera, camera))
 
+    @checked
     def select(
         self,
         camera: Camera,
@@ -252,6 +259,7 @@ class Session:
         with self._turns.working():
             return self._engine.choose(*self._settled(camera, options, select), Clock(), last=last)[1]
 
+    @checked
     def draw_on_device(
         self,
         camera: Camera,
@@ -283,6 +291,7 @@ class Session:
                 )
             return self._engine.held.enqueue(view, chosen).finish()
 
+    @checked
     def motion(self, moving: Moving | None = None) -> Motion:
         """What draws a camera that moves, faster and less exactly than `draw`: render/moving.py says what is given up.
 

@@ -18,6 +18,7 @@ import numpy as np
 
 from splatree.errors import InputError
 from splatree.kernels.devices import DLPACK_KINDS, DeviceName, feature_of
+from splatree.scene.arguments import checked
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.literals import check_literals
 from splatree.scene.names import Mode
@@ -51,6 +52,7 @@ class TensorScene:
         check_literals(self)
 
 
+@checked
 def scene_from_tensors(
     means: Any, quats: Any, log_scales: Any, logit_opacities: Any, sh: Any, *, mode: Mode = "classic"
 ) -> TensorScene:

@@ -28,6 +28,7 @@ from splatree.outofcore.store import Store
 from splatree.progress import track
 from splatree.render.paths import through
 from splatree.render.session import open_session
+from splatree.scene.arguments import checked
 from splatree.scene.cameras import Camera, several
 from splatree.scene.options import RenderOptions, SelectOptions
 from splatree.scene.scene import Scene
@@ -107,6 +108,7 @@ def check_frames(frames: int) -> None:
         raise InputError(f"frames: found {frames}, wanted 1 to {FRAMES_MAX:,}")
 
 
+@checked
 def time_frames(
     scene: Scene | Store,
     cameras: Sequence[Camera],

@@ -26,6 +26,7 @@ from splatree.render.framing.survey import survey_of
 from splatree.render.framing.upright import guess_up
 from splatree.render.paths import PathOptions, bounds_of, bounds_of_sample, flyout, sample_stride
 from splatree.render.session import Session, open_session
+from splatree.scene.arguments import checked
 from splatree.scene.cameras import Camera
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.options import SelectOptions
@@ -65,6 +66,7 @@ class Tried:
     """Levels of the sample by each method."""
 
 
+@checked
 def try_methods(
     scene: Scene, options: BuildOptions | None = None, *, most: int = SAMPLE, threads: int = 0
 ) -> MethodTrial:

@@ -9,12 +9,14 @@ import numpy as np
 
 from splatree.errors import InputError, MissingExtraError, OutputError
 from splatree.io.replacing import replacing
+from splatree.scene.arguments import checked
 from splatree.shapes import Array
 
 CRF = 18
 """Constant rate factor of libx264: visually lossless by its documentation; 23 is its default, larger is worse."""
 
 
+@checked
 @contextmanager
 def open_video(path: str | Path, *, fps: float = 30.0, force: bool = False) -> Iterator[Callable[[Array], None]]:
     """Write pictures as a video: H.264 in an MP4.

@@ -50,6 +50,8 @@ class Camera:
 
     def __post_init__(self) -> None:
         check_fields(self)
+        if not isinstance(self.near, int | float | np.integer | np.floating):
+            raise InputError(f"camera {self.name!r}: found near = {self.near!r}, wanted a number")
         if not all(isinstance(size, int | np.integer) for size in (self.width, self.height)):
             raise InputError(
                 f"camera {self.name!r}: found size {self.width} × {self.height}, wanted whole numbers of pixels"
@@ -126,7 +128,15 @@ class Camera:
         Raises:
             InputError: position and target are the same point, or no points.
         """
-        position, target, up = (np.asarray(v, np.float64) for v in (position, target, up))
+        try:
+            position, target, up = (np.asarray(v, np.float64) for v in (position, target, up))
+        except (TypeError, ValueError) as error:
+            raise InputError(f"look_at: found what is no point ({error}), wanted x y z") from error
+        for name, value in (("width", width), ("height", height), ("fov_y_deg", fov_y_deg)):
+            if not isinstance(value, int | float | np.integer | np.floating):
+                raise InputError(f"look_at: {name}: found {value!r}, wanted a number")
+        if not 0 < fov_y_deg < 180:
+            raise InputError(f"look_at: found fov_y_deg {fov_y_deg}, wanted more than 0, less than 180 degrees")
         if not all(vector.shape == (3,) and np.isfinite(vector).all() for vector in (position, target, up)):
             raise InputError(
                 f"look_at: found position {position}, target {target} and up {up}, wanted x y z of each, finite"

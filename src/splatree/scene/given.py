@@ -25,7 +25,7 @@ def given(options: T | None, kind: type[T], where: str) -> T:
     return options
 
 
-def check_threads(threads: int) -> None:
+def check_threads(threads: object) -> None:
     """Refuse what is no number of threads.
 
     Raises:

@@ -17,7 +17,7 @@ import numpy as np
 
 from splatree.errors import InputError
 
-__all__ = ["check_literals"]
+__all__ = ["check_literals", "in_words", "is_of", "shown"]
 
 _ABSTRACT_FROM_TYPE: Final[dict[type, Any]] = {
     float: numbers.Real,
@@ -56,10 +56,10 @@ class _Choices:
     def allows(self, value: object) -> bool:
         if any(type(value) is type(allowed) and value == allowed for allowed in self.values):
             return True
-        return any(_is_of(value, kind) for kind in self.types)
+        return any(is_of(value, kind) for kind in self.types)
 
     def __str__(self) -> str:
-        *others, last = [*map(repr, self.values), *map(_in_words, self.types)]
+        *others, last = [*map(repr, self.values), *map(in_words, self.types)]
         return f"{', '.join(others)} or {last}" if others else last
 
 
@@ -79,17 +79,20 @@ def check_literals(struct: Any) -> None:
             object.__setattr__(struct, name, value)
         if not choices.allows(value):
             hint = _did_you_mean(value, choices.values)
-            raise InputError(f"{struct_type.__name__}.{name}: found {_shown(value)}, wanted {choices}{hint}")
+            raise InputError(f"{struct_type.__name__}.{name}: found {shown(value)}, wanted {choices}{hint}")
 
 
-def _is_of(value: object, kind: Any) -> bool:
+def is_of(value: object, kind: Any) -> bool:
+    """Whether a value is of a kind that an annotation names: a type, or a tuple of numbers or texts."""
     if type(value) is int and kind is int:
         return abs(value) <= _LARGEST
     if get_origin(kind) is tuple:
         parts = get_args(kind)
-        if not isinstance(value, tuple | list | np.ndarray) or len(value) != len(parts):
+        if not isinstance(value, tuple | list | np.ndarray) or (isinstance(value, np.ndarray) and value.ndim != 1):
             return False
-        return all(type(part) is float or _is_of(part, float) for part in value)
+        if parts[-1] is Ellipsis:
+            return all(is_of(part, parts[0]) for part in value)
+        return len(value) == len(parts) and all(type(part) is float or is_of(part, float) for part in value)
     if isinstance(value, bool | np.bool_) and kind is not bool:
         return False
     if kind is int and isinstance(value, numbers.Integral):
@@ -97,13 +100,16 @@ def _is_of(value: object, kind: Any) -> bool:
     return isinstance(value, _ABSTRACT_FROM_TYPE.get(kind, kind))
 
 
-def _in_words(kind: Any) -> str:
+def in_words(kind: Any) -> str:
+    """What an annotation names, for a message."""
     if get_origin(kind) is tuple:
-        return f"{len(get_args(kind))} numbers"
+        parts = get_args(kind)
+        return f"several of: {in_words(parts[0])}" if parts[-1] is Ellipsis else f"{len(parts)} numbers"
     return _WORDS_FROM_TYPE.get(kind) or str(kind.__name__)
 
 
-def _shown(value: object) -> str:
+def shown(value: object) -> str:
+    """A value, cut short."""
     text = repr(value)
     return text if len(text) <= 80 else f"{text[:60]}..."
 
@@ -128,7 +134,7 @@ def _choices_from_field(struct: Any) -> dict[str, _Choices]:
 
 def _can_be_checked(kind: Any) -> bool:
     if get_origin(kind) is tuple:
-        return set(get_args(kind)) == {float}
+        return set(get_args(kind)) in ({float}, {float, Ellipsis}, {str, Ellipsis})
     return kind in _ABSTRACT_FROM_TYPE or (isinstance(kind, type) and dataclasses.is_dataclass(kind))
 
 

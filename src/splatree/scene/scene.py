@@ -86,6 +86,7 @@ class Scene:
     """Where the scene came from."""
 
     def __post_init__(self) -> None:
+        check_literals(self)
         if len(self.tree) != len(self.gaussians):
             raise ShapeError(f"Scene.tree: found {len(self.tree)} rows, wanted {len(self.gaussians)}")
         check_fields(self, n=len(self.gaussians))
@@ -99,7 +100,6 @@ class Scene:
                 "Scene.clusters: found the clusters of other Gaussians; replace them too, by None or with "
                 "clusters.build.build_clusters"
             )
-        check_literals(self)
         if not 0 < self.threshold < 1:
             raise InputError(f"Scene.threshold: found {self.threshold}, wanted between 0 and 1")
 

@@ -4,6 +4,7 @@ import numpy as np
 
 from splatree.errors import InputError
 from splatree.kernels.cpu.build import merge as kernel
+from splatree.scene.arguments import checked
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.names import Mode
 from splatree.scene.thinning import Groups, Importance, MergeOptions, Weight
@@ -15,6 +16,7 @@ WEIGHT_MIN = 1e-30
 """Smallest weight, relative to the scene's largest: a group of invisible Gaussians still has a mean."""
 
 
+@checked
 def merge(
     gaussians: Gaussians,
     groups: Groups,

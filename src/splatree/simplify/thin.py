@@ -16,6 +16,7 @@ from splatree.constants import SH_C0
 from splatree.errors import InputError
 from splatree.kernels.cpu.build import thin as kernel
 from splatree.progress import task
+from splatree.scene.arguments import checked
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.given import check_threads, given
 from splatree.scene.scene import Scene, check_is_scene
@@ -56,6 +57,7 @@ class Thinned:
         return len(self.scene)
 
 
+@checked
 def thin(scene: Scene, options: ThinOptions | None = None, *, threads: int = 0) -> Thinned:
     """Make a scene of fewer Gaussians that looks alike: to a radius, a share or a count.
 

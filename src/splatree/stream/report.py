@@ -25,6 +25,7 @@ from splatree.metrics.ssim import ssim
 from splatree.progress import track
 from splatree.render.paths import bounds_of
 from splatree.render.pipeline import render
+from splatree.scene.arguments import checked
 from splatree.scene.cameras import Camera
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.options import SelectOptions
@@ -139,6 +140,7 @@ Choose = Callable[[Camera, float], Loaded]
 """What a viewer chooses for a camera at one of its settings."""
 
 
+@checked
 def report_stream(
     scene: Scene, written: Streamed, cameras: Sequence[Camera] | None = None, *, budgets: Sequence[int] = BUDGETS
 ) -> StreamReport:

@@ -13,6 +13,7 @@ from splatree.render.chart import quality_chart
 from splatree.render.compare import compare
 from splatree.render.compare_page import card_of, decibels, error_colors, number_cards
 from splatree.render.page import filled
+from splatree.scene.arguments import checked
 from splatree.scene.cameras import Camera
 from splatree.scene.scene import Scene
 from splatree.stream.report import EVERY_ROW, StreamReport, ViewQuality, named_views, viewers_of
@@ -21,6 +22,7 @@ from splatree.stream.result import Streamed
 __all__ = ["write_stream_report"]
 
 
+@checked
 def write_stream_report(
     report: StreamReport,
     scene: Scene,

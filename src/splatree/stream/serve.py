@@ -26,6 +26,7 @@ from starlette.routing import BaseRoute, Mount, Route
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from splatree.errors import InputError, SplatreeError
+from splatree.scene.arguments import checked
 from splatree.scene.given import given
 from splatree.scene.literals import check_literals
 from splatree.stream.first_view import first_view
@@ -223,6 +224,7 @@ class StreamServer:
         return _answer(self.folder, request, TYPES)
 
 
+@checked
 def serve(folder: str | os.PathLike[str], options: ServeOptions | None = None) -> StreamServer:
     """Serve the streams of a folder to viewers on the web, in a thread of its own.
 

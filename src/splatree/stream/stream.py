@@ -17,6 +17,7 @@ from splatree.io.registry import formats
 from splatree.io.replacing import check_free
 from splatree.lod.options import BuildOptions
 from splatree.render.build import build_lod
+from splatree.scene.arguments import checked
 from splatree.scene.given import check_threads, given
 from splatree.scene.scene import Scene, check_is_scene
 from splatree.stream.archive import write_archive
@@ -31,6 +32,7 @@ from splatree.stream.tiles import write_tiles
 __all__ = ["stream"]
 
 
+@checked
 def stream(
     scene: Scene,
     output: str | os.PathLike[str],

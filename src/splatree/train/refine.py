@@ -30,6 +30,7 @@ from splatree.kernels.devices import DeviceName, training_stages_of
 from splatree.lod.blocks import with_blocks
 from splatree.lod.select import select
 from splatree.progress import task
+from splatree.scene.arguments import checked
 from splatree.scene.cameras import Camera, several
 from splatree.scene.frame import Picture, Splats, TileBins
 from splatree.scene.given import check_threads, given
@@ -100,6 +101,7 @@ class Refined:
         return float(np.mean(self.after - self.before))
 
 
+@checked
 def refine(
     scene: Scene,
     options: RefineOptions | None = None,

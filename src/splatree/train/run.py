@@ -18,6 +18,7 @@ from splatree.kernels.devices import DeviceName, training_stages_of
 from splatree.lod.options import BuildOptions
 from splatree.progress import task
 from splatree.render.build import build_lod
+from splatree.scene.arguments import checked
 from splatree.scene.given import check_threads, given
 from splatree.scene.scene import NEAR_KEY, Scene, Source
 from splatree.shapes import Array, Float64
@@ -75,6 +76,7 @@ class Trained:
     """What was chosen or left out that the user should know, a sentence each."""
 
 
+@checked
 def train(
     photos: str | os.PathLike[str],
     options: TrainOptions | None = None,

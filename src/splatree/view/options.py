@@ -3,6 +3,8 @@
 import re
 from dataclasses import dataclass
 
+import numpy as np
+
 from splatree.constants import PIXEL_ERROR
 from splatree.errors import InputError
 from splatree.kernels.devices import DeviceName
@@ -60,6 +62,8 @@ class ViewOptions:
             raise InputError(f"budget: found {self.budget:,} nodes, wanted 1,000 to {CAPACITY:,}")
         if not 0 <= self.pixel_error <= 1e4:
             raise InputError(f"pixel_error: found {self.pixel_error}, wanted 0 to 10000 px")
+        if self.up is not None and not 0 < np.linalg.norm(self.up) < np.inf:
+            raise InputError(f"up: found {self.up}, wanted a direction")
         if self.quality is not None:
             SelectOptions(self.pixel_error, quality=self.quality)  # refuses what contradicts itself
             if not LEAST_QUALITY_DB <= self.quality <= MOST_QUALITY_DB:

@@ -10,6 +10,7 @@ from types import TracebackType
 
 from splatree.errors import InputError
 from splatree.outofcore.store import Store
+from splatree.scene.arguments import checked
 from splatree.scene.cameras import Camera, Cameras
 from splatree.scene.given import given
 from splatree.scene.scene import Scene
@@ -21,6 +22,7 @@ from splatree.view.server import Server
 __all__ = ["Viewer", "view"]
 
 
+@checked
 def view(
     scene: Scene | Store,
     options: ViewOptions | None = None,

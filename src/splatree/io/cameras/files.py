@@ -17,6 +17,7 @@ from splatree.io import untrusted
 from splatree.io.cameras import camera_path, colmap, foreign, llff, nerfstudio
 from splatree.io.cameras.poses import Rotations
 from splatree.io.replacing import replacing
+from splatree.scene.arguments import checked
 from splatree.scene.cameras import Camera, Cameras, check_is_camera
 from splatree.scene.scene import Source
 
@@ -27,6 +28,7 @@ COLMAP_FOLDERS = ("sparse", "colmap/sparse", "")
 """Where a model or several numbered ones lie in a folder of pictures, in the order in which they are tried."""
 
 
+@checked
 def read_cameras(path: str | os.PathLike[str], *, source: Source | None = None) -> Cameras:
     """Read the views of a file or folder.
 
@@ -140,6 +142,7 @@ def _largest_model(models: Sequence[Path]) -> Cameras:
     return replace(cameras, notes=(*cameras.notes, note))
 
 
+@checked
 def write_cameras(cameras: Cameras | Sequence[Camera], path: str | os.PathLike[str], *, force: bool = False) -> None:
     """Write views as the JSON of the 3DGS code.
 

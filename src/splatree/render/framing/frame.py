@@ -24,7 +24,8 @@ from splatree.render.framing.panorama import horizontals
 from splatree.render.framing.standpoint import Standpoint, from_inside, from_outside, looks_enclosed
 from splatree.render.framing.survey import Survey, survey_of, weighted_quantiles
 from splatree.render.framing.upright import direction_in_words, guess_up
-from splatree.scene.cameras import Camera
+from splatree.scene.arguments import checked
+from splatree.scene.cameras import SIDE_MAX_PX, Camera
 from splatree.scene.scene import Scene
 from splatree.shapes import Array, Float64, check_fields
 
@@ -121,6 +122,7 @@ class Framing:
         return replace(self, eye=self.target + np.linalg.norm(back) * direction)
 
 
+@checked
 def frame_scene(
     scene: Scene, *, up: Sequence[float] | None = None, inside: bool | None = None, aspect: float = 16 / 9
 ) -> Framing:
@@ -143,6 +145,8 @@ def frame_scene(
         >>> framing.up.tolist()
         [0.0, -1.0, 0.0]
     """
+    if not 1 / SIDE_MAX_PX <= aspect <= SIDE_MAX_PX:
+        raise InputError(f"aspect: found {aspect}, wanted width over height of a picture")
     survey = survey_of(scene)
     reasons = []
     if up is None:

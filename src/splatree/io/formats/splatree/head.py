@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 from splatree.constants import ALPHA_THRESHOLD
 from splatree.errors import InputError
 from splatree.io.joined import joined_source
+from splatree.scene.arguments import checked
 from splatree.scene.levels import LevelRecord, common_record
 from splatree.scene.literals import check_literals
 from splatree.scene.names import Mode
@@ -72,6 +73,7 @@ class SceneHead:
         )
 
 
+@checked
 def common_head(heads: Sequence[SceneHead]) -> SceneHead:
     """Make the head of scenes that will stand side by side in one file.
 

@@ -18,6 +18,7 @@ from splatree.io.formats.splatree.older import record_of_provenance
 from splatree.io.levels import check_extents
 from splatree.io.objects import located
 from splatree.kernels.cpu.frame.blocks import index_blocks
+from splatree.scene.arguments import checked
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.levels import LevelRecord
 from splatree.scene.roots import Roots
@@ -178,6 +179,7 @@ class StoredScene:
                 self.file.forget(name, begin, end)
 
 
+@checked
 def open_scene(path: str | os.PathLike[str]) -> StoredScene:
     """Open a ``.splatree`` to read some of its rows.
 

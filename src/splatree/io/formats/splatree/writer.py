@@ -27,6 +27,7 @@ from splatree.io.formats.splatree.fields import (
 from splatree.io.formats.splatree.head import SceneHead
 from splatree.io.formats.splatree.rows import SceneRows
 from splatree.io.replacing import replacing
+from splatree.scene.arguments import checked
 from splatree.scene.clusters import ClusterIndex
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.scene import Scene
@@ -122,6 +123,7 @@ class SceneWriter:
         self._file.write(np.ascontiguousarray(rows, place.dtype).reshape(-1).view(np.uint8).data)
 
 
+@checked
 @contextmanager
 def create_scene(
     path: str | os.PathLike[str], head: SceneHead, *, num_clusters: int = 0, force: bool = False
