@@ -4,7 +4,7 @@
 Without it, what is of a wrong kind is met somewhere inside, as an attribute that is missing, or passes for what was not given.
 
 Kinds are checked: numbers, flags, names of ``Literal``, texts, paths, structs, functions, and what sequences hold. Values are
-left to the function, and so are arrays, but for what is no array of numbers. A call costs a few microseconds more.
+left to the function, and so are arrays, but for what is no array of numbers. A call costs microseconds more.
 """
 
 import os
@@ -39,23 +39,31 @@ def checked(function: Callable[Given, Result]) -> Callable[Given, Result]:
     @wraps(function)
     def call(*args: Given.args, **kwargs: Given.kwargs) -> Result:
         hints = _hints_of(function)
-        for (argument, hint), value in zip(hints.items(), args, strict=False):
-            if not _is_one(value, hint):
+        for (argument, (plain, hint)), value in zip(hints.items(), args, strict=False):
+            if type(value) not in plain and not _is_one(value, hint):
                 _refuse(name, argument, value, hint)
         for argument, value in kwargs.items():
-            if argument in hints and not _is_one(value, hints[argument]):
-                _refuse(name, argument, value, hints[argument])
+            plain, hint = hints.get(argument, (frozenset(), Any))
+            if type(value) not in plain and not _is_one(value, hint):
+                _refuse(name, argument, value, hint)
         return function(*args, **kwargs)
 
     return call
 
 
 @cache
-def _hints_of(function: Callable[..., Any]) -> dict[str, Any]:
-    """Annotations of the arguments that have a name, in their order."""
+def _hints_of(function: Callable[..., Any]) -> dict[str, tuple[frozenset[type], Any]]:
+    """Of the arguments that have a name, in their order: types whose values are right without a closer look, and annotations."""
     code = unwrap(function).__code__
     hints = get_type_hints(function, include_extras=True)
-    return {name: hints.get(name, Any) for name in code.co_varnames[: code.co_argcount + code.co_kwonlyargcount]}
+    named = {name: hints.get(name, Any) for name in code.co_varnames[: code.co_argcount + code.co_kwonlyargcount]}
+    return {name: (_plain_of(hint), hint) for name, hint in named.items()}
+
+
+def _plain_of(hint: Any) -> frozenset[type]:
+    """Types that an annotation names; whole numbers may be too large."""
+    kinds = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
+    return frozenset(kind for kind in kinds if isinstance(kind, type) and kind is not int)
 
 
 def _is_one(value: Any, hint: Any) -> bool:
