@@ -383,6 +383,14 @@ def test_a_full_disk_is_not_a_damaged_input(ply, tmp_path, monkeypatch):
     ],
 )
 def test_what_is_no_path_is_refused_by_its_kind(tmp_path, inputs, found):
-    for use in (st.read, st.check, lambda named: st.convert(named, tmp_path / "b.ply")):
+    to, drop = tmp_path / "b.splatree", st.CleanOptions(max_size=1.0)
+    writers = (
+        st.convert,
+        st.build_folder,
+        st.thin_file,
+        st.cluster_file,
+        lambda named, to: st.clean_file(named, to, drop),
+    )
+    for use in (st.read, st.check, *(partial(lambda write, named: write(named, to), write) for write in writers)):
         with pytest.raises(InputError, match=f"^inputs: found {found}, wanted a path"):
             use(inputs)

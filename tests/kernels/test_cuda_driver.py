@@ -24,6 +24,7 @@ from splatree.kernels.cuda.compile import load_compiler
 from splatree.kernels.cuda.driver import Device
 from splatree.kernels.cuda.library import NUMBERS, Driver, Handle, load_driver, prototypes
 from splatree.kernels.cuda.sources import ROOT
+from splatree.lod.select import for_levels
 from splatree.scene.view import view_of
 
 from ..scenes import camera
@@ -134,7 +135,7 @@ def test_streams_that_take_turns_wait_for_each_other(emulator: Emulator, monkeyp
     torch = FakeTorch(emulator)
     monkeypatch.setitem(sys.modules, "torch", torch)
     for torch.current in (0, 1, 1, 0, 1):  # also a recorded frame changes its stream
-        picture = renderer.draw(view_of(scene, seen_by, DRAWING), st.SelectOptions())
+        picture = renderer.draw(view_of(scene, seen_by, DRAWING), for_levels(st.SelectOptions(), scene))
         assert st.psnr(picture.image.numpy(), wanted.image) > 90
 
 
@@ -142,7 +143,7 @@ def test_views_under_way_at_once_are_each_drawn_with_their_own_camera(emulator: 
     scene = tree_scene()
     renderer = renderer_of(scene, emulator)
     cameras = [replace(camera(), K=camera().K + np.diag([i, i, 0.0])) for i in range(4)]
-    pending = [renderer.enqueue(view_of(scene, c, DRAWING), st.SelectOptions()) for c in cameras]
+    pending = [renderer.enqueue(view_of(scene, c, DRAWING), for_levels(st.SelectOptions(), scene)) for c in cameras]
     for seen_by, drawn in zip(cameras, reversed([p.finish() for p in reversed(pending)]), strict=True):
         assert st.psnr(drawn.image.numpy(), st.render(scene, seen_by, DRAWING).image) > 90
 

@@ -261,7 +261,7 @@ def test_methods_that_need_the_training_cameras_say_so():
     for method in ("octree", "lodge"):
         with pytest.raises(InputError, match="found no cameras"):
             baseline(method, forest(4))
-    with pytest.raises(InputError, match="'quadtree', wanted one of 3dgs, roots"):
+    with pytest.raises(InputError, match="'quadtree', wanted '3dgs', 'roots'"):
         baseline("quadtree", forest(4))
     with pytest.raises(InputError, match="fork: found 1"):
         BaselineOptions(fork=1)

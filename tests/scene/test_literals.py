@@ -117,6 +117,8 @@ def _example(struct: type) -> object:
         return Scene.flat(gaussians(3, 0))
     if struct is splatree.SceneHead:
         return splatree.SceneHead(3, 0)
+    if struct is splatree.Selection:
+        return splatree.Selection(np.zeros(0, np.int32), "cut", "pixel", 1.0)
     values = {}
     for field in dataclasses.fields(struct):
         if field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:

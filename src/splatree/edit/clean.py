@@ -27,7 +27,7 @@ from splatree.scene.arguments import checked
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.given import given
 from splatree.scene.literals import check_literals
-from splatree.scene.scene import Scene, check_is_scene
+from splatree.scene.scene import Scene
 from splatree.shapes import Array, Bool, Float32, Float64, Int64, check_fields
 
 __all__ = ["ROWS_AT_ONCE", "CleanOptions", "Cleaned", "Leaves", "Survey", "check_left", "clean", "survey", "would_drop"]
@@ -116,7 +116,6 @@ def clean(scene: Scene, options: CleanOptions, *, cameras: Float64[Array, "v 3"]
         >>> sorted(cleaned.dropped)
         ['floaters', 'larger than max_size']
     """
-    check_is_scene(scene, "clean")
     options = given(options, CleanOptions, "clean: options")
     rows = np.flatnonzero(scene.tree.is_leaf)
     counts, is_dropped = _decided(scene, rows, options, cameras)

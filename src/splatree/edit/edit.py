@@ -17,7 +17,7 @@ from splatree.scene.arguments import checked
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.given import given
 from splatree.scene.origin import Origin
-from splatree.scene.scene import Scene, Source, check_is_scene
+from splatree.scene.scene import Scene, Source
 from splatree.shapes import Array, Bool, Float32
 
 __all__ = ["edit", "edit_rows", "kept_rows", "merged_lost", "move_from_options", "with_loss"]
@@ -44,7 +44,6 @@ def edit(scene: Scene, options: EditOptions) -> Scene:
         >>> len(turned) <= len(scene)
         True
     """
-    check_is_scene(scene, "edit")
     options = given(options, EditOptions, "edit: options")
     move = move_from_options(options, scene.source.origin)
     similarity = move.similarity

@@ -15,7 +15,7 @@ from splatree.io.registry import FOLDER_FILE, Format, format_to_write
 from splatree.io.replacing import replacing
 from splatree.scene.arguments import checked
 from splatree.scene.given import given
-from splatree.scene.scene import Scene, check_is_scene
+from splatree.scene.scene import Scene
 
 
 @checked
@@ -50,7 +50,6 @@ def write(
         >>> st.write(scene, "copy.splatree", force=True)
         ()
     """
-    check_is_scene(scene, "write")
     target, options = located(path), given(options, WriteOptions, "write: options")
     chosen = format_to_write(target)
     options.check_taken(chosen.options, f"{target} ({chosen.name})")

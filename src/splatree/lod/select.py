@@ -29,7 +29,7 @@ from splatree.lod.occlusion import Cover, blurred, cover_of, first_look, light_o
 from splatree.lod.quality import Gauge
 from splatree.lod.serial import select_serial
 from splatree.scene.arguments import checked
-from splatree.scene.cameras import Camera, check_is_camera
+from splatree.scene.cameras import Camera
 from splatree.scene.clusters import Culling
 from splatree.scene.frame import CutRange, Selection
 from splatree.scene.given import given
@@ -107,7 +107,6 @@ def select(
         True
     """
     if not isinstance(view, View):
-        check_is_camera(view)
         view = view_of(scene, view)
     options = for_levels(given(options, SelectOptions, "select"), scene)
     if options.quality is not None:

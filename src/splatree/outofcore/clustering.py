@@ -171,15 +171,15 @@ def _opened(
     inputs: str | os.PathLike[str] | Sequence[str | os.PathLike[str]], reading: ReadOptions, mode: Mode | None
 ) -> Iterator[tuple[TreeRuns, Sequence[Chunks], tuple[str, ...]]]:
     """All inputs in runs of rows; those of them that are read in chunks, which count repairs; and notes."""
-    paths = [inputs] if isinstance(inputs, str | os.PathLike) else list(inputs)
-    with local_inputs([Path(path) for path in paths]) as local:
+    with local_inputs(inputs) as local:
         found = find_inputs(local.paths, lambda path: detect(path) is not None)
         parts = opened_chunks(found.paths, reading) or ()
         tree = stored_runs(found.paths[0]) if len(found.paths) == 1 and not reading.repair else None
         if tree is None and not parts:
+            named = ", ".join(local.named(str(path)) for path in found.paths)
             raise InputError(
-                f"{', '.join(map(str, paths))}: found a format that is not read in chunks, or a .splatree that is compact, to be "
-                "repaired or one of several; convert it to .ply first, or to an exact .splatree to keep its levels"
+                f"{named}: found a format that is not read in chunks, or a .splatree that is compact, to be repaired or one of "
+                "several; convert it to .ply first, or to an exact .splatree to keep its levels"
             )
         tree = tree or _runs_of(joined_chunks(parts, found.paths))
         if tree.num_leaves < len(tree):

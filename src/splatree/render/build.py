@@ -7,7 +7,7 @@ from splatree.lod.options import BuildOptions
 from splatree.render.trial import FEWEST, SAMPLE, middle_of, try_both
 from splatree.scene.arguments import checked
 from splatree.scene.given import check_threads, given
-from splatree.scene.scene import Scene, check_is_scene
+from splatree.scene.scene import Scene
 from splatree.scene.trial import MethodTrial
 
 __all__ = ["build_lod"]
@@ -39,7 +39,6 @@ def build_lod(scene: Scene, options: BuildOptions | None = None, *, threads: int
         >>> scene.tree.record.rule
         'radius-thinning'
     """
-    check_is_scene(scene, "build_lod")
     options, flat = given(options, BuildOptions, "build_lod: options"), leaves_of(scene)
     check_threads(threads)
     method = options.only_method or ("radius" if len(flat) < FEWEST else None)

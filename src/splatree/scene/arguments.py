@@ -57,7 +57,12 @@ def _hints_of(function: Callable[..., Any]) -> dict[str, tuple[frozenset[type], 
     code = unwrap(function).__code__
     hints = get_type_hints(function, include_extras=True)
     named = {name: hints.get(name, Any) for name in code.co_varnames[: code.co_argcount + code.co_kwonlyargcount]}
-    return {name: (_plain_of(hint), hint) for name, hint in named.items()}
+    return {name: (_plain_of(hint), Any if _are_inputs(hint) else hint) for name, hint in named.items()}
+
+
+def _are_inputs(hint: Any) -> bool:
+    """Whether an annotation is one path or several: who opens them says more of what is none (io/local.py)."""
+    return {os.PathLike, Sequence} <= {get_origin(kind) for kind in get_args(hint)}
 
 
 def _plain_of(hint: Any) -> frozenset[type]:

@@ -19,7 +19,7 @@ from splatree.progress import task
 from splatree.scene.arguments import checked
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.given import check_threads, given
-from splatree.scene.scene import Scene, check_is_scene
+from splatree.scene.scene import Scene
 from splatree.scene.thinning import Groups, ThinOptions
 from splatree.shapes import Array, Float32, Int32
 from splatree.simplify.merge import check_finite, importance_of, merge
@@ -83,7 +83,6 @@ def thin(scene: Scene, options: ThinOptions | None = None, *, threads: int = 0) 
         >>> len(thinned.scene)
         100
     """
-    check_is_scene(scene, "thin")
     options = given(options, ThinOptions, "thin: options")
     check_threads(threads)
     gaussians = _leaves_of(scene)

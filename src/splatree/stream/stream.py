@@ -19,7 +19,7 @@ from splatree.lod.options import BuildOptions
 from splatree.render.build import build_lod
 from splatree.scene.arguments import checked
 from splatree.scene.given import check_threads, given
-from splatree.scene.scene import Scene, check_is_scene
+from splatree.scene.scene import Scene
 from splatree.stream.archive import write_archive
 from splatree.stream.options import StreamFormat, StreamOptions
 from splatree.stream.parts import check_folder
@@ -74,7 +74,6 @@ def stream(
         >>> len(st.read("city_stream", level=0)) == scene.tree.num_leaves
         True
     """
-    check_is_scene(scene, "stream")
     options = given(options, StreamOptions, "stream: options")
     check_threads(threads)
     if len(scene) == 0:

@@ -36,7 +36,7 @@ from splatree.scene.frame import Picture, Splats, TileBins
 from splatree.scene.given import check_threads, given
 from splatree.scene.gradients import PictureGradients, SplatGradients
 from splatree.scene.options import SelectOptions
-from splatree.scene.scene import Scene, check_is_scene
+from splatree.scene.scene import Scene
 from splatree.scene.view import View, view_of
 from splatree.shapes import Array, Float64
 from splatree.train.lessons import Lesson, lessons_of, made_views
@@ -138,7 +138,6 @@ def refine(
     options = given(options, RefineOptions, "refine: options")
     check_threads(threads)
     began, cameras = time.process_time(), None if cameras is None else several(cameras)
-    check_is_scene(scene, "refine")
     if scene.tree.is_leaf.all():
         raise InputError("refine: found a scene without levels, wanted inner nodes that can learn; build levels first")
     if cameras is not None and len(cameras) < 2:
