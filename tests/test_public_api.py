@@ -1,6 +1,7 @@
 import ast
 import dataclasses
 import inspect
+import itertools
 import subprocess
 import sys
 import typing
@@ -105,6 +106,18 @@ def test_what_is_false_is_not_taken_for_what_is_not_given(wrong):
         for name in ("select", "options"):
             with pytest.raises(splatree.InputError, match=rf"^draw: {name}: found .*, wanted"):
                 session.draw(camera, **{name: wrong})
+
+
+def test_what_worked_goes_on_to_work(tmp_path):
+    """Cameras one after the other, in the place of a list; a number of NumPy; a path as a text."""
+    scene, cameras = splatree.build_lod(_small()), [CAMERA, CAMERA]
+    assert splatree.time_frames(scene, iter(cameras), views=1, warm_up=0).num_frames == 2
+    splatree.write_cameras((camera for camera in cameras), str(tmp_path / "a.json"))
+    assert len(splatree.measure_pops(scene, iter(cameras))) == 1
+    assert splatree.calibrate(_small(), reversed(cameras)).threshold > 0
+    assert splatree.psnr(PICTURE, PICTURE, peak=np.float32(1)) == np.inf
+    with pytest.raises(splatree.InputError, match="cameras: found cycle"):
+        splatree.through(itertools.cycle(cameras), 3)
 
 
 def _small():

@@ -88,9 +88,10 @@ def test_extents_are_rounded_up_and_hold_what_they_held(tree, compact):
     inner = ~tree.tree.is_leaf
     if tree.tree.record.profile in ("sphere", "pixel"):
         assert np.all(back.tree.extents[inner] >= tree.tree.extents[inner])
-        assert np.median(back.tree.extents[inner] / tree.tree.extents[inner]) < 1.001
+        ratios = back.tree.extents[inner] / tree.tree.extents[inner]
+        assert (ratios.max() if tree.tree.record.profile == "pixel" else np.median(ratios)) < 1.001
     before, after = (subtree_radii(s.gaussians.means, s.gaussians.reach(), s.tree.depth) for s in (tree, back))
-    held = (tree.tree.extents >= before) & inner
+    held = (tree.tree.extents >= before) & inner & (tree.tree.record.profile != "pixel")
     assert np.all(back.tree.extents[held] >= after[held])
 
 

@@ -25,6 +25,7 @@ from ..ranged_server import (
     Leading,
     Mirrored,
     Proxy,
+    Ranges,
     Refusing,
     Shifted,
     Sizeless,
@@ -316,6 +317,37 @@ def test_an_object_that_is_replaced_while_it_is_read_is_not_mixed_with_the_one_b
                     st.render(store, camera)
             else:
                 assert st.render(store, camera).image.tobytes() == st.render(st.read(path), camera).image.tobytes()
+
+
+def test_what_says_nothing_of_a_state_does_not_tell_two_states_apart():
+    def said(**stamps):
+        return sources._said_of("https://a.example/b.ply", 206, {"Content-Range": "bytes 0-9/20", **stamps})
+
+    now, then = "Tue, 01 Dec 2026 12:00:00 GMT", "Tue, 01 Dec 2026 12:00:09 GMT"
+    assert said(ETag='"a"').is_of(said(ETag='W/"a"')) and not said(ETag='"a"').is_of(said(ETag='W/"b"'))
+    assert said(**{"Last-Modified": now, "Date": now}).is_of(said(**{"Last-Modified": then, "Date": then}))
+    assert not said(**{"Last-Modified": now, "Date": then}).is_of(said(**{"Last-Modified": then, "Date": "later"}))
+
+
+def test_an_object_that_is_shorter_by_now_was_replaced(scene, tmp_path):
+    path = tmp_path / "a.splatree"
+    st.write(scene, path)
+    with served(tmp_path, Ranges) as server:
+        url = f"{server.address}/a.splatree"
+        known = sources.source_of(url).info(url)
+        path.write_bytes(path.read_bytes()[:100])
+        with pytest.raises(InputError, match=r"a\.splatree: was replaced while it was read"):
+            sources.source_of(url).read(url, 200, 300, known)
+
+
+def test_an_address_that_is_none_is_not_asked_again(monkeypatch):
+    monkeypatch.setattr(http, "WAITS_S", ())
+    with pytest.raises(InputError, match="cannot be fetched"):
+        st.read("http://127.0.0.1:1/a b.ply")
+    monkeypatch.setattr(http.time, "sleep", None)
+    monkeypatch.setattr(http, "WAITS_S", (1.0,))
+    with pytest.raises(http.InvalidURL):
+        http.open_range("http://127.0.0.1:1/a b.ply", 0, 10)
 
 
 def test_a_server_may_answer_as_it_likes_for_a_manifest_that_is_not_there(scene, tmp_path):

@@ -22,7 +22,7 @@ from hypothesis import strategies as hs
 import splatree as st
 from splatree.io.formats.folder.manifest import read_manifest
 from splatree.io.memory import PROCESS_BYTES, _free_of_group, bytes_of
-from splatree.outofcore import build, crown, follow, run, shuffle
+from splatree.outofcore import build, crown, cut, follow, plan, run, shuffle
 from splatree.outofcore.needs import needs_of
 from splatree.outofcore.options import Room, cell_bytes
 from splatree.progress import listen
@@ -279,6 +279,20 @@ def test_a_program_that_computes_other_bits_is_refused(tmp_path, ply, monkeypatc
     monkeypatch.setattr(run, "fingerprint", lambda: "0123")
     with pytest.raises(st.InputError, match="found that it computes 0123 where the build began with"):
         st.build_folder(ply, tmp_path / "out.splatree", running=SMALL)
+
+
+def test_what_a_program_of_other_bits_left_is_not_gone_on_with(tmp_path, ply, monkeypatch):
+    monkeypatch.setattr(build, "finish_scene", None)
+    with monkeypatch.context() as other, pytest.raises(TypeError):
+        for module in (plan, run, cut):
+            other.setattr(module, "fingerprint", lambda: "0123")
+        st.build_folder(ply, tmp_path / "out.splatree", running=SMALL)
+    monkeypatch.undo()
+    made = []
+    monkeypatch.setattr(cut, "make_plan", lambda *given: made.append(given) or plan.make_plan(*given))
+    st.build_folder(ply, tmp_path / "out.splatree", running=SMALL)
+    assert len(made) == 1
+    check_is_tree_of(tmp_path / "out.splatree", ply)
 
 
 def test_outputs_are_replaced_only_with_force(tmp_path, ply):

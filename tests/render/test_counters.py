@@ -26,7 +26,7 @@ def test_counters_add_up_to_those_of_the_frame(tmp_path: Path) -> None:
     inside = (frame.splats.rows[:, None] >= first) & (frame.splats.rows[:, None] < last)
     np.testing.assert_array_equal(inside.sum(axis=0), found.cluster_survivors)
 
-    st.write_counters(found, tmp_path / "a.npz")
+    st.write_counters(found, str(tmp_path / "a.npz"))
     with np.load(tmp_path / "a.npz") as back:
         for name, value in vars(found).items():
             np.testing.assert_array_equal(back[name], value)

@@ -48,6 +48,19 @@ def test_kernels_read_the_tensors_where_they_lie(wrap: Any, columns: dict[str, D
     assert {name: held[name].pointer for name in NAMES} == {name: columns[name].pointer for name in NAMES}
 
 
+def test_tensors_are_drawn_view_by_view(columns: dict[str, DeviceArray], at_hand: Emulator) -> None:
+    scene, cameras = st.scene_from_tensors(**columns), [camera()]
+    with st.open_session(scene) as session:
+        wanted = session.draw(camera()).image
+    for found in (
+        *st.render_batch(scene, cameras),
+        *(frame.result for frame in st.trace_batch(scene, cameras)),
+        *(evaluation.cut.result for evaluation in st.evaluate(scene, cameras)),
+    ):
+        np.testing.assert_array_equal(found.image, wanted)
+    assert st.time_frames(scene, cameras, views=1, warm_up=0).num_frames == 1
+
+
 def test_tensors_are_kept_while_the_scene_is(columns: dict[str, DeviceArray], at_hand: Emulator) -> None:
     gc.collect()
     before = at_hand.held["arrays"]

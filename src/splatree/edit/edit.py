@@ -16,6 +16,7 @@ from splatree.kernels.cpu.frame.blocks import index_blocks
 from splatree.scene.arguments import checked
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.given import given
+from splatree.scene.levels import has_extents_of_levels
 from splatree.scene.origin import Origin
 from splatree.scene.scene import Scene, Source
 from splatree.shapes import Array, Bool, Float32
@@ -65,7 +66,10 @@ def edit(scene: Scene, options: EditOptions) -> Scene:
         # Balls around leaves alone follow from what they are, and no rounding has to be covered.
         is_flat = bool(scene.tree.is_leaf.all())
         reach = similarity.reach(moved)
-        extents = Scene.flat(gaussians).tree.extents if is_flat else similarity.extents(scene.tree.extents, reach)
+        is_level = ~scene.tree.is_leaf & has_extents_of_levels(scene.tree.record)
+        extents = (
+            Scene.flat(gaussians).tree.extents if is_flat else similarity.extents(scene.tree.extents, reach, is_level)
+        )
         record = None if scene.tree.record is None else scene.tree.record.scaled(similarity.scale)
         kept_clusters = scene.clusters if similarity.is_identity else None  # harmonics alone move nothing
         tree = replace(

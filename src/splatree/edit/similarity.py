@@ -17,7 +17,7 @@ from splatree.maths.rotations import matrix_from_angles, quat_from_matrix
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.origin import NO_ORIGIN, Origin, settled
 from splatree.scene.scene import NEAR_KEY, Source
-from splatree.shapes import Array, Float32, Float64, check_fields
+from splatree.shapes import Array, Bool, Float32, Float64, check_fields
 
 __all__ = ["Move", "Similarity", "move_from_options"]
 
@@ -79,11 +79,18 @@ class Similarity:
         """The largest coordinate of moved means, whose rounding `extents` covers."""
         return np.float32(np.abs(means).max(initial=0))
 
-    def extents(self, extents: Float32[Array, "n"], reach: np.float32) -> Float32[Array, "n"]:
-        """Radii of the balls around moved means, raised by what the rounding of any of them may have moved a descendant away."""
+    def extents(
+        self, extents: Float32[Array, "n"], reach: np.float32, is_level: Bool[Array, "n"]
+    ) -> Float32[Array, "n"]:
+        """Extents that are ``is_level`` belong to levels, and are scaled.
+
+        All others are radii of balls around moved means, raised by what the rounding of any of them may have moved a descendant
+        away.
+        """
         # Two means, each rounded by at most half an ulp a coordinate, and the product: 2⁻²⁴ of the coordinates and 2⁻²³ of the
         # radius, taken four times as large.
-        return np.asarray(extents * np.float32(self.scale * (1 + 2**-21)) + np.float32(reach * 2**-21), np.float32)
+        balls = extents * np.float32(self.scale * (1 + 2**-21)) + np.float32(reach * 2**-21)
+        return np.where(is_level, extents * np.float32(self.scale), balls).astype(np.float32)
 
     def metadata(self, metadata: Mapping[str, str]) -> Mapping[str, str]:
         """What is known of the scene, with the depth that it is drawn from scaled."""

@@ -18,7 +18,7 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Hashable
 from functools import cache
-from http.client import HTTPConnection, HTTPException, HTTPResponse, IncompleteRead
+from http.client import HTTPConnection, HTTPException, HTTPResponse, IncompleteRead, InvalidURL
 from typing import Any, Final, TypeVar
 from urllib.error import HTTPError
 from urllib.request import HTTPHandler, HTTPSHandler, OpenerDirector, Request, build_opener
@@ -67,7 +67,7 @@ def open_range(url: str, begin: int, end: int) -> addinfourl:
 def tried_again(ask: Callable[[], _Answer]) -> _Answer:
     """What ``ask`` gets from a server, which it asks again where the server is busy or the connection breaks off.
 
-    A server that refuses connections or sends nothing is not asked again: it is not there.
+    A server that refuses connections or sends nothing is not asked again: it is not there. Nor is an address that is none.
 
     Raises:
         HTTPError, HTTPException, OSError: the last answer was of this kind, or the first one will not be another.
@@ -80,7 +80,7 @@ def tried_again(ask: Callable[[], _Answer]) -> _Answer:
                 raise
             error.close()
         except (HTTPException, ConnectionError) as error:
-            if isinstance(error, ConnectionRefusedError):
+            if isinstance(error, ConnectionRefusedError | InvalidURL):
                 raise
         time.sleep(wait_s)
     return ask()

@@ -68,7 +68,7 @@ def check_are_there(paths: Iterable[Path]) -> None:
         InputError: a path leads nowhere, and is no pattern of one that does.
     """
     for path in paths:
-        if not path.exists():
+        if str(path) != "-" and not path.exists():
             _match(path)
 
 

@@ -22,6 +22,7 @@ from splatree.io.memory import Scratch
 from splatree.io.registry import detect
 from splatree.io.runs import TreeRuns
 from splatree.scene.gaussians import Gaussians
+from splatree.scene.levels import has_extents_of_levels
 from splatree.scene.scene import Scene
 from splatree.shapes import Array, Bool
 
@@ -113,7 +114,11 @@ def moved_runs(tree: TreeRuns, similarity: Similarity, sh_degree: int) -> TreeRu
             if not similarity.is_identity:
                 gaussians = similarity.gaussians(gaussians)
                 refuse_unusable(gaussians, "the scene after the edits", first_row=run.begin)
-            extents = Scene.flat(gaussians).tree.extents if is_flat else similarity.extents(run.extents, reach)
+            is_leaf = run.subtree_end == np.arange(run.begin + 1, run.begin + len(run) + 1)
+            is_level = ~is_leaf & has_extents_of_levels(tree.head.record)
+            extents = (
+                Scene.flat(gaussians).tree.extents if is_flat else similarity.extents(run.extents, reach, is_level)
+            )
             yield replace(run, gaussians=gaussians, extents=extents, curves=similarity.curves(run.curves))
 
     record = None if tree.head.record is None else tree.head.record.scaled(similarity.scale)

@@ -23,6 +23,7 @@ from splatree.io.options import ReadOptions
 from splatree.io.registry import detect, files_of
 from splatree.lod.options import BuildOptions
 from splatree.outofcore.cluster import cluster_at
+from splatree.outofcore.fingerprint import fingerprint
 from splatree.outofcore.lock import alone_in
 from splatree.outofcore.options import PART_ROWS, FolderOptions, Room, cell_bytes
 from splatree.outofcore.plan import Plan, follows_pixels, make_plan, read_plan, request_of
@@ -169,14 +170,15 @@ def _runners(
 
 
 def _plan_to_go_on_with(work: Work, request: dict[str, Any], room: Room) -> Plan | None:
-    """The plan of an interrupted build of the same scene, whose cells fit into the memory; None: there is none."""
+    """The plan of an interrupted build of the same scene and bits, whose cells fit into the memory; None: there is none."""
     if not work.plan.exists():
         return None
     try:
         plan = read_plan(work)
     except InputError:
         return None  # of another version
-    return plan if plan.request == request and plan.part_rows <= room.part_rows else None
+    is_same = plan.request == request and plan.fingerprint == fingerprint()
+    return plan if is_same and plan.part_rows <= room.part_rows else None
 
 
 def _check_room(work: Work, plan: Plan, room: Room) -> None:

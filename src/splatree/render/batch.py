@@ -7,6 +7,7 @@ from splatree.lod.select import Selector
 from splatree.outofcore.store import Store
 from splatree.progress import track
 from splatree.render.session import NOTHING, open_session
+from splatree.render.tensors import TensorScene
 from splatree.scene.arguments import checked
 from splatree.scene.cameras import Camera, several
 from splatree.scene.frame import Frame, RenderResult
@@ -19,7 +20,7 @@ __all__ = ["render_batch", "trace_batch"]
 
 @checked
 def render_batch(
-    scene: Scene | Store,
+    scene: Scene | TensorScene | Store,
     cameras: Iterable[Camera],
     options: RenderOptions | None = None,
     select: SelectOptions | Selector | None = None,
@@ -55,7 +56,7 @@ def render_batch(
 
 @checked
 def trace_batch(
-    scene: Scene | Store,
+    scene: Scene | TensorScene | Store,
     cameras: Iterable[Camera],
     options: RenderOptions | None = None,
     select: SelectOptions | Selector | None = None,

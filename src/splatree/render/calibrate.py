@@ -26,7 +26,7 @@ Cost: one lossless drawing of each view, and one more at each of up to ten trial
 are no photographs: 12 bytes a pixel and view, 24 views of 960 × 540 px take 150 MB.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -51,7 +51,7 @@ __all__ = ["calibrate"]
 @checked
 def calibrate(
     scene: Scene | Store,
-    cameras: Sequence[Camera],
+    cameras: Iterable[Camera],
     options: CalibrateOptions | None = None,
     render: RenderOptions | None = None,
     select: SelectOptions | None = None,

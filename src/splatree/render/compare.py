@@ -17,6 +17,7 @@ import numpy as np
 from splatree.constants import ALPHA_THRESHOLD, SSIM_WINDOW_PX
 from splatree.errors import InputError
 from splatree.kernels.devices import DeviceName
+from splatree.lod.select import Selector
 from splatree.metrics.flip import flip_map
 from splatree.metrics.ssim import ssim
 from splatree.progress import track
@@ -104,7 +105,7 @@ def compare(
     cameras: Iterable[Camera] | None = None,
     *,
     options: RenderOptions | None = None,
-    select: SelectOptions | None = None,
+    select: SelectOptions | Selector | None = None,
     device: DeviceName | None = None,
 ) -> Iterator[ComparedView]:
     """Compare a scene with the one that it was made from, view by view.

@@ -6,8 +6,8 @@ with ``Wanted(last_pair=True)``, which counts by the definition, the same on eve
 `write_counters` keeps them as .npz, which any NumPy reads: one array for each field of `FrameCounters`.
 """
 
+import os
 from dataclasses import dataclass, fields
-from pathlib import Path
 
 import numpy as np
 
@@ -89,7 +89,7 @@ def frame_counters(scene: Scene, frame: Frame) -> FrameCounters:
 
 
 @checked
-def write_counters(counters: FrameCounters, path: Path, *, force: bool = False) -> None:
+def write_counters(counters: FrameCounters, path: str | os.PathLike[str], *, force: bool = False) -> None:
     """Write counters as .npz, whole or not at all.
 
     Args:

@@ -19,6 +19,7 @@ from splatree.metrics.ssim import ssim
 from splatree.outofcore.store import Store
 from splatree.progress import track
 from splatree.render.session import open_session
+from splatree.render.tensors import TensorScene
 from splatree.scene.arguments import checked
 from splatree.scene.cameras import Camera, several
 from splatree.scene.frame import Frame
@@ -68,7 +69,7 @@ class Evaluation:
 
 @checked
 def evaluate(
-    scene: Scene | Store,
+    scene: Scene | TensorScene | Store,
     cameras: Iterable[Camera],
     options: RenderOptions | None = None,
     select: SelectOptions | Selector | None = None,

@@ -10,7 +10,7 @@ the mean change is largest.
 Cost: a frame is selected twice and drawn twice.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -107,7 +107,7 @@ def dolly(scene: Scene, camera: Camera, frames: int, *, step: float = 0.01) -> C
 @checked
 def measure_pops(
     scene: Scene,
-    cameras: Cameras | Sequence[Camera],
+    cameras: Iterable[Camera],
     select: SelectOptions | None = None,
     render: RenderOptions | None = None,
     *,
@@ -138,7 +138,7 @@ def measure_pops(
     select = select or SelectOptions()
     frames = several(cameras)
     if len(frames) < 2:
-        raise InputError(f"cameras: found {len(cameras)}, wanted at least two frames")
+        raise InputError(f"cameras: found {len(frames)}, wanted at least two frames")
     if select.rule != "cut":
         raise InputError(
             f"rule: found {select.rule!r}, wanted 'cut': other rules have no cut that covers the next view"

@@ -16,7 +16,7 @@ Cost: ``views`` + ``warm_up`` frames.
 
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,6 +28,7 @@ from splatree.outofcore.store import Store
 from splatree.progress import track
 from splatree.render.paths import through
 from splatree.render.session import open_session
+from splatree.render.tensors import TensorScene
 from splatree.scene.arguments import checked
 from splatree.scene.cameras import Camera, several
 from splatree.scene.options import RenderOptions, SelectOptions
@@ -110,8 +111,8 @@ def check_frames(frames: int) -> None:
 
 @checked
 def time_frames(
-    scene: Scene | Store,
-    cameras: Sequence[Camera],
+    scene: Scene | TensorScene | Store,
+    cameras: Iterable[Camera],
     options: RenderOptions | None = None,
     select: SelectOptions | Selector | None = None,
     *,

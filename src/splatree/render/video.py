@@ -1,5 +1,6 @@
 """Pictures into a video file: H.264 in MP4 by the ffmpeg program that the extra ``video`` (imageio-ffmpeg) brings."""
 
+import os
 import subprocess
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -18,7 +19,9 @@ CRF = 18
 
 @checked
 @contextmanager
-def open_video(path: str | Path, *, fps: float = 30.0, force: bool = False) -> Iterator[Callable[[Array], None]]:
+def open_video(
+    path: str | os.PathLike[str], *, fps: float = 30.0, force: bool = False
+) -> Iterator[Callable[[Array], None]]:
     """Write pictures as a video: H.264 in an MP4.
 
     The file appears when all is written. Values outside 0 to 1 are clipped. The last line or column of an odd size is repeated,

@@ -108,7 +108,7 @@ def _are_numbers(value: Any) -> bool:
     """Whether an array can be made of numbers; of what does not lie in the memory of this machine, no array is made."""
     try:
         return getattr(value, "dtype", None) is not None or np.asarray(value).dtype.kind in "biuf"
-    except ValueError:  # rows of several lengths
+    except (TypeError, ValueError):  # rows of several lengths, or what lies on another device
         return False
 
 
@@ -121,7 +121,9 @@ def _refuse(function: str, argument: str, value: object, hint: Any) -> None:
         check_is_scene(value, function)
     if Camera in kinds:
         check_is_camera(value)
-    if any(get_origin(kind) in (Sequence, Iterable) and Camera in get_args(kind) for kind in kinds):
+    takes_cameras = any(get_origin(kind) in (Sequence, Iterable) and Camera in get_args(kind) for kind in kinds)
+    is_iterator = isinstance(value, Iterable) and not isinstance(value, Camera | Sized)  # which may have no end
+    if takes_cameras and not is_iterator:
         several(value)  # type: ignore[arg-type]
     raise InputError(f"{function}: {argument}: found {_found(value)}, wanted {_wanted(hint)}")
 

@@ -20,7 +20,14 @@ from splatree.scene.names import Mode, Profile
 from splatree.scene.thinning import Importance, MergeOptions
 from splatree.scene.trial import MethodTrial
 
-__all__ = ["UNKNOWN_LEVELS", "LevelRecord", "LevelRule", "common_record", "record_from_fields"]
+__all__ = [
+    "UNKNOWN_LEVELS",
+    "LevelRecord",
+    "LevelRule",
+    "common_record",
+    "has_extents_of_levels",
+    "record_from_fields",
+]
 
 LevelRule = Literal["radius-thinning", "pairs", "grown", "linked", "foreign", "mixed"]
 """How levels were made: `radius-thinning` and `pairs` by `build_lod`; `grown` in training (`TrainOptions.levels`); `linked` by
@@ -113,6 +120,11 @@ def record_from_fields(fields: Any) -> LevelRecord:
         return LevelRecord(**fields)
     except (TypeError, ValueError) as error:
         raise InputError(f"level record: found {str(fields)[:200]}, which cannot be used ({error})") from error
+
+
+def has_extents_of_levels(record: LevelRecord | None) -> bool:
+    """Whether extents of merged nodes say how coarse their level is. All others are radii of balls around what is below."""
+    return record is not None and record.profile == "pixel"
 
 
 def common_record(records: Iterable[LevelRecord]) -> LevelRecord | None:

@@ -8,7 +8,7 @@ that hold what is drawn. Beside it stands the exact cut of the tree with as many
 
 import json
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import product
@@ -142,7 +142,7 @@ Choose = Callable[[Camera, float], Loaded]
 
 @checked
 def report_stream(
-    scene: Scene, written: Streamed, cameras: Sequence[Camera] | None = None, *, budgets: Sequence[int] = BUDGETS
+    scene: Scene, written: Streamed, cameras: Iterable[Camera] | None = None, *, budgets: Sequence[int] = BUDGETS
 ) -> StreamReport:
     """Judge a stream by views of the scene that it was written from.
 
@@ -167,7 +167,7 @@ def report_stream(
         return _report(scene, replace(written, output=local.paths[0]), cameras, budgets)
 
 
-def _report(scene: Scene, written: Streamed, cameras: Sequence[Camera] | None, budgets: Sequence[int]) -> StreamReport:
+def _report(scene: Scene, written: Streamed, cameras: Iterable[Camera] | None, budgets: Sequence[int]) -> StreamReport:
     views, viewers = named_views(scene, cameras), viewers_of(scene, written)
     settings: Sequence[float] = ERRORS_PX
     if written.format != "3dtiles":
@@ -188,7 +188,7 @@ def _report(scene: Scene, written: Streamed, cameras: Sequence[Camera] | None, b
     return StreamReport(tuple(found), tuple(levels), chunks)
 
 
-def named_views(scene: Scene, cameras: Sequence[Camera] | None) -> dict[str, Camera]:
+def named_views(scene: Scene, cameras: Iterable[Camera] | None) -> dict[str, Camera]:
     """The views of a report by their names: the cameras, or near, middle and far."""
     if cameras is None:
         return dict(views_of(scene))

@@ -28,7 +28,7 @@ def write_stream_report(
     scene: Scene,
     written: Streamed,
     path: str | os.PathLike[str],
-    cameras: Sequence[Camera] | None = None,
+    cameras: Iterable[Camera] | None = None,
     *,
     force: bool = False,
 ) -> None:
@@ -125,7 +125,7 @@ def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     return "\n".join(f"<tr>{line}</tr>" for line in lines)
 
 
-def _card(scene: Scene, written: Streamed, worst: ViewQuality, cameras: Sequence[Camera] | None) -> str:
+def _card(scene: Scene, written: Streamed, worst: ViewQuality, cameras: Iterable[Camera] | None) -> str:
     """What the viewer draws in a view beside all leaves."""
     camera = named_views(scene, cameras).get(worst.view)
     if camera is None:

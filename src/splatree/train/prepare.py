@@ -1,5 +1,6 @@
 """What a run works with: cameras told apart, photographs of the training views alone, the start, the schedule."""
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -56,6 +57,8 @@ class Work:
     """Where it starts."""
     notes: tuple[str, ...]
     """What was chosen or left out that the user should know."""
+    reading_s: float
+    """What it took to read the photographs of the training views for the first step, processor seconds."""
 
     def start(self) -> Gaussians:
         """The Gaussians that the first step draws, along a Morton curve."""
@@ -110,11 +113,13 @@ def prepare(folder: Path, options: TrainOptions, cameras: Path | None) -> Work:
     targets.placed(world.near, np.asarray(world.origin))
     schedule = _schedule(options, targets.cameras)
     targets.check_pixels(schedule.finest)
+    begin = time.process_time()
     targets.read_all(schedule.division(0.0))
+    reading_s = time.process_time() - begin
     held_out = None
     if options.score and split.held_out:
         held_out = HeldOut(folder, split.held_out, options.masks, options.alpha, schedule.finest, world)
-    return Work(options, targets, held_out, split.rule, schedule, world, points, tuple(notes))
+    return Work(options, targets, held_out, split.rule, schedule, world, points, tuple(notes), reading_s)
 
 
 def _check_seen(points: Points, cameras: Sequence[Camera]) -> None:

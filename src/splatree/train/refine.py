@@ -18,7 +18,7 @@ Source: the scheme is our own (docs/explanation/refine.md); what it stands on is
 import json
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -106,7 +106,7 @@ def refine(
     scene: Scene,
     options: RefineOptions | None = None,
     *,
-    cameras: Sequence[Camera] | None = None,
+    cameras: Iterable[Camera] | None = None,
     device: DeviceName = "cpu",
     threads: int = 0,
 ) -> Refined:

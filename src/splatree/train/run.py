@@ -149,7 +149,7 @@ def train(
 
 
 def _beginning(work: Work) -> State:
-    """The state before the first step; making it is part of the run's time."""
+    """The state before the first step; making it, and reading the photographs for it, is part of the run's time."""
     begin = time.process_time()
     gaussians = work.start()
     n, num_photos = len(gaussians), len(work.targets)
@@ -159,7 +159,7 @@ def _beginning(work: Work) -> State:
     state = State(
         rows, Sightings.none(n), Exposures.none(num_photos, is_affine=work.options.exposure == "affine"), num_start=n
     )
-    state.spent_s = time.process_time() - begin
+    state.spent_s = work.reading_s + time.process_time() - begin
     return state
 
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from splatree.errors import InputError
 from splatree.io.photos import Photos, PhotosUsed
+from splatree.progress import track
 from splatree.scene.cameras import Camera
 from splatree.shapes import Array, Bool, Float64, UInt8, check_fields
 from splatree.train.options import Alpha
@@ -101,6 +102,8 @@ class Targets:
             target = self._decoded(i, division)
             num_bytes = target.num_bytes
             if self._num_bytes + num_bytes > KEPT_BYTES:
+                self.drop_others(division)
+            if self._num_bytes + num_bytes > KEPT_BYTES:
                 return target
             self._kept[i, division] = target
             self._num_bytes += num_bytes
@@ -112,7 +115,7 @@ class Targets:
         Raises:
             FormatError: one is damaged.
         """
-        for i in range(len(self)):
+        for i in track(range(len(self)), "read photographs"):
             self.at(i, division)
 
     def check_pixels(self, division: int) -> None:

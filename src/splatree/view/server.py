@@ -7,7 +7,7 @@ the connection of a page. Files are served from a list that is made when the ser
 import asyncio
 import io
 import threading
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -48,7 +48,7 @@ class Server:
         exhibits: list[Exhibit],
         options: ViewOptions,
         token: str | None,
-        cameras: Cameras | None = None,
+        cameras: Cameras | Sequence[Camera] | None = None,
         photos: Mapping[str, Array] | None = None,
     ) -> None:
         self.exhibits, self._options, self._token = exhibits, options, token

@@ -5,7 +5,7 @@ import secrets
 import sys
 import threading
 import webbrowser
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import TracebackType
 
 from splatree.errors import InputError
@@ -28,7 +28,7 @@ def view(
     options: ViewOptions | None = None,
     *,
     beside: Scene | Store | None = None,
-    cameras: Cameras | None = None,
+    cameras: Cameras | Sequence[Camera] | None = None,
     photos: Mapping[str, Array] | None = None,
     block: bool | None = None,
     open_browser: bool | None = None,
@@ -98,7 +98,7 @@ class Viewer:
         *,
         beside: Scene | Store | None = None,
         names: tuple[str, ...] = ("scene", "beside"),
-        cameras: Cameras | None = None,
+        cameras: Cameras | Sequence[Camera] | None = None,
         photos: Mapping[str, Array] | None = None,
     ) -> None:
         self.options = given(options, ViewOptions, "view: options")

@@ -5,7 +5,7 @@ All become world-to-camera poses with OpenCV axes (x right, y down, z forward), 
 
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -143,7 +143,7 @@ def _largest_model(models: Sequence[Path]) -> Cameras:
 
 
 @checked
-def write_cameras(cameras: Cameras | Sequence[Camera], path: str | os.PathLike[str], *, force: bool = False) -> None:
+def write_cameras(cameras: Iterable[Camera], path: str | os.PathLike[str], *, force: bool = False) -> None:
     """Write views as the JSON of the 3DGS code.
 
     ``cx cy`` are added if the principal point is not the middle, ``near`` if it is not the default.

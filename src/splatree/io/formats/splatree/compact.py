@@ -42,6 +42,7 @@ from splatree.io.options import ReadOptions, WriteOptions
 from splatree.io.rows import FileRows
 from splatree.maths.forests import ends_from_depth, subtree_radii
 from splatree.scene.gaussians import Gaussians
+from splatree.scene.levels import has_extents_of_levels
 from splatree.scene.names import EXTENT_PROFILES
 from splatree.scene.scene import Scene
 from splatree.scene.thinning import Weight
@@ -111,14 +112,16 @@ def _tables_of(scene: Scene, leaves: Gaussians, weight: Weight) -> dict[str, Arr
     curves = None if tree.curves is None else tree.curves[~is_leaf]
     by_leaves = suggested(tree.subtree_end, tree.depth, leaves, weight)
     tables = inner_to_codes(inner_of(scene.gaussians.take(~is_leaf), curves), by_leaves)
-    if tree.record is None or tree.record.profile in EXTENT_PROFILES:
+    given = tree.extents[~is_leaf]
+    if has_extents_of_levels(tree.record):
+        tables["extents"] = _codes_of_extents(given)
+    elif tree.record is None or tree.record.profile in EXTENT_PROFILES:
         rounded = {name: np.rint(table) for name, table in tables.items()}
         inner = gaussians_of(inner_from_codes(rounded, by_leaves, STEPS))
         balls = [
             subtree_radii(g.means, g.reach(), tree.depth)[~is_leaf]
             for g in (scene.gaussians, _in_rows(is_leaf, leaves, inner))
         ]
-        given = tree.extents[~is_leaf]
         tables["extents"] = _codes_of_extents(np.where(given >= balls[0], np.maximum(given, balls[1]), given))
     return tables
 

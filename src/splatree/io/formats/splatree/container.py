@@ -192,6 +192,7 @@ def open_container(path: Path) -> Container:
         FormatError: the file is cut off, damaged, or of another kind or version.
     """
     where = str(path)
+    info = path.info() if isinstance(path, ObjectPath) else None
     with path.open("rb") as file:
         num_bytes = path.stat().st_size
         header_size = int.from_bytes(file.read(8), "little")
@@ -201,7 +202,7 @@ def open_container(path: Path) -> Container:
             )
         header = untrusted.as_object(untrusted.parse_json(file.read(header_size), where), where)
         if isinstance(path, ObjectPath):
-            held: Mapped | Ranged = Ranged(path, path.info())
+            held: Mapped | Ranged = Ranged(path, info)
         else:
             held = Mapped(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
     values = untrusted.as_object(header.pop("__metadata__", None), f"{where}: __metadata__")
