@@ -39,7 +39,7 @@ class Ranges(SimpleHTTPRequestHandler):
         data = path.read_bytes()
         first, last = int(asked[1]), min(int(asked[2]), len(data) - 1)
         part = data[first : last + 1 - (self.cut and last > first)]
-        if not data:
+        if first >= len(data):
             self.send_error(416)
             return
         self.send_response(206)

@@ -448,7 +448,7 @@ def test_folders_are_drawn_and_scored_without_reading_all_of_them(splatree, smal
     monkeypatch.setattr("splatree.cli.opening.free_bytes", lambda: 2 * one.stat().st_size)
     assert splatree("render", one, "-o", tmp_path / "small.png", "-q")[0] == 0
     monkeypatch.undo()
-    for path, words in ((small_ply, ()), (folder, ("--level", "0")), (folder, ("--rule", "release"))):
+    for path, words in ((small_ply, ()), ("-", ()), (folder, ("--level", "0")), (folder, ("--rule", "release"))):
         code, _, err = splatree("render", path, "-o", tmp_path / "no.png", "--max-memory", "1M", *words)
         assert code == 2 and "max_memory: found" in err
     assert "--rule, which needs all rows in memory" in err

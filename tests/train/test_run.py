@@ -12,6 +12,7 @@ import splatree as st
 from splatree.io.cameras.files import read_cameras
 from splatree.kernels.devices import training_stages_of
 from splatree.train.prepare import prepare
+from splatree.train.run import _beginning
 from splatree.train.step import Drawing, drawn
 from splatree.train.targets import divided
 
@@ -54,6 +55,11 @@ def test_held_out_photographs_that_are_missing_cost_the_scores_alone(whole, phot
     assert bits(trained) == bits(whole)
     assert trained.history[-1].score.psnr is None and whole.history[-1].score.psnr is not None
     assert trained.notes[-1] == "no photograph of 1 of the 1 held-out views, which count in no score: photo_0.png"
+
+
+def test_reading_the_photographs_is_part_of_the_time_of_a_run(photographs):
+    work = prepare(photographs, OPTIONS, None)
+    assert work.reading_s > 0 and _beginning(replace(work, reading_s=1e6)).spent_s > 1e6
 
 
 @pytest.mark.parametrize("share", [0.01, 0.9])

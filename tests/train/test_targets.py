@@ -56,6 +56,15 @@ def test_photographs_are_decoded_once_while_there_is_room(folder, monkeypatch):
     assert len(decoded) == 4
 
 
+def test_photographs_at_another_division_make_room(folder, monkeypatch):
+    root, _ = folder
+    photographs = Targets(root, [CAMERA])
+    small = photographs.at(0, 2).num_bytes
+    large = photographs._decoded(0, 1).num_bytes
+    monkeypatch.setattr(targets, "KEPT_BYTES", large)
+    assert small > 0 and photographs.at(0, 1) is photographs.at(0, 1)
+
+
 def test_a_pixel_counts_if_all_count_that_it_is_made_of(folder):
     root, _ = folder
     mask = np.ones((22, 37, 3), np.float32)

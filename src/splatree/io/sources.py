@@ -102,13 +102,12 @@ class _Http:
 
     def read(self, url: str, begin: int, end: int, known: Info | None = None) -> bytes:
         status, headers, data = self._get(url, begin, end)
-        is_gone = status == 416 and known is not None  # shorter by now
-        if status != 206 and not is_gone:
+        if status != 206 and (status != 416 or known is None):  # 416: it has become shorter
             raise InputError(
                 f"{url}: found a server that answers with the whole file (status {status}), wanted one that gives ranges of "
                 "bytes; fetch the file yourself"
             )
-        if is_gone or (known is not None and not known.is_of(_said_of(url, status, headers))):
+        if known is not None and not known.is_of(_said_of(url, status, headers)):
             raise InputError(f"{url}: was replaced while it was read; read it again from its beginning")
         return data
 
