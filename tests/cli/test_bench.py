@@ -134,6 +134,30 @@ def test_popping_measures_each_frame_of_each_dolly(bench, tmp_path):
     assert files == {"popping.json", "popping.csv", "popping_frames.csv", "popping.png"}
 
 
+def test_a_scene_that_needs_repair_is_repaired_and_counted(splatree, tmp_path):
+    write(Scene.flat(random_gaussians(50, seed=1)), tmp_path / "nan.ply")
+    data = bytearray((tmp_path / "nan.ply").read_bytes())
+    start = data.index(b"end_header\n") + 11
+    data[start : start + 4] = np.float32(np.nan).tobytes()
+    (tmp_path / "nan.ply").write_bytes(data)
+    words = (
+        "bench",
+        "popping",
+        "--scene",
+        tmp_path / "nan.ply",
+        "--views",
+        "1",
+        "--size",
+        "32",
+        "--frames",
+        "2",
+        "--json",
+    )
+    code, _, err = splatree(*words)
+    assert code == 1 and "read it with repair" in err
+    assert result_of(splatree(*words, "--repair"))["about"]["repaired"] == "dropped_rows 1"
+
+
 def test_scored_views_are_held_out_and_others_calibrated_on(small_tree, tmp_path):
     scene = read(small_tree)
     cameras = flyout(scene, PathOptions(views=9, width=64, height=36))

@@ -38,6 +38,7 @@ class Struct:
     "fields",
     [
         {"name": "green"},
+        {"name": np.str_("green")},
         {"other": "green"},
         {"size": 1},
         {"size": np.float32(1)},

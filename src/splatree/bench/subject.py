@@ -1,5 +1,6 @@
 """What experiments are run on: a scene with levels of detail, views of it, and photographs of these if there are any."""
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import as_file, files
@@ -33,6 +34,8 @@ class SubjectOptions:
 
     scene: tuple[Path, ...] = ()
     """Scene; several files or folders are read as one, levels are built if it has none. Default: the bundled piece of a city."""
+    repair: bool = False
+    """Fix or drop values of the scene that cannot be used, and count them, instead of stopping."""
     cameras: Path | None = None
     """cameras.json, transforms.json or a COLMAP model; None: those in --data, or else a flight away from the scene."""
     data: Path | None = None
@@ -81,19 +84,26 @@ def subject_of(options: SubjectOptions, *, levels: bool = True, trained: Scene |
         levels: whether levels are built.
         trained: a scene in place of the one that the options name.
     """
-    scene = _read_scene(options.scene, levels) if trained is None else with_blocks(trained)
+    scene = _read_scene(options, levels) if trained is None else with_blocks(trained)
     views, training, named, found = _views(scene, options)
     photos, training_photos = (None if found is None else found.at(of) for of in (views, training))
     tree = scene.tree
     nodes = f"{tree.num_leaves:,} Gaussians, {len(tree):,} nodes, {tree.num_levels} levels"
     about = {
         "scene": f"{'trained' if trained else _name(options.scene)}: {nodes}, {scene.mode}",
+        **_repaired(scene),
         "cameras": f"{named}, {len(views)} drawn at {views[0].width} × {views[0].height} px",
         "compared with": _comparison(photos),
         "machine": machine(),
         "version": program(),
     }
     return Subject(scene, views, training, photos, training_photos, about)
+
+
+def _repaired(scene: Scene) -> dict[str, str]:
+    """How many values or rows each rule of repair touched, if any."""
+    repairs = json.loads(scene.source.metadata.get("repairs", "{}"))
+    return {"repaired": ", ".join(f"{rule} {count:,}" for rule, count in repairs.items())} if repairs else {}
 
 
 def _comparison(photos: Photos | None) -> str:
@@ -126,9 +136,9 @@ def _views(scene: Scene, options: SubjectOptions) -> tuple[tuple[Camera, ...], t
     return chosen(seen), chosen(training), f"{named}, {split.rule}", photos
 
 
-def _read_scene(paths: tuple[Path, ...], levels: bool) -> Scene:
-    if paths:
-        scene = read(paths)
+def _read_scene(options: SubjectOptions, levels: bool) -> Scene:
+    if options.scene:
+        scene = read(options.scene, repair=options.repair)
     else:
         with as_file(files("splatree") / "data" / BUNDLED) as bundled:
             scene = read(bundled)

@@ -19,7 +19,7 @@ import numpy as np
 from splatree.errors import InputError
 from splatree.scene.cameras import Camera, check_is_camera, several
 from splatree.scene.given import check_threads
-from splatree.scene.literals import in_words, is_of, shown
+from splatree.scene.literals import in_words, is_among, is_of, shown
 from splatree.scene.scene import Scene, check_is_scene
 
 __all__ = ["checked"]
@@ -79,7 +79,7 @@ def _is_one(value: Any, hint: Any) -> bool:
     if hint is Any or isinstance(hint, TypeVar):
         return True
     if origin is Literal:
-        return any(type(value) is type(name) and value == name for name in parts)
+        return is_among(value, parts)
     if origin is Annotated:
         return _are_numbers(value)
     if origin is tuple or hint in (float, int, bool, str, type(None)):

@@ -17,7 +17,7 @@ import numpy as np
 
 from splatree.errors import InputError
 
-__all__ = ["check_literals", "in_words", "is_of", "shown"]
+__all__ = ["check_literals", "in_words", "is_among", "is_of", "shown"]
 
 _ABSTRACT_FROM_TYPE: Final[dict[type, Any]] = {
     float: numbers.Real,
@@ -54,9 +54,7 @@ class _Choices:
     """Python's own types among them: most values are of these, and views are made for each frame."""
 
     def allows(self, value: object) -> bool:
-        if any(type(value) is type(allowed) and value == allowed for allowed in self.values):
-            return True
-        return any(is_of(value, kind) for kind in self.types)
+        return is_among(value, self.values) or any(is_of(value, kind) for kind in self.types)
 
     def __str__(self) -> str:
         *others, last = [*map(repr, self.values), *map(in_words, self.types)]
@@ -80,6 +78,11 @@ def check_literals(struct: Any) -> None:
         if not choices.allows(value):
             hint = _did_you_mean(value, choices.values)
             raise InputError(f"{struct_type.__name__}.{name}: found {shown(value)}, wanted {choices}{hint}")
+
+
+def is_among(value: object, names: tuple[Any, ...]) -> bool:
+    """Whether a value is one of the names or numbers of ``Literal``; NumPy's texts are names, too."""
+    return any(is_of(value, type(name)) and value == name for name in names)
 
 
 def is_of(value: object, kind: Any) -> bool:
