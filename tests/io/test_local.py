@@ -15,7 +15,7 @@ import pytest
 
 import splatree as st
 from splatree import FormatError, InputError, Scene
-from splatree.io import local
+from splatree.io import download, http, local
 from splatree.io.registry import stored_bytes
 
 from ..scenes import random_gaussians
@@ -105,6 +105,70 @@ def test_a_connection_that_breaks_off_within_a_chunk_is_told(serve, name):
         st.read(f"{serve(_Broken)}/{name}")
 
 
+class _Breaking(BaseHTTPRequestHandler):
+    """Closes each connection after some bytes of what it has announced."""
+
+    data = b""
+    most = 700
+    """Bytes that a connection gets."""
+    says = "bytes {begin}-{last}/{size}"
+    stamps = ("one",) * 100
+    """ETags of its answers, in their order."""
+    gives_ranges = True
+    begins: list[int]
+
+    def do_GET(self):
+        asked = self.headers["Range"] if self.gives_ranges else None
+        begin = int(asked.removeprefix("bytes=").rstrip("-")) if asked else 0
+        self.send_response(206 if asked else 200)
+        self.send_header("ETag", self.stamps[len(self.begins)])
+        self.begins.append(begin)
+        if asked:
+            says = self.says.format(begin=begin, last=len(self.data) - 1, size=len(self.data))
+            self.send_header("Content-Range", says)
+        self.send_header("Content-Length", str(len(self.data) - begin))
+        self.end_headers()
+        self.wfile.write(self.data[begin : begin + self.most])
+
+    def log_message(self, *_):
+        pass
+
+
+@pytest.fixture
+def breaking(serve, ply, monkeypatch):
+    monkeypatch.setattr(http, "WAITS_S", (0.0, 0.0))
+
+    def start(**changed):
+        begins = []
+        handler = type("Breaking", (_Breaking,), {"data": ply.read_bytes(), "begins": begins, **changed})
+        return serve(handler) + "/a.ply", begins
+
+    return start
+
+
+def test_a_download_goes_on_where_the_connection_broke_off(breaking, ply):
+    address, begins = breaking()
+    assert same_bits(st.read(address).gaussians.means, GAUSSIANS.means)
+    assert begins == list(range(0, ply.stat().st_size, 700)) and len(begins) > 2
+
+
+@pytest.mark.parametrize(
+    ("changed", "asked"),
+    [
+        ({"stamps": ("one", "two")}, 2),  # replaced meanwhile
+        ({"says": "bytes {begin}-{last}/1"}, 2),
+        ({"says": "bytes 0-{last}/{size}"}, 2),
+        ({"gives_ranges": False}, 2),
+        ({"most": 0}, 3),
+    ],
+)
+def test_a_download_does_not_go_on_with_other_bytes_or_without_end(breaking, changed, asked):
+    address, begins = breaking(**changed)
+    with pytest.raises(InputError, match=r"a.ply: found \d+ of \d,\d+ bytes; the connection broke off, try again"):
+        st.read(address)
+    assert len(begins) == asked
+
+
 def test_errors_name_what_the_user_named(serve, ply, tmp_path):
     ply.write_bytes(b"<!DOCTYPE html><html></html>")
     address = serve(partial(_Quiet, directory=str(tmp_path))) + "/a.ply"
@@ -116,7 +180,7 @@ def test_errors_name_what_the_user_named(serve, ply, tmp_path):
 
 
 def test_a_server_cannot_send_without_end(serve, ply, tmp_path, monkeypatch):
-    monkeypatch.setattr(local, "DOWNLOAD_MAX", 1000)
+    monkeypatch.setattr(download, "TAKEN_MAX", 1000)
     with pytest.raises(InputError, match=r"found 1,\d\d\d bytes, wanted at most 1,000"):
         st.read(serve(partial(_Quiet, directory=str(tmp_path))) + "/a.ply")
 

@@ -26,19 +26,15 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
-from urllib.parse import unquote, urlsplit
 
 from splatree.errors import FormatError, InputError
+from splatree.io.copying import TAKEN_MAX, copied
 from splatree.io.formats.folder.manifest import MANIFEST, is_manifest
 from splatree.io.objects import ObjectPath, located
-from splatree.io.sources import parts_of
 from splatree.io.untrusted import inner_path
 from splatree.progress import task
 
 __all__ = ["LocalInputs", "is_brought", "is_fetched_whole", "local_inputs", "place_of"]
-
-DOWNLOAD_MAX = 64 << 30
-"""Bytes that are taken from a server at most: a billion Gaussians without harmonics."""
 
 INFLATION_MAX = 100
 """How many times its size a compressed file may become; scenes become 1.2 to 5 times it."""
@@ -46,7 +42,6 @@ INFLATION_MAX = 100
 INFLATED_ALWAYS = 64 << 20
 """… unless it becomes no more than so many bytes."""
 
-_PIECE = 1 << 20
 _OF_FOLDERS = ("lod-meta.json", "meta.json", MANIFEST)
 """Names of files that stand for a folder of others."""
 _ZIPPED = (".zip", ".ssog", ".3tz")
@@ -166,43 +161,10 @@ def _how_to_inflate(path: Path) -> Callable[[Path], Path] | None:
 
 
 def _download(address: str, folder: Path) -> Path:
-    from http.client import HTTPException
-    from urllib.error import URLError
-    from urllib.request import Request, urlopen
+    from splatree.io.download import download  # what it imports takes as long as the rest of the program
 
-    from splatree.io.http import TIMEOUT_S, reason_of, tried_again
-
-    name = Path(unquote(parts_of(address).path)).name or "scene"
-    target = folder / re.sub(r"[^\w.-]", "_", name)
-    request = Request(address, headers={"User-Agent": "splatree"})
-    try:
-        with tried_again(lambda: urlopen(request, timeout=TIMEOUT_S)) as answer:
-            if urlsplit(answer.url).scheme not in ("http", "https"):
-                raise InputError(f"{address}: leads to {answer.url}, wanted https or http")
-            said = answer.headers.get("Content-Length") or "0"
-            if not (said.isascii() and said.isdigit()):
-                raise InputError(f"{address}: found {said!r} as its size, wanted a number of bytes; fetch it yourself")
-            announced = int(said)
-            if announced > DOWNLOAD_MAX:
-                raise InputError(
-                    f"{address}: found {announced:,} bytes, wanted at most {DOWNLOAD_MAX:,}; fetch it yourself"
-                )
-            encoding = (answer.headers.get("Content-Encoding") or "identity").lower()
-            if encoding not in ("identity", "gzip", "x-gzip"):
-                raise InputError(
-                    f"{address}: found it encoded as {encoding}, wanted it plain or as gzip; fetch it yourself"
-                )
-            with target.open("wb") as file, task(f"fetch {name}", announced or None) as advance:
-                size = _copy(answer, file, DOWNLOAD_MAX, address, advance)
-            if announced and size != announced:
-                raise InputError(
-                    f"{address}: found {size:,} of {announced:,} bytes; the connection broke off, try again"
-                )
-    except (URLError, HTTPException, OSError, ValueError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"{address}: cannot be fetched ({reason_of(error)})") from error
-    return target if encoding == "identity" else _gunzip(target, folder / "plain", target.name, address)
+    got = download(address, folder)
+    return _gunzip(got.path, folder / "plain", got.path.name, address) if got.is_packed else got.path
 
 
 def _from_standard_input(folder: Path) -> Path:
@@ -216,7 +178,7 @@ def _from_standard_input(folder: Path) -> Path:
     target = folder / f"standard_input.{suffix}"
     with target.open("wb") as file:
         file.write(head)
-        _copy(source, file, DOWNLOAD_MAX, "-", lambda _: None)
+        copied(source, file, TAKEN_MAX, "-", lambda _: None)
     return target
 
 
@@ -232,7 +194,7 @@ def _gunzip(path: Path, folder: Path, name: str, where: str) -> Path:
             target.open("wb") as file,
             task(f"unpack {path.name}", None) as advance,
         ):
-            _copy(packed, file, limit, where, advance)  # type: ignore[arg-type]  # a GzipFile reads like any file
+            copied(packed, file, limit, where, advance)  # type: ignore[arg-type]  # a GzipFile reads like any file
     except (OSError, EOFError, zlib.error) as error:
         if isinstance(error, FormatError):
             raise
@@ -307,7 +269,7 @@ def _unzip_entry(path: Path, entry: zipfile.ZipInfo, target: Path, limit: int) -
             target.open("wb") as file,
             task(f"unpack {path.name}", entry.file_size) as advance,
         ):
-            return _copy(packed, file, limit, str(path), advance)  # type: ignore[arg-type]  # reads like any file
+            return copied(packed, file, limit, str(path), advance)  # type: ignore[arg-type]  # reads like any file
     except (zipfile.BadZipFile, OSError, EOFError, RuntimeError, NotImplementedError, zlib.error) as error:
         if isinstance(error, FormatError):
             raise
@@ -318,25 +280,3 @@ def _is_litter(name: str) -> bool:
     """Whether an entry is what file managers add: folders of macOS, hidden files."""
     parts = name.replace("\\", "/").split("/")
     return "__MACOSX" in parts or parts[-1].startswith(".") or parts[-1].lower() in ("thumbs.db", "desktop.ini")
-
-
-def _copy(source: BinaryIO, target: BinaryIO, limit: int, where: str, advance: Callable[[float], None]) -> int:
-    """Copy all bytes, at most ``limit`` of them; return how many."""
-    size = 0
-    while piece := source.read(_PIECE):
-        size += len(piece)
-        if size > limit:
-            raise FormatError(
-                f"{where}: becomes more than {limit:,} bytes, which no scene of this size does: a decompression bomb, or a file "
-                "that never ends"
-            )
-        try:
-            target.write(piece)
-            target.flush()
-        except OSError as error:  # which says nothing of the input
-            raise InputError(
-                f"{where}: cannot be kept in {tempfile.gettempdir()} while it is read ({error.strerror or error}); let TMPDIR "
-                "name a folder with more room, or unpack it yourself"
-            ) from error
-        advance(len(piece))
-    return size
