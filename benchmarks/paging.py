@@ -1,10 +1,10 @@
 """What drawing from disk reads and costs, beside drawing from memory, and that both draw the same picture.
 
-``python benchmarks/paging.py [--chunks 10] [--store city.splatree] [--memory 500M] [--views 15 12 6 0]`` needs the shared city.
-The folder is built first unless one is named. For each view the store is opened anew. *Touched* are the 4,096-byte pages of the
-files that hold what is looked at: of each page that is loaded all columns that a selection reads, the others (harmonics, and how
-nodes follow the pixel) of 64 rows of which one is drawn, and the index. *Whole pages* are the store's pages that a drawn row is
-in, as a server would have to send them.
+``python benchmarks/paging.py [--chunks 10] [--store a.splatree b.splatree] [--memory 500M] [--views 15 12 6 0]`` needs the shared
+city. A folder is built by a radius unless folders are named. For each view the store is opened anew. *Touched* are the 4,096-byte
+pages of the files that hold what is looked at: of each page that is loaded all columns that a selection reads, the others
+(harmonics, and how nodes follow the pixel) of 64 rows of which one is drawn, and the index. *Whole pages* are the store's pages
+that a drawn row is in, as a server would have to send them.
 """
 
 import argparse
@@ -64,7 +64,7 @@ def row_of(folder: Path, scene: st.Scene, view: int, camera: st.Camera, memory: 
     began = time.process_time()
     with st.open_store(folder, max_memory="64G") as store, st.open_session(store) as session:
         frame = session.trace(camera)
-        first = time.process_time() - began
+        first, num_loaded = time.process_time() - began, store.num_loaded
         cut = store.cut(camera)[1]
         drawn = len(cut) * row_bytes_of(store._files[0].head)
         index = store.index.table
@@ -80,7 +80,9 @@ def row_of(folder: Path, scene: st.Scene, view: int, camera: st.Camera, memory: 
         frame.result.image.tobytes() == wanted.result.image.tobytes()
     )
     return {
+        "levels": "" if scene.tree.record is None else scene.tree.record.rule,
         "view": view,
+        "pages read": f"{num_loaded} of {len(index)}",
         "drawn MB": drawn / 1e6,
         "touched / drawn": touched / drawn,
         "whole pages / drawn": whole / drawn,
@@ -93,27 +95,27 @@ def row_of(folder: Path, scene: st.Scene, view: int, camera: st.Camera, memory: 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--chunks", type=int, default=10, help="chunks of the city, at most 10")
-    parser.add_argument("--store", type=Path, help="a folder of parts of the city; without it, it is built")
+    parser.add_argument("--store", type=Path, nargs="+", help="folders of parts of the city; without any, one is built")
     parser.add_argument("--memory", default="500M")
     parser.add_argument("--views", type=int, nargs="+", default=[15, 12, 6, 0])
     parser.add_argument("--folder", type=Path, default=Path(tempfile.gettempdir()))
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory(dir=arguments.folder) as name:
-        store = arguments.store
-        if store is None:
-            store, ply = Path(name) / "city.splatree", Path(name) / "city.ply"
+        stores = arguments.store
+        if stores is None:
+            stores, ply = [Path(name) / "city.splatree"], Path(name) / "city.ply"
             city = DATA / "trained" / "semarang_city"
             st.convert(sorted(path for path in city.iterdir() if path.is_dir())[: arguments.chunks], ply)
-            st.build_folder(ply, store, st.BuildOptions("radius"))
-        whole = Path(name) / "whole.splatree"
-        st.write(st.read(store), whole)
-        scene, cameras = st.read(whole), list(read_cameras(VIEWS))
-        rows = []
-        for view in arguments.views:
-            rows.append(row_of(store, scene, view, cameras[view], arguments.memory))
-            print(table(rows), flush=True)
-    about = "Drawing the real city from disk, beside drawing it from memory"
-    save("paging", [{"Gaussians": scene.tree.num_leaves, **row} for row in rows], about=about)
+            st.build_folder(ply, stores[0], st.BuildOptions("radius"))
+        cameras, rows, whole = list(read_cameras(VIEWS)), list[dict[str, object]](), Path(name) / "whole.splatree"
+        for store in stores:
+            st.write(st.read(store), whole, force=True)
+            scene = st.read(whole)
+            for view in arguments.views:
+                row = row_of(store, scene, view, cameras[view], arguments.memory)
+                rows.append({"Gaussians": scene.tree.num_leaves, **row})
+                print(table(rows), flush=True)
+    save("paging", rows, about="Drawing the real city from disk, beside drawing it from memory")
 
 
 if __name__ == "__main__":

@@ -2,6 +2,8 @@
 
 import json
 import shutil
+import zipfile
+from pathlib import Path
 from unittest import mock
 
 import numpy as np
@@ -11,10 +13,15 @@ from hypothesis import strategies as hs
 
 import splatree as st
 from splatree.io.formats.splatree.rows import open_scene
+from splatree.kernels.cpu.frame import select as kernel
+from splatree.kernels.cpu.frame.blocks import index_blocks
+from splatree.outofcore import paging
 from splatree.outofcore.index import index_of_folder
 from splatree.outofcore.pages import table_of
+from splatree.scene.view import view_of
 
 from ..laws.hard_scenes import hard_scenes
+from ..laws.test_select_kernel import random_camera, random_scene, random_tau
 from .conftest import small_pages
 
 
@@ -54,43 +61,65 @@ def check_is_drawn_as(store, scene, camera, options):
         assert getattr(frames[0].result, name).tobytes() == getattr(frames[1].result, name).tobytes(), name
 
 
-def check_boxes_hold(store, scene):
-    """Each box of the crown holds what its page or block stands for, below its portals too."""
-    table, whole = store.index.table, store.index.whole_rows
-    is_inner, block_start = ~scene.tree.is_leaf, table.block_start
-
-    def check_holds(begin, end, lower, upper, scale):
-        first, last = (int(whole[row]) for row in (begin, end - 1))
-        rows = slice(
-            first, int(scene.tree.subtree_end[last]) if is_leaf[end - 1] else last + 1
-        )  # all between, parts' rows too
-        means, scales = scene.gaussians.means[rows], np.exp(scene.gaussians.log_scales[rows].max(axis=1))
-        assert (means >= lower).all() and (means <= upper).all()
-        assert scales[~is_inner[rows]].max(initial=0) <= scale * (1 + 1e-6)
-
-    is_leaf = store._files[0].file.rows("tree.subtree_end") == np.arange(1, len(whole) + 1)
-    for number in range(store.index.num_own):
-        begin, end = int(table.begin[number]), int(table.end[number])
-        check_holds(begin, end, table.lower[number], table.upper[number], table.leaf_scales[number])
-        for nth, block in enumerate(range(block_start[number], block_start[number + 1])):
-            run = begin + 256 * nth, min(begin + 256 * (nth + 1), end)
-            box = table.block_lower[block], table.block_upper[block], table.block_leaf_scales[block]
-            check_holds(*run, *box)
+def check_boxes_hold(store):
+    """Each box holds the rows of its page or block that may be drawn from it, portals apart: at any extent up to which inner rows
+    are drawn, none of these is wider than both a third of it and what the steps say."""
+    index, table = store.index, store.index.table
+    for number in range(len(table)):
+        page = store.page(number)
+        means, inner = page.gaussians.means, ~page.tree.is_leaf
+        is_portal = ~inner if number < index.num_own and index.has_parts else np.zeros(len(page), bool)
+        scales = np.exp(page.gaussians.log_scales.max(axis=1))
+        assert (means >= table.lower[number]).all() and (means <= table.upper[number]).all()
+        for nth, block in enumerate(range(table.block_start[number], table.block_start[number + 1])):
+            rows = np.flatnonzero(~is_portal[256 * nth : 256 * (nth + 1)]) + 256 * nth
+            assert (means[rows] >= table.block_lower[block]).all() and (means[rows] <= table.block_upper[block]).all()
+            steps, of_step = table.block_step_extents[block], table.block_step_scales[block]
+            for extent in (*np.unique(page.tree.extents[rows]), *steps[np.isfinite(steps)]):
+                drawn = rows[~inner[rows] | (page.tree.extents[rows] <= extent)]
+                scale = of_step[(steps <= extent).sum() - 1]
+                assert scales[drawn].max(initial=0) <= max(scale, extent / 3) * (1 + 2e-5)
+                assert scale <= table.leaf_scales[number]
 
 
-def test_boxes_of_large_pages_hold_what_is_below_their_portals(folder, scene):
-    """Pages of several blocks; a box that is not widened fails."""
+def check_portals_are_found(store):
+    """The pages of the crown that are named for a page of a part hold the copies of all roots of its rows, and no others."""
+    index, table = store.index, store.index.table
+    crown = store._files[0]
+    ids, ends = crown.file.rows("ids"), crown.file.rows("tree.subtree_end")
+    leaves = np.flatnonzero(ends == np.arange(1, len(crown) + 1))
+    copies = np.empty(index.num_roots, np.int64)
+    copies[ids[leaves]] = leaves
+    for number in range(index.num_own, len(table)):
+        page = store.page(number)
+        roots = np.searchsorted(np.flatnonzero(page.depth == 0), np.arange(len(page)), side="right") - 1
+        wanted = (
+            np.searchsorted(table.begin[: index.num_own], copies[table.first_root[number] + roots], side="right") - 1
+        )
+        found = index.above[index.above_start[number] : index.above_start[number + 1]]
+        np.testing.assert_array_equal(found, np.unique(wanted))
+    assert index.above_start[index.num_own] == 0
+
+
+def test_boxes_of_large_pages_hold_what_is_drawn_from_them(folder):
+    """Pages of several blocks; a box that is too small fails, and so does a step that is."""
     crown = open_scene(folder / "crown.splatree")
     parts = [open_scene(path) for path in sorted((folder / "parts").iterdir())]
-    index = index_of_folder(crown, table_of(crown), [table_of(part) for part in parts], folder)
-    assert index.num_own < len(crown) / 256
     with st.open_store(folder) as store:
-        store.index = index
-        check_boxes_hold(store, scene)
-        index.table.block_upper.setflags(write=True)
-        index.table.block_upper[0] = index.table.block_lower[0]
-        with pytest.raises(AssertionError):
-            check_boxes_hold(store, scene)
+        check_portals_are_found(store)
+        store.index = index_of_folder(crown, table_of(crown, portals=True), map(table_of, parts), folder)
+        table = store.index.table
+        assert store.index.num_own < len(crown) / 256 and (np.isfinite(table.block_step_extents).sum(axis=1) > 2).any()
+        check_boxes_hold(store)
+        check_portals_are_found(store)
+        for column in (table.block_upper, table.block_step_scales):
+            column.setflags(write=True)
+            held = column[-1].copy()
+            column[-1] = 0 if column is table.block_step_scales else table.block_lower[-1]
+            with pytest.raises(AssertionError):
+                check_boxes_hold(store)
+            column[-1] = held
+        check_boxes_hold(store)
 
 
 @settings(max_examples=40, deadline=None)
@@ -129,7 +158,8 @@ def test_a_folder_is_drawn_by_pages_as_its_tree_is_drawn_in_memory(
         with st.open_store(folder) as store:
             assert (len(store), store.index.num_leaves) == (len(scene), len(gaussians))
             assert store.index.num_levels == scene.tree.num_levels
-            check_boxes_hold(store, scene)
+            check_boxes_hold(store)
+            check_portals_are_found(store)
             for _ in range(3):
                 camera, chosen = data.draw(cameras(gaussians.means)), data.draw(choices())
                 check_is_drawn_as(store, scene, camera, chosen)
@@ -151,14 +181,52 @@ def test_a_store_keeps_what_fits(folder, scene):
 
 
 def test_a_view_reads_only_pages_that_it_needs(folder):
-    """A tenth of the leaves is in view. A page's box holds nodes that are wider than their extent as a whole, which two fifths of
-    the nodes of this scene are: 101 of 164 pages are read."""
+    """A tenth of the leaves is in view: 75 of 164 pages are read. Two fifths of the merged nodes are wider than their extent.
+    Where boxes hold such nodes as a whole, coarse ones too, 101 pages are read."""
     with st.open_store(folder) as store:
         store.select(CAMERAS[0])
         first = store.num_loaded
-        assert 0 < first < len(store.index.table) * 2 / 3
+        assert 0 < first < len(store.index.table) / 2
         store.select(CAMERAS[0])
         assert store.num_loaded == first
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=hs.integers(0, 2**20), profile=hs.sampled_from(["pixel", "sphere", "exact"]), rows=hs.sampled_from([16, 60])
+)
+def test_no_box_that_is_out_of_the_image_has_a_row_that_is_drawn(seed, profile, rows):
+    scene, camera = random_scene(seed), random_camera(seed)
+    options = st.SelectOptions(random_tau(seed), profile=profile)
+    view, blocks = view_of(scene, camera), index_blocks(scene.gaussians, scene.tree, rows_per_block=rows)
+    packed = kernel.pack(view, options)
+    boxes = paging._Boxes(blocks.lower, blocks.upper, blocks.step_extents, blocks.step_scales)
+    outside = paging._outside(boxes, view, options, packed)
+    assert not outside[st.select(scene, camera, options).rows // rows].any()
+
+
+def test_a_wide_node_counts_from_the_distance_at_which_it_is_drawn():
+    scene = st.Scene.flat(st.Gaussians.empty())
+    ahead = st.Camera.look_at((0, 0, 0), (0, 0, 1), width=100, height=100, fov_y_deg=90)
+    options, view = st.SelectOptions(3.0, profile="pixel"), view_of(scene, ahead)
+    found = {}
+    for distance in (10.0, 60.0):
+        corner = np.float32([[1.5 * distance, 0, distance]])  # a node of extent 2 is drawn from 33 on
+        boxes = paging._Boxes(corner, corner, np.float32([[0, 2]]), np.float32([[0.01, 9]]))
+        found[distance] = bool(paging._outside(boxes, view, options, kernel.pack(view, options))[0])
+    assert found == {10.0: True, 60.0: False}
+
+
+def test_narrow_views_at_any_pixel_error_select_what_is_selected_of_the_whole_tree(folder, scene):
+    """Wide nodes reach into views that their block lies out of, and views between the crown's nodes have open portals."""
+    with st.open_store(folder) as store:
+        for x in np.linspace(0, 8, 9):
+            for target, fov in ((5, 3), (3.5, 20)):
+                camera = st.Camera.look_at((x, 3, 2), (x, target, 0), up=(0, 0, 1), width=48, height=32, fov_y_deg=fov)
+                for pixel_error in (0, 6, 40, 150, 400):
+                    options = st.SelectOptions(pixel_error)
+                    wanted = st.select(scene, camera, options).rows
+                    np.testing.assert_array_equal(store.select(camera, options).rows, wanted)
 
 
 def test_a_budget_is_met_by_a_cut_of_the_whole_tree(folder, scene):
@@ -250,7 +318,32 @@ def test_pages_of_a_moving_camera_are_loaded_before_it_arrives(folder):
     with st.open_store(folder) as store:
         ahead = loaded_while_drawing(store)
     with st.open_store(folder) as store, mock.patch.object(st.Store, "prefetch"):
-        assert ahead < 0.95 * loaded_while_drawing(store)  # found: 136 of 152
+        assert ahead < 0.7 * loaded_while_drawing(store)  # found: 82 of 132, of which 75 are of the first view
+
+
+OLDER = Path(__file__).with_name("older_folder.zip")
+"""A folder that was written before blocks had steps: its crown's boxes hold what is below its portals."""
+
+
+def test_an_older_index_is_read_as_it_is(tmp_path):
+    with zipfile.ZipFile(OLDER) as stored:
+        stored.extractall(tmp_path / "older.splatree")
+    scene = st.read(tmp_path / "older.splatree")
+    with st.open_store(tmp_path / "older.splatree") as store:
+        assert (len(store.index.table), store.index.above, store.index.table.block_step_scales.shape[1]) == (
+            15,
+            None,
+            1,
+        )
+        check_boxes_hold(store)
+        for x in (1, 3, 6):
+            for distance, options in ((2, st.SelectOptions()), (12, st.SelectOptions(8)), (2, st.SelectOptions(0))):
+                camera = st.Camera.look_at(
+                    (x, -distance, 2), (x, 5, 0), up=(0, 0, 1), width=48, height=32, fov_y_deg=30
+                )
+                check_is_drawn_as(store, scene, camera, options)
+    with small_pages(20):
+        assert st.check(tmp_path / "older.splatree")[0].num_nodes == len(scene)
 
 
 def test_an_older_folder_without_an_index_is_indexed_when_it_is_opened(folder, scene, tmp_path):

@@ -123,7 +123,7 @@ def put(name, place, value):
 
 
 def shorter(columns):
-    return {name: column[:1] for name, column in columns.items() if name.startswith("table.block")}
+    return {name: column[:1] for name, column in columns.items() if name.startswith("table.block_")}
 
 
 HOSTILE = {
@@ -143,6 +143,8 @@ HOSTILE = {
     "no such column": (lambda columns, numbers: columns.pop("whole_rows"), "found no column 'whole_rows'"),
     "blocks": (lambda columns, numbers: columns.update(shorter(columns)), "table: found 1 blocks"),
     "a type": (lambda columns, numbers: columns.update(whole_rows=np.zeros(3, np.float32)), "found dtype float32"),
+    "starts of pages above": (put("above_start", -1, 0), "above_start: found no ascending places"),
+    "a page above that is none of the crown": (put("above", 0, 10**6), "pages that are not among"),
     "checksums": (lambda columns, numbers: columns.update(drawn_checksums=np.zeros(3, np.uint32)), "found 3 checksums"),
 }
 

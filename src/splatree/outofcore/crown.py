@@ -189,7 +189,7 @@ def _index(folder: Path, files: Sequence[StoredFile]) -> StoreIndex:
                 yield table_of(open_scene(folder / file.name), checksums=True)
                 advance(float(file.num_bytes))
 
-        return index_of_folder(crown, table_of(crown, checksums=True), pages(), folder)
+        return index_of_folder(crown, table_of(crown, portals=True, checksums=True), pages(), folder)
 
 
 def _levels(tiers: Sequence[Tier]) -> tuple[list[float], list[int]]:

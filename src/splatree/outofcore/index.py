@@ -6,13 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from splatree.constants import BLOCK_ROWS
 from splatree.errors import FormatError, InputError, ShapeError
 from splatree.io.chunks import ROWS_PER_CHUNK
 from splatree.io.formats.splatree.rows import StoredScene
 from splatree.outofcore.page import DRAWN_ROWS, Checksums
 from splatree.outofcore.pages import FilePages, PageTable, table_of
-from splatree.shapes import Array, Int32, UInt32, check_fields
+from splatree.shapes import Array, Int32, Int64, UInt32, check_fields
 
 __all__ = ["StoreIndex", "index_of_file", "index_of_folder"]
 
@@ -37,6 +36,12 @@ class StoreIndex:
     """Largest identity of a leaf."""
     whole_rows: Int32[Array, "c"] | None = None
     """Row in the whole tree of each row of the crown; None: there are no parts."""
+    above_start: Int32[Array, "p+1"] | None = None
+    """Pages of the crown that hold copies of the roots that page ``i`` belongs to:
+    ``above[above_start[i] : above_start[i + 1]]``. None: there are no parts, or the boxes of the crown hold what is below its
+    portals, as in folders of before."""
+    above: Int32[Array, "x"] | None = None
+    """Numbers of these pages, ascending for each page."""
     plain_checksums: UInt32[Array, "p"] | None = None
     """`Checksums.plain` of each page; None: not known."""
     drawn_checksums: UInt32[Array, "h"] | None = None
@@ -110,7 +115,7 @@ def index_of_folder(crown: StoredScene, own: FilePages, pages: Iterable[FilePage
     """
     copies = _copies(crown, own.num_leaves)
     sizes = np.ones(len(crown), np.int32)
-    widened, tables, noted = _Widened(own.table), list[PageTable](), list(own.checksums)
+    tables, noted, above = [own.table], list(own.checksums), [np.zeros(0, np.int32)] * len(own.table)
     num_roots = num_leaves = num_levels = 0
     largest_id = -1
     depth = crown.file.rows("tree.depth")
@@ -119,7 +124,7 @@ def index_of_folder(crown: StoredScene, own: FilePages, pages: Iterable[FilePage
         if len(of_part) < len(part.root_sizes):
             raise _of_different_builds(where, f"more than {num_roots + len(of_part)}", own.num_leaves)
         sizes[of_part] = part.root_sizes
-        widened.hold(of_part, part)
+        above += _pages_above(part.table, np.searchsorted(own.table.begin, of_part, side="right") - 1)
         tables.append(replace(part.table, first_root=part.table.first_root + num_roots))
         noted += part.checksums
         num_roots, num_leaves = num_roots + len(of_part), num_leaves + part.num_leaves
@@ -133,20 +138,30 @@ def index_of_folder(crown: StoredScene, own: FilePages, pages: Iterable[FilePage
             f"{where}: found {num_rows} rows and identities of leaves up to {largest_id}, wanted less than 2^31 rows, and less "
             "than 2^32 identities together"
         )
-    table = PageTable.joined([widened.table, *tables])
+    table = PageTable.joined(tables)
     has_checksums = len(noted) == len(table)
     return StoreIndex(
         table=table,
-        file_start=np.cumsum([0, len(own.table), *map(len, tables)]).astype(np.int32),
+        file_start=np.cumsum([0, *map(len, tables)]).astype(np.int32),
         num_rows=num_rows,
         num_leaves=num_leaves,
         num_levels=num_levels,
         num_roots=num_roots,
         largest_id=largest_id,
         whole_rows=np.cumsum(sizes, dtype=np.int32) - sizes,
+        above_start=np.cumsum([0, *map(len, above)]).astype(np.int32),
+        above=np.concatenate(above).astype(np.int32),
         plain_checksums=np.array([each.plain for each in noted], np.uint32) if has_checksums else None,
         drawn_checksums=np.concatenate([each.drawn for each in noted]) if has_checksums else None,
     )
+
+
+def _pages_above(table: PageTable, page_of_root: Int64[Array, "r"]) -> list[Int32[Array, "x"]]:
+    """For each page of a part, the pages of the crown that hold copies of its roots, given that of each root."""
+    # A page belongs to the roots that begin in it, and to the one before if it begins within a subtree.
+    first = table.first_root - (np.diff(table.ancestor_start) > 0)
+    last = np.append(table.first_root[1:], len(page_of_root))
+    return [np.unique(page_of_root[i:j]).astype(np.int32) for i, j in zip(first, last, strict=True)]
 
 
 def _copies(crown: StoredScene, num_leaves: int) -> Int32[Array, "r"]:
@@ -172,26 +187,3 @@ def _of_different_builds(where: Path, num_roots: str, num_leaves: int) -> Format
         f"{where}: found {num_roots} roots in the parts and {num_leaves} leaves in the crown, wanted a copy of each root; the "
         "files are of different builds"
     )
-
-
-class _Widened:
-    """The table of the crown, in which pages and their blocks come to hold what is below their portals."""
-
-    def __init__(self, table: PageTable) -> None:
-        names = ("lower", "upper", "leaf_scales")
-        columns = {name: getattr(table, name).copy() for kind in names for name in (kind, f"block_{kind}")}
-        self.table = replace(table, **columns)
-        """The table; its bounds grow."""
-
-    def hold(self, copies: Int32[Array, "r"], part: FilePages) -> None:
-        """Take the bounds of a part, whose roots have copies in these rows."""
-        table = self.table
-        page = np.searchsorted(table.begin, copies, side="right") - 1
-        block = table.block_start[page] + (copies - table.begin[page]) // BLOCK_ROWS
-        for name, of_roots, bound in (
-            ("lower", part.root_lower, np.minimum),
-            ("upper", part.root_upper, np.maximum),
-            ("leaf_scales", part.root_scales, np.maximum),
-        ):
-            bound.at(getattr(table, name), page, of_roots)
-            bound.at(getattr(table, f"block_{name}"), block, of_roots)

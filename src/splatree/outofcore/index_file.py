@@ -2,6 +2,9 @@
 
 The manifest has its digest, so it is the one that was written with the parts. What it says is held against the files all the
 same: no page lies outside of its file, no number leads outside of a column.
+
+Files of before have no steps of blocks but `block_leaf_scales`, and boxes of the crown that hold what is below its portals. They
+are read as they are: views read more pages.
 """
 
 import json
@@ -27,7 +30,12 @@ INDEX = "pages.index"
 """Name of the file."""
 
 NUMBERS = ("num_rows", "num_leaves", "num_levels", "num_roots", "largest_id")
-COLUMNS = ("file_start", "whole_rows", "plain_checksums", "drawn_checksums")
+COLUMNS = ("file_start", "whole_rows", "above_start", "above", "plain_checksums", "drawn_checksums")
+
+ABOVE = ("above_start", "above")
+STEPS = ("table.block_step_extents", "table.block_step_scales")
+LEAF_SCALES = "table.block_leaf_scales"
+"""In files of before, in place of the steps."""
 
 
 def write_index(index: StoreIndex, path: Path) -> None:
@@ -63,14 +71,21 @@ def read_index(path: Path, files: Sequence[StoredScene]) -> StoreIndex:
         name: untrusted.integer(said, name, f"{where}: numbers", high=high.get(name, 2**31 - 1)) for name in NUMBERS
     }
     try:
-        names = [f"table.{f.name}" for f in fields(PageTable)]
-        missing = [name for name in (*names, *COLUMNS) if name not in container.columns]
+        names, wanted = [f"table.{f.name}" for f in fields(PageTable)], [*COLUMNS]
+        is_of_before = LEAF_SCALES in container.columns
+        if is_of_before:
+            names = [name for name in names if name not in STEPS] + [LEAF_SCALES]
+            wanted = [name for name in wanted if name not in ABOVE]
+        missing = [name for name in (*names, *wanted) if name not in container.columns]
         if missing:
             raise FormatError(
                 f"{where}: found no column {missing[0]!r}; the file is damaged or of an older version: build again"
             )
-        columns: dict[str, Any] = dict(zip((*names, *COLUMNS), container.rows_of([*names, *COLUMNS]), strict=True))
-        table = PageTable(*(columns.pop(name) for name in names))
+        columns: dict[str, Any] = dict(zip((*names, *wanted), container.rows_of([*names, *wanted]), strict=True))
+        if is_of_before:
+            one_step = columns.pop(LEAF_SCALES).reshape(-1, 1)
+            columns |= dict(zip(STEPS, (np.zeros_like(one_step), one_step), strict=True))
+        table = PageTable(**{f.name: columns.pop(f"table.{f.name}") for f in fields(PageTable)})
         index = StoreIndex(table, **columns, **numbers)
     except ShapeError as error:
         raise FormatError(f"{where}: {error}; the file is damaged") from error
@@ -116,6 +131,15 @@ def _wrong(index: StoreIndex, num_rows: Sequence[int]) -> Iterator[str]:
     roots, whole = table.first_root[own:], index.whole_rows
     if np.any(np.diff(roots) < 0) or np.any((roots < 0) | (roots > index.num_roots)):
         yield f"table: found roots that are not numbered from 0 to {index.num_roots}"
+    if index.above_start is not None and index.above is not None:
+        if (
+            index.above_start[0] != 0
+            or index.above_start[-1] != len(index.above)
+            or np.any(np.diff(index.above_start) < 0)
+        ):
+            yield f"above_start: found no ascending places of {len(index.above)} pages of the crown"
+        elif np.any((index.above < 0) | (index.above >= own)):
+            yield f"above: found pages that are not among the {own} of the crown"
     if whole is None or len(whole) != num_rows[0] or np.any(np.diff(whole) <= 0) or np.any(whole[:1] != 0):
         yield f"whole_rows: found no ascending rows of the {num_rows[0]} nodes of the crown"
     elif len(whole) and whole[-1] >= index.num_rows:

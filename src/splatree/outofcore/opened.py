@@ -67,7 +67,9 @@ def _index(path: Path, manifest: Manifest, crown: StoredScene, parts: list[Store
     if manifest.index is not None:
         return read_index(checked_path(path, manifest.index), [crown, *parts])
     with task(f"index {path.name}", float(manifest.num_rows)) as advance:
-        return index_of_folder(crown, table_of(crown), (table_of(part, advance=advance) for part in parts), path)
+        return index_of_folder(
+            crown, table_of(crown, portals=True), (table_of(part, advance=advance) for part in parts), path
+        )
 
 
 def _check_alike(crown: StoredScene, parts: list[StoredScene]) -> None:

@@ -2,30 +2,31 @@
 
 A page has a box around what it draws, the largest standard deviation in it, the same of each of its blocks of 256 rows, and the
 ancestors of its first row, which are kept with the table. So most pages of a view are left out unread: all their blocks are out
-of the image, or below a node that is drawn.
+of the image, or below a node that is drawn. A block also has the steps of `BlockIndex`: a coarse node is wide, but a near view
+does not draw it.
 
 A folder of parts is a store of several files. Leaves of the crown are copies of roots of parts, its *portals*; all portals are
-numbered, part by part. A page of a part knows the numbers of the roots that it belongs to. A page of the crown stands for what is
-below its portals, too: its box holds theirs.
+numbered, part by part. A page of a part knows the numbers of the roots that it belongs to. A page of the crown has the box of its
+inner nodes alone: what is below its portals has pages of its own (outofcore/index.py).
 
-Cost: 60 bytes a page of 1 MB, 28 bytes a block of 60 kB and 4 bytes a row of the crown. Making the table reads everything but the
-harmonics, once.
+Cost: 60 bytes a page of 1 MB, 88 bytes a block of 60 kB. Making the table reads everything but the harmonics, once.
 """
 
 import math
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from splatree.constants import BLOCK_ROWS
+from splatree.constants import BLOCK_ROWS, BLOCK_STEPS
 from splatree.errors import FormatError
 from splatree.io.formats.splatree.fields import column_types
 from splatree.io.formats.splatree.head import SceneHead
 from splatree.io.formats.splatree.rows import SceneRows, StoredScene
+from splatree.kernels.cpu.frame.blocks import index_blocks
 from splatree.outofcore.page import Checksums, Page, page_of
 from splatree.scene.gaussians import Gaussians
-from splatree.scene.tree import GaussianTree
+from splatree.scene.tree import BlockIndex, GaussianTree
 from splatree.shapes import Array, Float32, Int32, Int64, UInt8, check_fields
 
 __all__ = ["PAGE_BYTES", "PageTable", "row_bytes_of", "table_of"]
@@ -58,8 +59,10 @@ class PageTable:
     """Smallest coordinates of the means in each block of 256 rows of each page, world units (`BlockIndex.lower`)."""
     block_upper: Float32[Array, "b 3"]
     """Largest coordinates."""
-    block_leaf_scales: Float32[Array, "b"]
-    """Largest standard deviation as in `BlockIndex.leaf_scales`, world units."""
+    block_step_extents: Float32[Array, "b s"]
+    """Extents as in `BlockIndex.step_extents`, world units; 0 alone in tables of before."""
+    block_step_scales: Float32[Array, "b s"]
+    """Standard deviations as in `BlockIndex.step_scales`, world units."""
     first_root: Int64[Array, "p"]
     """Number of the first root that begins in each page."""
     ancestor_start: Int32[Array, "p+1"]
@@ -135,12 +138,6 @@ class FilePages:
     """Largest identity of a leaf; −1 without any."""
     root_sizes: Int32[Array, "r"]
     """Rows below each root, and the root itself."""
-    root_lower: Float32[Array, "r 3"]
-    """Smallest coordinates of the means of these rows, world units."""
-    root_upper: Float32[Array, "r 3"]
-    """Largest coordinates."""
-    root_scales: Float32[Array, "r"]
-    """Largest standard deviation of these rows, with a reserve for rounding, world units."""
     root_levels: UInt8[Array, "r"]
     """Largest depth of these rows."""
     checksums: list[Checksums]
@@ -156,6 +153,7 @@ def row_bytes_of(head: SceneHead) -> int:
 def table_of(
     stored: StoredScene,
     *,
+    portals: bool = False,
     checksums: bool = False,
     look: Callable[[Page], None] | None = None,
     advance: Callable[[float], None] = lambda rows: None,
@@ -164,6 +162,7 @@ def table_of(
 
     Args:
         stored: the file.
+        portals: whether its leaves are copies of roots of parts, whose size is that of pages of the parts.
         checksums: also note checksums, for which harmonics have to be read.
         look: is given each page, for which harmonics are mapped.
         advance: is told how many rows were gone through.
@@ -171,7 +170,7 @@ def table_of(
     Raises:
         FormatError: a value cannot be used, or the rows are no tree.
     """
-    noted, path = _Noted(checksums), np.zeros(0, np.int64)
+    noted, path = _Noted(portals, checksums), np.zeros(0, np.int64)
     for rows in _pages_of(stored, harmonics=False if checksums or look is not None else None):
         page = page_of(rows, str(stored.file.path), path)
         if look is not None:
@@ -199,23 +198,25 @@ def _pages_of(stored: StoredScene, *, harmonics: bool | None) -> Iterator[SceneR
 class _Noted:
     """The table of a file as it grows."""
 
-    def __init__(self, with_checksums: bool) -> None:
+    def __init__(self, has_portals: bool, with_checksums: bool) -> None:
+        self._has_portals = has_portals
         self._checksums: list[Checksums] | None = [] if with_checksums else None
         self._pages: list[tuple[int, int, Array, Array, float, int]] = []
-        self._blocks: list[tuple[Array, Array, Array]] = []
+        self._blocks: list[tuple[Array, Array, Array, Array]] = []
         self._ancestors: list[list[int]] = []
         self._nodes: list[tuple[int, int, Array, Array, Array, float]] = []
         self._path: list[int] = []  # numbers of nodes
-        self._roots: list[list[Array]] = []
+        self._roots: list[tuple[Array, Array]] = []
         self._num_roots = self._num_leaves = 0
         self._largest_id = -1
 
     def add(self, rows: SceneRows, page: Page) -> Int64[Array, "a"]:
         """Take the next page; returns where the subtrees end that go on behind it."""
-        begin, end, blocks = page.begin, page.begin + len(page), page.blocks
+        begin, end = page.begin, page.begin + len(page)
+        blocks = _blocks_of_inner(page) if self._has_portals else page.blocks
         lower, upper = blocks.group_lower.min(axis=0), blocks.group_upper.max(axis=0)
         self._pages.append((begin, end, lower, upper, float(blocks.group_leaf_scales.max()), self._num_roots))
-        self._blocks.append((blocks.lower, blocks.upper, blocks.leaf_scales))
+        self._blocks.append((blocks.lower, blocks.upper, blocks.step_extents, blocks.step_scales))
         if self._checksums is not None:
             self._checksums.append(Checksums.of(rows))
         self._ancestors.append(list(self._path))
@@ -232,31 +233,24 @@ class _Noted:
         return np.array([self._nodes[node][1] for node in self._path], np.int64)
 
     def _add_roots(self, rows: SceneRows) -> None:
-        roots, g = np.flatnonzero(rows.depth == 0).astype(np.int32), rows.gaussians
-        largest = np.exp(g.log_scales.max(axis=1)) * np.float32(1 + 1e-5)
+        roots = np.flatnonzero(rows.depth == 0).astype(np.int32)
         start = roots if len(roots) and roots[0] == 0 else np.concatenate([[0], roots])
-        low, high = (bound.reduceat(g.means, start, axis=0) for bound in (np.minimum, np.maximum))
-        scales, levels = np.maximum.reduceat(largest, start), np.maximum.reduceat(rows.depth, start)
+        levels = np.maximum.reduceat(rows.depth, start)
         if len(start) > len(roots):  # the subtree of a root before goes on
-            _, last_low, last_high, last_scales, last_levels = next(
-                last for last in reversed(self._roots) if len(last[0])
-            )
-            np.minimum(last_low[-1], low[0], out=last_low[-1])
-            np.maximum(last_high[-1], high[0], out=last_high[-1])
-            last_scales[-1], last_levels[-1] = max(last_scales[-1], scales[0]), max(last_levels[-1], levels[0])
-            low, high, scales, levels = low[1:], high[1:], scales[1:], levels[1:]
-        self._roots.append([rows.subtree_end[roots] - np.int32(rows.begin) - roots, low, high, scales, levels])
+            last = next(levels for _, levels in reversed(self._roots) if len(levels))
+            last[-1], levels = max(last[-1], levels[0]), levels[1:]
+        self._roots.append((rows.subtree_end[roots] - np.int32(rows.begin) - roots, levels))
         self._num_roots += len(roots)
 
     def pages(self) -> FilePages:
         """All that was noted."""
         begin, end, lower, upper, scales, roots = zip(*self._pages, strict=True) if self._pages else [()] * 6
         rows, stops, means, quats, log_scales, extents = zip(*self._nodes, strict=True) if self._nodes else [()] * 6
-        points, numbers = np.zeros((0, 3), np.float32), np.zeros(0, np.float32)
+        points, steps = np.zeros((0, 3), np.float32), np.zeros((0, BLOCK_STEPS), np.float32)
         block_columns = (
-            np.concatenate(column) for column in zip((points, points, numbers), *self._blocks, strict=True)
+            np.concatenate(column) for column in zip((points, points, steps, steps), *self._blocks, strict=True)
         )
-        block_lower, block_upper, block_leaf_scales = block_columns
+        block_lower, block_upper, step_extents, step_scales = block_columns
         table = PageTable(
             begin=np.array(begin, np.int32),
             end=np.array(end, np.int32),
@@ -265,7 +259,8 @@ class _Noted:
             leaf_scales=np.array(scales, np.float32),
             block_lower=block_lower,
             block_upper=block_upper,
-            block_leaf_scales=block_leaf_scales,
+            block_step_extents=step_extents,
+            block_step_scales=step_scales,
             first_root=np.array(roots, np.int64),
             ancestor_start=np.cumsum([0, *map(len, self._ancestors)]).astype(np.int32),
             ancestors=np.array([node for path in self._ancestors for node in path], np.int32),
@@ -276,20 +271,22 @@ class _Noted:
             log_scales=np.array(log_scales, np.float32).reshape(-1, 3),
             extents=np.array(extents, np.float32),
         )
-        none = [np.zeros(0, np.int32), points, points, numbers, np.zeros(0, np.uint8)]
-        columns = zip(none, *self._roots, strict=True)
-        sizes, low, high, root_scales, levels = (np.concatenate(column) for column in columns)
+        none = np.zeros(0, np.int32), np.zeros(0, np.uint8)
+        sizes, levels = (np.concatenate(column) for column in zip(none, *self._roots, strict=True))
         return FilePages(
             table=table,
             num_leaves=self._num_leaves,
             largest_id=self._largest_id,
             root_sizes=sizes,
-            root_lower=low,
-            root_upper=high,
-            root_scales=root_scales,
             root_levels=levels,
             checksums=self._checksums or [],
         )
+
+
+def _blocks_of_inner(page: Page) -> BlockIndex:
+    """The index of the blocks of a page for which its leaves are points."""
+    log_scales = np.where(page.tree.is_leaf[:, None], np.float32(-np.inf), page.gaussians.log_scales)
+    return index_blocks(replace(page.gaussians, log_scales=log_scales), page.tree, threads=1)
 
 
 def _end_of_page(held: SceneRows, stored: StoredScene, begin: int, page_rows: int) -> int:

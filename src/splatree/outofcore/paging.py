@@ -5,26 +5,31 @@
    blocks (kernels/shared/select.h).
 3. What is left is loaded, and selects its own rows.
 
-In a folder, the crown is asked first. Its inner nodes are drawn as they are. A leaf of it that nothing shadows is an open portal:
-the root of a part that it is a copy of, and what is below, may be drawn. Pages of parts without an open portal are skipped; of
-the others, rows below closed portals are dropped. docs/explanation/out-of-core.md.
+In a folder, the crown is read first: its pages in which an inner node may be seen, and those that hold portals of pages of parts
+that step 2 leaves. Inner nodes are drawn as they are. A leaf of the crown that nothing shadows is an open portal: the root of a
+part that it is a copy of, and what is below, may be drawn. Pages of parts without an open portal are skipped; of the others, rows
+below closed portals are dropped. docs/explanation/out-of-core.md.
 """
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from splatree.constants import BLOCK_ROWS
+from splatree.constants import BLOCK_ROWS, SIGMAS
 from splatree.kernels.cpu.frame import select as kernel
 from splatree.outofcore.index import StoreIndex
 from splatree.outofcore.page import Page
 from splatree.outofcore.pages import PageTable
 from splatree.scene.options import SelectOptions
 from splatree.scene.view import View
-from splatree.shapes import Array, Bool, Int32, Int64, check_fields
+from splatree.shapes import Array, Bool, Float32, Int32, Int64, check_fields
 
 __all__ = ["Cut", "cut_at"]
+
+MARGIN, DISTANCE_MOST = 1.0001, 1e15
+"""As in kernels/shared/select.h: what keeps bounds apart from rounding, and distances whose squares float32 cannot hold."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +75,7 @@ def cut_at(
             asked.take_file(*run)
         return asked.cut()
     num_own = index.num_own
-    for run in _runs(asked.is_open[:num_own]):
+    for run in _runs(asked.is_open[:num_own] | asked.holds_portals()):
         asked.take_crown(*run)
     rows = asked.portals()
     table = index.table
@@ -127,6 +132,13 @@ class _Asked:
         self._portals.append((page.ids[portals], whole_rows[page.begin + portals]))
         places = places[page.visible(places, self._view, self._options)]
         self._keep(number, page, places, whole_rows[page.begin + places])
+
+    def holds_portals(self) -> Bool[Array, "o"]:
+        """Whether each page of the crown holds portals of pages of parts that may be seen, and nothing drawn is above it."""
+        index, holds = self._index, np.zeros(self._index.num_own, bool)
+        if index.above is not None and index.above_start is not None:
+            holds[index.above[np.repeat(self.is_open, np.diff(index.above_start))]] = True
+        return holds & (self._shadows[: len(holds)] < index.table.end[: len(holds)])
 
     def portals(self) -> Int32[Array, "r"]:
         """The row in the whole of each root of a part whose portal is open, −1 for the others."""
@@ -188,7 +200,8 @@ def _may_be_seen(
 ) -> Bool[Array, "p"]:
     """Whether each page may have something in the image that is not below a node that is drawn."""
     table = index.table
-    may_be = ~_outside((table.lower, table.upper, table.leaf_scales), view, options, packed) & (shadows < table.end)
+    boxes = _Boxes(table.lower, table.upper, np.zeros((len(table), 1), np.float32), table.leaf_scales[:, None])
+    may_be = ~_outside(boxes, view, options, packed) & (shadows < table.end)
     pages = np.flatnonzero(may_be)
     if len(pages):
         start = table.block_start
@@ -196,27 +209,39 @@ def _may_be_seen(
         firsts = np.cumsum(counts) - counts
         nth = np.arange(counts.sum()) - np.repeat(firsts, counts)
         blocks = nth + np.repeat(start[pages], counts)
-        boxes = (table.block_lower[blocks], table.block_upper[blocks], table.block_leaf_scales[blocks])
+        columns = table.block_lower, table.block_upper, table.block_step_extents, table.block_step_scales
+        boxes = _Boxes(*(column[blocks] for column in columns))
         end = np.repeat(table.begin[pages], counts) + (nth + 1) * BLOCK_ROWS
         is_needed = ~_outside(boxes, view, options, packed) & (end > np.repeat(shadows[pages], counts))
         may_be[pages] = np.logical_or.reduceat(is_needed, firsts)
     return may_be
 
 
-def _outside(
-    boxes: tuple[Array, Array, Array], view: View, options: SelectOptions, packed: kernel.PackedCut
-) -> Bool[Array, "b"]:
-    """Whether the image has nothing of each box, of its corners and largest standard deviation: the test of blocks in
-    kernels/cpu/frame/select.cpp."""
+class _Boxes(NamedTuple):
+    """Boxes of runs of rows, with the columns of `BlockIndex`; of one step where no more is known."""
+
+    lower: Float32[Array, "b 3"]
+    upper: Float32[Array, "b 3"]
+    step_extents: Float32[Array, "b s"]
+    step_scales: Float32[Array, "b s"]
+
+
+def _outside(boxes: _Boxes, view: View, options: SelectOptions, packed: kernel.PackedCut) -> Bool[Array, "b"]:
+    """Whether the image has nothing of each box: the test of blocks in kernels/cpu/frame/select.cpp."""
     question, sides = packed
-    outside = np.zeros(len(boxes[0]), bool)
+    outside = np.zeros(len(boxes.lower), bool)
     if not sides.is_culled:
         return outside
-    lower, upper, scales = (column.astype(np.float64) for column in boxes)
+    lower, upper = boxes.lower.astype(np.float64), boxes.upper.astype(np.float64)
     centre, half = (lower + upper) / 2, (upper - lower) / 2
+    scales = boxes.step_scales[:, -1].astype(np.float64)
     if question.rule.sphere:
+        # An inner row that is drawn has an extent of at most τ_R (distance - extent) / f; 3σ is at most this, or in the steps.
         farthest = np.linalg.norm(np.abs(centre - view.camera.position) + half, axis=1)
-        scales = np.maximum(scales, options.pixel_error * farthest / (3 * question.rule.focal_max))
+        most = MARGIN * options.pixel_error * farthest / question.rule.focal_max
+        step = (boxes.step_extents[:, 1:] <= most[:, None]).sum(axis=1)
+        of_step = np.take_along_axis(boxes.step_scales, step[:, None], axis=1)[:, 0]
+        scales = np.maximum(np.where(farthest < DISTANCE_MOST, of_step, scales), most / SIGMAS)
     for plane, reach in zip(sides.planes, sides.reaches, strict=False):
         nearest = centre @ plane[:3] + plane[3] - half @ np.abs(plane[:3])
         outside |= nearest > reach * scales

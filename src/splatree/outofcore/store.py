@@ -74,6 +74,7 @@ class Store:
         self._lock = threading.RLock()
         self._ahead: tuple[ThreadPoolExecutor, Future[None]] | None = None
         self._last_view: View | None = None
+        self._num_before = 0  # pages that had come when it was drawn
         self._is_open = True
 
     @property
@@ -141,18 +142,18 @@ class Store:
         With ``look_ahead``, views that follow each other are taken for those of a camera that moves: the pages of its next view
         are loaded beside.
         """
-        before = self.num_loaded
         found = self._cut(view, options, self.page, last=last, threads=threads)
         if look_ahead:
-            self._look_ahead(view, options, self.num_loaded - before, len(np.unique(found[1].pages)))
+            self._look_ahead(view, options, len(np.unique(found[1].pages)))
         return found
 
-    def _look_ahead(self, view: Camera | View, options: SelectOptions | None, num_loaded: int, num_pages: int) -> None:
-        """Load the pages of the next view of a camera that moves on as it does, if pages come and most were there."""
+    def _look_ahead(self, view: Camera | View, options: SelectOptions | None, num_pages: int) -> None:
+        """Load the pages of the next view of a camera that moves on as it does, if pages came and most were there."""
         if isinstance(view, Camera):
             view = view_of(self.scene, view)
         last, self._last_view = self._last_view, view
-        if last is None or not 0 < num_loaded <= num_pages / 2:
+        before, self._num_before = self._num_before, self.num_loaded + self.num_ahead
+        if last is None or not 0 < self._num_before - before <= num_pages / 2:
             return
         pose = view.camera.camera_from_world
         step = pose @ np.linalg.inv(last.camera.camera_from_world)
