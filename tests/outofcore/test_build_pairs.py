@@ -69,7 +69,7 @@ def test_cells_make_one_sound_tree_whose_files_do_not_depend_on_who_makes_them(
     assert sum(inner > 0) == len(tree) - len(gaussians) and all(a > b for a, b in pairwise(nodes))
 
 
-@pytest.mark.parametrize("part_rows", [None, 100])
+@pytest.mark.parametrize("part_rows", [None, 20])  # all rows at once; in slabs
 @pytest.mark.parametrize("mode", ["classic", "antialiased"])
 def test_what_is_seen_is_what_is_seen_in_memory_bit_for_bit(tmp_path, ply, monkeypatch, part_rows, mode):
     found = []

@@ -1,14 +1,16 @@
 """The pass of levels by pairs: what others leave to be seen of each Gaussian, whatever fits into memory.
 
 The scene is looked at along four axes, both ways (simplify/visibility.py). All rows go past a plane by their depth, so each axis
-is a piece of work of its own: rows become splats in slabs of depth, and the slabs pass one after the other, there and back. On
-the way there each slab is sorted, and kept so with what has been seen. What comes out has the bits of a measurement in memory. A
-plane takes at most 32 bytes for each Gaussian of the scene, mostly far less.
+is a piece of work of its own: rows become splats, are sorted, and pass there and back. Where they do not fit into memory
+together, they lie in slabs of depth, which pass one after the other. On the way there each slab is sorted, and kept so with what
+has been seen; the last one stays for the way back. What comes out has the bits of a measurement in memory. A plane takes at most
+32 bytes for each Gaussian of the scene, mostly far less.
 """
 
 import os
 import shutil
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -28,19 +30,18 @@ from splatree.kernels.cpu.build.visibility import (
     steps_of_depths,
     visibilities_from,
 )
-from splatree.outofcore.options import Room
+from splatree.outofcore.options import Room, row_bytes_of
 from splatree.outofcore.plan import Plan
 from splatree.outofcore.work import Work, new_array, read_array
 from splatree.progress import task
 from splatree.scene.gaussians import Gaussians
-from splatree.shapes import Array
+from splatree.shapes import Array, Float32, UInt64
 from splatree.simplify.visibility import SIZE_SAMPLES, as_counted, full_sight, relative, sample_of
 
 __all__ = ["check_planes", "look_along", "write_seen"]
 
-ROW = np.dtype([("key", "<u8"), ("splat", "<f4", len(SIGHTED))])
-"""What passes of a Gaussian. The key is its step of depth and its row in the input: no two are the same, and sorting by one
-number is eight times as fast as by two."""
+SLAB_ROW_BYTES = 110
+"""What a row of a slab takes while it is sorted: its key and its splat, their order, and both in that order."""
 
 NUM_BINS = 1 << 12
 """Steps of depth are counted in so many bins, of which slabs are put together."""
@@ -53,6 +54,33 @@ INPUT = np.uint64(2**32 - 1)
 
 BATCH_ROWS = 1 << 20
 """Rows whose visibilities are written at a time."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Slab:
+    """Rows that go past a plane together."""
+
+    keys: UInt64[Array, "n"]
+    """The step of depth of each, and its row in the input: no two are the same, and sorting by one number is eight times as fast
+    as by two."""
+    splats: Float32[Array, "n 10"]
+    """The rows as they are seen (`SIGHTED`)."""
+
+    @staticmethod
+    def read(path: Path) -> "_Slab":
+        """What was put into files."""
+        splats = np.fromfile(path.with_suffix(".splats"), np.float32)
+        return _Slab(np.fromfile(path.with_suffix(".keys"), np.uint64), splats.reshape(-1, len(SIGHTED)))
+
+    def write(self, path: Path, mode: str = "wb") -> None:
+        """Put all into files."""
+        for name, column in (("keys", self.keys), ("splats", self.splats)):
+            with path.with_suffix(f".{name}").open(mode) as file:
+                column.tofile(file)
+
+    def take(self, rows: Array) -> "_Slab":
+        """Some of the rows."""
+        return _Slab(self.keys[rows], np.take(self.splats, rows, axis=0))
 
 
 def check_planes(plan: Plan, room: Room) -> None:
@@ -75,11 +103,15 @@ def look_along(work: Work, plan: Plan, axis: int, argument: float = 0, threads: 
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
     try:
-        slabs = _write_slabs(work, plan, axis, folder, threads)
-        _go_there(slabs, plan.sight)
+        if plan.num_rows <= _slab_rows(plan, plan.sight):
+            paths, slab = list[Path](), _all_rows(work, plan, plan.sight, axis, threads)
+        else:
+            *paths, last = _write_slabs(work, plan, plan.sight, axis, folder, threads)
+            slab = _Slab.read(last)
+        slab = _go_there(paths, slab, plan.sight)
         with replacing(work.sight(axis), force=True) as temporary:
             sums = new_array(temporary, plan.num_rows, np.dtype(np.float32))
-            _come_back(slabs, plan.sight, sums)
+            _come_back(paths, slab, plan.sight, sums)
             sums.flush()
             del sums
     finally:
@@ -87,57 +119,82 @@ def look_along(work: Work, plan: Plan, axis: int, argument: float = 0, threads: 
     return {}
 
 
-def _go_there(slabs: list[Path], sight: Sight) -> None:
-    """Sort each slab, let it go past a plane, and keep it with what has been seen of it."""
+def _slab_rows(plan: Plan, sight: Sight) -> int:
+    """Rows of a slab that takes no more memory with its plane than growing a cell."""
+    by_pairs = plan.resolved.method == "pairs"
+    cell = plan.part_rows * row_bytes_of((plan.sh_degree + 1) ** 2, by_pairs=by_pairs, follows=plan.follows)
+    return max(plan.part_rows, (cell - plane_bytes(sight)) // SLAB_ROW_BYTES)
+
+
+def _go_there(paths: list[Path], last: _Slab, sight: Sight) -> _Slab:
+    """Sort each slab, let it go past a plane, and keep it with what has been seen of it; returns the last one."""
     plane = Plane(sight, backwards=False)
-    for path in slabs:
-        rows = np.fromfile(path, ROW)
-        rows = np.take(rows, np.argsort(rows["key"]))
-        splats = np.ascontiguousarray(rows["splat"])
-        plane.look_on(splats)
-        rows["splat"] = splats
-        rows.tofile(path)
+    for path in paths:
+        slab = _Slab.read(path)
+        slab = slab.take(np.argsort(slab.keys))
+        plane.look_on(slab.splats)
+        slab.write(path)
+    last = last.take(np.argsort(last.keys))
+    plane.look_on(last.splats)
+    return last
 
 
-def _come_back(slabs: list[Path], sight: Sight, sums: Array) -> None:
+def _come_back(paths: list[Path], last: _Slab, sight: Sight, sums: Array) -> None:
     """Let the slabs go past a plane the other way, and write the sums of both ways by the row in the input."""
     plane = Plane(sight, backwards=True)
-    for path in reversed(slabs):
-        rows = np.fromfile(path, ROW)
-        splats = np.ascontiguousarray(rows["splat"])
-        plane.look_on(splats)
-        sums[(rows["key"] & INPUT).astype(np.int64)] = splats[:, -1]
+    for path in (None, *reversed(paths)):
+        slab = last if path is None else _Slab.read(path)
+        plane.look_on(slab.splats)
+        sums[(slab.keys & INPUT).astype(np.int64)] = slab.splats[:, -1]
 
 
-def _write_slabs(work: Work, plan: Plan, axis: int, folder: Path, threads: int) -> list[Path]:
-    """All rows in files by rising depth, each of about as many rows as a cell."""
-    assert plan.sight is not None
+def _all_rows(work: Work, plan: Plan, sight: Sight, axis: int, threads: int) -> _Slab:
+    """All rows as one slab."""
+    keys, splats = np.empty(plan.num_rows, np.uint64), np.empty((plan.num_rows, len(SIGHTED)), np.float32)
+    begin = 0
+    for cell, inputs in _cells(work, plan):
+        rows = slice(begin, begin + len(cell))
+        keys[rows], splats[rows] = inputs, sighted_along(cell, sight, axis, threads=threads)
+        begin = rows.stop
+    depths = np.ascontiguousarray(splats[:, SIGHTED.index("depth")])
+    keys |= _high(steps_of_depths(depths, float(depths.min()), float(depths.max())))
+    return _Slab(keys, splats)
+
+
+def _write_slabs(work: Work, plan: Plan, sight: Sight, axis: int, folder: Path, threads: int) -> list[Path]:
+    """All rows in files by rising depth."""
     nearest, farthest = np.inf, -np.inf
-    for cell, _ in _cells(work, plan):
-        depths = depths_along(cell, plan.sight, axis, threads=threads)
-        nearest, farthest = (
-            min(nearest, float(depths.min(initial=np.inf))),
-            max(farthest, float(depths.max(initial=-np.inf))),
-        )
+    for depths in _depths(work, plan, sight, axis, threads):
+        nearest = min(nearest, float(depths.min(initial=np.inf)))
+        farthest = max(farthest, float(depths.max(initial=-np.inf)))
     counts = np.zeros(NUM_BINS, np.int64)
-    for cell, _ in _cells(work, plan):
-        depths = depths_along(cell, plan.sight, axis, threads=threads)
+    for depths in _depths(work, plan, sight, axis, threads):
         counts += np.bincount(steps_of_depths(depths, nearest, farthest) >> BIN_BITS, minlength=NUM_BINS)
-    slab_from_bin = (np.cumsum(counts) - counts) // plan.part_rows
+    slab_from_bin = (np.cumsum(counts) - counts) // _slab_rows(plan, sight)
     _, slab_from_bin = np.unique(slab_from_bin, return_inverse=True)
     paths = [folder / f"{slab:05}" for slab in range(slab_from_bin.max() + 1)]
+    is_begun = np.zeros(len(paths), bool)
     for cell, inputs in _cells(work, plan):
-        step = steps_of_depths(depths_along(cell, plan.sight, axis, threads=threads), nearest, farthest)
-        rows = np.empty(len(cell), ROW)
-        rows["key"] = step.astype(np.uint64) << np.uint64(32) | inputs
-        rows["splat"] = sighted_along(cell, plan.sight, axis, threads=threads)
+        step = steps_of_depths(depths_along(cell.means, sight, axis, threads=threads), nearest, farthest)
+        rows = _Slab(_high(step) | inputs, sighted_along(cell, sight, axis, threads=threads))
         slab = slab_from_bin[step >> BIN_BITS]
         order = np.argsort(slab, kind="stable")
         start = np.searchsorted(slab[order], np.arange(len(paths) + 1))
         for number in np.flatnonzero(np.diff(start)):
-            with paths[number].open("ab") as file:
-                np.take(rows, order[start[number] : start[number + 1]]).tofile(file)
-    return [path for path in paths if path.exists()]
+            rows.take(order[start[number] : start[number + 1]]).write(paths[number], "ab")
+            is_begun[number] = True
+    return [path for path, begun in zip(paths, is_begun, strict=True) if begun]
+
+
+def _high(steps: Array) -> UInt64[Array, "n"]:
+    """Steps of depth where a key has them."""
+    return np.asarray(steps.astype(np.uint64) << np.uint64(32))
+
+
+def _depths(work: Work, plan: Plan, sight: Sight, axis: int, threads: int) -> Iterator[Array]:
+    """The depths of each cell along an axis."""
+    for number in range(len(plan.cells)):
+        yield depths_along(open_scene(work.cell(number)).file.rows("gaussians.means"), sight, axis, threads=threads)
 
 
 def _cells(work: Work, plan: Plan) -> Iterator[tuple[Gaussians, Array]]:

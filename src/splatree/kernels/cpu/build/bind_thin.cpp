@@ -57,16 +57,21 @@ GaussianColumns columns_of(nb::handle gaussians) {
 int64_t num_coefficients(nb::handle gaussians) { return int64_t(nb::cast<In<float>>(gaussians.attr("sh")).shape(1)); }
 
 // The structs are those of Python: Gaussians, Sight.
-VisibilityJob visibility_job(nb::handle gaussians, nb::handle sight, int threads) {
-  const GaussianColumns in = columns_of(gaussians);
+VisibilityJob job_of_sight(nb::handle sight, int threads) {
   VisibilityJob job{};
-  job.n = int64_t(nb::len(gaussians));
-  job.means = in.means, job.quats = in.quats, job.log_scales = in.log_scales, job.logit_opacities = in.logit_opacities;
   job.middle = nb::cast<In<double>>(sight.attr("middle")).data();
   job.cell = nb::cast<double>(sight.attr("cell"));
   job.reach = nb::cast<double>(sight.attr("reach"));
   job.width = nb::cast<int64_t>(sight.attr("width"));
   job.threads = threads;
+  return job;
+}
+
+VisibilityJob visibility_job(nb::handle gaussians, nb::handle sight, int threads) {
+  VisibilityJob job = job_of_sight(sight, threads);
+  const GaussianColumns in = columns_of(gaussians);
+  job.n = int64_t(nb::len(gaussians));
+  job.means = in.means, job.quats = in.quats, job.log_scales = in.log_scales, job.logit_opacities = in.logit_opacities;
   return job;
 }
 
@@ -215,8 +220,9 @@ void bind_thin(nb::module_& m) {
     nb::gil_scoped_release release;
     measure_visibilities(job);
   });
-  m.def("depths_along", [](nb::handle gaussians, nb::handle sight, int64_t axis, Out<float> depths, int threads) {
-    const VisibilityJob job = visibility_job(gaussians, sight, threads);
+  m.def("depths_along", [](In<float> means, nb::handle sight, int64_t axis, Out<float> depths, int threads) {
+    VisibilityJob job = job_of_sight(sight, threads);
+    job.n = int64_t(means.shape(0)), job.means = means.data();
     nb::gil_scoped_release release;
     depths_along(job, axis, depths.data());
   });

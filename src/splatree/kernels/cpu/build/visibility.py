@@ -44,10 +44,10 @@ def measure_visibilities(gaussians: Gaussians, sight: Sight, *, threads: int = 0
     return visibilities
 
 
-def depths_along(gaussians: Gaussians, sight: Sight, axis: int, *, threads: int = 0) -> Float32[Array, "n"]:
-    """Depth of each Gaussian along an axis, cells."""
-    depths = np.empty(len(gaussians), np.float32)
-    _core.depths_along(gaussians, sight, axis, depths, threads)
+def depths_along(means: Float32[Array, "n 3"], sight: Sight, axis: int, *, threads: int = 0) -> Float32[Array, "n"]:
+    """Depth of each mean along an axis, cells."""
+    depths = np.empty(len(means), np.float32)
+    _core.depths_along(means, sight, axis, depths, threads)
     return depths
 
 
