@@ -92,7 +92,7 @@ USUAL: dict[str, Callable[..., Any]] = {
 
 def install(idea: Idea) -> None:
     """Let the trainer do as an idea says, from now on, and be scored at the end alone."""
-    run.SCORED_AT = ()
+    run.KEPT_AT = ()
     run.rates, run.learn, step._regularise = idea.rates, idea.learn, idea.regularise
     schedule.Schedule.division = lambda self, share: idea.division(self, share)
     schedule.Schedule.sh_degree = lambda self, share: idea.sh_degree(self, share)

@@ -1,10 +1,16 @@
 """splatree refine: a tree that learns from its leaves."""
 
 import json
+import os
+import signal
+import subprocess
+import sys
 
 import pytest
 
 import splatree as st
+
+from .conftest import listen_to_interruptions
 
 
 @pytest.fixture(scope="module")
@@ -36,6 +42,68 @@ def test_cameras_of_ones_own(splatree, tree, tmp_path):
 def test_a_scene_without_levels_is_refused_and_nothing_written(splatree, small_ply, tmp_path):
     code, _, err = splatree("refine", small_ply, tmp_path / "a.splatree")
     assert code == 1 and "build levels first" in err and not (tmp_path / "a.splatree").exists()
+
+
+def test_a_run_is_never_overwritten_unasked_and_removed_at_its_end(splatree, tree, tmp_path):
+    output, folder = tmp_path / "a.splatree", tmp_path / "a.run"
+    words = ("refine", tree, output, "--iterations", "80", "--made-views", "16")
+    folder.mkdir()
+    (folder / "checkpoint.npz").write_bytes(b"another")
+    code, _, err = splatree(*words)
+    assert code == 1 and "holds a run already; go on with --resume" in err and not output.exists()
+    code, _, err = splatree(*words, "--resume")
+    assert code == 1 and "not a whole checkpoint" in err and not output.exists()
+    assert splatree(*words, "--force")[0] == 0 and output.exists() and not folder.exists()
+    code, _, err = splatree(*words, "--resume")
+    assert code == 1 and "checkpoint.npz: not found; wanted the folder of a run that was begun" in err
+
+
+def interrupted(words, number):
+    """A command that is interrupted as soon as it learns: what it said."""
+    program = [sys.executable, "-m", "splatree", *map(str, words), "--progress", "json"]
+    with subprocess.Popen(
+        program, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=listen_to_interruptions
+    ) as child:
+        for line in child.stderr:
+            if '"refine inner nodes"' in line and json.loads(line)["done"] > 0.05:
+                child.send_signal(number)
+                break
+        out, err = child.communicate()
+    assert child.returncode == 0, err
+    return out
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no signals between processes there")
+def test_an_interruption_leaves_a_tree_and_a_run_that_goes_on(splatree, tree, tmp_path):
+    words = ("refine", tree, "--iterations", "90", "--made-views", "8", "--rate", "0.3")
+    output, whole = tmp_path / "a.splatree", tmp_path / "whole.splatree"
+    assert splatree(*words, "-o", whole)[0] == 0
+    out = interrupted((*words, "-o", output), signal.SIGTERM)
+    assert f"interrupted: the run goes on from {tmp_path / 'a.run'} with --resume" in out
+    assert len(st.read(output)) == len(st.read(tree)) and output.read_bytes() != whole.read_bytes()
+    code, _, err = splatree(*words, "-o", output, "--rate", "0.4", "--resume")
+    assert code == 1 and "begun with rate 0.3, found 0.4" in err
+    code, said, err = splatree(*words, "-o", output, "--resume", "--json")
+    assert code == 0, err
+    assert not json.loads(said)["stopped"] and json.loads(said)["iterations"] == 90
+    assert output.read_bytes() == whole.read_bytes() and not (tmp_path / "a.run").exists()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no signals between processes there")
+def test_a_build_that_is_interrupted_while_it_refines_goes_on(splatree, small_ply, tmp_path):
+    output, folder = tmp_path / "a.splatree", tmp_path / "mine"
+    words = ("build", small_ply, output, "--method", "pairs", "--refine", "0.08", "--run", folder)
+    out = interrupted(words, signal.SIGINT)
+    assert f"interrupted: the run goes on from {folder} with --resume" in out
+    stopped = json.loads(st.read(output).source.metadata["refined"])
+    assert splatree(*words, "--force", "--resume", "--pixel-size", "0.5")[0] == 1  # other levels
+    code, out, err = splatree(*words, "--resume")
+    assert code == 0, err
+    assert "interrupted" not in out and not folder.exists()
+    ended = json.loads(st.read(output).source.metadata["refined"])
+    assert stopped["stopped"] and not ended["stopped"] and ended["iterations"] > stopped["iterations"]
+    code, _, err = splatree(*words[:5], "--resume")
+    assert code == 2 and "found --run or --resume without --refine" in err
 
 
 def test_build_refines_at_once(splatree, small_ply, tmp_path):

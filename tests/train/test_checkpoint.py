@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import splatree as st
-from splatree.train import checkpoint
+from splatree.train import kept
 
 from .test_run import bits
 
@@ -19,6 +19,14 @@ def stop_after(steps):
     """Ask to stop once this many steps were made."""
     left = iter(range(steps - 1, -1, -1))
     return lambda: next(left) == 0
+
+
+def rewrite(path, change):
+    """Change what a checkpoint says about itself."""
+    with np.load(path) as stored:
+        arrays = dict(stored)
+    about = json.loads(arrays["about"].tobytes()) | change
+    np.savez(path, **arrays | {"about": np.frombuffer(json.dumps(about).encode(), np.uint8)})
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +66,7 @@ def test_files_of_a_run_say_what_it_found(photographs, tmp_path):
     ]
     exposures = json.loads((tmp_path / "a.run" / "exposure.json").read_text())
     assert exposures == {name: exposure.tolist() for name, exposure in trained.exposures.items()}
-    assert tuple(checkpoint.read_log(tmp_path / "a.run" / "log.json")) == trained.log
+    assert tuple(kept.read_log(tmp_path / "a.run" / "log.json")) == trained.log
 
 
 @pytest.fixture
@@ -98,6 +106,9 @@ def test_other_options_are_refused_by_name(begun):
     with pytest.raises(st.InputError, match=r"begun with max_gaussians 260, found 270"):
         begun(st.TrainOptions(iterations=130, max_gaussians=270, held_out=4))
     begun(st.TrainOptions(iterations=130, max_gaussians=260, held_out=4, score=False))  # which changes no bit
+    begun(st.TrainOptions(iterations=130, max_gaussians=260, held_out=4, levels="radius"))  # built after the last step
+    with pytest.raises(st.InputError, match=r"begun with levels 'radius', found 'grow'"):
+        begun(st.TrainOptions(iterations=130, max_gaussians=260, held_out=4, levels="grow"))
 
 
 def test_damaged_checkpoints_are_refused(begun, tmp_path):
@@ -115,11 +126,22 @@ def test_damaged_checkpoints_are_refused(begun, tmp_path):
 @pytest.mark.parametrize(("name", "value"), [("step", -5), ("step", "a"), ("spent_s", float("nan")), ("loss", None)])
 def test_checkpoints_with_wrong_numbers_are_refused(begun, tmp_path, name, value):
     path = tmp_path / "a.run" / "checkpoint.npz"
-    with np.load(path) as stored:
-        arrays = dict(stored)
-    about = json.loads(arrays["about"].tobytes()) | {name: value}
-    np.savez(path, **arrays | {"about": np.frombuffer(json.dumps(about).encode(), np.uint8)})
+    rewrite(path, {name: value})
     with pytest.raises(st.FormatError, match=rf"checkpoint.npz.{name}: found "):
+        begun()
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"version": 2}, r"found version 2, wanted 3; begin the run again"),
+        ({"command": "refine"}, r"found a run of refine, wanted one of train"),
+    ],
+)
+def test_checkpoints_of_others_are_refused(begun, tmp_path, change, said):
+    path = tmp_path / "a.run" / "checkpoint.npz"
+    rewrite(path, change)
+    with pytest.raises(st.InputError, match=said):
         begun()
 
 

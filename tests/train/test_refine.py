@@ -9,7 +9,7 @@ import splatree as st
 from splatree.kernels.devices import training_stages_of
 from splatree.scene.frame import Splats
 from splatree.scene.gradients import GaussianGradients, PictureGradients, SplatGradients
-from splatree.train import refine as school
+from splatree.train import school
 from splatree.train.lessons import Lesson, lessons_of, made_views
 from splatree.train.proxies import Proxies
 
@@ -125,9 +125,9 @@ def test_a_node_that_forgets_has_its_first_bits(tree):
 
 @pytest.mark.parametrize("tree", ["pairs"], indirect=True)
 def test_nodes_of_all_sizes_are_looked_at_before_they_keep_what_they_learned(tree, monkeypatch):
-    looked_at, errors = [], school._School.errors
+    looked_at, errors = [], school.School.errors
     monkeypatch.setattr(
-        school._School, "errors", lambda self, lessons: looked_at.append(lessons) or errors(self, lessons)
+        school.School, "errors", lambda self, lessons: looked_at.append(lessons) or errors(self, lessons)
     )
     st.refine(tree, st.RefineOptions(iterations=2, made_views=48, finest=2, coarsest=32))
     before, after = ([tau for _, tau in lessons] for lessons in looked_at)
@@ -138,7 +138,7 @@ def test_nodes_of_all_sizes_are_looked_at_before_they_keep_what_they_learned(tre
 @pytest.mark.parametrize("tau", [4, 12])
 def test_a_step_of_all_colours_at_once_never_overshoots(tree, tau):
     """Even the longest one: the picture that it was made for comes nearer to the teacher's."""
-    pupils = school._School(tree, training_stages_of("cpu"), 1)
+    pupils = school.School(tree, training_stages_of("cpu"), 1)
     lesson = lessons_of(tree, made_views(tree, 1, seed=2), "same")[0]
     proxies, errors = pupils.proxies, []
     for _ in range(4):
@@ -151,7 +151,7 @@ def test_a_step_of_all_colours_at_once_never_overshoots(tree, tau):
 
 
 def test_slopes_that_are_no_numbers_move_nothing(tree):
-    pupils = school._School(tree, training_stages_of("cpu"), 1)
+    pupils = school.School(tree, training_stages_of("cpu"), 1)
     lesson = lessons_of(tree, made_views(tree, 1, seed=2), "same")[0]
     pupils.proxies.learned.sh[::7] = 3e38  # a sum over some pixels overflows
     with np.errstate(all="ignore"):
@@ -165,7 +165,7 @@ def test_nodes_around_which_pictures_are_right_keep_their_opacity_and_shape(tree
     camera = made_views(tree, 1, seed=2)[0]
 
     def moved(by):
-        pupils = school._School(tree, training_stages_of("cpu"), 1)
+        pupils = school.School(tree, training_stages_of("cpu"), 1)
         image = pupils._draw(camera, 8)[4].image
         lesson = Lesson(camera, np.rint(255 * np.clip(image + by, 0, 1)).astype(np.uint8))
         first = pupils.proxies.learned.logit_opacities.copy()

@@ -26,6 +26,7 @@ from splatree.cli.files import (
 from splatree.cli.folders import in_words as folder_in_words
 from splatree.cli.folders import run_through_files
 from splatree.cli.radius_check import CHECKED_FAST, are_usual, warnings_of
+from splatree.cli.runs import Run, goes_on, interruptions
 from splatree.clusters.build import ClusterOptions, build_clusters
 from splatree.io.estimate import estimated_compact_bytes
 from splatree.io.formats.streamed_sog.format import mode_of_levels
@@ -51,7 +52,9 @@ from splatree.scene.modes import check_mode_of_levels
 from splatree.scene.names import Mode
 from splatree.scene.scene import Scene
 from splatree.scene.trial import MethodTrial
-from splatree.train.refine import refine
+from splatree.train.checkpoint import remove
+from splatree.train.options import RunFiles
+from splatree.train.refine import Refined, refine
 from splatree.train.refine_options import RefineOptions
 
 WORTH_A_WORD_BYTES = 1 << 16
@@ -88,6 +91,7 @@ class Command:
     """Make no levels: only clusters, of the Gaussians as they are; a scene that has levels keeps them."""
     refine: float | None = None
     """Let the merged nodes learn from pictures of the leaves for so many minutes of processor time, as `splatree refine` does."""
+    going_on: Annotated[Run, arg(name="", help="")] = Run()
     options: Annotated[BuildOptions, arg(name="", help="")] = BuildOptions()
     running: Annotated[FolderOptions, arg(name="", help="")] = FolderOptions()
     clustering: Annotated[ClusterOptions, arg(name="", help="")] = ClusterOptions()
@@ -143,6 +147,12 @@ class Built:
 
 def run(command: Command) -> Built | BuiltFolder | ClusteredFile:
     """Read, build, write."""
+    if command.refine is None and command.going_on != Run():
+        raise UsageError(
+            "found --run or --resume without --refine, which alone can go on; wanted --refine MINUTES, too"
+        )
+    if command.going_on.resume:
+        command = replace(command, files=replace(command.files, force=True))
     through_files = command.running != FolderOptions()
     only_clusters = command.flat and command.clusters is not None
     if through_files:
@@ -213,8 +223,10 @@ def _in_memory(
     command: Command, inputs: Sequence[Path], output: Path, views: TrainingViews | None, short: str | None = None
 ) -> Built:
     """Read, build and write in memory; ``short`` says that there may be too little of it."""
+    folder = None if command.refine is None else command.going_on.folder(output, force=command.files.force)
     scene, warned = _with_levels(command, inputs)
-    scene, learned = _refined(command, scene)
+    refined = None if folder is None else _refined(command, scene, folder)
+    scene = scene if refined is None else refined.scene
     if command.clusters is not None:
         scene = build_clusters(scene, command.clusters, command.clustering)
     calibration = None
@@ -224,6 +236,7 @@ def _in_memory(
         scene = calibrated(scene, calibration, held_out=views.rule)
     force = command.files.force
     written = write(scene, output, force=force, options=WriteOptions(compact=command.compact))
+    learned = () if folder is None or refined is None else _learned(refined, folder)
     lost, notes = lost_and_noted(scene, written)
     report = report_levels(scene)
     num_bytes, input_bytes = stored_bytes(output), sum(stored_bytes(Path(path)) for path in scene.source.paths)
@@ -326,21 +339,25 @@ def _linked(command: Command, inputs: Sequence[Path]) -> Scene:
     return link_levels(levels)
 
 
-def _learning(command: Command) -> RefineOptions | None:
-    return None if command.refine is None else RefineOptions(minutes=command.refine)
+def _learning(command: Command) -> RefineOptions:
+    return RefineOptions() if command.refine is None else RefineOptions(minutes=command.refine)
 
 
-def _refined(command: Command, scene: Scene) -> tuple[Scene, tuple[str, ...]]:
-    """The scene, whose merged nodes have learned if that is asked for, and what they learned."""
-    learning = _learning(command)
-    if learning is None:
-        return scene, ()
-    refined = refine(scene, learning)
+def _refined(command: Command, scene: Scene, folder: Path) -> Refined:
+    """The scene, whose merged nodes have learned."""
+    with interruptions() as interrupted:
+        return refine(scene, _learning(command), files=RunFiles(folder, command.going_on.resume), stop=interrupted)
+
+
+def _learned(refined: Refined, folder: Path) -> tuple[str, ...]:
+    """What merged nodes learned, a sentence each, once the scene is written: a run that has ended is removed then."""
     learned = (
         f"merged nodes learned for {refined.cpu_seconds:.0f} s: {refined.before.mean():.2f} to "
         f"{refined.after.mean():.2f} dB in views kept to judge by"
     )
-    return refined.scene, (learned, *refined.notes)
+    if not refined.stopped:
+        remove(folder)
+    return (learned, *refined.notes, *([goes_on(folder)] if refined.stopped else []))
 
 
 def _metadata(scene: Scene, key: str) -> dict[str, Any] | None:

@@ -1,26 +1,21 @@
 """``splatree train``: a scene from photographs."""
 
-import signal
 import sys
-import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
 from typing import Annotated
 
 from tyro.conf import Positional, arg
 
 from splatree.cli.console import Console, UsageError, counted, size, table
 from splatree.cli.files import lost_and_noted, output_format
+from splatree.cli.runs import Run, goes_on, interruptions
 from splatree.errors import OutputError
 from splatree.io.photos import PhotosUsed
 from splatree.io.registry import stored_bytes
 from splatree.io.replacing import check_target
 from splatree.io.writing import write
 from splatree.kernels.devices import DeviceName
-from splatree.train.checkpoint import CHECKPOINT
 from splatree.train.options import RunFiles, TrainOptions
 from splatree.train.run import train
 from splatree.train.state import Scored
@@ -41,10 +36,7 @@ class Command:
     """Replace the output, and the run beside it, if they exist."""
     cameras: Path | None = None
     """cameras.json, transforms.json or a COLMAP model; None: those in the folder of the photographs."""
-    run: Path | None = None
-    """Folder for the checkpoint, the log and the exposures; None: `scene.run` beside `scene.splatree`."""
-    resume: bool = False
-    """Go on from the checkpoint in the folder of the run, with the same options; the output is replaced."""
+    going_on: Annotated[Run, arg(name="", help="")] = Run()
     replay: Path | None = None
     """log.json of an earlier run: make its steps again instead of reading the clock."""
     device: DeviceName = "cpu"
@@ -86,24 +78,20 @@ class Result:
 def run(command: Command) -> Result:
     """Train and write."""
     output = _output(command)
-    folder = command.run or output.with_name(f"{output.stem}.run")
-    if (folder / CHECKPOINT).exists() and not (command.resume or command.force):
-        raise OutputError(
-            f"{folder}: holds a run already; go on with --resume, replace it with --force, or name another with --run"
-        )
-    with _interruptions() as interrupted:
+    folder = command.going_on.folder(output, force=command.force)
+    with interruptions() as interrupted:
         trained = train(
             command.photos,
             command.options,
             cameras=command.cameras,
-            files=RunFiles(folder, command.resume, command.replay),
+            files=RunFiles(folder, command.going_on.resume, command.replay),
             stop=interrupted,
             watch=lambda scored: _tell(scored, command.console),
             device=command.device,
             threads=command.threads,
         )
     scene = trained.scene
-    lost, notes = lost_and_noted(scene, write(scene, output, force=command.force or command.resume))
+    lost, notes = lost_and_noted(scene, write(scene, output, force=command.force or command.going_on.resume))
     return Result(
         output,
         folder,
@@ -125,30 +113,9 @@ def _output(command: Command) -> Path:
         raise UsageError("found no output, wanted a file to write: -o scene.splatree")
     check_target(command.output)
     output_format(command.output, keeps_tree=command.options.levels != "none")
-    if command.output.exists() and not (command.force or command.resume):
+    if command.output.exists() and not (command.force or command.going_on.resume):
         raise OutputError(f"{command.output}: exists already; choose another name or replace it with --force")
     return command.output
-
-
-@contextmanager
-def _interruptions() -> Iterator[Callable[[], bool]]:
-    """Whether the user, or the system (SIGTERM), has interrupted the program; the second interruption ends it at once."""
-    happened = threading.Event()
-    if threading.current_thread() is not threading.main_thread():
-        yield happened.is_set
-        return
-
-    def notice(number: int, frame: FrameType | None) -> None:
-        happened.set()
-        for one, handler in ((signal.SIGINT, signal.default_int_handler), (signal.SIGTERM, signal.SIG_DFL)):
-            signal.signal(one, handler)
-
-    before = {number: signal.signal(number, notice) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield happened.is_set
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def _tell(scored: Scored, console: Console) -> None:
@@ -179,7 +146,7 @@ def show(result: Result) -> str:
     lines += [f"note: {note}" for note in result.notes]
     lines += [f"lost: {sentence}" for sentence in result.lost]
     if result.stopped:
-        lines.append(f"interrupted: the run goes on from {result.run} with --resume")
+        lines.append(goes_on(result.run))
     return "\n".join(lines)
 
 

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from splatree.errors import InputError
 from splatree.kernels.devices import DeviceName
 from splatree.progress import track
 from splatree.render.framing.survey import survey_of
@@ -57,17 +56,11 @@ class Lesson:
 def lessons_of(
     scene: Scene, cameras: Sequence[Camera], teacher: Teacher, *, device: DeviceName = "cpu", threads: int = 0
 ) -> list[Lesson]:
-    """Draw all leaves in each view.
-
-    Raises:
-        InputError: a camera has a lens.
-    """
+    """Draw all leaves in each view; cameras have no lens."""
     lessons = []
     everything = SelectOptions(pixel_error=0.0)
     with open_session(scene, device=device, select=everything, threads=threads) as session:
         for camera in track(cameras, "draw the teacher's pictures"):
-            if camera.lens is not None:
-                raise InputError(f"refine: camera {camera.name!r}: found a lens, wanted a pinhole")
             pixels = camera.width * camera.height
             view = camera.scaled(math.sqrt(PIXELS_MAX / pixels)) if pixels > PIXELS_MAX else camera
             if teacher == "large":

@@ -107,11 +107,11 @@ class RunFiles:
     """
 
     folder: Path | None = None
-    """Folder for the checkpoint, the log and the exposures; it is made. None: nothing is kept."""
+    """Folder for the checkpoint, and for the log and the exposures of a training; it is made. None: nothing is kept."""
     resume: bool = False
-    """Go on from the checkpoint in the folder, with the same options and photographs."""
+    """Go on from the checkpoint in the folder, with the same options, and the same photographs or scene."""
     replay: Path | None = None
-    """log.json of an earlier run: make its steps again instead of reading the clock."""
+    """log.json of an earlier training: make its steps again instead of reading the clock."""
 
     def __post_init__(self) -> None:
         check_literals(self)

@@ -202,6 +202,14 @@ class Proxies:
         for column, first in zip(_columns(self.learned), _columns(self._first), strict=True):
             column[nodes] = first[nodes]
 
+    def arrays(self) -> dict[str, Array]:
+        """All that learning goes on from: what inner nodes have become, and the moments of the optimiser."""
+        return {**vars(self.learned), "moments": self.moments.values, "steps": self.moments.steps}
+
+    def go_on(self, learned: Gaussians, moments: Moments) -> None:
+        """Let inner nodes be what they had become when an earlier run stopped."""
+        self.learned, self.moments = learned, moments
+
     def scene(self) -> Scene:
         """The scene with what was learned. Nodes that learned nothing keep their bits; leaves and the tree are the same."""
         differs = np.zeros(len(self.rows), bool)

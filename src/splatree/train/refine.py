@@ -15,51 +15,38 @@ same view (`Lesson`), and the nodes of the cut take a step along the derivative 
 Source: the scheme is our own (docs/explanation/refine.md); what it stands on is Kerbl 2023 for the derivatives and Kingma
 2015 for the steps. Cost: about 20 ms of processor time a step at 320 × 240 px, and three drawings of each view besides."""
 
+import hashlib
 import json
 import math
 import time
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 
 from splatree.constants import ALPHA_THRESHOLD
 from splatree.errors import InputError
-from splatree.kernels.contract import TrainingStages
+from splatree.io import untrusted
 from splatree.kernels.devices import DeviceName, training_stages_of
 from splatree.lod.blocks import with_blocks
-from splatree.lod.select import select
-from splatree.progress import task
 from splatree.scene.arguments import checked
 from splatree.scene.cameras import Camera, several
-from splatree.scene.frame import Picture, Splats, TileBins
+from splatree.scene.gaussians import Gaussians
 from splatree.scene.given import check_threads, given
-from splatree.scene.gradients import PictureGradients, SplatGradients
-from splatree.scene.options import SelectOptions
+from splatree.scene.gradients import Moments
 from splatree.scene.scene import Scene
-from splatree.scene.view import View, view_of
 from splatree.shapes import Array, Float64
+from splatree.train.checkpoint import Identity, load, make_folder, save
 from splatree.train.lessons import Lesson, lessons_of, made_views
-from splatree.train.proxies import Drawn, Proxies
+from splatree.train.options import RunFiles
 from splatree.train.refine_options import RefineOptions
+from splatree.train.school import Course, School
 
 __all__ = ["Refined", "refine"]
 
 HELD_OUT = 8
 """Every so many views one is kept to judge by."""
-
-RAMP_STEPS = 16
-"""Steps until a node moves at the full rate."""
-
-WRONG = 0.07
-"""Mean error of the pixels that a node covers from which on its opacity and shape move at the full rate; nearer to the teacher
-they move in proportion. Adam alone moves a node that is right as far as one that is wrong."""
-
-LAST_RATE = 0.1
-"""Of the first rate, at the end; in between it falls evenly."""
-
-TIMED = 20
-"""Steps that are timed before their number is fixed."""
 
 JUDGED_AGAIN = 1.3
 """What judging takes afterwards, of what it took before: the judge's views are drawn twice then."""
@@ -94,6 +81,8 @@ class Refined:
     """Processor time that it took."""
     notes: tuple[str, ...]
     """What the scene lost, a sentence each."""
+    stopped: bool = False
+    """Whether the run was stopped before its end."""
 
     @property
     def gain(self) -> float:
@@ -107,6 +96,8 @@ def refine(
     options: RefineOptions | None = None,
     *,
     cameras: Iterable[Camera] | None = None,
+    files: RunFiles | None = None,
+    stop: Callable[[], bool] = lambda: False,
     device: DeviceName = "cpu",
     threads: int = 0,
 ) -> Refined:
@@ -116,6 +107,8 @@ def refine(
         scene: a scene with levels.
         options: time, teacher, range of cuts; None: the defaults.
         cameras: views to learn from; None: views are made all round the scene, for scenes that are seen from outside.
+        files: where checkpoints of the run are kept; None: nowhere.
+        stop: asked after each step; True ends the run there, with a checkpoint.
         device: where pictures are drawn and steps are computed, `cpu`, `cuda` or `reference`; rows are selected on the
             processor.
         threads: threads to use; 0: all.
@@ -124,7 +117,9 @@ def refine(
         The scene, and what was gained. Clusters and a calibrated τ are dropped, since they belong to the nodes as they were.
 
     Raises:
-        InputError: the scene has no levels, there are fewer than two cameras, or one has a lens.
+        InputError: the scene has no levels, there are fewer than two cameras, or one has a lens; or a run cannot go on.
+        FormatError: a checkpoint is damaged.
+        OutputError: a checkpoint cannot be written; the last one is whole.
         DeviceError: the device is not there, has failed, or has too little memory.
 
     Source:
@@ -135,31 +130,44 @@ def refine(
         >>> len(refined.scene) == len(scene), refined.iterations
         (True, 20)
     """
-    options = given(options, RefineOptions, "refine: options")
+    options, files = given(options, RefineOptions, "refine: options"), given(files, RunFiles, "refine: files")
     check_threads(threads)
     began, cameras = time.process_time(), None if cameras is None else several(cameras)
-    if scene.tree.is_leaf.all():
-        raise InputError("refine: found a scene without levels, wanted inner nodes that can learn; build levels first")
-    if cameras is not None and len(cameras) < 2:
-        raise InputError(
-            f"refine: found {len(cameras)} camera, wanted at least 2: one to learn from and one to judge by"
-        )
+    _check(scene, cameras, files)
     original, stages = scene, training_stages_of(device)
     scene, notes = _bare(scene)
     scene = with_blocks(scene)
     views = made_views(scene, options.made_views, options.seed) if cameras is None else cameras
+    school, course, earlier_s, identity = School(scene, stages, threads), Course(options.iterations), 0.0, None
+    learned: _Learned | None = None
+    if files.folder is not None:
+        identity = _identity(scene, views, options)
+        if files.resume:
+            learned = load(files.folder, identity, _restored)
+            course, earlier_s = learned.course, learned.spent_s
+        make_folder(files.folder)
+
+    def spent_s() -> float:
+        return earlier_s + time.process_time() - began
+
+    def keep() -> None:
+        if files.folder is not None and identity is not None:
+            save(files.folder, identity, school.proxies.arrays(), {**asdict(course), "spent_s": spent_s()})
+
     lessons = lessons_of(scene, views, options.teacher, device=device, threads=threads)
     held = {i for i in range(len(lessons)) if i % HELD_OUT == HELD_OUT // 2} or {len(lessons) - 1}
     learned_from = [lesson for i, lesson in enumerate(lessons) if i not in held]
     judges = [lessons[i] for i in sorted(held)]
-
-    school = _School(scene, stages, threads)
     looked_at = _at_all_sizes(learned_from[::2], options)
     judged = [(lesson, math.sqrt(options.finest * options.coarsest)) for lesson in judges]
     judging = time.process_time()
     before, errors_before = school.judge(judged), school.errors(looked_at)
     judging = JUDGED_AGAIN * (time.process_time() - judging)
-    iterations = school.learn(learned_from, options, began + 60 * options.minutes - judging)
+    if learned is not None:
+        school.proxies.go_on(learned.gaussians, learned.moments)
+    end = time.process_time() + 60 * options.minutes - spent_s() - judging
+    stopped = school.learn(learned_from, options, course, end, stop=stop, keep=keep)
+    keep()
     worse = np.flatnonzero(school.errors(looked_at) > errors_before)
     whole = school.proxies.scene()
     after = school.judge(judged)
@@ -171,10 +179,65 @@ def refine(
     if after.mean() <= before.mean() or not differs:
         whole, after, differs, notes = original, before, 0, ()
     else:
-        metadata = {**whole.source.metadata, "refined": _record(options, iterations, float(np.mean(after - before)))}
+        record = _record(options, course.step, float(np.mean(after - before)), stopped=stopped)
+        metadata = {**whole.source.metadata, "refined": record}
         whole = replace(whole, source=replace(whole.source, metadata=metadata))
-    spent = time.process_time() - began
-    return Refined(whole, iterations, before, after, differs, len(school.proxies.rows), spent, notes)
+    return Refined(whole, course.step, before, after, differs, len(school.proxies.rows), spent_s(), notes, stopped)
+
+
+def _check(scene: Scene, cameras: Sequence[Camera] | None, files: RunFiles) -> None:
+    """Refuse what nothing can be learned from, before any work is done."""
+    if files.replay is not None:
+        raise InputError("refine: files: found a log to replay, wanted none; options.iterations repeats a run")
+    if scene.tree.is_leaf.all():
+        raise InputError("refine: found a scene without levels, wanted inner nodes that can learn; build levels first")
+    if cameras is None:
+        return
+    if len(cameras) < 2:
+        raise InputError(
+            f"refine: found {len(cameras)} camera, wanted at least 2: one to learn from and one to judge by"
+        )
+    for camera in cameras:
+        if camera.lens is not None:
+            raise InputError(f"refine: camera {camera.name!r}: found a lens, wanted a pinhole")
+
+
+def _identity(scene: Scene, cameras: Sequence[Camera], options: RefineOptions) -> Identity:
+    """What a run is begun with: options, and digests of all that its pictures are made from."""
+    tree, of_scene, of_cameras = scene.tree, hashlib.blake2b(digest_size=16), hashlib.blake2b(digest_size=16)
+    columns = (*vars(scene.gaussians).values(), tree.subtree_end, tree.extents, tree.curves, scene.ids)
+    for column in columns:
+        of_scene.update(b"none" if column is None else np.ascontiguousarray(column).data)
+    drawn_as = (scene.mode, scene.threshold, scene.tile_rule, None if tree.record is None else tree.record.profile)
+    of_scene.update(repr(drawn_as).encode())
+    for camera in cameras:
+        of_cameras.update(camera.camera_from_world.tobytes() + camera.K.tobytes())
+        of_cameras.update(repr((camera.width, camera.height, camera.near)).encode())
+    return Identity("refine", asdict(options), {"scene": of_scene.hexdigest(), "cameras": of_cameras.hexdigest()})
+
+
+@dataclass(frozen=True, eq=False)
+class _Learned:
+    """What a run had learned when it was written down."""
+
+    gaussians: Gaussians
+    """What the inner nodes had become (`Proxies.learned`)."""
+    moments: Moments
+    """Of the optimiser."""
+    course: Course
+    """How far learning had come."""
+    spent_s: float
+    """Processor seconds of the run."""
+
+
+def _restored(arrays: Mapping[str, Array], about: Mapping[str, Any], where: str) -> _Learned:
+    wanted = None if about["wanted"] is None else untrusted.integer(about, "wanted", where)
+    return _Learned(
+        Gaussians(*(arrays[field.name] for field in fields(Gaussians))),
+        Moments(arrays["moments"], arrays["steps"]),
+        Course(wanted, untrusted.integer(about, "step", where), untrusted.number(about, "timed_s", where)),
+        untrusted.number(about, "spent_s", where),
+    )
 
 
 def _at_all_sizes(lessons: list[Lesson], options: RefineOptions) -> list[tuple[Lesson, float]]:
@@ -211,104 +274,11 @@ def _num_different(a: Scene, b: Scene) -> int:
     return int(differs.sum())
 
 
-def _record(options: RefineOptions, iterations: int, gain: float) -> str:
-    fields = {
+def _record(options: RefineOptions, iterations: int, gain: float, *, stopped: bool) -> str:
+    learned_by = {
         "iterations": iterations,
         "teacher": options.teacher,
         "finest": options.finest,
         "coarsest": options.coarsest,
     }
-    return json.dumps({**fields, "seed": options.seed, "gain_db": round(gain, 3)})
-
-
-class _School:
-    """A scene whose inner nodes learn."""
-
-    def __init__(self, scene: Scene, stages: TrainingStages, threads: int) -> None:
-        self._scene, self._threads, self._stages = scene, threads, stages
-        self.proxies = Proxies(scene)
-
-    def learn(self, lessons: list[Lesson], options: RefineOptions, end: float) -> int:
-        """Make the steps, until the processor's clock is at ``end`` if they are not counted; returns their number."""
-        rng = np.random.default_rng([options.seed, 2])
-        order, wanted, done = np.zeros(0, np.int64), options.iterations, 0
-        at_start = time.process_time()
-        with task("refine inner nodes", 1.0) as advance:
-            while wanted is None or done < wanted:
-                if wanted is None and done == TIMED:
-                    now = time.process_time()
-                    wanted = TIMED + max(0, int((end - now) / ((now - at_start) / TIMED)))
-                    continue
-                if not len(order):
-                    order = rng.permutation(len(lessons))
-                lesson, order = lessons[order[0]], order[1:]
-                tau = math.exp(rng.uniform(math.log(options.finest), math.log(options.coarsest)))
-                share = done / wanted if wanted else 0.0
-                self._step(lesson, tau, options.rate * (1 - (1 - LAST_RATE) * share))
-                done += 1
-                advance((1 - share) / (wanted - done + 1) if wanted else 0.0)
-        return done
-
-    def _step(self, lesson: Lesson, tau: float, rate: float) -> None:
-        view, drawn, splats, bins, picture = self._draw(lesson.camera, tau)
-        sums = self._compared(lesson, view, splats, bins, picture)
-        few, of_few = self._inner(splats, sums)
-        assert of_few.weights is not None and of_few.errors is not None
-        found = self._stages.project_backward(self.proxies.drawn, few, of_few, view, threads=self._threads)
-        derivatives = self.proxies.derivatives(drawn, few, found)
-        self.proxies.paint(derivatives, of_few.weights, rate)
-        nodes = derivatives.rows
-        before = self.proxies.shapes(nodes)
-        self._stages.step(
-            self.proxies.learned,
-            derivatives,
-            self.proxies.moments,
-            self.proxies.rates(rate),
-            ramp_steps=RAMP_STEPS,
-            threads=self._threads,
-        )
-        wrong = np.nan_to_num(of_few.errors / np.maximum(of_few.weights, np.float32(1e-9)), posinf=0)
-        self.proxies.hold_back(nodes, before, np.minimum(1, wrong / np.float32(WRONG)))
-
-    def _compared(self, lesson: Lesson, view: View, splats: Splats, bins: TileBins, picture: Picture) -> SplatGradients:
-        """Derivatives of ½ Σ |X − Y|² by the splats, with the errors of the pixels that each covers."""
-        wrong = picture.image - lesson.picture * np.float32(1 / 255)
-        upstream = PictureGradients(wrong, errors=np.abs(wrong).mean(axis=2))
-        return self._stages.blend_backward(splats, bins, view, picture, upstream, threads=self._threads)
-
-    def _draw(self, camera: Camera, tau: float) -> tuple[View, Drawn, Splats, TileBins, Picture]:
-        view = view_of(self._scene, camera)
-        rows = select(self._scene, view, SelectOptions(pixel_error=tau), threads=self._threads).rows
-        drawn = self.proxies.draw(view, rows)
-        splats = self._stages.project(self.proxies.drawn, self._scene.ids, rows, view, threads=self._threads)
-        bins = self._stages.bin(splats, view, threads=self._threads)
-        return view, drawn, splats, bins, self._stages.blend(splats, bins, view, threads=self._threads)
-
-    def _inner(self, splats: Splats, sums: SplatGradients) -> tuple[Splats, SplatGradients]:
-        """The splats of inner nodes alone."""
-        chosen = self.proxies.is_node(splats.rows)
-        count = int(chosen.sum())
-        few = Splats(splats.rows[chosen], splats.records[chosen], np.arange(count, dtype=np.int32))
-        assert sums.weights is not None and sums.errors is not None
-        of_few = SplatGradients(
-            sums.moments[chosen], sums.colors[chosen], None, sums.weights[chosen], sums.errors[chosen]
-        )
-        return few, of_few
-
-    def judge(self, lessons: list[tuple[Lesson, float]]) -> Float64[Array, "j"]:
-        """PSNR of the cut of each view at its τ_R."""
-        scores = []
-        for lesson, tau in lessons:
-            image = np.clip(self._draw(lesson.camera, tau)[4].image, 0, 1)
-            square = np.mean((image - lesson.picture.astype(np.float64) / 255) ** 2)
-            scores.append(-10 * math.log10(square + 1e-10))
-        return np.array(scores)
-
-    def errors(self, lessons: list[tuple[Lesson, float]]) -> Float64[Array, "n"]:
-        """How wrong the pixels are that each row covers, summed over the views, each at its τ_R."""
-        total = np.zeros(len(self._scene))
-        for lesson, tau in lessons:
-            view, _, splats, bins, picture = self._draw(lesson.camera, tau)
-            total[splats.rows] += np.asarray(self._compared(lesson, view, splats, bins, picture).errors)
-        total[self._scene.tree.is_leaf] = 0
-        return total
+    return json.dumps({**learned_by, "seed": options.seed, "gain_db": round(gain, 3), "stopped": stopped})

@@ -22,9 +22,10 @@ from splatree.scene.arguments import checked
 from splatree.scene.given import check_threads, given
 from splatree.scene.scene import NEAR_KEY, Scene, Source
 from splatree.shapes import Array, Float64
-from splatree.train.checkpoint import Identity, load, make_folder, read_log, save
+from splatree.train.checkpoint import KEPT_AT, make_folder
 from splatree.train.densify import Rows, Sightings, densified
 from splatree.train.exposure import Exposures
+from splatree.train.kept import identity_of, load_state, read_log, save_state
 from splatree.train.lineage import Lineage
 from splatree.train.options import RunFiles, TrainOptions, plain
 from splatree.train.prepare import Work, prepare
@@ -36,9 +37,6 @@ __all__ = ["METADATA_KEY", "Trained", "train"]
 
 METADATA_KEY = "training"
 """Where a scene says how it was trained, in ``source.metadata``."""
-
-SCORED_AT = (0.1, 0.25, 0.5, 0.75)
-"""Shares of a run after which it is scored and written down, beside its end."""
 
 EXPOSURE_BEGINS = 0.1
 """Share of the run from which exposure is told apart: before, pictures say little about it."""
@@ -118,11 +116,11 @@ def train(
     check_threads(threads)
     drawing = Drawing(training_stages_of(device), options.mode, 1, threads)
     work = prepare(Path(photos), options, None if cameras is None else Path(cameras))
-    identity = Identity.of(options, work.targets.digests(), work.targets.cameras)
+    identity = identity_of(options, work.targets.digests(), work.targets.cameras)
     earlier = [] if files.replay is None else read_log(files.replay)
     if files.resume:
         assert files.folder is not None  # RunFiles holds to it
-        state = load(files.folder, identity)
+        state = load_state(files.folder, identity)
     else:
         state = _beginning(work)
     if files.folder is not None:
@@ -138,13 +136,13 @@ def train(
             if is_whole and not _is_done(work, state, earlier) and state.share >= _next_mark(state):
                 _keep(work, state, drawing, watch)
                 if files.folder is not None:
-                    save(files.folder, state, identity)
+                    save_state(files.folder, state, identity)
             if stopped:
                 break
     if not stopped and not (state.history and state.history[-1].iterations == state.step):
         _keep(work, state, drawing, watch, is_end=True)
     if files.folder is not None:
-        save(files.folder, state, identity)
+        save_state(files.folder, state, identity)
     return _trained(work, state, Path(photos), stopped, threads)
 
 
@@ -231,9 +229,9 @@ def _keep(work: Work, state: State, drawing: Drawing, watch: Callable[[Scored], 
 
 
 def _next_mark(state: State) -> float:
-    """The share at which the run is scored next, before its end."""
+    """The share at which the run is scored and written down next, before its end."""
     done = state.history[-1].share if state.history else 0.0
-    return next((mark for mark in SCORED_AT if mark > done), float("inf"))
+    return next((mark for mark in KEPT_AT if mark > done), float("inf"))
 
 
 def _trained(work: Work, state: State, folder: Path, stopped: bool, threads: int) -> Trained:
