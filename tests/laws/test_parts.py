@@ -69,7 +69,7 @@ def test_parts_out_of_reach_of_each_other_give_the_tree_of_a_build_at_once(
 ):
     gaussians, island = islands(seed, num_islands)
     scene = st.Scene.flat(gaussians, mode=mode)
-    options = st.BuildOptions(follow=False, radius=0.3, max_roots=1)
+    options = st.BuildOptions(follow=False, visibility=False, radius=0.3, max_roots=1)
     part_from_row = island % num_parts  # each part holds whole islands
     check_same_tree(built_in_parts(scene, options, part_from_row, num_levels), st.build_lod(scene, options))
 
@@ -78,13 +78,13 @@ def test_parts_out_of_reach_of_each_other_give_the_tree_of_a_build_at_once(
 @given(hs.integers(1, 300), hs.integers(0, 10**6), hs.integers(0, 6), MODES)
 def test_growth_goes_on_where_it_stopped(n, seed, num_levels, mode):
     scene = st.Scene.flat(surface(n, seed=seed, degree=1), mode=mode)
-    options = st.BuildOptions(follow=False, radius=0.2, max_roots=1, growth=1.7)
+    options = st.BuildOptions(follow=False, visibility=False, radius=0.2, max_roots=1, growth=1.7)
     check_same_tree(built_in_parts(scene, options, np.zeros(n, int), num_levels), st.build_lod(scene, options))
 
 
 def test_parts_go_through_files(tmp_path):
     gaussians, island = islands(3, 3, degree=2)
-    scene, options = st.Scene.flat(gaussians), st.BuildOptions(follow=False, radius=0.3, max_roots=2)
+    scene, options = st.Scene.flat(gaussians), st.BuildOptions(follow=False, visibility=False, radius=0.3, max_roots=2)
     resolved = ResolvedBuild.from_json(resolved_for(scene, options).to_json())
     paths = []
     for number in range(3):
@@ -126,7 +126,7 @@ def test_neighbouring_parts_give_a_sound_tree(method, mode):
 
 def test_parts_of_other_builds_are_refused():
     scene = st.Scene.flat(surface(200, seed=1))
-    options = st.BuildOptions(follow=False, radius=0.3, max_roots=1)
+    options = st.BuildOptions(follow=False, visibility=False, radius=0.3, max_roots=1)
     resolved = resolved_for(scene, options)
     part = assemble(grow(forest_of_leaves(scene, resolved), resolved, num_levels=1), scene, resolved)
     later = assemble(grow(forest_of_leaves(scene, resolved), resolved, num_levels=2), scene, resolved)

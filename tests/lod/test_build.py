@@ -97,6 +97,28 @@ def test_large_nodes_of_a_level_are_drawn_from_farther_away():
     assert extents.min() > 0.6 / np.sqrt(2) and extents.max() < 0.6 * np.sqrt(2)
 
 
+def test_what_changes_the_picture_least_becomes_a_node_first():
+    """Two pairs of needles equally far apart: those along one line are nearly one needle, those across each other are not."""
+    length = np.log([0.4, 0.02, 0.02])
+    along, across = [1, 0, 0, 0], [np.sqrt(0.5), 0, 0, np.sqrt(0.5)]
+    needles = Gaussians(
+        np.float32([[0, 0, 0], [0.3, 0, 0], [0, 50, 0], [0.3, 50, 0]]),
+        np.float32([along, along, along, across]),
+        np.tile(length, (4, 1)).astype(np.float32),
+        np.zeros(4, np.float32),
+        np.zeros((4, 1, 3), np.float32),
+    )
+
+    def extents(**options):
+        scene = build_lod(Scene.flat(needles), BuildOptions("radius", radius=0.4, max_roots=1, **options))
+        is_pair = scene.tree.subtree_end - np.arange(len(scene)) == 3
+        return dict(zip(np.round(scene.gaussians.means[is_pair, 1]), scene.tree.extents[is_pair], strict=True))
+
+    limited, by_distance = extents(), extents(visibility=False)
+    assert by_distance[0.0] == pytest.approx(by_distance[50.0], rel=0.5) and limited[0.0] == by_distance[0.0]
+    assert limited[50.0] > 1.5 * limited[0.0]
+
+
 @pytest.mark.parametrize("log_scale", [-1e4, 0.0, 1e4])
 @pytest.mark.parametrize("radius", [1e-45, 1e30])
 def test_extents_of_absurd_levels_are_numbers(log_scale, radius):

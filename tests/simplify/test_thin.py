@@ -2,12 +2,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from splatree import Gaussians, InputError, Scene, ThinOptions, build_lod, thin
 from splatree.kernels.cpu.build import thin as fast
 from splatree.kernels.reference import thin as reference
+from splatree.kernels.reference.pairs import pair_costs
+from splatree.scene.thinning import MergeLimit
 from splatree.simplify.merge import importance_of
 from splatree.simplify.thin import auto_radius
 
@@ -285,3 +287,67 @@ def test_what_is_certain_in_a_part_is_so_in_the_whole(data, radius, border):
     whole = groups.representatives[groups.group_from_row]
     is_known = found >= 0
     np.testing.assert_array_equal(here[found[is_known]], whole[here[is_known]])
+
+
+@st.composite
+def limits(draw):
+    """Points, and a limit that no merge of two of them is near: the kernel computes costs in float32."""
+    data = means, colors, _ = draw(points())
+    n = len(means)
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    size = draw(st.sampled_from([0.05, 0.3, 1.0])) * max(1.0, float(np.abs(means).max(initial=0)) / 3)
+    log_scales = (np.log(size) + rng.normal(0, 0.7, (n, 3))).astype(np.float32)
+    logits, quats = (rng.normal(size=shape).astype(np.float32) for shape in (n, (n, 4)))
+    weights, visibilities = (rng.uniform(0.1, 1, n).astype(np.float32) for _ in range(2))
+    gaussians = Gaussians(means, quats, log_scales, logits, colors[:, None])
+    first, second = np.triu_indices(n, 1)
+    costs = pair_costs(gaussians, weights, first, second, visibilities, dilation=0.0)[0]
+    most = float(np.quantile(costs, draw(st.sampled_from([0.1, 0.4, 0.8])))) if len(costs) else 1.0
+    most *= 1.003
+    # A cost is a difference of what is shown: float32 is wrong by 1e-6 of that.
+    shown = float(np.exp(2 * log_scales.astype(np.float64).max(initial=-30))) * 10
+    assume((np.abs(costs - most) > 1e-3 * most + 1e-5 * shown).all())
+    return data, MergeLimit(gaussians, weights, visibilities, most)
+
+
+@given(limits(), st.sampled_from([0.5, 1.0, 3.0, 1e9]), st.sampled_from([0.5, np.inf]), st.integers(1, 3), st.data())
+def test_a_limit_gives_the_groups_of_the_reference_in_wholes_and_parts(
+    data_and_limit, radius, color_radius, threads, draw
+):
+    data, limit = data_and_limit
+    rule = {"radius": radius, "color_radius": color_radius, "limit": limit}
+    expected, found = reference.thin(*data, **rule), fast.thin(*data, **rule, threads=threads)
+    for name in FIELDS:
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+    whole = found.representatives[found.group_from_row]
+    rng = np.random.default_rng(draw.draw(st.integers(0, 2**32 - 1)))
+    is_open = rng.random(len(whole)) < draw.draw(st.sampled_from([0.0, 0.1, 0.5]))
+    certain = fast.certain(*data, is_open, **rule, threads=threads)
+    np.testing.assert_array_equal(certain, reference.certain(*data, is_open, **rule))
+    assert (certain[is_open] == -1).all() and (certain[certain >= 0] == whole[certain >= 0]).all()
+
+
+@given(limits(), st.sampled_from([0.5, 3.0]))
+def test_members_join_within_the_limit_and_representatives_could_join_none(data_and_limit, radius):
+    (means, colors, importance), limit = data_and_limit
+    groups = fast.thin(means, colors, importance, radius=radius, color_radius=np.inf, limit=limit)
+    joined = groups.representatives[groups.group_from_row]
+    members = np.flatnonzero(joined != np.arange(len(means)))
+    columns = limit.gaussians, limit.weights
+
+    def costs(first, second):
+        return pair_costs(*columns, first, second, limit.visibilities, dilation=0.0)[0]
+
+    assert (costs(members, joined[members]) <= limit.most).all()
+    first, second = (index.ravel() for index in np.meshgrid(groups.representatives, groups.representatives))
+    apart = np.linalg.norm(means[first].astype(np.float64) - means[second].astype(np.float64), axis=1)
+    is_near = (first != second) & (apart < radius * (1 - 1e-6))
+    assert (costs(first[is_near], second[is_near]) > limit.most).all()
+
+
+def test_a_limit_of_infinity_changes_nothing():
+    g = cloud(400)
+    importance, ones = importance_of(g, "opacity-scale"), np.ones(400, np.float32)
+    data, rule = (g.means, np.zeros_like(g.means), importance), {"radius": 0.4, "color_radius": np.inf}
+    limited = fast.thin(*data, **rule, limit=MergeLimit(g, ones, ones, 1e38))
+    np.testing.assert_array_equal(limited.group_from_row, fast.thin(*data, **rule).group_from_row)

@@ -121,7 +121,7 @@ def record_of(resolved: ResolvedBuild, sizes: Sequence[float]) -> LevelRecord:
         merge=resolved.merge,
         importance=None if by_pairs else resolved.importance,
         color_radius=None if by_pairs else resolved.color_radius,
-        visibility=resolved.visibility if by_pairs else None,
+        visibility=resolved.visibility,
     )
 
 
@@ -145,11 +145,10 @@ def with_report(source: Source, resolved: ResolvedBuild, sizes: list[float], cou
     report: dict[str, Any] = {"growth": resolved.growth, "max_roots": resolved.max_roots}
     if resolved.method == "pairs":
         report |= {"rule": "pairs", "pixel_size": resolved.first_size, "pixel_sizes": sizes}
-        report |= {"visibility": resolved.visibility}
     else:
         report |= {"rule": "radius-thinning", "radius": resolved.first_size, "radii": sizes}
         report |= {"importance": resolved.importance, "color_radius": resolved.color_radius}
-    report |= {"merge": rules_of(resolved.merge), "mode": resolved.mode, **counts}
+    report |= {"visibility": resolved.visibility, "merge": rules_of(resolved.merge), "mode": resolved.mode, **counts}
     metadata = {key: value for key, value in source.metadata.items() if key != "clusters"}
     return dataclasses.replace(source, metadata={**metadata, "levels": json.dumps(report)})
 

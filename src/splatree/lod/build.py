@@ -16,14 +16,12 @@ import dataclasses
 import numpy as np
 
 from splatree.lod.assemble import assemble
-from splatree.lod.forest import Forest, forest_of_leaves
+from splatree.lod.forest import forest_of_leaves
 from splatree.lod.grow import grow
 from splatree.lod.options import BuildOptions
-from splatree.lod.resolve import measure, resolve
+from splatree.lod.resolve import follows_pixels, measure, resolve
 from splatree.scene.scene import Scene
-from splatree.shapes import Array, Float32
 from splatree.simplify.merge import check_finite
-from splatree.simplify.visibility import visibilities_in
 
 __all__ = ["build_levels", "leaves_of"]
 
@@ -37,18 +35,11 @@ def build_levels(flat: Scene, options: BuildOptions, *, threads: int = 0) -> Sce
     check_finite(flat.gaussians)
     resolved = resolve(options, measure(flat.gaussians, options, flat.mode, threads=threads), flat.mode)
     forest = forest_of_leaves(flat, resolved, threads=threads)
-    seen = _seen(flat, forest, options, threads) if options.follow and flat.mode == "classic" else None
+    seen = None
+    if follows_pixels(options, flat.mode):
+        seen = np.ones(len(flat), np.float32) if forest.visibilities is None else forest.visibilities
     forest = grow(forest, resolved, threads=threads)
     return assemble(forest, flat, resolved, seen=seen, threads=threads)
-
-
-def _seen(flat: Scene, forest: Forest, options: BuildOptions, threads: int) -> Float32[Array, "n"]:
-    """Visibility of each leaf, in the order of its rank: as the forest has it, or measured."""
-    if forest.visibilities is not None:
-        return forest.visibilities
-    if not options.visibility:
-        return np.ones(len(flat), np.float32)
-    return visibilities_in(flat.mode, flat.gaussians, threads=threads)[forest.base.order]
 
 
 def leaves_of(scene: Scene) -> Scene:

@@ -161,10 +161,12 @@ def forest_of_leaves(
     else:
         order = np.lexsort((inputs, codes)).astype(np.int32)
     weights = weights_of(leaves, resolved.merge.weight or "opacity", log_unit=resolved.log_unit)[order]
+    if visibilities is None and resolved.visibility:
+        visibilities = visibilities_in(scene.mode, leaves, threads=threads)
+    if visibilities is not None:
+        visibilities = visibilities[order]
     if resolved.method == "pairs":
-        if visibilities is None and resolved.visibility:
-            visibilities = visibilities_in(scene.mode, leaves, threads=threads)
-        visibilities = np.ones(len(leaves), np.float32) if visibilities is None else visibilities[order]
+        visibilities = np.ones(len(leaves), np.float32) if visibilities is None else visibilities
         weights *= visibilities
     base = Base(order, codes[order], inputs[order], None)
     return _planted(base, leaves.with_sh_degree(0).take(order), weights, visibilities, 0)
@@ -205,7 +207,7 @@ def forest_above(gaussians: Gaussians, state: Roots, resolved: ResolvedBuild) ->
     order = np.lexsort((state.inputs, state.codes)).astype(np.int32)
     state = state.take(order)
     base = Base(order, state.codes, state.inputs, state.reaches)
-    visibilities = state.visibilities if resolved.method == "pairs" else None
+    visibilities = state.visibilities if resolved.method == "pairs" or resolved.visibility else None
     num_sizes = state.num_sizes if state.grown is None else int(state.grown.min(initial=state.num_sizes))
     return _planted(base, gaussians.take(order), state.weights, visibilities, num_sizes, state.grown)
 

@@ -26,13 +26,11 @@ import numpy as np
 from splatree.errors import InputError
 from splatree.kernels.cpu.build import thin as thin_kernel
 from splatree.lod.forest import Base, Forest
-from splatree.lod.grow_radius import level_of
+from splatree.lod.grow_radius import level_of, question_of
 from splatree.lod.order import Families
 from splatree.lod.region import ROUNDING, Region
 from splatree.lod.resolve import ResolvedBuild
 from splatree.shapes import Array, Bool, Int32
-from splatree.simplify.merge import importance_of
-from splatree.simplify.thin import linear_colors
 
 __all__ = ["Owned", "TooNarrowError", "grow_region"]
 
@@ -95,13 +93,8 @@ def grow_region(forest: Forest, resolved: ResolvedBuild, region: Region, *, num_
 
 
 def _certain(forest: Forest, resolved: ResolvedBuild, radius: float, is_open: Array, threads: int) -> Array:
-    present = forest.present
-    return thin_kernel.certain(
-        *(present.means, linear_colors(present), importance_of(present, resolved.importance), is_open),
-        radius=radius,
-        color_radius=np.inf if resolved.color_radius is None else resolved.color_radius,
-        threads=threads,
-    )
+    columns, rules = question_of(forest, resolved, radius)
+    return thin_kernel.certain(*columns, is_open, **rules, threads=threads)
 
 
 def _with_level(forest: Forest, resolved: ResolvedBuild, radius: float, representatives: Array, threads: int) -> Forest:
@@ -121,6 +114,7 @@ def _of_roots(forest: Forest, is_kept: Bool[Array, "r"]) -> Forest:
         chains=forest.chains[is_kept],
         present=forest.present.take(is_kept),
         root_weights=forest.root_weights[is_kept],
+        visibilities=None if forest.visibilities is None else forest.visibilities[is_kept],
     )
 
 

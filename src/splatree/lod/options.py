@@ -38,7 +38,8 @@ class BuildOptions:
     """For `pairs`: s_0, width of a pixel for which the first level is made, world units; None: a twelfth of the median
     Gaussian."""
     visibility: bool = True
-    """Gaussians that others hide count less: for `pairs` in what is merged, and in what merged nodes show if they follow."""
+    """Gaussians that others hide count less: in what is merged, and in what merged nodes show if they follow. By `radius`, levels
+    without it merge by distance alone."""
     follow: bool = True
     """For scenes of mode `classic`: merged Gaussians follow the pixel that they are drawn at. Nearer than their level was made
     for, they become smaller and more transparent, as their leaves are there."""

@@ -26,7 +26,7 @@ from splatree.simplify.merge import largest_log_weight
 from splatree.simplify.thin import auto_radius
 from splatree.simplify.visibility import pixel_size_of
 
-__all__ = ["Measures", "ResolvedBuild", "first_pixel", "measure", "merge_rules", "resolve"]
+__all__ = ["Measures", "ResolvedBuild", "first_pixel", "follows_pixels", "measure", "merge_rules", "resolve"]
 
 FITTED_WIDENING = 0.34
 """`pairs`: what saturated nodes are widened by, where one thinning takes 0.3: far views of a city gain 0.2 dB."""
@@ -92,7 +92,7 @@ class ResolvedBuild:
     color_radius: float | None
     """`radius`: distance in linear RGB that counts as much as the radius in space; None: colour does not count."""
     visibility: bool
-    """`pairs`: what others hide counts less."""
+    """What others hide counts less. `radius`: merges are limited by what they change (lod/grow_radius.py)."""
     merge: MergeOptions
     """How a group becomes one Gaussian, with everything filled in."""
     log_unit: float
@@ -207,11 +207,16 @@ def resolve(options: BuildOptions, measures: Measures, mode: Mode) -> ResolvedBu
         max_roots=options.max_roots,
         importance=options.importance,
         color_radius=options.color_radius,
-        visibility=options.named_method == "pairs" and options.visibility,
+        visibility=options.visibility and (options.named_method == "pairs" or mode == "classic"),
         merge=merge_rules(options, mode),
         log_unit=measures.largest_log_weight,
         frame=measures.frame,
     )
+
+
+def follows_pixels(options: BuildOptions, mode: Mode) -> bool:
+    """Whether merged Gaussians follow the pixel that they are drawn at."""
+    return options.follow and mode == "classic"
 
 
 def first_pixel(median_size: float) -> float:

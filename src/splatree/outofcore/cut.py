@@ -22,11 +22,12 @@ from splatree.io.notes import notes_in
 from splatree.io.options import ReadOptions
 from splatree.io.registry import detect, files_of
 from splatree.lod.options import BuildOptions
+from splatree.lod.resolve import follows_pixels
 from splatree.outofcore.cluster import cluster_at
 from splatree.outofcore.fingerprint import fingerprint
 from splatree.outofcore.lock import alone_in
 from splatree.outofcore.options import PART_ROWS, FolderOptions, Room, cell_bytes
-from splatree.outofcore.plan import Plan, follows_pixels, make_plan, read_plan, request_of
+from splatree.outofcore.plan import Plan, make_plan, read_plan, request_of
 from splatree.outofcore.run import Workers, run_cells
 from splatree.outofcore.shuffle import cell_sizes, make_slices
 from splatree.outofcore.work import Work

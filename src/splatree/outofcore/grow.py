@@ -93,7 +93,7 @@ def _leaves_of(work: Work, plan: Plan, loaded: Loaded, threads: int) -> Forest:
 def grow_crown(work: Work, plan: Plan, number: int, argument: float = 0, threads: int = 0) -> dict[str, Any]:
     """Grow all roots of parts together, to the end, and write them as one part: as `grow_cell`, without an argument."""
     loaded = load(work, plan, number, np.inf)
-    forest = _forest_of(plan, loaded, threads)
+    forest = _forest_of(work, plan, loaded, threads)
     rows = forest.base.order
     forest = replace(forest, base=replace(forest.base, order=np.arange(len(rows), dtype=np.int32)))
     forest = grow(forest, plan.resolved, threads=threads)
@@ -106,12 +106,13 @@ def _merged(sizes: Iterable[float], counts: Sequence[int]) -> list[tuple[float, 
     return [(size, before - left) for size, (before, left) in zip(sizes, pairwise(counts), strict=True)]
 
 
-def _forest_of(plan: Plan, loaded: Loaded, threads: int) -> Forest:
+def _forest_of(work: Work, plan: Plan, loaded: Loaded, threads: int) -> Forest:
     """What grows, with the levels that it has."""
     if loaded.roots is not None:
         return forest_above(loaded.gaussians, loaded.roots, plan.resolved)
     scene = Scene.flat(loaded.gaussians, mode=plan.mode)
-    leaves = forest_of_leaves(scene, plan.resolved, inputs=loaded.inputs, threads=threads)
+    seen = seen_of(work, plan, loaded.inputs) if plan.resolved.visibility else None
+    leaves = forest_of_leaves(scene, plan.resolved, inputs=loaded.inputs, visibilities=seen, threads=threads)
     return replace(leaves, num_sizes=plan.num_sizes)  # more than none where a cell of roots is empty
 
 
@@ -234,7 +235,7 @@ def _grown(work: Work, plan: Plan, number: int, num_levels: int, threads: int) -
     radii = plan.resolved.sizes_from(plan.num_sizes, num_levels)
     for reach in reaches(box, sum(radii)):
         loaded = load(work, plan, number, reach)
-        forest = _forest_of(plan, loaded, threads)
+        forest = _forest_of(work, plan, loaded, threads)
         try:
             region = Region(box, reach)
             return grow_region(forest, plan.resolved, region, num_levels=num_levels, threads=threads), loaded

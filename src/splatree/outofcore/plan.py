@@ -20,7 +20,7 @@ from splatree.kernels.cpu.build.thin import nearest_distances
 from splatree.kernels.cpu.build.visibility import Sight
 from splatree.lod.cells import Cells, halve
 from splatree.lod.options import BuildOptions
-from splatree.lod.resolve import Measures, ResolvedBuild, first_pixel, merge_rules, resolve
+from splatree.lod.resolve import Measures, ResolvedBuild, first_pixel, follows_pixels, merge_rules, resolve
 from splatree.maths.morton import morton_frame
 from splatree.outofcore.fingerprint import fingerprint
 from splatree.outofcore.options import FolderOptions, Room, rows_above
@@ -34,7 +34,7 @@ from splatree.simplify.merge import check_finite, largest_log_weight
 from splatree.simplify.thin import query_rows, radius_of_spacing
 from splatree.simplify.visibility import NUM_SAMPLES, SIZE_SAMPLES, median_size, sample_of, sight_of
 
-__all__ = ["Plan", "follows_pixels", "make_plan", "plan_above", "read_plan"]
+__all__ = ["Plan", "make_plan", "plan_above", "read_plan"]
 
 SAMPLE_ROWS = 1 << 20
 """Rows of which the cells are made."""
@@ -165,9 +165,8 @@ def make_plan(
         frame=morton_frame(means),
     )
     sample = np.array(means[:: n // SAMPLE_ROWS + 1])
-    follows = follows_pixels(options, chunks.mode)
-    sees = (by_pairs or follows) and options.visibility
-    sight = sight_of(sample_of(means, NUM_SAMPLES), n, size) if sees else None
+    resolved = resolve(options, measures, chunks.mode)
+    sight = sight_of(sample_of(means, NUM_SAMPLES), n, size) if resolved.visibility else None
     cells = halve(sample, room.part_rows * len(sample) / n)
     del means, sample
     means_path.unlink()
@@ -182,21 +181,16 @@ def make_plan(
         mode=chunks.mode,
         metadata=dict(chunks.metadata),
         origin=chunks.origin,
-        resolved=resolve(options, measures, chunks.mode),
+        resolved=resolved,
         cells=cells,
         slice_rows=max(1000, min(room.part_rows, room.max_bytes // 8 // row_bytes)),
         part_rows=room.part_rows,
         widest=float(np.max(high - low)),
         sight=sight,
-        follows=follows,
+        follows=follows_pixels(options, chunks.mode),
     )
     write_text(work.plan, plan.to_json())
     return plan
-
-
-def follows_pixels(options: BuildOptions, mode: Mode) -> bool:
-    """Whether merged Gaussians follow the pixel that they are drawn at."""
-    return options.follow and mode == "classic"
 
 
 def plan_above(work: Work, plan: Plan, roots: Sequence[int], num_sizes: int, *, whole: bool) -> Plan:

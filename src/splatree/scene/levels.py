@@ -61,7 +61,7 @@ class LevelRecord:
     color_radius: float | None = None
     """`radius-thinning`: the distance in linear RGB that counts as much as the radius in space; None: colour did not count."""
     visibility: bool | None = None
-    """`pairs`: whether hidden Gaussians counted less."""
+    """Whether hidden Gaussians counted less in what was merged; None: not known."""
     trial: MethodTrial | None = None
     """How both methods did on a sample of the scene; None: the method was named, and none was tried."""
 

@@ -13,9 +13,10 @@ import numpy as np
 
 from splatree.constants import DILATION_PX2, PIXEL_ERROR, SIGMAS
 from splatree.errors import InputError
+from splatree.scene.gaussians import Gaussians
 from splatree.scene.literals import check_literals
 from splatree.scene.names import Mode
-from splatree.shapes import Array, Int32, Int64, check_fields, in_short
+from splatree.shapes import Array, Float32, Int32, Int64, check_fields, in_short
 
 Importance = Literal["opacity-scale", "opacity", "opacity-area"]
 """Which Gaussian stays when two are close: opacity times the geometric mean of the scales, opacity alone, or opacity times
@@ -238,6 +239,25 @@ class Groups:
     def sizes(self) -> Int64[Array, "g"]:
         """Number of members of each group."""
         return np.diff(self.start)
+
+
+@dataclass(frozen=True, eq=False)
+class MergeLimit:
+    """How much it may change the picture that a Gaussian joins another: E of kernels/reference/pairs.py, not dilated."""
+
+    gaussians: Gaussians
+    """The Gaussians."""
+    weights: Float32[Array, "n"]
+    """How much each counts in a merged one."""
+    visibilities: Float32[Array, "n"]
+    """How much of each is seen, 0 to 1."""
+    most: float
+    """The largest E of a merge, world units²."""
+
+    __repr__ = in_short
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
 
 def rules_of(options: MergeOptions | ThinOptions) -> dict[str, object]:

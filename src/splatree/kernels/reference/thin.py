@@ -9,6 +9,9 @@ a ball in position and colour, so that Gaussians of different colour stay apart 
 representatives are the lexicographically first maximal independent set of the graph of neighbours: unique, whatever order or
 number of threads finds it.
 
+With a `MergeLimit`, two rows within r are neighbours only if merging them changes the picture by at most ``most``
+(kernels/reference/pairs.py): a row joins no representative that it would spoil, and may become one itself.
+
 `certain` decides the same for a part of a scene, of whose *open* rows neighbours may be missing. A row is unknown if it is open,
 or if no earlier neighbour is a representative and one is unknown. A member's representative is certain if it is nearer than
 each unknown earlier neighbour. The whole scene decides what is certain in the same way, whatever lies outside of the part: a row
@@ -19,7 +22,8 @@ Cost: O(n · g).
 
 import numpy as np
 
-from splatree.scene.thinning import Groups
+from splatree.kernels.reference.pairs import pair_costs
+from splatree.scene.thinning import Groups, MergeLimit
 from splatree.shapes import Array, Bool, Float32, Int32
 
 __all__ = ["certain", "group", "thin"]
@@ -32,10 +36,11 @@ def thin(
     *,
     radius: float,
     color_radius: float,
+    limit: MergeLimit | None = None,
 ) -> Groups:
     """Groups of rows within ``radius`` of their representative."""
     whole = np.zeros(len(means), bool)
-    return group(certain(means, colors, importance, whole, radius=radius, color_radius=color_radius))
+    return group(certain(means, colors, importance, whole, radius=radius, color_radius=color_radius, limit=limit))
 
 
 def certain(
@@ -46,6 +51,7 @@ def certain(
     *,
     radius: float,
     color_radius: float,
+    limit: MergeLimit | None = None,
 ) -> Int32[Array, "n"]:
     """The representative of each row of a part of a scene, −1 where it depends on rows that the part may lack."""
     x, c = means.astype(np.float64), colors.astype(np.float64)
@@ -62,13 +68,22 @@ def certain(
             dc[:, 0] * dc[:, 0] + dc[:, 1] * dc[:, 1] + dc[:, 2] * dc[:, 2]
         )
         within = distances2 <= radius2
+        if limit is not None:
+            near = np.flatnonzero(within)
+            within[near] = _costs(limit, i, np.asarray(kept)[near]) <= limit.most
         if is_open[i] or not np.any(within & ~is_unknown[kept]):
             is_unknown[i] = is_open[i] or np.any(within)
             kept.append(int(i))
         else:
-            representative_from_row[i] = kept[int(np.argmin(distances2))]  # the first of equals is the earliest
+            nearest = int(np.argmin(np.where(within, distances2, np.inf)))  # the first of equals is the earliest
+            representative_from_row[i] = kept[nearest]
     representative_from_row[is_unknown | is_unknown[representative_from_row]] = -1
     return representative_from_row
+
+
+def _costs(limit: MergeLimit, row: int, others: Array) -> Array:
+    first = np.full(len(others), row)
+    return pair_costs(limit.gaussians, limit.weights, first, others.astype(int), limit.visibilities, dilation=0.0)[0]
 
 
 def group(representative_from_row: Array, *, rounds: int = 0, num_visited: int = 0) -> Groups:

@@ -13,27 +13,59 @@
 #include "cpu/build/thin.h"
 #include "cpu/build/visibility.h"
 #include "cpu/runtime/isa.h"
+#include "cpu/runtime/pool.h"
+#include "cpu/runtime/scratch.h"
 #include "cpu/runtime/structs.h"
 
 namespace splatree {
 namespace {
 
+GaussianColumns columns_of(nb::handle gaussians) {
+  return {column<float>(gaussians, "means"), column<float>(gaussians, "quats"), column<float>(gaussians, "log_scales"),
+          column<float>(gaussians, "logit_opacities"), column<float>(gaussians, "sh")};
+}
+
+int64_t num_coefficients(nb::handle gaussians) { return int64_t(nb::cast<In<float>>(gaussians.attr("sh")).shape(1)); }
+
+// The struct is that of Python: Gaussians.
+PairJob pair_job_of(nb::handle gaussians, const float* weights, const float* visibilities, double dilation, int threads) {
+  const GaussianColumns in = columns_of(gaussians);
+  PairJob job{};
+  job.n = int64_t(nb::len(gaussians));
+  job.means = in.means, job.quats = in.quats, job.log_scales = in.log_scales;
+  job.logit_opacities = in.logit_opacities, job.sh = in.sh;
+  job.weights = weights;
+  job.visibilities = visibilities;
+  job.k = num_coefficients(gaussians);
+  job.dilation = dilation;
+  job.threads = threads;
+  return job;
+}
+
+// The struct is that of Python: MergeLimit.
 std::tuple<int, int64_t> thin_rows(In<float> means, In<float> colors, In<float> importance, double radius, double color_radius,
-                                   std::optional<In<uint8_t>> is_open, bool assign, Out<int32_t> representative_from_row,
-                                   int threads) {
-  ThinJob job{static_cast<int64_t>(means.shape(0)),
-              means.data(),
-              colors.data(),
-              importance.data(),
-              radius,
-              color_radius,
-              is_open ? is_open->data() : nullptr,
-              representative_from_row.data(),
-              assign,
-              0,
-              0,
-              threads};
+                                   std::optional<In<uint8_t>> is_open, bool assign, nb::handle limit,
+                                   Out<int32_t> representative_from_row, int threads) {
+  ThinJob job{};
+  job.n = static_cast<int64_t>(means.shape(0));
+  job.means = means.data(), job.colors = colors.data(), job.importance = importance.data();
+  job.radius = radius, job.color_radius = color_radius;
+  job.is_open = is_open ? is_open->data() : nullptr;
+  job.representative_from_row = representative_from_row.data();
+  job.assign = assign;
+  job.threads = threads;
+  PairJob pairs{};
+  if (!limit.is_none()) {
+    pairs =
+        pair_job_of(limit.attr("gaussians"), column<float>(limit, "weights"), column<float>(limit, "visibilities"), 0, threads);
+    job.most = float(nb::cast<double>(limit.attr("most")));
+  }
   nb::gil_scoped_release release;
+  Scratch<PairRecord> records = allocate<PairRecord>(pairs.n);
+  parallel_ranges(pairs.n, 1 << 13, threads, [&](int64_t begin, int64_t end) {
+    for (int64_t row = begin; row < end; ++row) records[row] = record_of(pairs, row);
+  });
+  if (pairs.n) job.records = records.get();
   thin(job);
   return {job.rounds, job.num_visited};
 }
@@ -48,13 +80,6 @@ constexpr Choice<OpacityRule> OPACITY_RULES[] = {{"union", OpacityRule::UNION},
                                                  {"optical", OpacityRule::OPTICAL}};
 
 constexpr Choice<bool> KEEPS_POSITION[] = {{"centroid", false}, {"representative", true}};
-
-GaussianColumns columns_of(nb::handle gaussians) {
-  return {column<float>(gaussians, "means"), column<float>(gaussians, "quats"), column<float>(gaussians, "log_scales"),
-          column<float>(gaussians, "logit_opacities"), column<float>(gaussians, "sh")};
-}
-
-int64_t num_coefficients(nb::handle gaussians) { return int64_t(nb::cast<In<float>>(gaussians.attr("sh")).shape(1)); }
 
 // The structs are those of Python: Gaussians, Sight.
 VisibilityJob job_of_sight(nb::handle sight, int threads) {
@@ -187,8 +212,8 @@ MergeJob merge_job_of(nb::handle options) {
 
 void bind_thin(nb::module_& m) {
   m.def("thin", &thin_rows, nb::arg("means"), nb::arg("colors"), nb::arg("importance"), nb::arg("radius"),
-        nb::arg("color_radius"), nb::arg("is_open").none(), nb::arg("assign"), nb::arg("representative_from_row"),
-        nb::arg("threads"));
+        nb::arg("color_radius"), nb::arg("is_open").none(), nb::arg("assign"), nb::arg("limit").none(),
+        nb::arg("representative_from_row"), nb::arg("threads"));
   m.def("merge", &merge_groups, nb::arg("gaussians"), nb::arg("groups"), nb::arg("weights"), nb::arg("options"), nb::arg("added"),
         nb::arg("opacities").none(), nb::arg("out"), nb::arg("threads"), "Fill `out` with one Gaussian for each group.");
   m.def("nearest_distances", [](In<float> means, In<int32_t> queries, double edge, Out<double> distances, int threads) {
@@ -198,19 +223,10 @@ void bind_thin(nb::module_& m) {
   });
   m.def("best_partners", [](nb::handle gaussians, In<float> weights, std::optional<In<float>> visibilities, double dilation,
                             Out<int32_t> partner_from_row, Out<float> costs, Out<float> opacities, int threads) {
-    const GaussianColumns in = columns_of(gaussians);
-    PairJob job{};
-    job.n = int64_t(nb::len(gaussians));
-    job.means = in.means, job.quats = in.quats, job.log_scales = in.log_scales;
-    job.logit_opacities = in.logit_opacities, job.sh = in.sh;
-    job.weights = weights.data();
-    job.visibilities = visibilities ? visibilities->data() : nullptr;
-    job.k = num_coefficients(gaussians);
-    job.dilation = dilation;
+    PairJob job = pair_job_of(gaussians, weights.data(), visibilities ? visibilities->data() : nullptr, dilation, threads);
     job.partner_from_row = partner_from_row.data();
     job.costs = costs.data();
     job.opacities = opacities.data();
-    job.threads = threads;
     nb::gil_scoped_release release;
     best_partners(job);
   });

@@ -1,4 +1,4 @@
-// What merging a Gaussian with each of its neighbours changes in the picture (reference/pairs.py has the equations): the
+// What merging a Gaussian with each of up to eight others changes in the picture (reference/pairs.py has the equations): the
 // candidates are the lanes of a vector. Cost: about ten exponentials and square roots a candidate, in lanes.
 #include "cpu/build/pairs.h"
 #include "shared/constants.h"
@@ -35,9 +35,8 @@ SPLATREE_FN Overlaps overlaps_in(Plane p, Plane q, Plane m, float share, float u
           overlap(q, det_q, m, det_m, rest * u, rest * v), __builtin_sqrtf(det_m)};
 }
 
-}  // namespace
-
-PairCost cheapest_pair(const PairCandidates& pair) {
+// The cost of each candidate, and the opacity that costs least.
+SPLATREE_FN void cost_in_lanes(const PairCandidates& pair, float* __restrict costs, float* __restrict opacities) {
   const PairRecord& p = *pair.self;
   const float length = __builtin_sqrtf(p.covariance[0] + p.covariance[3] + p.covariance[5]);  // the unit of all lengths
   const float unit = 1.f / length, unit2 = unit * unit;
@@ -53,7 +52,6 @@ PairCost cheapest_pair(const PairCandidates& pair) {
   for (int a = 0; a < 6; ++a) own[a] = p.covariance[a] * unit2;
   const float r = p.color[0], g = p.color[1], b = p.color[2];
 
-  alignas(64) float costs[LANES], opacities[LANES];
 #pragma omp simd
   for (int l = 0; l < LANES; ++l) {
     const float share = weight[l] / (weight[l] + p.weight), rest = 1.f - share;  // of the other, of this one
@@ -80,6 +78,18 @@ PairCost cheapest_pair(const PairCandidates& pair) {
     // Sizes that differ more than the squares of float32 have no cost: they are merged last.
     costs[l] = least((of_pair - 2.f * best * in_common + best * best * of_one) * (length * length), 3e38f);
   }
+}
+
+}  // namespace
+
+void costs_of_pairs(const PairCandidates& pair, float* costs) {
+  alignas(64) float opacities[LANES];
+  cost_in_lanes(pair, costs, opacities);
+}
+
+PairCost cheapest_pair(const PairCandidates& pair) {
+  alignas(64) float costs[LANES], opacities[LANES];
+  cost_in_lanes(pair, costs, opacities);
   PairCost cheapest{0, costs[0], opacities[0]};
   for (int l = 1; l < pair.count; ++l)
     if (costs[l] < cheapest.cost) cheapest = {l, costs[l], opacities[l]};

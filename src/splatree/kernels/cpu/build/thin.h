@@ -2,6 +2,8 @@
 #pragma once
 #include <cstdint>
 
+#include "cpu/build/pairs.h"
+
 namespace splatree {
 
 struct ThinJob {
@@ -14,6 +16,8 @@ struct ThinJob {
   const uint8_t* is_open;            // n: rows of which nothing is known; null: none, the scene is whole
   int32_t* representative_from_row;  // n, out; -1 for members unless `assign`, and where it is not certain
   bool assign;                       // whether members look for their nearest representative
+  const PairRecord* records;         // n: what merging a row with its representative would change; null: that does not count
+  float most;                        // the largest such change, E of pairs.h, world units²
   int32_t rounds;                    // out
   int64_t num_visited;               // out: candidates looked at
   int threads;

@@ -3,7 +3,7 @@
 import numpy as np
 
 from splatree.kernels.cpu import _core
-from splatree.scene.thinning import Groups
+from splatree.scene.thinning import Groups, MergeLimit
 from splatree.shapes import Array, Bool, Float32, Float64, Int32, Int64
 
 __all__ = ["certain", "count_representatives", "group", "nearest_distances", "rows_by_group", "thin"]
@@ -16,12 +16,13 @@ def thin(
     *,
     radius: float,
     color_radius: float,
+    limit: MergeLimit | None = None,
     threads: int = 0,
 ) -> Groups:
     """Groups of rows within ``radius`` of their representative."""
     representative_from_row = np.empty(len(means), np.int32)
     rounds, visited = _core.thin(
-        means, colors, importance, radius, color_radius, None, True, representative_from_row, threads
+        means, colors, importance, radius, color_radius, None, True, limit, representative_from_row, threads
     )
     return group(representative_from_row, rounds=rounds, num_visited=visited)
 
@@ -34,6 +35,7 @@ def certain(
     *,
     radius: float,
     color_radius: float,
+    limit: MergeLimit | None = None,
     threads: int = 0,
 ) -> Int32[Array, "n"]:
     """The representative of each row of a part of a scene, −1 where it depends on rows that the part may lack.
@@ -42,7 +44,7 @@ def certain(
     """
     representative_from_row = np.empty(len(means), np.int32)
     _core.thin(
-        *(means, colors, importance, radius, color_radius, is_open.view(np.uint8), True),
+        *(means, colors, importance, radius, color_radius, is_open.view(np.uint8), True, limit),
         representative_from_row,
         threads,
     )
@@ -60,7 +62,7 @@ def count_representatives(
 ) -> int:
     """Number of groups that `thin` would find, without looking for the members'."""
     representative_from_row = np.empty(len(means), np.int32)
-    _core.thin(means, colors, importance, radius, color_radius, None, False, representative_from_row, threads)
+    _core.thin(means, colors, importance, radius, color_radius, None, False, None, representative_from_row, threads)
     return int(np.count_nonzero(representative_from_row >= 0))
 
 

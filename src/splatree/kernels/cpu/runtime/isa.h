@@ -60,6 +60,7 @@ struct SplatTables;
   kernel(RunResult, select_group, (const SelectJob& job, int64_t group, const CutRows& out))                   \
   kernel(void, nearest_of_leaf, (const BoxTree& tree, int64_t leaf, LeafNeighbors& found))                     \
   kernel(PairCost, cheapest_pair, (const PairCandidates& pair))                                                \
+  kernel(void, costs_of_pairs, (const PairCandidates& pair, float* costs))                                     \
   kernel(void, small_rows, (const SelectJob& job, const int32_t* rows, int64_t count, uint8_t* small))         \
   kernel(void, visible_rows, (const SelectJob& job, const int32_t* rows, int64_t count, uint8_t* visible))     \
   kernel(void, label_nearest, (const NearestJob& job, int64_t begin, int64_t end))                             \
