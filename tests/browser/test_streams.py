@@ -1,7 +1,7 @@
 """Streams in the viewers that they are made for: PlayCanvas, Spark and Cesium from npm, in Chromium, by the pages of `serve`.
 
 The picture of the viewer is compared with the library's picture of what the viewer's rule chooses, as `splatree.stream.readers`
-repeats it. Viewers cut splats off earlier than we do and sort by other keys: complete scenes come out at 26 to 31 dB.
+repeats it. Viewers cut splats off earlier than we do and sort by other keys.
 """
 
 import dataclasses
@@ -17,6 +17,7 @@ from splatree.io.formats.rad.container import open_rad
 from splatree.stream.rad import as_written
 from splatree.stream.readers.cesium import open_tileset, select_cesium
 from splatree.stream.readers.playcanvas import select_by_errors, select_playcanvas
+from splatree.stream.readers.playcanvas_drawing import ENGINE_DILATION_PX2, draw_playcanvas
 from splatree.stream.readers.sog_stream import open_sog_stream
 from splatree.stream.readers.spark import select_spark
 
@@ -117,19 +118,23 @@ def psnr(picture, truth):
     return st.psnr(picture.astype(np.float32), np.asarray(truth, np.float32))
 
 
-def test_playcanvas_draws_the_levels_of_our_streamed_sog(browser, served, tree, camera):
+@pytest.mark.parametrize("dilation", [ENGINE_DILATION_PX2, 0.3])
+def test_playcanvas_draws_the_levels_of_our_streamed_sog(browser, served, tree, camera, dilation):
+    """Both as the engine comes and as the page sets it: pictures are at 40 dB and more against ours of how it draws."""
     stream = open_sog_stream(served.folder / "city")
-    picture, said, loaded = shown(browser, served, "playcanvas", "city/lod-meta.json", camera, budget=BUDGET)
+    picture, said, loaded = shown(
+        browser, served, "playcanvas", "city/lod-meta.json", camera, budget=BUDGET, dilation=dilation
+    )
     levels = as_drawn(select_playcanvas, stream, camera, said["drawn"])
     chosen = stream.gaussians_of(levels)
-    expected = drawn(chosen, camera)
-    assert psnr(picture, expected) >= 26
-    assert abs(picture.mean() / expected.mean() - 1) <= 0.1
-
+    expected = np.clip(draw_playcanvas(chosen, camera, dilation_px2=dilation).image, 0, 1)
+    assert psnr(picture, expected) >= 38
+    assert abs(picture.mean() / expected.mean() - 1) <= 0.01
     whole = drawn(tree.gaussians.take(tree.tree.is_leaf), camera)
-    # PlayCanvas leaves out splats of less than 2 px and of little effect: in so small a picture that takes 2.4 dB, as levels are
-    # drawn one by one and have small nodes, too.
-    assert psnr(picture, whole) >= psnr(expected, whole) - 2.8
+    assert abs(psnr(picture, whole) - psnr(expected, whole)) <= 0.5
+    # What the page sets brings the picture to the library's of the same nodes: as the engine comes it loses 2.4 dB.
+    loss = psnr(drawn(chosen, camera), whole) - psnr(picture, whole)
+    assert loss <= 0.6 if dilation == 0.3 else loss >= 1.5
     # The units that are chosen, those of the coarsest level, which come first, and the manifest.
     coarsest = np.full(len(levels), len(stream.ranges.counts) - 1)
     units = np.union1d(stream.files_of(levels), stream.files_of(coarsest))
@@ -137,14 +142,14 @@ def test_playcanvas_draws_the_levels_of_our_streamed_sog(browser, served, tree, 
     assert sum(size for _, size in loaded) <= 1.05 * wanted
 
 
-def test_playcanvas_with_a_tenth_is_not_far_from_the_whole(browser, served, tree, camera):
+def test_playcanvas_with_a_tenth_is_as_bright_as_the_whole(browser, served, tree, camera):
     whole = drawn(tree.gaussians.take(tree.tree.is_leaf), camera)
     quality, brightness = [], []
     for budget in (tree.tree.num_leaves // 10, tree.tree.num_leaves):
         picture, _, _ = shown(browser, served, "playcanvas", "city/lod-meta.json", camera, budget=budget)
         quality.append(psnr(picture, whole))
         brightness.append(picture.mean())
-    assert quality[1] - quality[0] <= 8, quality
+    assert quality[1] >= 33, quality  # all leaves: what the engine's rims and its steps of scales and opacities cost
     assert abs(brightness[0] / brightness[1] - 1) <= 0.1, brightness
 
 
@@ -164,7 +169,7 @@ def test_playcanvas_of_before_draws_a_stream_with_errors_out_of_a_zip(browser, t
             browser, server, "playcanvas", "city/lod-meta.json", camera, budget=BUDGET, lod="error"
         )
     chosen = stream.gaussians_of(as_drawn(select_by_errors, stream, camera, said["drawn"]))
-    assert psnr(picture, drawn(chosen, camera)) >= 25
+    assert psnr(picture, draw_playcanvas(chosen, camera, dilation_px2=0.3).image) >= 35
 
 
 def test_spark_draws_our_rad_chunk_by_chunk(browser, served, tree, camera):
@@ -173,7 +178,7 @@ def test_spark_draws_our_rad_chunk_by_chunk(browser, served, tree, camera):
     settled = "window.splatree?.quietMs > 15_000"  # on a software GPU a sort takes seconds
     picture, said, loaded = shown(browser, served, "spark", "city.rad", camera, settled, budget=BUDGET)
     assert abs(said["chosen"] / len(view.drawn) - 1) <= 0.01
-    assert psnr(picture, drawn(nodes.gaussians.take(view.drawn), camera)) >= 24
+    assert psnr(picture, drawn(nodes.gaussians.take(view.drawn), camera)) >= 28
     assert {name.rsplit("/", 1)[1] for name, _ in loaded} == {"city.rad"}
 
 
@@ -183,7 +188,7 @@ def test_spark_loads_chunks_that_are_files_of_their_own(browser, served, tree, c
     settled = "window.splatree?.quietMs > 15_000"
     picture, said, loaded = shown(browser, served, "spark", "chunked.rad", camera, settled, budget=BUDGET)
     assert abs(said["chosen"] / len(view.drawn) - 1) <= 0.01
-    assert psnr(picture, drawn(nodes.gaussians.take(view.drawn), camera)) >= 24
+    assert psnr(picture, drawn(nodes.gaussians.take(view.drawn), camera)) >= 28
     chunks = {chunk.path.name for chunk in open_rad(served.folder / "chunked.rad").chunks}
     names = {name.rsplit("/", 1)[1] for name, _ in loaded}
     assert "chunked.rad" in names and names - {"chunked.rad"} and names - {"chunked.rad"} <= chunks

@@ -31,8 +31,8 @@ def quarter_of_city(city_tree):
 def test_it_holds_the_scene(quarter_of_city, tmp_path, format, name, inside, options):
     """Nine leaves of ten of the city's middle are in the picture, as they are in the library's own first view (97 %)."""
     written = st.stream(quarter_of_city, tmp_path / name, format, options)
-    framing = first_view(written.output / inside if inside else written.output)
-    assert framing.up[1] < -0.9 and not framing.inside
+    framing, mode = first_view(written.output / inside if inside else written.output)
+    assert mode == quarter_of_city.mode and framing.up[1] < -0.9 and not framing.inside
     camera = framing.camera()
     means = quarter_of_city.gaussians.means[quarter_of_city.tree.is_leaf]
     means = means[np.linalg.norm(means - framing.centre, axis=1) < framing.radius]

@@ -10,7 +10,11 @@ import pytest
 import splatree as st
 from splatree.stream.chunk_quality import quality_of_chunks
 from splatree.stream.errors import chunk_views
+from splatree.stream.rad import as_written
+from splatree.stream.readers.playcanvas import select_playcanvas
+from splatree.stream.readers.playcanvas_drawing import draw_playcanvas
 from splatree.stream.readers.sog_stream import open_sog_stream
+from splatree.stream.readers.spark import select_spark
 from splatree.stream.report import report_stream
 from splatree.stream.stream import stream
 
@@ -59,6 +63,23 @@ def test_finer_settings_load_more_and_come_nearer(reported, cameras):
     assert bool(report.levels) == bool(report.chunks) == (viewer == "playcanvas")
     content = json.loads(report.to_json())
     assert len(content["views"]) == len(report.views)
+
+
+@pytest.mark.parametrize("reported", ["sog", "rad"], indirect=True)
+def test_viewers_are_drawn_as_they_come(reported, scene, cameras):
+    """PlayCanvas with its own dilation, Spark as if the scene had been trained with antialiasing."""
+    written, report, viewer = reported
+    camera = cameras[1]
+    if viewer == "spark":
+        drawn = select_spark(as_written(scene, written.options), camera, 200).drawn
+        faint = st.Scene.flat(st.read(written.output).gaussians.take(drawn), mode="antialiased")
+        image = st.render(faint, camera).image
+    else:
+        opened = open_sog_stream(written.output)
+        image = draw_playcanvas(opened.gaussians_of(select_playcanvas(opened.ranges, camera, 200)), camera).image
+    truth = np.clip(st.render(scene, camera, select=st.SelectOptions(pixel_error=0)).image, 0, 1)
+    (found,) = [v for v in report.views if (v.view, v.viewer, v.setting) == ("view 1", viewer, 200)]
+    assert found.psnr_db == pytest.approx(st.psnr(np.clip(image, 0, 1), truth), abs=1e-3)
 
 
 def test_levels_are_judged_from_the_finest_down(scene, cameras, tmp_path):

@@ -159,6 +159,7 @@ def test_a_page_opens_with_the_first_view_of_its_stream(server, stream):
     assert status == 307
     query = parse_qs(urlsplit(headers["location"]).query)
     assert query["stream"] == [stream] and query["budget"] == ["5"] and query["turn"] == ["1"]
+    assert query["mode"] == ["classic"]
     eye, target = (np.array(query[name][0].split(","), float) for name in ("pos", "target"))
     assert 0.5 < np.linalg.norm(eye - target) < 50  # of a scene of a few units
     assert ask(server, f"/open/spark{headers['location']}")[0] == 200

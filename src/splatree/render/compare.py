@@ -31,7 +31,7 @@ from splatree.scene.options import RenderOptions, SelectOptions
 from splatree.scene.scene import Scene
 from splatree.shapes import Array, Float32, check_fields
 
-__all__ = ["ComparedView", "Difference", "compare", "comparison_views", "summary_of"]
+__all__ = ["ComparedView", "Difference", "compare", "compared", "comparison_views", "summary_of"]
 
 CLOSER: Final = 0.4
 """Every second view from outside is taken from this share of the distance: what is lost in detail shows from near."""
@@ -145,10 +145,11 @@ def compare(
         ) as whole,
     ):
         for camera in track(views, "compare views"):
-            yield _compared(camera, drawing.draw(camera), whole.draw(camera))
+            yield compared(camera, drawing.draw(camera), whole.draw(camera))
 
 
-def _compared(camera: Camera, drawn: RenderResult, whole: RenderResult) -> ComparedView:
+def compared(camera: Camera, drawn: RenderResult, whole: RenderResult) -> ComparedView:
+    """Compare a picture with one of the reference, which may be drawn otherwise."""
     image, wanted = np.clip(drawn.image, 0, 1), np.clip(whole.image, 0, 1)
     covered = whole.alpha >= COVERED
     errors = flip_map(image, wanted)

@@ -1,4 +1,4 @@
-"""From where a stream is looked at first: the view that the library would choose, found from the coarsest piece alone."""
+"""How a stream is looked at first: the view that the library would choose, found from the coarsest piece alone, and the mode."""
 
 import json
 from pathlib import Path
@@ -6,19 +6,21 @@ from pathlib import Path
 from splatree.io.formats.rad.reader import read_first_chunk
 from splatree.io.reading import read
 from splatree.render.framing.frame import Framing, frame_scene
+from splatree.scene.names import Mode
 from splatree.scene.scene import Scene
 
 __all__ = ["first_view"]
 
 
-def first_view(stream: Path) -> Framing:
-    """The first view of a stream, given its manifest or its ``.rad``.
+def first_view(stream: Path) -> tuple[Framing, Mode]:
+    """The first view of a stream, given its manifest or its ``.rad``, and how it is drawn.
 
     Raises:
         InputError: it holds no Gaussians.
         FormatError: it is damaged.
     """
-    return frame_scene(_coarsest(stream))
+    coarsest = _coarsest(stream)
+    return frame_scene(coarsest), coarsest.mode
 
 
 def _coarsest(stream: Path) -> Scene:

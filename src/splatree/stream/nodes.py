@@ -8,9 +8,10 @@ they are drawn.
 PlayCanvas chooses levels of whole chunks, and spends half of its budget on chunks outside a near view: its nodes are large on the
 screen. At 12 px, near views of 50,000 nodes come 0.7 dB nearer to the leaves than at 8 px, on two scenes, and middle ones 0.3 dB;
 far views, which are at 32 to 40 dB anyway, come up to 0.9 dB less near. The engine itself in a browser agrees for near and middle
-views in windows of 1600 × 900 pixels (0.6 and 0.3 dB nearer); in small windows it leaves out splats of less than 2 px, so that
-fainter nodes lose 0.3 dB there. One pixel size for all levels loses 2 dB where few nodes are drawn, and one dilation for all of
-them loses 2 dB from afar.
+views in windows of 1600 × 900 pixels (0.6 and 0.3 dB nearer). It widens splats less than the library
+(readers/playcanvas_drawing.py). Nodes do not make up for that: wider ones are too wide where a page has set the usual dilation.
+One pixel size for all levels loses 2 dB where few nodes are drawn, and one dilation for all of them loses 2 dB
+from afar.
 
 Spark chooses single nodes by their size, so they are drawn smaller. At 4 px, views of 100,000 nodes of two scenes come 6 to 14 dB
 nearer than with nodes as stored. A node that is right at 4 px is too transparent at 1 px, at which Spark draws all nodes if its

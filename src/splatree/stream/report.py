@@ -1,9 +1,11 @@
 """How good a written stream is: the quality of the picture against the bytes that a viewer loads for it.
 
 A view is near, middle or far: 0.3, 1 and 3 radii of the scene from its centre, or one of given cameras. In each view the viewer's
-own choice is repeated (`splatree.stream.readers`) for several budgets. What it chooses is decoded from the files, drawn by the
-library, and compared with the picture of all leaves of the scene. Bytes are those of whole files (sog, 3dtiles) or chunks (rad)
-that hold what is drawn. Beside it stands the exact cut of the tree with as many nodes, which no chunks bind.
+own choice is repeated (`splatree.stream.readers`) for several budgets. What it chooses is decoded from the files, drawn as
+the viewer draws it unless it is told otherwise, and compared with the library's picture of all leaves of the scene: PlayCanvas
+widens splats too little (`readers.playcanvas_drawing`), Spark draws every scene as antialiased. Bytes are those of whole files
+(sog, 3dtiles) or chunks (rad) that hold what is drawn. Beside it stands the exact cut of the tree with as many nodes, which no
+chunks bind.
 """
 
 import json
@@ -27,7 +29,9 @@ from splatree.render.paths import bounds_of
 from splatree.render.pipeline import render
 from splatree.scene.arguments import checked
 from splatree.scene.cameras import Camera
+from splatree.scene.frame import RenderResult
 from splatree.scene.gaussians import Gaussians
+from splatree.scene.names import Mode
 from splatree.scene.options import SelectOptions
 from splatree.scene.scene import Scene
 from splatree.shapes import Array
@@ -35,6 +39,7 @@ from splatree.stream.chunk_quality import ChunkQuality, quality_of_chunks
 from splatree.stream.rad import as_written
 from splatree.stream.readers.cesium import open_tileset, select_cesium
 from splatree.stream.readers.playcanvas import select_by_errors, select_playcanvas
+from splatree.stream.readers.playcanvas_drawing import draw_playcanvas
 from splatree.stream.readers.sog_stream import Ranges, open_sog_stream
 from splatree.stream.readers.spark import chunks_loaded, select_spark
 from splatree.stream.result import Streamed
@@ -77,7 +82,8 @@ class ViewQuality:
     bytes: int
     """What is loaded for them."""
     psnr_db: float
-    """Against all leaves of the scene; infinite if every bit is the same."""
+    """Against all leaves of the scene, drawn by the library; infinite if every bit is the same. Viewers are taken as they
+    come: PlayCanvas draws small splats thinner than the scene was trained with, Spark fainter; Cesium is drawn by the library."""
     exact_psnr_db: float | None
     """The same of the exact cut of at most as many nodes; None if the roots in view are more."""
 
@@ -95,7 +101,7 @@ class LevelQuality:
     bytes: int
     """Size of its units."""
     psnr_db: float
-    """Against all leaves of the scene."""
+    """Against all leaves of the scene, both drawn by the library."""
     ssim: float
     """The same, 0 to 1."""
 
@@ -128,16 +134,18 @@ def _finite(row: dict[str, object]) -> dict[str, object]:
 
 @dataclass(frozen=True, eq=False)
 class Loaded:
-    """What a viewer chooses in a view."""
+    """What a viewer shows in a view."""
 
-    gaussians: Gaussians
-    """What it draws, as decoded."""
+    num_nodes: int
+    """Gaussians that it chooses."""
     num_bytes: int
-    """What it loads for that."""
+    """What it loads for them."""
+    shown: RenderResult
+    """How it draws them."""
 
 
-Choose = Callable[[Camera, float], Loaded]
-"""What a viewer chooses for a camera at one of its settings."""
+Show = Callable[[Camera, float], Loaded]
+"""What a viewer shows for a camera at one of its settings."""
 
 
 @checked
@@ -176,12 +184,11 @@ def _report(scene: Scene, written: Streamed, cameras: Iterable[Camera] | None, b
     levels: list[LevelQuality] = []
     for name, camera in track(list(views.items()), f"judge {written.output.name}"):
         truth = _picture(scene, camera)
-        for (viewer, choose), setting in product(viewers.items(), settings):
-            loaded = choose(camera, setting)
-            count = len(loaded.gaussians)
-            image = _picture(Scene.flat(loaded.gaussians, mode=scene.mode), camera)
-            quality = psnr(image, truth), _exact_quality(scene, camera, count, truth)
-            found.append(ViewQuality(name, viewer, setting, count, loaded.num_bytes, *quality))
+        for (viewer, show), setting in product(viewers.items(), settings):
+            loaded = show(camera, setting)
+            image = np.clip(loaded.shown.image, 0, 1)
+            quality = psnr(image, truth), _exact_quality(scene, camera, loaded.num_nodes, truth)
+            found.append(ViewQuality(name, viewer, setting, loaded.num_nodes, loaded.num_bytes, *quality))
         if written.format == "sog" and not levels:
             levels = list(_levels(scene, written, name, camera, truth))
     chunks = quality_of_chunks(open_sog_stream(written.output)) if written.format == "sog" else ()
@@ -204,16 +211,22 @@ def views_of(scene: Scene) -> Iterator[tuple[str, Camera]]:
         yield name, Camera.look_at(centre + distance * radius * direction, centre)
 
 
-def viewers_of(scene: Scene, written: Streamed) -> dict[str, Choose]:
+def viewers_of(scene: Scene, written: Streamed) -> dict[str, Show]:
     """The viewers that read the stream, and what each draws and loads in a view."""
+
+    def drawn(gaussians: Gaussians, camera: Camera, num_bytes: int, mode: Mode) -> Loaded:
+        shown = render(Scene.flat(gaussians, mode=mode), camera, select=EVERY_ROW)
+        return Loaded(len(gaussians), num_bytes, shown)
+
     if written.format == "sog":
         stream = open_sog_stream(written.output)
 
         def by(select: Callable[[Ranges, Camera, int], Array], camera: Camera, budget: float) -> Loaded:
             levels = select(stream.ranges, camera, int(budget))
-            return Loaded(stream.gaussians_of(levels), int(stream.file_bytes[stream.files_of(levels)].sum()))
+            gaussians, num_bytes = stream.gaussians_of(levels), int(stream.file_bytes[stream.files_of(levels)].sum())
+            return Loaded(len(gaussians), num_bytes, draw_playcanvas(gaussians, camera))
 
-        viewers: dict[str, Choose] = {"playcanvas": partial(by, select_playcanvas)}
+        viewers: dict[str, Show] = {"playcanvas": partial(by, select_playcanvas)}
         if stream.ranges.errors is not None:
             viewers["playcanvas 2.22"] = partial(by, select_by_errors)
         return viewers
@@ -224,7 +237,8 @@ def viewers_of(scene: Scene, written: Streamed) -> dict[str, Choose]:
 
         def of_spark(camera: Camera, budget: float) -> Loaded:
             view = select_spark(tree, camera, int(budget))
-            return Loaded(back.gaussians.take(view.drawn), int(sizes[chunks_loaded(nodes, view)].sum()))
+            num_bytes = int(sizes[chunks_loaded(nodes, view)].sum())
+            return drawn(back.gaussians.take(view.drawn), camera, num_bytes, "antialiased")
 
         return {"spark": of_spark}
     tiles = open_tileset(written.output)
@@ -236,8 +250,8 @@ def viewers_of(scene: Scene, written: Streamed) -> dict[str, Choose]:
             if tile not in decoded:
                 decoded[tile] = read(written.output / tiles.names[tile]).gaussians
         parts = [decoded[tile] for tile in chosen.drawn.tolist()]
-        drawn = Gaussians.concatenate(parts) if parts else Gaussians.empty(scene.gaussians.sh_degree)
-        return Loaded(drawn, int(tiles.bytes[chosen.loaded].sum()))
+        gaussians = Gaussians.concatenate(parts) if parts else Gaussians.empty(scene.gaussians.sh_degree)
+        return drawn(gaussians, camera, int(tiles.bytes[chosen.loaded].sum()), scene.mode)
 
     return {"cesium": of_cesium}
 

@@ -10,9 +10,10 @@ from splatree.errors import InputError
 from splatree.io.local import local_inputs
 from splatree.io.replacing import replacing
 from splatree.render.chart import quality_chart
-from splatree.render.compare import compare
+from splatree.render.compare import compared
 from splatree.render.compare_page import card_of, decibels, error_colors, number_cards
 from splatree.render.page import filled
+from splatree.render.pipeline import render
 from splatree.scene.arguments import checked
 from splatree.scene.cameras import Camera
 from splatree.scene.scene import Scene
@@ -134,8 +135,7 @@ def _card(scene: Scene, written: Streamed, worst: ViewQuality, cameras: Iterable
         )
     with local_inputs([written.output]) as local:
         loaded = viewers_of(scene, replace(written, output=local.paths[0]))[worst.viewer](camera, worst.setting)
-    drawn = Scene.flat(loaded.gaussians, mode=scene.mode)
-    (view,) = compare(drawn, scene, [replace(camera, name=worst.view)], select=EVERY_ROW)
+    view = compared(replace(camera, name=worst.view), loaded.shown, render(scene, camera, select=EVERY_ROW))
     view = replace(view, difference=replace(view.difference, name=f"{worst.view}, {_view_row(worst)[2]}"))
     return card_of(view, error_colors(view.errors))
 

@@ -187,12 +187,12 @@ class StreamServer:
         return HTMLResponse(text, headers={"Cache-Control": "no-store"})
 
     def _view_of(self, stream: str) -> dict[str, str]:
-        """What the address of a page says of the first view; nothing of a stream that cannot be read here."""
+        """What the address of a page says of the first view and the mode; nothing of a stream that cannot be read here."""
         if _file_in(self.folder, stream) is None:  # it was taken away meanwhile
             return {}
         if stream not in self._views:
             try:
-                framing = first_view(self.folder / stream)
+                framing, mode = first_view(self.folder / stream)
             except (
                 SplatreeError,
                 OSError,
@@ -204,7 +204,7 @@ class StreamServer:
             else:
                 vectors = {"pos": framing.eye, "target": framing.target, "up": framing.up}
                 words = {name: ",".join(f"{x:.7g}" for x in vector) for name, vector in vectors.items()}
-                self._views[stream] = words | {"fov": f"{framing.fov_y_deg:g}", "turn": "1"}
+                self._views[stream] = words | {"fov": f"{framing.fov_y_deg:g}", "mode": mode, "turn": "1"}
         return self._views[stream]
 
     async def _page(self, request: Request) -> Response:
