@@ -18,8 +18,8 @@ import numpy as np
 import splatree as st
 from harness import DATA, save, table
 from splatree.io.cameras.files import read_cameras
-from splatree.outofcore.page import DRAWN_ROWS
-from splatree.outofcore.pages import row_bytes_of
+from splatree.io.pages.page import DRAWN_ROWS
+from splatree.io.pages.table import row_bytes_of
 
 SYSTEM_PAGE = 4096
 DRAWN = {"gaussians.sh", "tree.curves"}

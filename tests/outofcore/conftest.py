@@ -7,7 +7,7 @@ from unittest import mock
 import pytest
 
 import splatree as st
-from splatree.outofcore import pages
+from splatree.io.pages import table as pages
 
 from ..laws.hard_scenes import hard_scene
 

@@ -13,11 +13,11 @@ from hypothesis import strategies as hs
 
 import splatree as st
 from splatree.io.formats.splatree.rows import open_scene
+from splatree.io.pages.index import index_of_folder
+from splatree.io.pages.table import table_of
 from splatree.kernels.cpu.frame import select as kernel
 from splatree.kernels.cpu.frame.blocks import index_blocks
 from splatree.outofcore import paging
-from splatree.outofcore.index import index_of_folder
-from splatree.outofcore.pages import table_of
 from splatree.scene.view import view_of
 
 from ..laws.hard_scenes import hard_scenes

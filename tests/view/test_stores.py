@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import splatree as st
-from splatree.outofcore import pages
+from splatree.io.pages import table as pages
 from splatree.view.exhibit import exhibit
 from splatree.view.shown import InMemory, OnDisk
 from splatree.view.slots import Slots

@@ -6,7 +6,7 @@ What is drawn page by page is checked page by page, when it is touched. So a dam
 
 import json
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
@@ -22,13 +22,13 @@ from splatree.io.inputs import find_inputs
 from splatree.io.joined_chunks import opened_chunks
 from splatree.io.local import local_inputs
 from splatree.io.options import ReadOptions
+from splatree.io.pages.index import StoreIndex, index_of_file, index_of_folder
+from splatree.io.pages.index_file import read_index, read_own_index
+from splatree.io.pages.page import Page
+from splatree.io.pages.table import FilePages, PageTable, table_of
 from splatree.io.reading import read_one
 from splatree.io.registry import detect, stored_bytes
 from splatree.io.tree_runs import stored_runs
-from splatree.outofcore.index import index_of_folder
-from splatree.outofcore.index_file import read_index
-from splatree.outofcore.page import Page
-from splatree.outofcore.pages import FilePages, PageTable, table_of
 from splatree.progress import task, track
 from splatree.scene.arguments import checked
 from splatree.scene.given import given
@@ -106,7 +106,9 @@ def _checked(path: Path, options: ReadOptions) -> Checked:
     if holds_parts(path):
         return Checked(str(path), name, *_folder(path), num_bytes, True)
     if name == "splatree" and not is_compact(path) and has_rows_alone(stored := open_scene(path)):
-        pages = _pages(stored)
+        index, pages = read_own_index(stored), _pages(stored, checksums=True)
+        if index is not None:
+            _compare(index_of_file(pages, len(stored)), index, path)
         return Checked(str(path), name, pages.num_leaves, len(stored), num_bytes, True)
     chunks = opened_chunks([path], options)
     if chunks is not None:
@@ -154,15 +156,18 @@ def _folder(path: Path) -> tuple[int, int]:
         crown, _pages(crown, portals=True, checksums=True), (_pages(part, checksums=True) for part in parts), path
     )
     if manifest.index is not None:
-        found = read_index(path / manifest.index.name, tree.files)
-        unlike = set() if found.above is not None else BOXES_OF_BEFORE
-        for struct, other in ((wanted, found), (wanted.table, found.table)):
-            for f in fields(struct):
-                if f.name in unlike:
-                    continue
-                one, two = getattr(struct, f.name), getattr(other, f.name)
-                if isinstance(one, np.ndarray | int) and not np.array_equal(one, two):
-                    raise FormatError(
-                        f"{path / manifest.index.name}: found another {f.name} than that of the files; build the scene again"
-                    )
+        where = path / manifest.index.name
+        found = read_index(where, tree.files)
+        _compare(wanted, found, where, set() if found.above is not None else BOXES_OF_BEFORE)
     return tree.num_leaves, len(tree)
+
+
+def _compare(wanted: StoreIndex, found: StoreIndex, where: Path, unlike: Collection[str] = ()) -> None:
+    """Refuse an index that is not the one that was made anew."""
+    for struct, other in ((wanted, found), (wanted.table, found.table)):
+        for name in (f.name for f in fields(struct) if f.name not in unlike):
+            one, two = getattr(struct, name), getattr(other, name)
+            if isinstance(one, np.ndarray | int) and not np.array_equal(one, two):
+                raise FormatError(
+                    f"{where}: found another {name} than that of the files; build or convert the scene again"
+                )

@@ -21,13 +21,12 @@ from splatree.io.formats.folder.manifest import MANIFEST, Manifest, StoredFile, 
 from splatree.io.formats.folder.whole import open_whole
 from splatree.io.formats.splatree.head import SceneHead
 from splatree.io.formats.splatree.rows import SceneRows, StoredScene, open_scene
-from splatree.io.formats.splatree.writer import create_scene
-from splatree.io.writing import write
+from splatree.io.formats.splatree.writer import create_scene, write_plain
+from splatree.io.pages.index import StoreIndex, index_of_folder
+from splatree.io.pages.index_file import INDEX, write_index
+from splatree.io.pages.table import FilePages, table_of
 from splatree.lod.assemble import record_of, with_report
 from splatree.outofcore.follow import with_followed_nodes
-from splatree.outofcore.index import StoreIndex, index_of_folder
-from splatree.outofcore.index_file import INDEX, write_index
-from splatree.outofcore.pages import FilePages, table_of
 from splatree.outofcore.plan import Plan
 from splatree.outofcore.work import Work, write_text
 from splatree.progress import task
@@ -154,7 +153,7 @@ def _runs(stored: StoredScene) -> Iterator[SceneRows]:
 
 
 def _write_crown(path: Path, head: SceneHead, rows: Iterator[SceneRows]) -> None:
-    with create_scene(path, head, force=True) as writer:
+    with create_scene(path, head, force=True, pages=False) as writer:
         for run in rows:
             writer.append(run)
 
@@ -170,7 +169,7 @@ def replace_crown(folder: Path, crown: Scene) -> None:
     """
     manifest = read_manifest(folder)
     name = f"crown.{os.urandom(4).hex()}.splatree"
-    write(crown, folder / name)
+    write_plain(crown, folder / name)
     try:
         write_text(folder / MANIFEST, replace(manifest, crown=stored_file(folder, name)).to_json())
     except BaseException:

@@ -18,7 +18,7 @@ import numpy as np
 
 from splatree.io.formats.folder.manifest import stored_file
 from splatree.io.formats.splatree.rows import open_scene
-from splatree.io.writing import write
+from splatree.io.formats.splatree.writer import write_plain
 from splatree.lod.assemble import assemble, order_of
 from splatree.lod.forest import Forest, forest_above, forest_of_leaves
 from splatree.lod.grow import grow
@@ -137,7 +137,7 @@ def _write_part(
         if follows and forest.families:
             part = _following(work, plan, part, forest, loaded, rows)
     name = work.part_name(number)
-    write(part, work.scene / name, force=True)
+    write_plain(part, work.scene / name)
     _write_roots(work, plan, number, part, forest, follows=follows, threads=threads)
     file = stored_file(work.scene, name)
     found = {"rows": len(part), "roots": len(forest.roots), "depth": int(part.tree.depth.max()), "file": vars(file)}
@@ -206,11 +206,11 @@ def _write_roots(
     above, roots = work.above, _roots_of(part)
     if follows:
         if plan.resolved.method == "pairs":
-            write(roots, above.drawn(number), force=True)
+            write_plain(roots, above.drawn(number))
         if plan.first_roots is None:
             write_array(above.shown(number), _shown(work, plan, part, threads))
         roots = replace(roots, gaussians=replace(forest.present, sh=roots.gaussians.sh))  # as they were merged
-    write(replace(roots, gaussians=roots.gaussians.with_sh_degree(0)), above.cell(number), force=True)
+    write_plain(replace(roots, gaussians=roots.gaussians.with_sh_degree(0)), above.cell(number))
     if plan.sh_degree:
         write_array(above.harmonics(number), roots.gaussians.sh[:, 1:])
     write_bounds(above, number, roots.gaussians.means)

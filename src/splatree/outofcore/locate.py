@@ -9,8 +9,8 @@ from collections.abc import Callable
 import numpy as np
 
 from splatree.io.formats.splatree.rows import StoredScene
-from splatree.outofcore.index import StoreIndex
-from splatree.outofcore.page import Page
+from splatree.io.pages.index import StoreIndex
+from splatree.io.pages.page import Page
 from splatree.outofcore.paging import Cut
 from splatree.shapes import Array, Int32, Int64
 

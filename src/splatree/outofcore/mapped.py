@@ -35,7 +35,7 @@ def mapped_whole(folder: Path, beside: Path) -> Iterator[Scene]:
     tree = open_whole(folder)
     with alone_in(work):
         try:
-            with create_scene(file, tree.head, force=True) as writer:
+            with create_scene(file, tree.head, force=True, pages=False) as writer:
                 for run in tree.runs(f"put {folder.name} together"):
                     writer.append(run)
             scene = read(file)

@@ -8,9 +8,9 @@ from splatree.io.formats.folder.manifest import MANIFEST, Manifest, checked_path
 from splatree.io.formats.splatree.rows import StoredScene, open_scene
 from splatree.io.memory import bytes_of, free_bytes
 from splatree.io.objects import ObjectPath, at_once, located
-from splatree.outofcore.index import StoreIndex, index_of_file, index_of_folder
-from splatree.outofcore.index_file import read_index
-from splatree.outofcore.pages import table_of
+from splatree.io.pages.index import StoreIndex, index_of_file, index_of_folder
+from splatree.io.pages.index_file import read_index, read_own_index
+from splatree.io.pages.table import table_of
 from splatree.outofcore.store import Store
 from splatree.progress import task
 from splatree.scene.arguments import checked
@@ -47,8 +47,11 @@ def open_store(path: str | os.PathLike[str], *, max_memory: str | None = None) -
                 f"{path}: found a folder without such a {MANIFEST}, wanted one that splatree build --max-memory made"
             )
         file = open_scene(path)
-        with task(f"index {path.name}", float(len(file))) as advance:
-            return Store([file], index_of_file(file, advance), max_bytes)
+        index = read_own_index(file)
+        if index is None:
+            with task(f"index {path.name}", float(len(file))) as advance:
+                index = index_of_file(table_of(file, advance=advance), len(file))
+        return Store([file], index, max_bytes)
     manifest = read_manifest(path)
     files = [path / file.name for file in (manifest.crown, *manifest.parts)]
     crown, *parts = at_once(open_scene, files) if isinstance(path, ObjectPath) else map(open_scene, files)

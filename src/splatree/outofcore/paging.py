@@ -18,10 +18,10 @@ from typing import NamedTuple
 import numpy as np
 
 from splatree.constants import BLOCK_ROWS, SIGMAS
+from splatree.io.pages.index import StoreIndex
+from splatree.io.pages.page import Page
+from splatree.io.pages.table import PageTable
 from splatree.kernels.cpu.frame import select as kernel
-from splatree.outofcore.index import StoreIndex
-from splatree.outofcore.page import Page
-from splatree.outofcore.pages import PageTable
 from splatree.scene.options import SelectOptions
 from splatree.scene.view import View
 from splatree.shapes import Array, Bool, Float32, Int32, Int64, check_fields

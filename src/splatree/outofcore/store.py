@@ -18,11 +18,11 @@ import numpy as np
 from splatree.errors import InputError
 from splatree.io.check import checked_rows
 from splatree.io.formats.splatree.rows import StoredScene
+from splatree.io.pages.index import StoreIndex
+from splatree.io.pages.page import Page, page_of
+from splatree.io.pages.table import row_bytes_of
 from splatree.lod.select import for_levels, notes_on, within_budget
-from splatree.outofcore.index import StoreIndex
 from splatree.outofcore.locate import crown_rows, find_rows
-from splatree.outofcore.page import Page, page_of
-from splatree.outofcore.pages import row_bytes_of
 from splatree.outofcore.paging import Cut, cut_at
 from splatree.scene.cameras import Camera
 from splatree.scene.frame import Selection

@@ -59,7 +59,7 @@ class Manifest:
     parts: tuple[StoredFile, ...]
     """Whole subtrees, each file a ``.splatree``."""
     index: StoredFile | None = None
-    """What a selection by pages has to know beforehand (outofcore/index_file.py); None in folders of before: it is made anew."""
+    """What a selection by pages has to know beforehand (io/pages/index_file.py); None in folders of before: it is made anew."""
 
     def to_json(self) -> str:
         """The text of the file."""

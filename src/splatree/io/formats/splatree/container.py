@@ -9,8 +9,9 @@ import math
 import mmap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -18,9 +19,20 @@ from splatree.errors import FormatError
 from splatree.io import untrusted
 from splatree.io.objects import MOST_BYTES, ObjectPath, at_once
 from splatree.io.sources import Info
-from splatree.shapes import Array
+from splatree.shapes import Array, UInt8
 
-__all__ = ["COMPACT_VERSION", "VERSION", "Column", "Container", "header_bytes", "open_container", "placed"]
+__all__ = [
+    "COMPACT_VERSION",
+    "SPARE_BYTES",
+    "VERSION",
+    "Column",
+    "Container",
+    "append_bytes",
+    "container_in",
+    "header_bytes",
+    "open_container",
+    "placed",
+]
 
 VERSION = 1
 """Version of exact files; a new field of a scene does not change it, a new meaning does."""
@@ -33,6 +45,9 @@ _HEADER_MAX = 100_000_000
 
 _ALIGNMENT = 64
 """The first column starts at a multiple of this, so that mapped columns are aligned as kernels like them."""
+
+SPARE_BYTES = 160
+"""Room in a header for one column more (`append_bytes`)."""
 
 NEAR_BYTES = 1 << 16
 """A gap that is fetched along with what lies around it: a request takes longer."""
@@ -91,7 +106,7 @@ class Container:
     """The strings of the header."""
     columns: Mapping[str, Column]
     """The columns by name."""
-    bytes: "Mapped | Ranged"
+    bytes: "Mapped | Held | Ranged"
     """The bytes of the file."""
 
     @property
@@ -129,18 +144,34 @@ class Mapped:
 
     def arrays(self, wanted: Sequence[Column]) -> list[Array]:
         """Columns as views: nothing is read yet."""
-        return [
-            np.ndarray(each.shape, each.dtype, self.memory, each.start)
-            if each.num_bytes
-            else np.empty(each.shape, each.dtype)
-            for each in wanted
-        ]
+        return _views(self.memory, wanted)
 
     def forget(self, start: int, end: int) -> None:
         """Let the system take back the memory of the bytes."""
         first, last = -(-start // mmap.PAGESIZE) * mmap.PAGESIZE, end // mmap.PAGESIZE * mmap.PAGESIZE
         if last > first and hasattr(mmap, "MADV_DONTNEED"):  # Windows takes back what it needs
             self.memory.madvise(mmap.MADV_DONTNEED, first, last - first)
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """Bytes that are in memory."""
+
+    memory: memoryview
+
+    def arrays(self, wanted: Sequence[Column]) -> list[Array]:
+        """Columns as views."""
+        return _views(self.memory, wanted)
+
+    def forget(self, start: int, end: int) -> None:
+        """Nothing is given back."""
+
+
+def _views(memory: mmap.mmap | memoryview, wanted: Sequence[Column]) -> list[Array]:
+    return [
+        np.ndarray(each.shape, each.dtype, memory, each.start) if each.num_bytes else np.empty(each.shape, each.dtype)
+        for each in wanted
+    ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,16 +226,50 @@ def open_container(path: Path) -> Container:
     info = path.info() if isinstance(path, ObjectPath) else None
     with path.open("rb") as file:
         num_bytes = path.stat().st_size
-        header_size = int.from_bytes(file.read(8), "little")
-        if not 2 <= header_size <= min(_HEADER_MAX, num_bytes - 8):
-            raise FormatError(
-                f"{where}: found a header of {header_size} bytes in a file of {num_bytes}; the file is cut off or no .splatree"
-            )
-        header = untrusted.as_object(untrusted.parse_json(file.read(header_size), where), where)
+        text = _header_of(file, num_bytes, where)
         if isinstance(path, ObjectPath):
             held: Mapped | Ranged = Ranged(path, info)
         else:
             held = Mapped(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
+    return _container(path, text, num_bytes, held)
+
+
+def container_in(column: UInt8[Array, "b"], path: Path) -> Container:
+    """A container whose bytes are a column of a file.
+
+    Raises:
+        FormatError: it is damaged, or of another kind or version.
+    """
+    where = str(path)
+    return _container(path, _header_of(BytesIO(column.data), len(column), where), len(column), Held(column.data))
+
+
+def append_bytes(path: Path, name: str, data: bytes) -> None:
+    """Add a column of bytes behind all others of a file; its header was written with `SPARE_BYTES`."""
+    with path.open("r+b") as file:
+        size = int.from_bytes(file.read(8), "little")
+        header = json.loads(file.read(size))
+        start = file.seek(0, 2) - 8 - size
+        file.write(data)
+        header[name] = {"dtype": "U8", "shape": [len(data)], "data_offsets": [start, start + len(data)]}
+        text = json.dumps(header, separators=(",", ":")).encode()
+        assert len(text) <= size
+        file.seek(8)
+        file.write(text.ljust(size))
+
+
+def _header_of(file: BinaryIO, num_bytes: int, where: str) -> bytes:
+    header_size = int.from_bytes(file.read(8), "little")
+    if not 2 <= header_size <= min(_HEADER_MAX, num_bytes - 8):
+        raise FormatError(
+            f"{where}: found a header of {header_size} bytes in a file of {num_bytes}; the file is cut off or no .splatree"
+        )
+    return file.read(header_size)
+
+
+def _container(path: Path, text: bytes, num_bytes: int, held: Mapped | Held | Ranged) -> Container:
+    where = str(path)
+    header = untrusted.as_object(untrusted.parse_json(text, where), where)
     values = untrusted.as_object(header.pop("__metadata__", None), f"{where}: __metadata__")
     version = values.get("version")
     if values.get("format") != "splatree" or version not in (str(VERSION), str(COMPACT_VERSION)):
@@ -212,7 +277,7 @@ def open_container(path: Path) -> Container:
             f"{where}: found format {values.get('format')!r}, version {version!r}, wanted 'splatree', '{VERSION}' or "
             f"'{COMPACT_VERSION}'; a newer file needs a newer splatree, other safetensors are no scene"
         )
-    start = 8 + header_size
+    start = 8 + len(text)
     columns = {name: _column(entry, start, num_bytes, f"{where}: {name}") for name, entry in header.items()}
     total = sum(column.num_bytes for column in columns.values())
     if total != num_bytes - start:
@@ -236,13 +301,14 @@ def placed(shapes: Mapping[str, tuple[np.dtype[Any], tuple[int, ...]]]) -> dict[
     return columns
 
 
-def header_bytes(values: Mapping[str, str], columns: Mapping[str, Column]) -> bytes:
-    """The head of a file: the length of the header and the header, padded."""
+def header_bytes(values: Mapping[str, str], columns: Mapping[str, Column], *, spare: int = 0) -> bytes:
+    """The head of a file: the length of the header and the header, padded, with so many bytes to spare."""
     header: dict[str, Any] = {"__metadata__": {"format": "splatree", "version": str(VERSION), **values}}
     for name, column in columns.items():
         ends = [column.start, column.start + column.num_bytes]
         header[name] = {"dtype": _NAMES[column.dtype.name], "shape": column.shape, "data_offsets": ends}
     text = json.dumps(header, separators=(",", ":")).encode()
+    text += b" " * spare
     text += b" " * (-(8 + len(text)) % _ALIGNMENT)
     return len(text).to_bytes(8, "little") + text
 

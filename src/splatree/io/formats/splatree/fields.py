@@ -22,6 +22,7 @@ from splatree.shapes import Array
 
 __all__ = [
     "NOT_STORED",
+    "PAGES",
     "STORED_AS",
     "cluster_types",
     "column_types",
@@ -32,6 +33,9 @@ __all__ = [
     "value_of",
     "values_of",
 ]
+
+PAGES = "pages"
+"""The column of the index of pages (io/pages/index_file.py), which is of the file and not of the scene."""
 
 NOT_STORED = ("blocks",)
 """Fields of a scene that are of this run: an index that is made anew."""

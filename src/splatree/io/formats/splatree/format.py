@@ -4,7 +4,8 @@ The file is an eight-byte length, a JSON header and the columns, each where the 
 byte is copied: a scene opens in the time of checking its values. Which columns there are follows from the fields of `Scene`
 and of the structs in it: ``gaussians.means``, ``tree.depth``, ``ids`` and so on; a field that holds None is left out. The block
 index is not kept: one from a stale or hostile file could hide rows without a trace, and making it anew costs 25 ns a row. For the
-same reason the radii and boxes of clusters are written for others to read, but computed anew here, in 10 ns a row.
+same reason the radii and boxes of clusters are written for others to read, but computed anew here, in 10 ns a row. The index of
+pages of a large file is kept for who draws page by page (io/pages/), since making it anew reads the file; here it is passed over.
 
 Any safetensors library reads the file, and no code is ever loaded from it. That library is not used here, because it copies
 every tensor and builds the whole file in memory before it writes; in the tests it is the judge.
@@ -20,9 +21,10 @@ import numpy as np
 from splatree.errors import FormatError, InputError, ShapeError
 from splatree.io.check import checked
 from splatree.io.chunks import ROWS_PER_CHUNK, Chunks
-from splatree.io.formats.splatree.container import Container, header_bytes, open_container, placed
+from splatree.io.formats.splatree.container import SPARE_BYTES, Container, header_bytes, open_container, placed
 from splatree.io.formats.splatree.fields import (
     NOT_STORED,
+    PAGES,
     column_types,
     columns_of,
     source_from,
@@ -36,6 +38,7 @@ from splatree.io.formats.splatree.rows import SceneRows, StoredScene, open_scene
 from splatree.io.formats.splatree.writer import SceneWriter
 from splatree.io.levels import check_extents
 from splatree.io.options import ReadOptions, WriteOptions
+from splatree.io.pages.index_file import append_index, wants_index
 from splatree.io.runs import TreeRuns
 from splatree.kernels.cpu.build.spheres import bound_clusters
 from splatree.kernels.cpu.frame.blocks import index_blocks
@@ -68,12 +71,15 @@ def write(scene: Scene, path: Path, options: WriteOptions) -> tuple[str, ...]:
         values.pop(name, None)
     places = placed({name: (column.dtype, column.shape) for name, column in columns.items()})
     total = sum(place.num_bytes for place in places.values())
+    is_indexed = not options.compact and wants_index(SceneHead.of(scene))
     with path.open("wb") as file, task(f"write {path.name}", total) as advance:
-        file.write(header_bytes(values, places))
+        file.write(header_bytes(values, places, spare=SPARE_BYTES * is_indexed))
         for name, place in places.items():
             if place.num_bytes:
                 file.write(np.ascontiguousarray(columns[name]).reshape(-1).view(np.uint8).data)
             advance(place.num_bytes)
+    if is_indexed:
+        append_index(path)
     return lost
 
 
@@ -137,10 +143,10 @@ def read_runs(path: Path) -> TreeRuns | None:
 
 
 def has_rows_alone(stored: StoredScene) -> bool:
-    """Whether a file has nothing but columns of rows and the state of its roots, and no clusters."""
+    """Whether a file has nothing but columns of rows, their index and the state of its roots, and no clusters."""
     head = stored.head
     known = column_types(len(stored), 1, has_ids=head.has_ids, has_curves=head.has_curves)
-    return all(name in known or name.startswith("tree.roots.") for name in stored.file.columns)
+    return all(name in known or name == PAGES or name.startswith("tree.roots.") for name in stored.file.columns)
 
 
 def _runs_of(stored: StoredScene, what: str) -> Iterator[SceneRows]:
@@ -203,7 +209,7 @@ def read(path: Path, options: ReadOptions) -> Scene:
 
         columns = uncompacted(file)
     else:
-        columns = {name: file.rows(name) for name in file.columns}
+        columns = {name: file.rows(name) for name in file.columns if name != PAGES}
     known = set(columns)
     _add_bounds(columns)
     try:

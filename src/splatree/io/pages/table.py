@@ -7,7 +7,7 @@ does not draw it.
 
 A folder of parts is a store of several files. Leaves of the crown are copies of roots of parts, its *portals*; all portals are
 numbered, part by part. A page of a part knows the numbers of the roots that it belongs to. A page of the crown has the box of its
-inner nodes alone: what is below its portals has pages of its own (outofcore/index.py).
+inner nodes alone: what is below its portals has pages of its own (io/pages/index.py).
 
 Cost: 60 bytes a page of 1 MB, 88 bytes a block of 60 kB. Making the table reads everything but the harmonics, once.
 """
@@ -23,8 +23,8 @@ from splatree.errors import FormatError
 from splatree.io.formats.splatree.fields import column_types
 from splatree.io.formats.splatree.head import SceneHead
 from splatree.io.formats.splatree.rows import SceneRows, StoredScene
+from splatree.io.pages.page import Checksums, Page, page_of
 from splatree.kernels.cpu.frame.blocks import index_blocks
-from splatree.outofcore.page import Checksums, Page, page_of
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.tree import BlockIndex, GaussianTree
 from splatree.shapes import Array, Float32, Int32, Int64, UInt8, check_fields

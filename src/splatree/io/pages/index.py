@@ -1,6 +1,6 @@
 """What a store knows of its files before it reads a page: the table of pages, and where each row stands in the whole tree."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -9,8 +9,8 @@ import numpy as np
 from splatree.errors import FormatError, InputError, ShapeError
 from splatree.io.chunks import ROWS_PER_CHUNK
 from splatree.io.formats.splatree.rows import StoredScene
-from splatree.outofcore.page import DRAWN_ROWS, Checksums
-from splatree.outofcore.pages import FilePages, PageTable, table_of
+from splatree.io.pages.page import DRAWN_ROWS, Checksums
+from splatree.io.pages.table import FilePages, PageTable
 from splatree.shapes import Array, Int32, Int64, UInt32, check_fields
 
 __all__ = ["StoreIndex", "index_of_file", "index_of_folder"]
@@ -86,16 +86,25 @@ class StoreIndex:
         return int(np.searchsorted(self.file_start, page, side="right")) - 1
 
 
-def index_of_file(stored: StoredScene, advance: Callable[[float], None]) -> StoreIndex:
-    """Go through a file and index it; ``advance`` is told of rows gone through.
-
-    Raises:
-        FormatError: a value cannot be used, or the rows are no tree.
-    """
-    found = table_of(stored, advance=advance)
+def index_of_file(found: FilePages, num_rows: int) -> StoreIndex:
+    """The index of a file of so many rows from what `table_of` found in it."""
     start = np.array([0, len(found.table)], np.int32)
-    levels = int(found.root_levels.max()) + 1 if len(stored) else 0
-    return StoreIndex(found.table, start, len(stored), found.num_leaves, levels, 0, found.largest_id)
+    levels = int(found.root_levels.max()) + 1 if num_rows else 0
+    return StoreIndex(
+        table=found.table,
+        file_start=start,
+        num_rows=num_rows,
+        num_leaves=found.num_leaves,
+        num_levels=levels,
+        num_roots=0,
+        largest_id=found.largest_id,
+        **(_checksums(found.checksums) if found.checksums else {}),
+    )
+
+
+def _checksums(noted: Sequence[Checksums]) -> dict[str, UInt32[Array, "x"]]:
+    plain = np.array([each.plain for each in noted], np.uint32)
+    return {"plain_checksums": plain, "drawn_checksums": np.concatenate([each.drawn for each in noted])}
 
 
 def index_of_folder(crown: StoredScene, own: FilePages, pages: Iterable[FilePages], where: Path) -> StoreIndex:
@@ -139,7 +148,6 @@ def index_of_folder(crown: StoredScene, own: FilePages, pages: Iterable[FilePage
             "than 2^32 identities together"
         )
     table = PageTable.joined(tables)
-    has_checksums = len(noted) == len(table)
     return StoreIndex(
         table=table,
         file_start=np.cumsum([0, *map(len, tables)]).astype(np.int32),
@@ -151,8 +159,7 @@ def index_of_folder(crown: StoredScene, own: FilePages, pages: Iterable[FilePage
         whole_rows=np.cumsum(sizes, dtype=np.int32) - sizes,
         above_start=np.cumsum([0, *map(len, above)]).astype(np.int32),
         above=np.concatenate(above).astype(np.int32),
-        plain_checksums=np.array([each.plain for each in noted], np.uint32) if has_checksums else None,
-        drawn_checksums=np.concatenate([each.drawn for each in noted]) if has_checksums else None,
+        **(_checksums(noted) if len(noted) == len(table) else {}),
     )
 
 

@@ -1,13 +1,18 @@
-"""``pages.index``: the index of a folder of parts as a file, a container of columns like a ``.splatree``.
+"""The index of pages as it is stored: ``pages.index`` of a folder of parts, or the column ``pages`` of one ``.splatree``.
 
-The manifest has its digest, so it is the one that was written with the parts. What it says is held against the files all the
-same: no page lies outside of its file, no number leads outside of a column.
+Either is a container of columns like a ``.splatree``. The column is behind all others, so it is made when they are written. Each
+page is held against its checksum when it is read, so an index of other rows is noticed there. The column has a checksum of its
+own. A box that was made too small is not noticed: `check` makes the index anew.
+
+The manifest of a folder has the digest, so it is the one that was written with the parts. What an index says is held against the
+files all the same: no page lies outside of its file, no number leads outside of a column.
 
 Files of before have no steps of blocks but `block_leaf_scales`, and boxes of the crown that hold what is below its portals. They
 are read as they are: views read more pages.
 """
 
 import json
+import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import fields
 from pathlib import Path
@@ -17,20 +22,35 @@ import numpy as np
 
 from splatree.errors import FormatError, ShapeError
 from splatree.io import untrusted
-from splatree.io.formats.splatree.container import header_bytes, open_container, placed
-from splatree.io.formats.splatree.rows import StoredScene
+from splatree.io.formats.splatree.container import (
+    Container,
+    append_bytes,
+    container_in,
+    header_bytes,
+    open_container,
+    placed,
+)
+from splatree.io.formats.splatree.fields import PAGES
+from splatree.io.formats.splatree.head import SceneHead
+from splatree.io.formats.splatree.rows import StoredScene, open_scene
+from splatree.io.pages.index import StoreIndex, index_of_file
+from splatree.io.pages.table import PageTable, table_of
 from splatree.io.replacing import replacing
-from splatree.outofcore.index import StoreIndex
-from splatree.outofcore.pages import PageTable
+from splatree.progress import task
 from splatree.shapes import Array
 
-__all__ = ["INDEX", "read_index", "write_index"]
+__all__ = ["INDEX", "append_index", "read_index", "read_own_index", "wants_index", "write_index"]
 
 INDEX = "pages.index"
 """Name of the file."""
 
+INDEXED_ROWS = 100_000
+"""Rows from which on a file with levels has an index: that of fewer is made in a tenth of a second when the file is opened."""
+
 NUMBERS = ("num_rows", "num_leaves", "num_levels", "num_roots", "largest_id")
-COLUMNS = ("file_start", "whole_rows", "above_start", "above", "plain_checksums", "drawn_checksums")
+COLUMNS = ("file_start", "plain_checksums", "drawn_checksums")
+OF_PARTS = ("whole_rows", "above_start", "above")
+"""Columns of a folder alone."""
 
 ABOVE = ("above_start", "above")
 STEPS = ("table.block_step_extents", "table.block_step_scales")
@@ -40,14 +60,41 @@ LEAF_SCALES = "table.block_leaf_scales"
 
 def write_index(index: StoreIndex, path: Path) -> None:
     """Write the index of a folder, whole or not at all."""
+    with replacing(path, force=True) as temporary:
+        temporary.write_bytes(_bytes_of(index))
+
+
+def wants_index(head: SceneHead) -> bool:
+    """Whether a file has levels and is large enough for an index."""
+    return head.record is not None and head.num_rows >= INDEXED_ROWS
+
+
+def append_index(path: Path) -> None:
+    """Index a ``.splatree`` that was just written, with room in its header, and add the index to it.
+
+    Raises:
+        FormatError: the rows are no tree.
+    """
+    stored = open_scene(path)
+    with task("index pages", float(len(stored))) as advance:
+        index = index_of_file(table_of(stored, checksums=True, advance=advance), len(stored))
+    del stored  # no system has to write to a file that is mapped
+    append_bytes(path, PAGES, _bytes_of(index))
+
+
+def _bytes_of(index: StoreIndex) -> bytes:
     columns: dict[str, Array] = {f"table.{f.name}": getattr(index.table, f.name) for f in fields(PageTable)}
-    columns |= {name: getattr(index, name) for name in COLUMNS}
+    columns |= {name: getattr(index, name) for name in (*COLUMNS, *(OF_PARTS if index.has_parts else ()))}
     places = placed({name: (column.dtype, column.shape) for name, column in columns.items()})
     values = {"kind": "pages", "numbers": json.dumps({name: getattr(index, name) for name in NUMBERS})}
-    with replacing(path, force=True) as temporary, temporary.open("wb") as file:
-        file.write(header_bytes(values, places))
-        for name in places:
-            file.write(np.ascontiguousarray(columns[name]).tobytes())
+    data = b"".join(np.ascontiguousarray(columns[name]).tobytes() for name in places)
+    values["checksum"] = _checksum(values["numbers"], data)
+    return header_bytes(values, places) + data
+
+
+def _checksum(numbers: str, data: bytes | memoryview) -> str:
+    """CRC-32 of all that an index says."""
+    return f"{zlib.crc32(data, zlib.crc32(numbers.encode())):08x}"
 
 
 def read_index(path: Path, files: Sequence[StoredScene]) -> StoreIndex:
@@ -60,7 +107,35 @@ def read_index(path: Path, files: Sequence[StoredScene]) -> StoreIndex:
     Raises:
         FormatError: it is damaged or not that of these files.
     """
-    where, container = str(path), open_container(path)
+    return _index_in(open_container(path), path, files, OF_PARTS)
+
+
+def read_own_index(stored: StoredScene) -> StoreIndex | None:
+    """The index in a ``.splatree``, held against it; None: it has none.
+
+    Raises:
+        FormatError: it is damaged or not that of this file.
+    """
+    if PAGES not in stored.file.columns:
+        return None
+    path, column = stored.file.path, stored.file.rows(PAGES)
+    if column.dtype != np.uint8 or column.ndim != 1:
+        raise FormatError(
+            f"{path}: {PAGES}: found {column.dtype} of shape {column.shape}, wanted bytes; the file is damaged"
+        )
+    container = container_in(column, path / PAGES)
+    numbers, said = (untrusted.text(container.values, key, str(path / PAGES)) for key in ("numbers", "checksum"))
+    start = min((place.start for place in container.columns.values()), default=len(column))
+    if said != (found := _checksum(numbers, column[start:].data)):
+        raise FormatError(
+            f"{path / PAGES}: found checksum {found}, wanted {said}; the file is damaged: splatree convert {path} whole.splatree "
+            "makes the index anew"
+        )
+    return _index_in(container, path / PAGES, [stored], ())
+
+
+def _index_in(container: Container, path: Path, files: Sequence[StoredScene], of_parts: tuple[str, ...]) -> StoreIndex:
+    where = str(path)
     if container.values.get("kind") != "pages":
         raise FormatError(f"{where}: found kind {container.values.get('kind')!r}, wanted 'pages'")
     said = untrusted.as_object(
@@ -71,7 +146,7 @@ def read_index(path: Path, files: Sequence[StoredScene]) -> StoreIndex:
         name: untrusted.integer(said, name, f"{where}: numbers", high=high.get(name, 2**31 - 1)) for name in NUMBERS
     }
     try:
-        names, wanted = [f"table.{f.name}" for f in fields(PageTable)], [*COLUMNS]
+        names, wanted = [f"table.{f.name}" for f in fields(PageTable)], [*COLUMNS, *of_parts]
         is_of_before = LEAF_SCALES in container.columns
         if is_of_before:
             names = [name for name in names if name not in STEPS] + [LEAF_SCALES]
@@ -127,6 +202,8 @@ def _wrong(index: StoreIndex, num_rows: Sequence[int]) -> Iterator[str]:
     begin = table.begin[of_page]
     if np.any(table.rows[table.ancestors] >= begin) or np.any(table.subtree_end[table.ancestors] <= begin):
         yield "table: found ancestors that do not hold their page"
+    if not index.has_parts:
+        return
     own = index.num_own
     roots, whole = table.first_root[own:], index.whole_rows
     if np.any(np.diff(roots) < 0) or np.any((roots < 0) | (roots > index.num_roots)):
