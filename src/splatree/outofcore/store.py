@@ -43,6 +43,10 @@ INDEX_BYTES = 30
 FETCHED_BYTES = 1 << 23
 """Pages of an object of a store that follow each other are fetched together, up to so many bytes."""
 
+STILL_VIEWS = 4
+"""Views without a page that came after which no page is looked for ahead. After none, a flight over a city waits for 11 pages in
+place of 2 (benchmarks/flight.py); each view that looks ahead takes one selection more."""
+
 SAMPLE = 60_000
 """Gaussians of a sample: as many as framing looks at."""
 
@@ -75,6 +79,7 @@ class Store:
         self._ahead: tuple[ThreadPoolExecutor, Future[None]] | None = None
         self._last_view: View | None = None
         self._num_before = 0  # pages that had come when it was drawn
+        self._num_still = 0  # views since pages came
         self._is_open = True
 
     @property
@@ -148,12 +153,14 @@ class Store:
         return found
 
     def _look_ahead(self, view: Camera | View, options: SelectOptions | None, num_pages: int) -> None:
-        """Load the pages of the next view of a camera that moves on as it does, if pages came and most were there."""
+        """Load the pages of the next view of a camera that moves on as it does, if pages came lately and most were there."""
         if isinstance(view, Camera):
             view = view_of(self.scene, view)
         last, self._last_view = self._last_view, view
         before, self._num_before = self._num_before, self.num_loaded + self.num_ahead
-        if last is None or not 0 < self._num_before - before <= num_pages / 2:
+        num_came = self._num_before - before
+        self._num_still = 0 if num_came else self._num_still + 1
+        if last is None or self._num_still > STILL_VIEWS or num_came > num_pages / 2:
             return
         pose = view.camera.camera_from_world
         step = pose @ np.linalg.inv(last.camera.camera_from_world)
