@@ -74,19 +74,36 @@ else:
     UInt64 = _Annotation("uint64")
 
 
+@dataclasses.dataclass(frozen=True)
+class _Field:
+    """What an array field of a struct has to be."""
+
+    name: str
+    dtype: "np.dtype[Any]"
+    axes: tuple[tuple[str, int | None, int], ...]
+    """Of each axis its letter, its size if it is a number, and what is added to it."""
+    wanted: str
+    """The axes as they are written."""
+    may_be_none: bool
+
+
 @cache
-def _axes_from_field(struct: type) -> dict[str, tuple[Axes, bool]]:
-    """Type and axes of each array field, and whether it may be None."""
+def _fields_of(struct: type) -> tuple[_Field, ...]:
+    """The array fields of a struct."""
     hints = get_type_hints(struct, include_extras=True)
-    found: dict[str, tuple[Axes, bool]] = {}
+    found = []
     for field in dataclasses.fields(struct):
         hint = hints[field.name]
         for candidate in (hint, *get_args(hint)):  # also inside "| None"
             metadata = getattr(candidate, "__metadata__", ())
-            axes = next((m for m in metadata if isinstance(m, Axes)), None)
-            if axes is not None:
-                found[field.name] = axes, NoneType in get_args(hint)
-    return found
+            if (axes := next((m for m in metadata if isinstance(m, Axes)), None)) is not None:
+                parts = [axis.partition("+")[::2] for axis in axes.names]
+                sizes = tuple(
+                    (letter, int(letter) if letter.isdigit() else None, int(more or 0)) for letter, more in parts
+                )
+                dtype, may_be_none = np.dtype(axes.dtype), NoneType in get_args(hint)
+                found.append(_Field(field.name, dtype, sizes, " ".join(axes.names), may_be_none))
+    return tuple(found)
 
 
 def check_fields(struct: Any, **sizes: int) -> dict[str, int]:
@@ -98,34 +115,35 @@ def check_fields(struct: Any, **sizes: int) -> dict[str, int]:
         ShapeError: a field is not an array, or not of the annotated dtype and shape, or not C-contiguous.
     """
     bound = dict(sizes)
-    owner = type(struct).__name__
     struct_type: Any = type(struct)
-    for name, (axes, may_be_none) in _axes_from_field(struct_type).items():
-        value = getattr(struct, name)
-        if value is None and may_be_none:
+    owner = struct_type.__name__
+    for field in _fields_of(struct_type):
+        value = getattr(struct, field.name)
+        if value is None and field.may_be_none:
             continue
         if not isinstance(value, np.ndarray):
-            raise ShapeError(f"{owner}.{name}: found {type(value).__name__}, wanted a NumPy array")
-        if value.dtype != np.dtype(axes.dtype):
+            raise ShapeError(f"{owner}.{field.name}: found {type(value).__name__}, wanted a NumPy array")
+        if value.dtype != field.dtype:
             found = (
                 value.dtype.name if value.dtype.isnative else f"{value.dtype.name} in the byte order of another machine"
             )
             raise ShapeError(
-                f"{owner}.{name}: found dtype {found}, wanted {axes.dtype}; convert it with .astype(np.{axes.dtype})"
+                f"{owner}.{field.name}: found dtype {found}, wanted {field.dtype.name}; convert it with "
+                f".astype(np.{field.dtype.name})"
             )
-        wanted = " ".join(axes.names)
-        if value.ndim != len(axes.names):
-            raise ShapeError(f"{owner}.{name}: found shape {value.shape}, wanted ({wanted})")
-        for size, axis in zip(value.shape, axes.names, strict=True):
-            letter, _, extra = axis.partition("+")
-            expected = int(letter) if letter.isdigit() else bound.setdefault(letter, size - int(extra or 0))
-            if size != expected + int(extra or 0) or expected < 0:
+        if value.ndim != len(field.axes):
+            raise ShapeError(f"{owner}.{field.name}: found shape {value.shape}, wanted ({field.wanted})")
+        for size, (letter, number, more) in zip(value.shape, field.axes, strict=True):
+            expected = bound.setdefault(letter, size - more) if number is None else number
+            if size != expected + more or expected < 0:
                 raise ShapeError(
-                    f"{owner}.{name}: found shape {value.shape}, wanted ({wanted}) with {axis} = "
-                    f"{expected + int(extra or 0)}"
+                    f"{owner}.{field.name}: found shape {value.shape}, wanted ({field.wanted}) with "
+                    f"{letter + (f'+{more}' if more else '')} = {expected + more}"
                 )
         if not value.flags.c_contiguous:
-            raise ShapeError(f"{owner}.{name}: found a strided array, wanted C-contiguous; use np.ascontiguousarray")
+            raise ShapeError(
+                f"{owner}.{field.name}: found a strided array, wanted C-contiguous; use np.ascontiguousarray"
+            )
     return bound
 
 

@@ -5,7 +5,7 @@ Whole or in chunks, the values are the same.
 """
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +22,7 @@ from splatree.scene.names import Mode
 from splatree.scene.scene import Scene, Source
 from splatree.shapes import Array
 
-__all__ = ["FileRows", "Fill", "columns_to_fill", "records_of", "scene_of"]
+__all__ = ["FileRows", "Fill", "columns_to_fill", "records_of", "regrouped", "scene_of"]
 
 Fill = Callable[[int, Gaussians], None]
 """Decodes the rows from a number on into columns, as many as these hold."""
@@ -94,6 +94,23 @@ def scene_of(chunks: Chunks, what: str) -> Scene:
     if counts := add_counts(metadata.get("repairs"), chunks.repairs):
         metadata["repairs"] = json.dumps(counts)
     return Scene.flat(gaussians, mode=chunks.mode, source=Source(metadata=metadata, origin=chunks.origin))
+
+
+def regrouped(chunks: Iterable[Gaussians], num_rows: int, sh_degree: int) -> Iterator[Gaussians]:
+    """The rows of chunks, so many at a time and what is left at last, in buffers that are used again."""
+    buffers = columns_to_fill(num_rows, sh_degree)
+    num_filled = 0
+    for chunk in chunks:
+        while len(chunk):
+            count = min(len(chunk), num_rows - num_filled)
+            for name, column in vars(chunk).items():
+                getattr(buffers, name)[num_filled : num_filled + count] = column[:count]
+            num_filled, chunk = num_filled + count, chunk.rows(count, len(chunk))
+            if num_filled == num_rows:
+                yield buffers
+                num_filled = 0
+    if num_filled:
+        yield buffers.rows(0, num_filled)
 
 
 def columns_to_fill(num_rows: int, sh_degree: int) -> Gaussians:

@@ -5,7 +5,7 @@ Harmonics above DC take no part in the grouping. They are averaged here, in plac
 
 import dataclasses
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,7 @@ from splatree.scene.roots import Roots
 from splatree.scene.scene import Scene, Source
 from splatree.scene.thinning import rules_of
 from splatree.scene.tree import GaussianTree
-from splatree.shapes import Array, Float32
+from splatree.shapes import Array, Float32, Int64
 
 __all__ = ["assemble"]
 
@@ -33,6 +33,7 @@ def assemble(
     resolved: ResolvedBuild,
     *,
     seen: Float32[Array, "n"] | None = None,
+    harmonics: Callable[[Int64[Array, "m"]], Float32[Array, "m k 3"]] | None = None,
     threads: int = 0,
 ) -> Scene:
     """The scene with the levels of a forest that grew over its Gaussians.
@@ -43,6 +44,7 @@ def assemble(
         resolved: what was decided for the whole scene.
         seen: visibility of each leaf in the order of its rank, by which merged Gaussians follow the pixel that they are drawn
             at (lod/follow.py); None: they are drawn as they were merged.
+        harmonics: gives those of some Gaussians of the scene, in a new array; None: the scene has them.
         threads: threads to use; 0: all.
 
     Returns:
@@ -59,9 +61,9 @@ def assemble(
 
     row_from_leaf = np.empty(num_leaves, np.int32)
     row_from_leaf[forest.base.order] = row[:num_leaves]
-    leaf_from_row = np.zeros(n, np.intp)  # inner nodes take any leaf's harmonics, and then their children's mean
+    leaf_from_row = np.zeros(n, np.int64)  # inner nodes take any leaf's harmonics, and then their children's mean
     leaf_from_row[row_from_leaf] = np.arange(num_leaves)
-    sh = np.take(scene.gaussians.sh, leaf_from_row, axis=0)
+    sh = np.take(scene.gaussians.sh, leaf_from_row, axis=0) if harmonics is None else harmonics(leaf_from_row)
     merge_kernel.average_children(sh, order.tree.subtree_end, placed(list(forest.weights)), threads=threads)
     gaussians = Gaussians(
         placed([part.means for part in forest.columns]),

@@ -115,12 +115,8 @@ def finish_scene(
     head, rows = _whole(tiers[1:])
     head = replace(head, record=replace(record_of(plan.resolved, sizes), trial=trial), source=source)
     if plan.follows and plan.resolved.method == "radius":
-        merged = first.work.folder / CROWN
-        _write_crown(merged, head, rows)
-        head, rows = (
-            replace(head, has_curves=True),
-            with_followed_nodes(first.work, plan, first.roots, open_scene(merged)),
-        )
+        crown = _stored(tiers[1:], first.work.folder / CROWN, head, rows)
+        head, rows = replace(head, has_curves=True), with_followed_nodes(first.work, plan, first.roots, crown)
     _write_crown(folder / CROWN, head, rows)
     write_index(_index(folder, first.files), folder / INDEX)
     manifest = first.manifest(head, stored_file(folder, INDEX))
@@ -137,14 +133,26 @@ def _whole(tiers: Sequence[Tier]) -> tuple[SceneHead, Iterator[SceneRows]]:
     tier, *above = tiers
     folder = tier.work.scene
     if not above:
-        (file,) = tier.files
-        stored = open_scene(folder / file.name)
+        stored = _only_part(tier)
         return stored.head, _runs(stored)
     head, rows = _whole(above)
     _write_crown(folder / CROWN, head, rows)
     write_text(folder / MANIFEST, tier.manifest(head).to_json())
     tree = open_whole(folder, checked=False)
     return tree.head, tree.runs("put levels together")
+
+
+def _stored(tiers: Sequence[Tier], path: Path, head: SceneHead, rows: Iterator[SceneRows]) -> StoredScene:
+    """A file of the rows of `_whole`: that of the only part, or a new one."""
+    if len(tiers) == 1:
+        return _only_part(tiers[0])
+    _write_crown(path, head, rows)
+    return open_scene(path)
+
+
+def _only_part(tier: Tier) -> StoredScene:
+    (file,) = tier.files
+    return open_scene(tier.work.scene / file.name)
 
 
 def _runs(stored: StoredScene) -> Iterator[SceneRows]:

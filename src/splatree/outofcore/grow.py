@@ -10,7 +10,7 @@ together, they are one cell, and its part is the crown.
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -27,7 +27,7 @@ from splatree.lod.grow_region import Owned, TooNarrowError, grow_region
 from splatree.lod.region import EVERYWHERE, Region
 from splatree.lod.shown import NODES_AT_A_TIME, Shown, fit_shown, num_columns, shown_above, shown_of_leaves
 from splatree.outofcore.follow import SHAPE, known_of_roots, seen_of
-from splatree.outofcore.load import Loaded, load, reaches, with_harmonics
+from splatree.outofcore.load import Loaded, harmonics, load, reaches
 from splatree.outofcore.plan import Plan
 from splatree.outofcore.shuffle import write_bounds
 from splatree.outofcore.work import Work, new_array, read_array, write_array
@@ -126,9 +126,16 @@ def _write_part(
     if not len(rows):
         write_bounds(work.above, number, np.empty((0, 3)))
         return {"leaves": 0, "rows": 0, "roots": 0, "depth": 0, "file": None}
-    leaves = Scene.flat(with_harmonics(work, plan, loaded, rows), mode=plan.mode)
+    leaves = Scene.flat(loaded.gaussians.take(rows), mode=plan.mode)
     leaves = replace(leaves, ids=loaded.inputs[rows].astype(np.uint32))
-    part = assemble(forest, leaves, plan.resolved, seen=seen if follows else None, threads=threads)
+    part = assemble(
+        forest,
+        leaves,
+        plan.resolved,
+        seen=seen if follows else None,
+        harmonics=lambda some: harmonics(work, plan, loaded, rows[some]),
+        threads=threads,
+    )
     part = replace(part, blocks=None, source=Source())  # the crown has the provenance
     if follows and part.tree.curves is None:  # no node follows
         part = replace(part, tree=replace(part.tree, curves=np.zeros((len(part), 4), np.float32)))
@@ -150,7 +157,7 @@ def _with_copies(work: Work, plan: Plan, part: Scene) -> Scene:
     copies = np.flatnonzero(part.tree.is_leaf)
     numbers = part.ids[copies].astype(np.int64)
     files = np.searchsorted(plan.first_roots, numbers, side="right") - 1
-    columns = {f.name: getattr(part.gaussians, f.name).copy() for f in fields(Gaussians)}
+    shape = {name: getattr(part.gaussians, name).copy() for name in SHAPE if plan.follows}
     extents, curves = part.tree.extents.copy(), None if part.tree.curves is None else part.tree.curves.copy()
     for file in np.unique(files):
         of_file = files == file
@@ -159,9 +166,10 @@ def _with_copies(work: Work, plan: Plan, part: Scene) -> Scene:
         extents[at] = stored.file.rows("tree.extents")[own]
         if curves is not None:
             curves[at] = stored.file.rows("tree.curves")[own]
-            for name, column in columns.items():
-                column[at] = stored.file.rows(f"gaussians.{name}")[own]
-    return replace(part, gaussians=Gaussians(**columns), tree=replace(part.tree, extents=extents, curves=curves))
+        for name, column in shape.items():
+            column[at] = stored.file.rows(f"gaussians.{name}")[own]
+    gaussians = replace(part.gaussians, **shape)
+    return replace(part, gaussians=gaussians, tree=replace(part.tree, extents=extents, curves=curves))
 
 
 def _following(work: Work, plan: Plan, part: Scene, forest: Forest, loaded: Loaded, rows: Array) -> Scene:
@@ -206,7 +214,7 @@ def _write_roots(
     above, roots = work.above, _roots_of(part)
     if follows:
         if plan.resolved.method == "pairs":
-            write_plain(roots, above.drawn(number))
+            write_plain(replace(roots, gaussians=roots.gaussians.with_sh_degree(0)), above.drawn(number))
         if plan.first_roots is None:
             write_array(above.shown(number), _shown(work, plan, part, threads))
         roots = replace(roots, gaussians=replace(forest.present, sh=roots.gaussians.sh))  # as they were merged

@@ -1,7 +1,7 @@
 """Load a cell and what lies around it."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,9 +12,9 @@ from splatree.outofcore.shuffle import BOUND_ROWS, harmonics_of
 from splatree.outofcore.work import Work, read_array
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.roots import Roots
-from splatree.shapes import Array, Int32, Int64
+from splatree.shapes import Array, Float32, Int32, Int64
 
-__all__ = ["Loaded", "load", "num_within", "reaches", "with_harmonics"]
+__all__ = ["Loaded", "harmonics", "load", "num_within", "reaches"]
 
 FIRST_REACH = 7.0
 """How far around a cell is loaded at first, in sums of the radii of its levels: of 112 cells of a city none needed more."""
@@ -94,17 +94,16 @@ def load(work: Work, plan: Plan, number: int, reach: float) -> Loaded:
     return Loaded(gaussians, inputs, cells, rows_there, Roots.concatenate(states) if states else None)
 
 
-def with_harmonics(work: Work, plan: Plan, loaded: Loaded, rows: Array) -> Gaussians:
-    """The loaded Gaussians in the order of ``rows``, with all of their harmonics."""
-    leaves = loaded.gaussians.take(rows)
+def harmonics(work: Work, plan: Plan, loaded: Loaded, rows: Array) -> Float32[Array, "m k 3"]:
+    """All harmonics of some of the loaded rows, in a new array."""
     if not plan.sh_degree:
-        return leaves
+        return np.take(loaded.gaussians.sh, rows, axis=0)
     cells = loaded.cells[rows]
     if plan.first_roots is None:
-        return replace(leaves, sh=harmonics_of(work, plan, loaded.inputs[rows], cells))
+        return harmonics_of(work, plan, loaded.inputs[rows], cells)
     sh = np.empty((len(rows), (plan.sh_degree + 1) ** 2, 3), np.float32)
-    sh[:, :1] = leaves.sh
+    sh[:, :1] = loaded.gaussians.sh[rows]
     for part in np.unique(cells):
         of_part = np.flatnonzero(cells == part)
         sh[of_part, 1:] = np.take(read_array(work.harmonics(int(part))), loaded.rows[rows[of_part]], axis=0)
-    return replace(leaves, sh=sh)
+    return sh

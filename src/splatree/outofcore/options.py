@@ -18,7 +18,7 @@ FOLLOWING_BYTES = 200
 ROOT_ROW_BYTES = 650
 """What growing a cell of roots of parts takes for each of its rows: they carry weights, ranks and balls."""
 
-HARMONIC_BYTES = 32
+HARMONIC_BYTES = 22
 """What it takes besides for each coefficient of harmonics above degree 0, three floats."""
 
 ROOT_BYTES = 450

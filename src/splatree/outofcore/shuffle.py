@@ -5,7 +5,6 @@ all slices in their order, so rows of equal Morton code stand in the order of th
 no harmonics above degree 0, since its neighbours do not ask for them. These stay in the slices until a part is written.
 """
 
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -16,6 +15,7 @@ from splatree.io.chunks import Chunks
 from splatree.io.formats.splatree.head import SceneHead
 from splatree.io.formats.splatree.rows import open_scene
 from splatree.io.formats.splatree.writer import create_scene
+from splatree.io.rows import regrouped
 from splatree.maths.morton import morton_codes
 from splatree.outofcore.plan import Plan
 from splatree.outofcore.work import Work, write_array
@@ -36,27 +36,10 @@ BATCH_ROWS = 1 << 16
 def make_slices(work: Work, plan: Plan, chunks: Chunks) -> None:
     """Write the slices that are not there yet."""
     with task("sort into cells", float(plan.num_rows)) as advance:
-        for number, rows in enumerate(_slices(chunks, plan.slice_rows)):
+        for number, rows in enumerate(regrouped(chunks, min(plan.slice_rows, plan.num_rows), plan.sh_degree)):
             if work.result(f"slice-{number:05}", plan.run) is None:
-                gaussians = Gaussians.concatenate(rows)
-                _make_slice(work, plan, number, gaussians)
-            advance(float(sum(map(len, rows))))
-
-
-def _slices(chunks: Chunks, slice_rows: int) -> Iterator[list[Gaussians]]:
-    """All rows, as lists of chunks of ``slice_rows`` rows together."""
-    parts, count = list[Gaussians](), 0
-    for chunk in chunks:
-        begin = 0
-        while begin < len(chunk):
-            taken = min(len(chunk) - begin, slice_rows - count)
-            parts.append(chunk.take(np.arange(begin, begin + taken)))  # a copy: the chunk is valid until the next
-            begin, count = begin + taken, count + taken
-            if count == slice_rows:
-                yield parts
-                parts, count = [], 0
-    if count:
-        yield parts
+                _make_slice(work, plan, number, rows)
+            advance(float(len(rows)))
 
 
 def _make_slice(work: Work, plan: Plan, number: int, gaussians: Gaussians) -> None:

@@ -13,7 +13,7 @@ from splatree.io.writing import write
 from splatree.kernels.cpu.build import merge as merge_kernel
 from splatree.kernels.cpu.build import thin as thin_kernel
 from splatree.lod.region import ROUNDING, Region
-from splatree.outofcore.load import Loaded, load, reaches, with_harmonics
+from splatree.outofcore.load import Loaded, harmonics, load, reaches
 from splatree.outofcore.plan import Plan
 from splatree.outofcore.work import Work, write_array
 from splatree.scene.scene import Scene
@@ -36,7 +36,7 @@ def thin_cell(work: Work, plan: Plan, number: int, radius: float, threads: int =
     owned = np.flatnonzero(is_owned)
     members = np.flatnonzero(np.isin(representatives, owned))
     groups = thin_kernel.group(np.searchsorted(members, representatives[members]).astype(np.int32))
-    gaussians = with_harmonics(work, plan, loaded, members)
+    gaussians = replace(loaded.gaussians.take(members), sh=harmonics(work, plan, loaded, members))
     merge = plan.resolved.merge
     weights = weights_of(gaussians, merge.weight or "opacity", log_unit=plan.resolved.log_unit)
     merged = merge_kernel.merge(gaussians, groups, weights, merge, threads=threads)

@@ -7,7 +7,7 @@ Ranges of 8-bit codes are those of each chunk: nothing is clipped, and a chunk o
 import json
 import zlib
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +23,7 @@ from splatree.io.formats.rad.properties import HALF_MAX, LOG_SCALE_ZERO, encode_
 from splatree.io.notes import gaussians_in_words
 from splatree.io.opacities import opacities_from_logits
 from splatree.io.options import WriteOptions
-from splatree.io.rows import columns_to_fill
+from splatree.io.rows import regrouped
 from splatree.kernels.cpu import _core
 from splatree.kernels.cpu.codec.paging import PAGE_ROWS
 from splatree.progress import task
@@ -102,22 +102,15 @@ def write_chunks(chunks: Chunks, path: Path, options: WriteOptions) -> tuple[str
 
 def _parts(chunks: Chunks) -> Iterator[Gaussians]:
     """All rows, checked, as many at a time as the file's chunks have; a part is valid until the next is asked for."""
-    size = min(_CHUNK_ROWS, len(chunks))
-    part = columns_to_fill(size, chunks.sh_degree)
-    num_filled = begin = 0
+    return regrouped(_checked(chunks), min(_CHUNK_ROWS, len(chunks)), chunks.sh_degree)
+
+
+def _checked(chunks: Chunks) -> Iterator[Gaussians]:
+    begin = 0
     for g in chunks:
         refuse_unusable(g, "scene to write", first_row=begin)
         begin += len(g)
-        while len(g):
-            count = min(len(g), size - num_filled)
-            for column in fields(g):
-                getattr(part, column.name)[num_filled : num_filled + count] = getattr(g, column.name)[:count]
-            num_filled, g = num_filled + count, g.rows(count, len(g))
-            if num_filled == size:
-                yield part
-                num_filled = 0
-    if num_filled:
-        yield part.rows(0, num_filled)
+        yield g
 
 
 @dataclass(frozen=True, eq=False)
