@@ -58,14 +58,14 @@ def test_a_run_is_never_overwritten_unasked_and_removed_at_its_end(splatree, tre
     assert code == 1 and "checkpoint.npz: not found; wanted the folder of a run that was begun" in err
 
 
-def interrupted(words, number):
-    """A command that is interrupted as soon as it learns: what it said."""
+def interrupted(words, number, share=0.05):
+    """A command that is interrupted after a share of its steps: what it said."""
     program = [sys.executable, "-m", "splatree", *map(str, words), "--progress", "json"]
     with subprocess.Popen(
         program, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=listen_to_interruptions
     ) as child:
         for line in child.stderr:
-            if '"refine inner nodes"' in line and json.loads(line)["done"] > 0.05:
+            if '"refine inner nodes"' in line and json.loads(line)["done"] > share:
                 child.send_signal(number)
                 break
         out, err = child.communicate()
@@ -75,17 +75,17 @@ def interrupted(words, number):
 
 @pytest.mark.skipif(os.name == "nt", reason="no signals between processes there")
 def test_an_interruption_leaves_a_tree_and_a_run_that_goes_on(splatree, tree, tmp_path):
-    words = ("refine", tree, "--iterations", "90", "--made-views", "8", "--rate", "0.3")
+    words = ("refine", tree, "--iterations", "200", "--made-views", "16")
     output, whole = tmp_path / "a.splatree", tmp_path / "whole.splatree"
     assert splatree(*words, "-o", whole)[0] == 0
-    out = interrupted((*words, "-o", output), signal.SIGTERM)
+    out = interrupted((*words, "-o", output), signal.SIGTERM, 0.3)
     assert f"interrupted: the run goes on from {tmp_path / 'a.run'} with --resume" in out
     assert len(st.read(output)) == len(st.read(tree)) and output.read_bytes() != whole.read_bytes()
-    code, _, err = splatree(*words, "-o", output, "--rate", "0.4", "--resume")
-    assert code == 1 and "begun with rate 0.3, found 0.4" in err
+    code, _, err = splatree(*words, "-o", output, "--rate", "2", "--resume")
+    assert code == 1 and "begun with rate 1.0, found 2.0" in err
     code, said, err = splatree(*words, "-o", output, "--resume", "--json")
     assert code == 0, err
-    assert not json.loads(said)["stopped"] and json.loads(said)["iterations"] == 90
+    assert not json.loads(said)["stopped"] and json.loads(said)["iterations"] == 200
     assert output.read_bytes() == whole.read_bytes() and not (tmp_path / "a.run").exists()
 
 
