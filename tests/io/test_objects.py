@@ -321,7 +321,7 @@ def test_an_object_that_is_replaced_while_it_is_read_is_not_mixed_with_the_one_b
 
 def test_what_says_nothing_of_a_state_does_not_tell_two_states_apart():
     def said(**stamps):
-        return sources.said_of("https://a.example/b.ply", 206, {"Content-Range": "bytes 0-9/20", **stamps})
+        return sources._said_of("https://a.example/b.ply", 206, {"Content-Range": "bytes 0-9/20", **stamps})
 
     now, then = "Tue, 01 Dec 2026 12:00:00 GMT", "Tue, 01 Dec 2026 12:00:09 GMT"
     assert said(ETag='"a"').is_of(said(ETag='W/"a"')) and not said(ETag='"a"').is_of(said(ETag='W/"b"'))

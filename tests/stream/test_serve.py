@@ -13,6 +13,7 @@ import pytest
 import splatree as st
 from splatree.stream.serve import StreamServer, streams_in
 
+from ..scenes import random_gaussians
 from .conftest import forest
 
 
@@ -163,7 +164,27 @@ def test_a_page_opens_with_the_first_view_of_its_stream(server, stream):
     eye, target = (np.array(query[name][0].split(","), float) for name in ("pos", "target"))
     assert 0.5 < np.linalg.norm(eye - target) < 50  # of a scene of a few units
     assert ask(server, f"/open/spark{headers['location']}")[0] == 200
-    assert ask(server, f"/open/spark?stream={stream}&pos=1,2,3")[0] == 200  # an address that names its view
+
+
+@pytest.mark.parametrize(
+    ("asked", "mode", "others"),
+    [
+        ("pos=0,0,-4", "antialiased", {"pos": ["0,0,-4"]}),  # the camera is its own, the mode that of the stream
+        ("mode=classic", "classic", {}),
+        ("mode=classic&fov=30", "classic", {"fov": ["30"]}),
+        ("pos=0,0,-4&mode=classic", None, {}),
+    ],
+)
+def test_an_address_says_how_its_stream_is_drawn_and_what_is_asked_for_stays(tmp_path, asked, mode, others):
+    scene = st.Scene.flat(random_gaussians(50, seed=1), mode="antialiased")
+    st.stream(st.build_lod(scene, st.BuildOptions("radius")), tmp_path / "a.rad", "rad")
+    with st.serve(tmp_path, st.ServeOptions(port=0)) as server:
+        status, headers, _ = ask(server, f"/open/spark?stream=a.rad&{asked}")
+        assert status == (200 if mode is None else 307)
+        if mode is not None:
+            query = parse_qs(urlsplit(headers["location"]).query)
+            assert query["mode"] == [mode] and query | others == query
+            assert ask(server, f"/open/spark{headers['location']}")[0] == 200
 
 
 def test_a_stream_that_cannot_be_read_here_still_has_a_page(folder, tmp_path):

@@ -13,7 +13,7 @@ from urllib.parse import SplitResult, urlsplit
 
 from splatree.errors import InputError, MissingExtraError, OutputError
 
-__all__ = ["HEAD_BYTES", "Info", "Source", "parts_of", "said_of", "source_of"]
+__all__ = ["HEAD_BYTES", "Info", "Source", "parts_of", "source_of"]
 
 HEAD_BYTES = 1 << 14
 """What a server is asked for to learn the size of a file: as long as the heads of most files, for no more waiting."""
@@ -90,7 +90,7 @@ def parts_of(url: str) -> SplitResult:
         raise InputError(f"{url}: found an address that is none ({error})") from error
 
 
-def said_of(url: str, status: int, headers: Any) -> Info:
+def _said_of(url: str, status: int, headers: Any) -> Info:
     """What the answer of a server says of the whole object.
 
     Raises:
@@ -115,7 +115,7 @@ class _Http:
         status, headers, head = self._get(url, 0, HEAD_BYTES, missing_ok=True)
         if status == 404:
             return None
-        found = said_of(url, status, headers)
+        found = _said_of(url, status, headers)
         return replace(found, head=head if len(head) == min(HEAD_BYTES, found.num_bytes) else b"")
 
     def read(self, url: str, begin: int, end: int, known: Info | None = None) -> bytes:
@@ -125,7 +125,7 @@ class _Http:
                 f"{url}: found a server that answers with the whole file (status {status}), wanted one that gives ranges of "
                 "bytes; fetch the file yourself"
             )
-        if known is not None and not known.is_of(said_of(url, status, headers)):
+        if known is not None and not known.is_of(_said_of(url, status, headers)):
             raise InputError(f"{url}: was replaced while it was read; read it again from its beginning")
         return data
 

@@ -175,11 +175,12 @@ class StreamServer:
         return HTMLResponse(index_page(self.folder.name, self.streams), headers={"Cache-Control": "no-store"})
 
     def _viewer(self, request: Request) -> Response:
-        stream = request.query_params.get("stream", "")
-        if "pos" not in request.query_params and stream in self.streams and (view := self._view_of(stream)):
-            return RedirectResponse(
-                f"?{urlencode(dict(request.query_params) | view)}", headers={"Cache-Control": "no-store"}
-            )
+        asked = dict(request.query_params)
+        view = self._view_of(asked["stream"]) if asked.get("stream") in self.streams else {}
+        if "pos" in asked:  # the camera is that of the address, the mode is that of the stream
+            view = {name: said for name, said in view.items() if name == "mode"}
+        if not asked.keys() >= view.keys():
+            return RedirectResponse(f"?{urlencode(view | asked)}", headers={"Cache-Control": "no-store"})
         base = f"{self._prefix}/packages" if self._packages is not None else self._options.packages
         text = viewer_page(request.path_params["viewer"], base, has_versions=self._packages is None)
         if text is None:

@@ -1,7 +1,7 @@
 // A streamed SOG in the PlayCanvas engine. The scene is turned by half a circle about z, since the engine has y up.
 import * as pc from 'playcanvas';
 import { CameraControls } from 'controls';
-import { antialiased, dilation, fail, fov, lod, number, position, state, stream, target, turns, up } from './query.js';
+import { dilation, fail, fov, lod, mode, number, position, state, stream, target, turns, up } from './query.js';
 
 const canvas = document.getElementById('canvas');
 const device = await pc.createGraphicsDevice(canvas, { deviceTypes: ['webgl2'], antialias: false });
@@ -22,7 +22,7 @@ app.scene.gsplat.splatBudget = number('budget', 1e6);
 // come out too thin, and some not at all.
 const chunks = pc.ShaderChunks.get(device, pc.SHADERLANGUAGE_GLSL);
 chunks.set('gsplatCornerVS', chunks.get('gsplatCornerVS').replaceAll('+ 0.3', `+ ${(4 * dilation).toFixed(6)}`));
-app.scene.gsplat.antiAlias = antialiased;
+app.scene.gsplat.antiAlias = mode === 'antialiased';
 if (lod === 'error') app.scene.gsplat.lodMode = pc.GSPLAT_LODMODE_ERROR;
 state.stop = () => { app.autoRender = false; };
 

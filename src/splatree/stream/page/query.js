@@ -9,7 +9,7 @@ export const up = vector('up', [0, -1, 0]);
 export const turns = position === null || query.has('turn'); // whether the page can be turned by hand
 export const fov = Number(query.get('fov') ?? 50);
 export const lod = query.get('lod'); // error: PlayCanvas 2.22 is to choose levels by their errors
-export const antialiased = query.get('mode') === 'antialiased'; // how the scene was trained
+export const mode = query.get('mode'); // how the scene was trained: classic, antialiased; null: nobody knows
 export const dilation = Number(query.get('dilation') ?? 0.3); // px², by which PlayCanvas widens splats; its own is 0.075
 export const number = (name, otherwise) => (query.has(name) ? Number(query.get(name)) : otherwise);
 

@@ -2,7 +2,7 @@
 import * as THREE from 'three';
 import { OrbitControls } from 'three/addons/controls/OrbitControls.js';
 import { SparkRenderer, SplatMesh } from '@sparkjsdev/spark';
-import { antialiased, fail, fov, number, position, state, stream, target, turns, up } from './query.js';
+import { fail, fov, mode, number, position, state, stream, target, turns, up } from './query.js';
 
 const renderer = new THREE.WebGLRenderer({ antialias: false, preserveDrawingBuffer: true });
 renderer.setPixelRatio(1);
@@ -18,7 +18,7 @@ addEventListener('resize', fit);
 fit();
 
 // Spark's own blur makes splats fainter, too, as scenes with antialiasing are trained.
-const blur = antialiased ? {} : { preBlurAmount: 0.3, blurAmount: 0 };
+const blur = mode === 'classic' ? { preBlurAmount: 0.3, blurAmount: 0 } : {};
 const spark = new SparkRenderer({ renderer, lodSplatCount: number('budget', 1e6), ...blur });
 const mesh = new SplatMesh({ url: stream, paged: true });
 mesh.quaternion.set(1, 0, 0, 0);
