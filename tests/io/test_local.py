@@ -11,6 +11,7 @@ import zipfile
 from functools import partial
 from http.server import BaseHTTPRequestHandler, SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from typing import ClassVar
 
 import pytest
 
@@ -115,7 +116,7 @@ class _Breaking(BaseHTTPRequestHandler):
     says = "bytes {begin}-{last}/{size}"
     stamps = ({"ETag": "one", "Last-Modified": "today"},) * 100
     """What its answers say of the state, in their order."""
-    says_more: dict[str, str] = {}
+    says_more: ClassVar[dict[str, str]] = {}
     """What ranges say besides."""
     gives_ranges = True
     is_silent = False

@@ -10,7 +10,7 @@ import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from itertools import pairwise
+from itertools import combinations, pairwise
 from pathlib import Path
 from unittest import mock
 
@@ -22,13 +22,17 @@ from hypothesis import strategies as hs
 import splatree as st
 from splatree.io.formats.folder.manifest import read_manifest
 from splatree.io.memory import PROCESS_BYTES, _free_of_group, bytes_of
+from splatree.kernels.cpu import _core
+from splatree.kernels.cpu.build.pairs import best_partners
 from splatree.outofcore import build, crown, cut, follow, plan, run, shuffle
+from splatree.outofcore.fingerprint import fingerprint
 from splatree.outofcore.needs import needs_of
 from splatree.outofcore.options import Room, cell_bytes
 from splatree.progress import listen
 
 from ..laws.hard_scenes import hard_scene, hard_scenes
 from ..laws.test_parts import check_same_tree
+from ..scenes import random_gaussians
 from .conftest import check_is_drawn_as_the_whole_tree, small_pages
 
 SMALL = st.FolderOptions(part_rows=200)
@@ -279,6 +283,21 @@ def test_a_program_that_computes_other_bits_is_refused(tmp_path, ply, monkeypatc
     monkeypatch.setattr(run, "fingerprint", lambda: "0123")
     with pytest.raises(st.InputError, match="found that it computes 0123 where the build began with"):
         st.build_folder(ply, tmp_path / "out.splatree", running=SMALL)
+
+
+def test_a_program_whose_costs_have_other_bits_is_another():
+    before = _core.isa()
+    costs, prints = {}, {}
+    rows = random_gaussians(300, seed=1)
+    try:
+        for isa in _core.isas():
+            _core.use_isa(isa)
+            _, found, _ = best_partners(rows, np.ones(300, np.float32), dilation=0.0)
+            costs[isa], prints[isa] = found.tobytes(), fingerprint.__wrapped__()
+    finally:
+        _core.use_isa(before)
+    for one, other in combinations(costs, 2):
+        assert (prints[one] == prints[other]) == (costs[one] == costs[other])
 
 
 def test_what_a_program_of_other_bits_left_is_not_gone_on_with(tmp_path, ply, monkeypatch):

@@ -4,6 +4,7 @@ import json
 import multiprocessing
 import os
 import signal
+import tracemalloc
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from itertools import pairwise
@@ -15,16 +16,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as hs
 
 import splatree as st
+from splatree.kernels.cpu.build.visibility import plane_bytes
 from splatree.lod import shown
 from splatree.lod.follow import with_curves
 from splatree.lod.resolve import measure, resolve
-from splatree.outofcore import build, grow, sight
+from splatree.outofcore import build, grow, run, sight
 from splatree.outofcore import options as options_of_cells
 from splatree.outofcore.options import PAIR_CELL_ROWS, Room, cell_bytes
 from splatree.outofcore.work import new_array
 from splatree.simplify.visibility import visibilities_in
 
 from ..laws.hard_scenes import hard_scene, hard_scenes
+from ..scenes import random_gaussians
 from .conftest import check_is_drawn_as_the_whole_tree
 from .test_build_folder import SMALL, _build_and_die, check_is_tree_of, files_in
 
@@ -82,6 +85,25 @@ def test_what_is_seen_is_what_is_seen_in_memory_bit_for_bit(tmp_path, ply, monke
     running = st.FolderOptions(part_rows=part_rows)
     st.build_folder(ply, tmp_path / "out.splatree", PAIRS, running, mode=mode)
     np.testing.assert_array_equal(found[0], visibilities_in(mode, st.read(ply).gaussians))
+
+
+@pytest.mark.parametrize("slab_rows", [60_000, 14_000])  # one slab; five
+def test_slabs_take_the_memory_that_they_are_counted_with(tmp_path, monkeypatch, slab_rows):
+    st.write(st.Scene.flat(random_gaussians(60_000, seed=1, degree=0)), tmp_path / "in.ply")
+    look_along, taken = sight.look_along, []
+
+    def measured(work, plan, axis, argument=0, threads=0):
+        tracemalloc.start()
+        look_along(work, plan, axis, argument, threads)
+        taken.append(tracemalloc.get_traced_memory()[1] - plane_bytes(plan.sight))
+        tracemalloc.stop()
+        return {}
+
+    monkeypatch.setitem(run.KINDS, "sight", replace(run.KINDS["sight"], do=measured))
+    monkeypatch.setattr(sight, "_slab_rows", lambda plan, sight: slab_rows)
+    st.build_folder(tmp_path / "in.ply", tmp_path / "out.splatree", PAIRS, st.FolderOptions(part_rows=10_000))
+    assert len(taken) == 4
+    assert max(taken) < 1.05 * sight.SLAB_ROW_BYTES * slab_rows + 10_000 * 100  # and a cell on its way into slabs
 
 
 @settings(max_examples=6, deadline=None)

@@ -1,8 +1,8 @@
 """Download one file of a server, and go on where the connection broke off.
 
-The rest is asked for as a range. It is taken if it begins where the file ends, and if what the server said of the state of the
-file (size, strong ETag, Last-Modified) is what it says now. The file is given up where the server says nothing of the state, gives
-no ranges or packs the file on the way, and where three connections one after the other broke off or fell silent before a
+The rest is asked for as a range. It is taken if it begins where the file ends, and if what the server said of the state of
+the file (size, strong ETag, Last-Modified) is what it says now. The file is given up where the server says nothing of the state,
+gives no ranges or packs the file on the way, and where three connections one after the other broke off or fell silent before a
 megabyte came.
 """
 

@@ -1,4 +1,4 @@
-"""The pass of levels by pairs: what others leave to be seen of each Gaussian, whatever fits into memory.
+"""The pass that measures what others leave to be seen of each Gaussian, whatever fits into memory.
 
 The scene is looked at along four axes, both ways (simplify/visibility.py). All rows go past a plane by their depth, so each axis
 is a piece of work of its own: rows become splats, are sorted, and pass there and back. Where they do not fit into memory
@@ -40,7 +40,7 @@ from splatree.simplify.visibility import SIZE_SAMPLES, as_counted, full_sight, r
 
 __all__ = ["check_planes", "look_along", "write_seen"]
 
-SLAB_ROW_BYTES = 110
+SLAB_ROW_BYTES = 112
 """What a row of a slab takes while it is sorted: its key and its splat, their order, and both in that order."""
 
 NUM_BINS = 1 << 12
@@ -103,15 +103,12 @@ def look_along(work: Work, plan: Plan, axis: int, argument: float = 0, threads: 
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
     try:
-        if plan.num_rows <= _slab_rows(plan, plan.sight):
-            paths, slab = list[Path](), _all_rows(work, plan, plan.sight, axis, threads)
-        else:
-            *paths, last = _write_slabs(work, plan, plan.sight, axis, folder, threads)
-            slab = _Slab.read(last)
-        slab = _go_there(paths, slab, plan.sight)
+        fits = plan.num_rows <= _slab_rows(plan, plan.sight)
+        paths = [] if fits else _write_slabs(work, plan, plan.sight, axis, folder, threads)
+        slab = _all_rows(work, plan, plan.sight, axis, threads) if fits else None
         with replacing(work.sight(axis), force=True) as temporary:
             sums = new_array(temporary, plan.num_rows, np.dtype(np.float32))
-            _come_back(paths, slab, plan.sight, sums)
+            _come_back(paths, _go_there(paths, slab, plan.sight), plan.sight, sums)
             sums.flush()
             del sums
     finally:
@@ -126,24 +123,34 @@ def _slab_rows(plan: Plan, sight: Sight) -> int:
     return max(plan.part_rows, (cell - plane_bytes(sight)) // SLAB_ROW_BYTES)
 
 
-def _go_there(paths: list[Path], last: _Slab, sight: Sight) -> _Slab:
-    """Sort each slab, let it go past a plane, and keep it with what has been seen of it; returns the last one."""
+def _go_there(paths: list[Path], slab: _Slab | None, sight: Sight) -> _Slab:
+    """Sort each slab, let it go past a plane, and keep it with what has been seen of it; returns the last one.
+
+    Args:
+        paths: the slabs; none where ``slab`` has all rows.
+    """
     plane = Plane(sight, backwards=False)
-    for path in paths:
-        slab = _Slab.read(path)
+    for path in paths or [None]:
+        if path is not None:
+            slab = None  # before the next one is read
+            slab = _Slab.read(path)
+        assert slab is not None
         slab = slab.take(np.argsort(slab.keys))
         plane.look_on(slab.splats)
-        slab.write(path)
-    last = last.take(np.argsort(last.keys))
-    plane.look_on(last.splats)
-    return last
+        if path is not None and path is not paths[-1]:
+            slab.write(path)
+    assert slab is not None
+    return slab
 
 
-def _come_back(paths: list[Path], last: _Slab, sight: Sight, sums: Array) -> None:
-    """Let the slabs go past a plane the other way, and write the sums of both ways by the row in the input."""
+def _come_back(paths: list[Path], slab: _Slab | None, sight: Sight, sums: Array) -> None:
+    """Let the slabs, the last one first, go past a plane the other way, and write the sums of both ways by row."""
     plane = Plane(sight, backwards=True)
-    for path in (None, *reversed(paths)):
-        slab = last if path is None else _Slab.read(path)
+    for path in (None, *reversed(paths[:-1])):
+        if path is not None:
+            slab = None  # before the next one is read
+            slab = _Slab.read(path)
+        assert slab is not None
         plane.look_on(slab.splats)
         sums[(slab.keys & INPUT).astype(np.int64)] = slab.splats[:, -1]
 
