@@ -130,7 +130,8 @@ def _go_there(paths: list[Path], slab: _Slab | None, sight: Sight) -> _Slab:
         paths: the slabs; none where ``slab`` has all rows.
     """
     plane = Plane(sight, backwards=False)
-    for path in paths or [None]:
+    each: list[Path | None] = [*paths] or [None]
+    for path in each:
         if path is not None:
             slab = None  # before the next one is read
             slab = _Slab.read(path)
