@@ -178,10 +178,28 @@ def test_a_damaged_head_of_the_index_is_named_with_what_to_do(copy, path, tmp_pa
     assert (tmp_path / "whole.splatree").read_bytes() == path.read_bytes()
 
 
-@pytest.mark.parametrize("name", ["table.lower", "table.block_step_scales", "table.leaf_scales", "plain_checksums"])
+@pytest.mark.parametrize("name", ["table.lower", "table.block_step_scales", "table.leaf_scales", "largest_id"])
 def test_an_index_of_other_rows_is_found_by_check(copy, name):
-    rewritten(copy, put(name, -1, 3))
-    with small_pages(60), pytest.raises(st.FormatError, match=rf"found another {name.removeprefix('table.')} than"):
+    rewritten(copy, number(name, 3) if name == "largest_id" else put(name, -1, 3))
+    said = f"found another {name.removeprefix('table.')} than that of the rows; splatree convert"
+    with small_pages(60), pytest.raises(st.FormatError, match=said):
+        st.check(copy)
+
+
+@pytest.mark.parametrize("page_rows", [60, 90])
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("gaussians.means", "found checksum"),
+        ("gaussians.sh", "found harmonics and curves of checksum"),
+        ("tree.curves", "found harmonics and curves of checksum"),
+    ],
+)
+def test_check_names_damaged_rows_and_not_their_index(copy, name, said, page_rows):
+    column = open_container(copy).columns[name]
+    flip(copy, column.start + column.num_bytes // 2)
+    wanted = rf"copy\.splatree: rows \d+ to \d+: {said} .*; the file is damaged"
+    with small_pages(page_rows), pytest.raises(st.FormatError, match=wanted):
         st.check(copy)
 
 
