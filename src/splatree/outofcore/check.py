@@ -107,10 +107,11 @@ def _checked(path: Path, options: ReadOptions) -> Checked:
         return Checked(str(path), name, *_folder(path), num_bytes, True)
     if name == "splatree" and not is_compact(path) and has_rows_alone(stored := open_scene(path)):
         index, pages = read_own_index(stored), _pages(stored, checksums=True)
-        if index is not None and (name := _unlike(index_of_file(pages, len(stored)), index)) is not None:
+        if index is not None and (field := _unlike(index_of_file(pages, len(stored)), index)) is not None:
             _check_pages(stored, index)  # rows that were damaged are another index's, too
             raise FormatError(
-                f"{path}: found another {name} than that of the rows; splatree convert {path} whole.splatree makes the index anew"
+                f"{path}: found another {field} than that of the rows; splatree convert {path} whole.splatree makes the index "
+                "anew"
             )
         return Checked(str(path), name, pages.num_leaves, len(stored), num_bytes, True)
     chunks = opened_chunks([path], options)
