@@ -99,6 +99,35 @@ def test_parts_go_through_files(tmp_path):
     )
 
 
+@pytest.mark.parametrize("said", [None, False])
+def test_above_parts_without_visibilities_distance_alone_decides(said, tmp_path):
+    """Files of before say nothing of visibilities; their roots were all written as seen."""
+    gaussians, island = islands(3, 3)
+    scene, options = st.Scene.flat(gaussians), st.BuildOptions("radius", follow=False, radius=0.3, max_roots=1)
+    today, before = (resolved_for(scene, replace(options, visibility=seen)) for seen in (True, False))
+    parts = []
+    for number, resolved in enumerate((before, before, today)):
+        inputs = np.flatnonzero(island == number)
+        flat = st.Scene.flat(gaussians.take(inputs))
+        part = assemble(grow(forest_of_leaves(flat, resolved, inputs=inputs), resolved, num_levels=2), flat, resolved)
+        assert part.tree.record.visibility == (resolved is today)
+        if resolved is before:
+            part = replace(part, tree=replace(part.tree, record=replace(part.tree.record, visibility=said)))
+        path = tmp_path / f"{number}.splatree"
+        st.write(part, path)
+        parts.append(st.read(path))
+    assert [part.tree.record.visibility for part in parts] == [said, said, True]
+    assert forest_of_roots(parts[2:], today).visibilities is not None
+    top = forest_of_roots(parts, today)
+    assert top.visibilities is None
+    tree = graft(grow(top, today), parts, today)
+    assert tree.tree.record.visibility is None  # nothing that holds for all of it
+    alone = graft(grow(forest_of_roots(parts[:2], today), today), parts[:2], today)
+    wanted = graft(grow(forest_of_roots(parts[:2], before), before), parts[:2], before)
+    for name in COLUMNS:
+        assert getattr(alone.gaussians, name).tobytes() == getattr(wanted.gaussians, name).tobytes(), name
+
+
 @pytest.mark.parametrize("method", ["radius", "pairs"])
 @pytest.mark.parametrize("mode", ["classic", "antialiased"])
 def test_neighbouring_parts_give_a_sound_tree(method, mode):

@@ -1,5 +1,6 @@
 """The index of pages in one `.splatree`: written with the file, read instead of the rows, and held against them."""
 
+import json
 import shutil
 from dataclasses import fields, replace
 from unittest import mock
@@ -11,7 +12,7 @@ from hypothesis import strategies as hs
 
 import splatree as st
 from splatree.clusters.build import build_clusters
-from splatree.io.formats.splatree.container import container_in, header_bytes, open_container, placed
+from splatree.io.formats.splatree.container import append_bytes, container_in, header_bytes, open_container, placed
 from splatree.io.pages import index_file
 
 from ..ranged_server import served
@@ -115,14 +116,31 @@ def rewritten(path, change):
     place, stored = open_container(path).columns["pages"], open_container(path).rows("pages")
     container = container_in(stored, path)
     columns = {name: container.rows(name).copy() for name in container.columns}
-    change(columns, {})
+    numbers = json.loads(container.values["numbers"])
+    change(columns, numbers)
     values = {key: text for key, text in container.values.items() if key not in ("format", "version")}
+    values["numbers"] = json.dumps(numbers)
     places = placed({name: (column.dtype, column.shape) for name, column in columns.items()})
     data = b"".join(columns[name].tobytes() for name in places)
     values["checksum"] = index_file._checksum(values["numbers"], data)
     data = header_bytes(values, places) + data
-    assert len(data) == place.num_bytes
-    path.write_bytes(path.read_bytes()[: place.start] + data)
+    path.write_bytes(path.read_bytes()[: place.start])
+    append_bytes(path, "pages", data)
+
+
+def number(name, value):
+    """Put a value into the numbers of an index."""
+    return lambda columns, numbers: numbers.update({name: value})
+
+
+def steps(num_steps):
+    """Give the blocks of an index so many steps."""
+
+    def change(columns, numbers):
+        for name in index_file.STEPS:
+            columns[name] = np.repeat(columns[name][:, :1], num_steps, axis=1)
+
+    return change
 
 
 HOSTILE = {
@@ -130,6 +148,14 @@ HOSTILE = {
     "files": (put("file_start", 1, 0), "files with|follow each other"),
     "an ancestor that is not there": (put("table.ancestors", 0, 10**6), "ancestors that are not there"),
     "an ancestor behind": (put("table.rows", slice(None), 10**6), "do not hold their page"),
+    "other rows": (number("num_rows", 5), "num_rows: found 5, wanted [0-9]+ as in the rows"),
+    "roots of parts": (number("num_roots", 7), "num_roots: found 7 in a file without parts, wanted 0"),
+    "no leaves": (number("num_leaves", 0), "num_leaves: found 0, wanted 1 to "),
+    "more leaves than rows": (number("num_leaves", 10**6), "num_leaves: found 1000000, wanted 1 to "),
+    "no levels": (number("num_levels", 0), "num_levels: found 0, wanted 1 to "),
+    "fewer levels than ancestors": (number("num_levels", 1), "num_levels: found 1, wanted more than the [0-9]+ above"),
+    "no steps": (steps(0), "block_step_extents: found 0 steps of a block, wanted"),
+    "one step": (steps(1), "block_step_extents: found 1 steps of a block, wanted"),
 }
 
 
@@ -141,10 +167,39 @@ def test_a_hostile_index_is_refused(copy, what):
         st.open_store(copy)
 
 
-@pytest.mark.parametrize("name", ["table.lower", "table.block_step_scales", "table.leaf_scales", "plain_checksums"])
+@pytest.mark.parametrize("at", [0, 3, 30])
+def test_a_damaged_head_of_the_index_is_named_with_what_to_do(copy, path, tmp_path, at):
+    flip(copy, open_container(copy).columns["pages"].start + at)
+    said = r"copy\.splatree: column pages: .*: splatree convert .*copy\.splatree whole\.splatree makes the index anew$"
+    with pytest.raises(st.FormatError, match=said):
+        st.open_store(copy)
+    with indexed(), small_pages(60):
+        st.convert(copy, tmp_path / "whole.splatree")
+    assert (tmp_path / "whole.splatree").read_bytes() == path.read_bytes()
+
+
+@pytest.mark.parametrize("name", ["table.lower", "table.block_step_scales", "table.leaf_scales", "largest_id"])
 def test_an_index_of_other_rows_is_found_by_check(copy, name):
-    rewritten(copy, put(name, -1, 3))
-    with small_pages(60), pytest.raises(st.FormatError, match=rf"found another {name.removeprefix('table.')} than"):
+    rewritten(copy, number(name, 3) if name == "largest_id" else put(name, -1, 3))
+    said = f"found another {name.removeprefix('table.')} than that of the rows; splatree convert"
+    with small_pages(60), pytest.raises(st.FormatError, match=said):
+        st.check(copy)
+
+
+@pytest.mark.parametrize("page_rows", [60, 90])
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("gaussians.means", "found checksum"),
+        ("gaussians.sh", "found harmonics and curves of checksum"),
+        ("tree.curves", "found harmonics and curves of checksum"),
+    ],
+)
+def test_check_names_damaged_rows_and_not_their_index(copy, name, said, page_rows):
+    column = open_container(copy).columns[name]
+    flip(copy, column.start + column.num_bytes // 2)
+    wanted = rf"copy\.splatree: rows \d+ to \d+: {said} .*; the file is damaged"
+    with small_pages(page_rows), pytest.raises(st.FormatError, match=wanted):
         st.check(copy)
 
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as hs
 
 import splatree as st
 from splatree.io.formats.splatree.rows import open_scene
-from splatree.io.pages.index import index_of_folder
+from splatree.io.pages.index import _pages_above, index_of_folder
 from splatree.io.pages.table import table_of
 from splatree.kernels.cpu.frame import select as kernel
 from splatree.kernels.cpu.frame.blocks import index_blocks
@@ -120,6 +120,12 @@ def test_boxes_of_large_pages_hold_what_is_drawn_from_them(folder):
                 check_boxes_hold(store)
             column[-1] = held
         check_boxes_hold(store)
+
+
+def test_a_part_without_rows_has_no_page_below_the_crown(tmp_path):
+    st.write(st.Scene.flat(st.Gaussians.empty()), tmp_path / "empty.splatree")
+    found = table_of(open_scene(tmp_path / "empty.splatree"))
+    assert _pages_above(found.table, np.zeros(0, np.int64)) == []
 
 
 @settings(max_examples=40, deadline=None)

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from splatree import Gaussians, InputError, Scene, ThinOptions, build_lod, thin
 from splatree.kernels.cpu.build import thin as fast
 from splatree.kernels.reference import thin as reference
-from splatree.kernels.reference.pairs import pair_costs
+from splatree.kernels.reference.pairs import energies, pair_costs
 from splatree.scene.thinning import MergeLimit
 from splatree.simplify.merge import importance_of
 from splatree.simplify.thin import auto_radius
@@ -295,18 +295,24 @@ def limits(draw):
     data = means, colors, _ = draw(points())
     n = len(means)
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
-    size = draw(st.sampled_from([0.05, 0.3, 1.0])) * max(1.0, float(np.abs(means).max(initial=0)) / 3)
+    size, faint = draw(st.sampled_from([(0.05, 0), (0.3, 0), (1.0, 0), (400.0, 0), (1.0, -14), (400.0, -14)]))
+    size *= max(1.0, float(np.abs(means).max(initial=0)) / 3)
     log_scales = (np.log(size) + rng.normal(0, 0.7, (n, 3))).astype(np.float32)
-    logits, quats = (rng.normal(size=shape).astype(np.float32) for shape in (n, (n, 4)))
+    logits, quats = ((rng.normal(size=shape) + mean).astype(np.float32) for shape, mean in ((n, faint), ((n, 4), 0)))
     weights, visibilities = (rng.uniform(0.1, 1, n).astype(np.float32) for _ in range(2))
     gaussians = Gaussians(means, quats, log_scales, logits, colors[:, None])
     first, second = np.triu_indices(n, 1)
     costs = pair_costs(gaussians, weights, first, second, visibilities, dilation=0.0)[0]
     most = float(np.quantile(costs, draw(st.sampled_from([0.1, 0.4, 0.8])))) if len(costs) else 1.0
     most *= 1.003
-    # A cost is a difference of what is shown: float32 is wrong by 1e-6 of that.
-    shown = float(np.exp(2 * log_scales.astype(np.float64).max(initial=-30))) * 10
+    # A cost is a difference of what is shown, by a merged Gaussian with an opacity of 1e-4 at least: float32 is wrong by 1e-6
+    # of that.
+    largest = float(gaussians.opacities().max(initial=1e-4))
+    shown = float(np.exp(2 * log_scales.astype(np.float64).max(initial=-30))) * 10 * largest**2
     assume((np.abs(costs - most) > 1e-3 * most + 1e-5 * shown).all())
+    each = energies(gaussians, visibilities, dilation=0.0)
+    left_out = 2 * (each[first] + each[second])[costs > most]
+    assume((np.abs(left_out - most) > 1e-3 * most).all())  # a sum of positive terms, right to 1e-6
     return data, MergeLimit(gaussians, weights, visibilities, most)
 
 
@@ -327,6 +333,18 @@ def test_a_limit_gives_the_groups_of_the_reference_in_wholes_and_parts(
     assert (certain[is_open] == -1).all() and (certain[certain >= 0] == whole[certain >= 0]).all()
 
 
+def test_large_faint_gaussians_join_whatever_their_merged_opacity_is_raised_to():
+    g = cloud(60)
+    faint = Gaussians(g.means, g.quats, np.full_like(g.log_scales, 7), np.full_like(g.logit_opacities, -14), g.sh)
+    ones = np.ones(60, np.float32)
+    limit = MergeLimit(faint, ones, ones, 0.02)
+    data = g.means, np.zeros_like(g.means), importance_of(g, "opacity-scale")
+    for kernel in (reference, fast):
+        assert len(kernel.thin(*data, radius=100.0, color_radius=np.inf, limit=limit)) == 1
+    first, second = np.zeros(59, int), np.arange(1, 60)
+    assert (pair_costs(faint, ones, first, second, ones, dilation=0.0)[0] > limit.most).all()
+
+
 @given(limits(), st.sampled_from([0.5, 3.0]))
 def test_members_join_within_the_limit_and_representatives_could_join_none(data_and_limit, radius):
     (means, colors, importance), limit = data_and_limit
@@ -334,9 +352,11 @@ def test_members_join_within_the_limit_and_representatives_could_join_none(data_
     joined = groups.representatives[groups.group_from_row]
     members = np.flatnonzero(joined != np.arange(len(means)))
     columns = limit.gaussians, limit.weights
+    shown = energies(limit.gaussians, limit.visibilities, dilation=0.0)
 
     def costs(first, second):
-        return pair_costs(*columns, first, second, limit.visibilities, dilation=0.0)[0]
+        merged = pair_costs(*columns, first, second, limit.visibilities, dilation=0.0)[0]
+        return np.minimum(merged, 2 * (shown[first] + shown[second]))  # of the merge, or of leaving both out
 
     assert (costs(members, joined[members]) <= limit.most).all()
     first, second = (index.ravel() for index in np.meshgrid(groups.representatives, groups.representatives))

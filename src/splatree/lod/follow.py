@@ -26,7 +26,7 @@ Nodes of the finest levels by pairs stand for few leaves that are nearly one Gau
 opacity α is the one that fits best at the pixel p_0, and G is scaled so that G(0.3 p_0²) = α: up to 1 dB nearer to the leaves (a
 city at 80 %).
 
-Cost: 0.6 CPU-seconds a million leaves, and 0.7 for visibilities where the levels have not measured them. Memory: 16 bytes a node.
+Cost: 0.6 CPU-seconds a million leaves. Memory: 16 bytes a node.
 """
 
 import dataclasses

@@ -175,6 +175,9 @@ def forest_of_leaves(
 def forest_of_roots(parts: Sequence[Scene], resolved: ResolvedBuild) -> Forest:
     """The forest that goes on above parts: the roots of all of them, in the order of their rank.
 
+    By a radius, parts whose record does not say that visibilities were measured, such as those of files of before, have roots
+    of which nothing is known. Above any of them, distance alone decides what is merged.
+
     Args:
         parts: scenes that `assemble` made of forests of the same resolved build, all grown to the same level.
         resolved: what was decided for the whole scene.
@@ -190,7 +193,9 @@ def forest_of_roots(parts: Sequence[Scene], resolved: ResolvedBuild) -> Forest:
         found = sorted({state.num_sizes for state in states})
         raise InputError(f"parts: found parts grown to {found} sizes of levels, wanted all grown to the same")
     roots = [part.gaussians.with_sh_degree(0).take(np.flatnonzero(part.tree.depth == 0)) for part in parts]
-    return forest_above(Gaussians.concatenate(roots), Roots.concatenate(states), resolved)
+    forest = forest_above(Gaussians.concatenate(roots), Roots.concatenate(states), resolved)
+    is_measured = all(part.tree.record is not None and part.tree.record.visibility for part in parts)
+    return forest if resolved.method == "pairs" or is_measured else dataclasses.replace(forest, visibilities=None)
 
 
 def forest_above(gaussians: Gaussians, state: Roots, resolved: ResolvedBuild) -> Forest:

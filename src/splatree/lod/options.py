@@ -39,7 +39,7 @@ class BuildOptions:
     Gaussian."""
     visibility: bool = True
     """Gaussians that others hide count less: in what is merged, and in what merged nodes show if they follow. By `radius`, levels
-    without it merge by distance alone."""
+    without it merge by distance alone. In mode `antialiased`, levels by a radius measure nothing: they always do so."""
     follow: bool = True
     """For scenes of mode `classic`: merged Gaussians follow the pixel that they are drawn at. Nearer than their level was made
     for, they become smaller and more transparent, as their leaves are there."""

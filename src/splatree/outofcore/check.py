@@ -24,7 +24,7 @@ from splatree.io.local import local_inputs
 from splatree.io.options import ReadOptions
 from splatree.io.pages.index import StoreIndex, index_of_file, index_of_folder
 from splatree.io.pages.index_file import read_index, read_own_index
-from splatree.io.pages.page import Page
+from splatree.io.pages.page import Page, page_of
 from splatree.io.pages.table import FilePages, PageTable, table_of
 from splatree.io.reading import read_one
 from splatree.io.registry import detect, stored_bytes
@@ -107,8 +107,12 @@ def _checked(path: Path, options: ReadOptions) -> Checked:
         return Checked(str(path), name, *_folder(path), num_bytes, True)
     if name == "splatree" and not is_compact(path) and has_rows_alone(stored := open_scene(path)):
         index, pages = read_own_index(stored), _pages(stored, checksums=True)
-        if index is not None:
-            _compare(index_of_file(pages, len(stored)), index, path)
+        if index is not None and (field := _unlike(index_of_file(pages, len(stored)), index)) is not None:
+            _check_pages(stored, index)  # rows that were damaged are another index's, too
+            raise FormatError(
+                f"{path}: found another {field} than that of the rows; splatree convert {path} whole.splatree makes the index "
+                "anew"
+            )
         return Checked(str(path), name, pages.num_leaves, len(stored), num_bytes, True)
     chunks = opened_chunks([path], options)
     if chunks is not None:
@@ -158,16 +162,28 @@ def _folder(path: Path) -> tuple[int, int]:
     if manifest.index is not None:
         where = path / manifest.index.name
         found = read_index(where, tree.files)
-        _compare(wanted, found, where, set() if found.above is not None else BOXES_OF_BEFORE)
+        name = _unlike(wanted, found, set() if found.above is not None else BOXES_OF_BEFORE)
+        if name is not None:
+            raise FormatError(f"{where}: found another {name} than that of the files; build the scene again")
     return tree.num_leaves, len(tree)
 
 
-def _compare(wanted: StoreIndex, found: StoreIndex, where: Path, unlike: Collection[str] = ()) -> None:
-    """Refuse an index that is not the one that was made anew."""
+def _check_pages(stored: StoredScene, index: StoreIndex) -> None:
+    """Hold the rows of a file against the checksums of its own index, page by page, as a store does."""
+    table = index.table
+    for number, (begin, end) in enumerate(zip(table.begin.tolist(), table.end.tolist(), strict=True)):
+        rows, checksums = stored.rows(begin, end), index.checksums_of(number)
+        page_of(rows, str(stored.file.path), table.path(number), checksums=checksums).check_drawn(
+            np.arange(end - begin, dtype=np.int32)
+        )
+        stored.forget(begin, end)
+
+
+def _unlike(wanted: StoreIndex, found: StoreIndex, unlike: Collection[str] = ()) -> str | None:
+    """The first field, but for some, in which an index is not the one that was made anew."""
     for struct, other in ((wanted, found), (wanted.table, found.table)):
         for name in (f.name for f in fields(struct) if f.name not in unlike):
             one, two = getattr(struct, name), getattr(other, name)
             if isinstance(one, np.ndarray | int) and not np.array_equal(one, two):
-                raise FormatError(
-                    f"{where}: found another {name} than that of the files; build or convert the scene again"
-                )
+                return name
+    return None

@@ -165,6 +165,8 @@ def index_of_folder(crown: StoredScene, own: FilePages, pages: Iterable[FilePage
 
 def _pages_above(table: PageTable, page_of_root: Int64[Array, "r"]) -> list[Int32[Array, "x"]]:
     """For each page of a part, the pages of the crown that hold copies of its roots, given that of each root."""
+    if not len(table):
+        return []
     # A page belongs to the roots that begin in it, and to the one before if it begins within a subtree.
     first = table.first_root - (np.diff(table.ancestor_start) > 0)
     last = np.append(table.first_root[1:], len(page_of_root))

@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from splatree.constants import BLOCK_STEPS
 from splatree.errors import FormatError, ShapeError
 from splatree.io import untrusted
 from splatree.io.formats.splatree.container import (
@@ -123,14 +124,15 @@ def read_own_index(stored: StoredScene) -> StoreIndex | None:
         raise FormatError(
             f"{path}: {PAGES}: found {column.dtype} of shape {column.shape}, wanted bytes; the file is damaged"
         )
-    container = container_in(column, path / PAGES)
-    numbers, said = (untrusted.text(container.values, key, str(path / PAGES)) for key in ("numbers", "checksum"))
+    remedy = f"splatree convert {path} whole.splatree makes the index anew"
+    try:
+        container = container_in(column, Path(PAGES))
+        numbers, said = (untrusted.text(container.values, key, PAGES) for key in ("numbers", "checksum"))
+    except FormatError as error:
+        raise FormatError(f"{path}: column {error}: {remedy}") from error
     start = min((place.start for place in container.columns.values()), default=len(column))
     if said != (found := _checksum(numbers, column[start:].data)):
-        raise FormatError(
-            f"{path / PAGES}: found checksum {found}, wanted {said}; the file is damaged: splatree convert {path} whole.splatree "
-            "makes the index anew"
-        )
+        raise FormatError(f"{path / PAGES}: found checksum {found}, wanted {said}; the file is damaged: {remedy}")
     return _index_in(container, path / PAGES, [stored], ())
 
 
@@ -164,15 +166,37 @@ def _index_in(container: Container, path: Path, files: Sequence[StoredScene], of
         index = StoreIndex(table, **columns, **numbers)
     except ShapeError as error:
         raise FormatError(f"{where}: {error}; the file is damaged") from error
+    steps, wanted_steps = table.block_step_extents.shape[1], 1 if is_of_before else BLOCK_STEPS
+    if steps != wanted_steps:
+        raise FormatError(
+            f"{where}: {STEPS[0]}: found {steps} steps of a block, wanted {wanted_steps}; the file is damaged or of another "
+            "version"
+        )
     wrong = next(_wrong(index, [len(file) for file in files]), None)
     if wrong is not None:
         raise FormatError(f"{where}: {wrong}; the file is damaged or of another build")
     return index
 
 
+def _wrong_numbers(index: StoreIndex, num_rows: int) -> Iterator[str]:
+    """What is wrong with the numbers of an index of files of so many rows together, copies of roots among them."""
+    if not index.has_parts and index.num_roots:
+        yield f"num_roots: found {index.num_roots} in a file without parts, wanted 0"
+    if index.num_rows != num_rows - index.num_roots:
+        yield f"num_rows: found {index.num_rows}, wanted {num_rows - index.num_roots} as in the rows of the files"
+    fewest = min(index.num_rows, 1)
+    for name in ("num_leaves", "num_levels"):
+        if not fewest <= (found := getattr(index, name)) <= index.num_rows:
+            yield f"{name}: found {found}, wanted {fewest} to {index.num_rows}"
+    num_above = int(np.diff(index.table.ancestor_start).max(initial=0))
+    if index.num_levels <= num_above:
+        yield f"num_levels: found {index.num_levels}, wanted more than the {num_above} above a page"
+
+
 def _wrong(index: StoreIndex, num_rows: Sequence[int]) -> Iterator[str]:
     """What is wrong with an index of files of so many rows."""
     table, start = index.table, index.file_start
+    yield from _wrong_numbers(index, sum(num_rows))
     if len(start) != len(num_rows) + 1 or start[0] != 0 or start[-1] != len(table) or np.any(np.diff(start) < 0):
         yield f"file_start: found {len(start) - 1} files with {len(table)} pages, wanted {len(num_rows)}"
         return

@@ -20,9 +20,9 @@ import numpy as np
 from splatree.constants import SH_C0
 from splatree.maths.covariance import covariances_from_gaussians
 from splatree.scene.gaussians import Gaussians
-from splatree.shapes import Array, Float32, Int32
+from splatree.shapes import Array, Float32, Float64, Int32
 
-__all__ = ["NUM_NEIGHBORS", "best_partners", "pair_costs"]
+__all__ = ["NUM_NEIGHBORS", "best_partners", "energies", "pair_costs"]
 
 NUM_NEIGHBORS = 8
 """Candidates of each row."""
@@ -67,16 +67,7 @@ def pair_costs(
     dilation: float,
 ) -> tuple[Array, Array]:
     """Cost and merged opacity of each pair of rows; ``dilation`` is added to every variance, world units²."""
-    scales = gaussians.scales()
-    thickness = dilation + (ROUNDNESS * scales.max(axis=1)) ** 2
-    covariances = covariances_from_gaussians(gaussians.quats, gaussians.log_scales) + thickness[:, None, None] * np.eye(
-        3
-    )
-    v = np.ones(len(gaussians)) if visibilities is None else visibilities.astype(np.float64)
-    alphas = v * gaussians.opacities()
-    shown = np.maximum(gaussians.sh[:, 0].astype(np.float64) * SH_C0 + 0.5, 0)
-    shown = np.concatenate([shown, np.ones((len(gaussians), 1))], axis=1)
-
+    covariances, v, alphas, shown = _signals(gaussians, visibilities, dilation)
     w = weights.astype(np.float64)
     share = (w[second] / (w[first] + w[second]))[:, None]
     apart = (gaussians.means[second] - gaussians.means[first]).astype(np.float64)
@@ -98,6 +89,27 @@ def pair_costs(
     visible = (1 - share[:, 0]) * v[first] + share[:, 0] * v[second]
     alpha = np.clip(in_common / of_one, 1e-4 * visible, 0.999 * visible)
     return of_pair - 2 * alpha * in_common + alpha**2 * of_one, alpha / visible
+
+
+def energies(
+    gaussians: Gaussians, visibilities: Float32[Array, "n"] | None = None, *, dilation: float
+) -> Float64[Array, "n"]:
+    """What each Gaussian shows, squared: e = α² |(c, 1)|² ⟨G G⟩, world units²."""
+    covariances, _, alphas, shown = _signals(gaussians, visibilities, dilation)
+    at_place = np.zeros((len(gaussians), 3))
+    return alphas**2 * np.sum(shown**2, axis=1) * _overlap(covariances, covariances, at_place)
+
+
+def _signals(
+    gaussians: Gaussians, visibilities: Array | None, dilation: float
+) -> tuple[Float64[Array, "n 3 3"], Float64[Array, "n"], Float64[Array, "n"], Float64[Array, "n 4"]]:
+    """The covariances, visibilities, opacities times visibilities, and (c, 1) of all rows."""
+    thickness = dilation + (ROUNDNESS * gaussians.scales().max(axis=1)) ** 2
+    covariances = covariances_from_gaussians(gaussians.quats, gaussians.log_scales)
+    covariances = covariances + thickness[:, None, None] * np.eye(3)
+    v = np.ones(len(gaussians)) if visibilities is None else visibilities.astype(np.float64)
+    colors = np.maximum(gaussians.sh[:, 0].astype(np.float64) * SH_C0 + 0.5, 0)
+    return covariances, v, v * gaussians.opacities(), np.concatenate([colors, np.ones((len(gaussians), 1))], axis=1)
 
 
 def _overlap(first: Array, second: Array, apart: Array) -> Array:

@@ -10,7 +10,9 @@ representatives are the lexicographically first maximal independent set of the g
 number of threads finds it.
 
 With a `MergeLimit`, two rows within r are neighbours only if merging them changes the picture by at most ``most``
-(kernels/reference/pairs.py): a row joins no representative that it would spoil, and may become one itself.
+(kernels/reference/pairs.py), or if leaving both out can do no more, 2 (e_i + e_j) ≤ ``most`` with the energy e of what each
+shows: a row joins no representative that it would spoil, and may become one itself. The energies decide alone where α_m is
+raised to 1e-4: large, very faint Gaussians, which nobody sees, join.
 
 `certain` decides the same for a part of a scene, of whose *open* rows neighbours may be missing. A row is unknown if it is open,
 or if no earlier neighbour is a representative and one is unknown. A member's representative is certain if it is nearer than
@@ -22,7 +24,7 @@ Cost: O(n · g).
 
 import numpy as np
 
-from splatree.kernels.reference.pairs import pair_costs
+from splatree.kernels.reference.pairs import energies, pair_costs
 from splatree.scene.thinning import Groups, MergeLimit
 from splatree.shapes import Array, Bool, Float32, Int32
 
@@ -60,6 +62,7 @@ def certain(
     n = len(x)
     representative_from_row = np.arange(n, dtype=np.int32)
     is_unknown = np.zeros(n, bool)
+    shown = None if limit is None else energies(limit.gaussians, limit.visibilities, dilation=0.0)
     kept: list[int] = []  # representatives and unknown rows, the earliest first
     for i in np.lexsort((np.arange(n), -importance.astype(np.float64))):
         dx, dc = x[kept] - x[i], c[kept] - c[i]
@@ -68,9 +71,11 @@ def certain(
             dc[:, 0] * dc[:, 0] + dc[:, 1] * dc[:, 1] + dc[:, 2] * dc[:, 2]
         )
         within = distances2 <= radius2
-        if limit is not None:
+        if limit is not None and shown is not None:
             near = np.flatnonzero(within)
-            within[near] = _costs(limit, i, np.asarray(kept)[near]) <= limit.most
+            others = np.asarray(kept, int)[near]
+            changes_little = 2 * (shown[i] + shown[others]) <= limit.most
+            within[near] = changes_little | (_costs(limit, i, others) <= limit.most)
         if is_open[i] or not np.any(within & ~is_unknown[kept]):
             is_unknown[i] = is_open[i] or np.any(within)
             kept.append(int(i))
@@ -83,7 +88,7 @@ def certain(
 
 def _costs(limit: MergeLimit, row: int, others: Array) -> Array:
     first = np.full(len(others), row)
-    return pair_costs(limit.gaussians, limit.weights, first, others.astype(int), limit.visibilities, dilation=0.0)[0]
+    return pair_costs(limit.gaussians, limit.weights, first, others, limit.visibilities, dilation=0.0)[0]
 
 
 def group(representative_from_row: Array, *, rounds: int = 0, num_visited: int = 0) -> Groups:
