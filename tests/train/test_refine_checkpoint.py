@@ -4,6 +4,7 @@ import errno
 import itertools
 import os
 from dataclasses import fields, replace
+from importlib import import_module
 
 import numpy as np
 import pytest
@@ -195,3 +196,15 @@ def test_runs_that_cannot_be_kept_or_replayed_are_refused_before_the_first_step(
     with pytest.raises(st.InputError, match="found a log to replay, wanted none"):
         refine(files=st.RunFiles(replay=tmp_path / "log.json"))
     assert not steps
+
+
+def test_no_folder_is_left_by_a_run_that_ends_before_the_first_step(refine, tmp_path, monkeypatch):
+    """As when the user interrupts twice while the teacher is drawn."""
+
+    def interrupted(*given, **named):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(import_module("splatree.train.refine"), "lessons_of", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        refine(files=st.RunFiles(tmp_path / "a.run"))
+    assert not (tmp_path / "a.run").exists()

@@ -22,7 +22,7 @@ from splatree.errors import FormatError, InputError, OutputError
 from splatree.io.replacing import remove_abandoned, replacing
 from splatree.shapes import Array
 
-__all__ = ["CHECKPOINT", "KEPT_AT", "Identity", "load", "make_folder", "remove", "save"]
+__all__ = ["CHECKPOINT", "KEPT_AT", "CommandName", "Identity", "check_folder", "command_of", "load", "remove", "save"]
 
 CHECKPOINT = "checkpoint.npz"
 
@@ -31,6 +31,19 @@ KEPT_AT = (0.1, 0.25, 0.5, 0.75)
 
 VERSION = 3
 
+CommandName = Literal["train", "refine"]
+
+DAMAGE = (
+    OSError,
+    ValueError,
+    KeyError,
+    TypeError,
+    EOFError,
+    zipfile.BadZipFile,
+    tokenize.TokenError,
+)
+"""What NumPy's and Python's readers raise where bytes are damaged."""
+
 T = TypeVar("T")
 
 
@@ -38,7 +51,7 @@ T = TypeVar("T")
 class Identity:
     """What a run was begun with; a run goes on with the same alone."""
 
-    command: Literal["train", "refine"]
+    command: CommandName
     """What the run does."""
     options: Mapping[str, Any]
     """How, as what JSON has."""
@@ -52,18 +65,41 @@ class Identity:
     """Values of an option between which a run may go over: they change no step."""
 
 
-def make_folder(folder: Path) -> None:
-    """Make the folder of a run, if it is not there.
+def check_folder(folder: Path, *, resume: bool = False) -> None:
+    """Refuse a folder in which no run can be kept, before any work is done. It is made with the first checkpoint.
+
+    Args:
+        folder: of the run.
+        resume: whether a run goes on that was kept there.
 
     Raises:
-        OutputError: it cannot be made, or nothing can be written into it.
+        InputError: there is no run that could go on.
+        OutputError: the folder cannot be made, or nothing can be written into it.
     """
+    if resume and not (folder / CHECKPOINT).is_file():
+        raise InputError(
+            f"{folder / CHECKPOINT}: not found; wanted the folder of a run that was begun, or a run from the beginning"
+        )
     try:
-        folder.mkdir(exist_ok=True)
+        folder.lstat()
+        place = folder
+    except FileNotFoundError:
+        place = folder.parent
     except OSError as error:
         raise OutputError(f"{folder}: cannot be made a folder for the run ({error.strerror or error})") from error
-    if not os.access(folder, os.W_OK | os.X_OK):
-        raise OutputError(f"{folder}: may not be written into; choose another folder for the run (--run)")
+    if not place.is_dir():
+        raise OutputError(f"{folder}: cannot be made a folder for the run ({place} is no folder)")
+    if not os.access(place, os.W_OK | os.X_OK):
+        raise OutputError(f"{folder}: {place} may not be written into; choose another folder for the run (--run)")
+
+
+def command_of(folder: Path) -> str | None:
+    """The command whose run a folder holds; None: it holds no whole checkpoint."""
+    try:
+        with (folder / CHECKPOINT).open("rb") as file, np.load(file, allow_pickle=False) as stored:
+            return str(json.loads(stored["about"].tobytes())["command"])
+    except DAMAGE:
+        return None
 
 
 def save(folder: Path, identity: Identity, arrays: Mapping[str, Array], numbers: Mapping[str, Any]) -> None:
@@ -78,7 +114,10 @@ def save(folder: Path, identity: Identity, arrays: Mapping[str, Array], numbers:
     Raises:
         OutputError: the folder cannot be made, or the disk is full; what was there before is whole.
     """
-    make_folder(folder)
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"{folder}: cannot be made a folder for the run ({error.strerror or error})") from error
     remove_abandoned(folder)
     begun_with = {name: getattr(identity, name) for name in ("command", "options")}
     about = {"version": VERSION, **begun_with, "digests": dict(identity.digests), **numbers}
@@ -100,8 +139,7 @@ def load(folder: Path, identity: Identity, restored: Callable[[Mapping[str, Arra
         FormatError: the checkpoint is damaged.
     """
     path = folder / CHECKPOINT
-    if not path.is_file():
-        raise InputError(f"{path}: not found; wanted the folder of a run that was begun, or a run from the beginning")
+    check_folder(folder, resume=True)
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
             arrays = {name: stored[name] for name in stored.files}
@@ -112,7 +150,7 @@ def load(folder: Path, identity: Identity, restored: Callable[[Mapping[str, Arra
         return restored(arrays, about, str(path))
     except InputError:
         raise
-    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, tokenize.TokenError) as error:
+    except DAMAGE as error:
         raise FormatError(f"{path}: not a whole checkpoint ({error}); begin the run again") from error
 
 

@@ -37,7 +37,7 @@ from splatree.scene.given import check_threads, given
 from splatree.scene.gradients import Moments
 from splatree.scene.scene import Scene
 from splatree.shapes import Array, Float64
-from splatree.train.checkpoint import Identity, load, make_folder, save
+from splatree.train.checkpoint import Identity, check_folder, load, save
 from splatree.train.lessons import Lesson, lessons_of, made_views
 from splatree.train.options import RunFiles
 from splatree.train.refine_options import RefineOptions
@@ -145,7 +145,6 @@ def refine(
         if files.resume:
             learned = load(files.folder, identity, _restored)
             course, earlier_s = learned.course, learned.spent_s
-        make_folder(files.folder)
 
     def spent_s() -> float:
         return earlier_s + time.process_time() - began
@@ -191,6 +190,8 @@ def _check(scene: Scene, cameras: Sequence[Camera] | None, files: RunFiles) -> N
         raise InputError("refine: files: found a log to replay, wanted none; options.iterations repeats a run")
     if scene.tree.is_leaf.all():
         raise InputError("refine: found a scene without levels, wanted inner nodes that can learn; build levels first")
+    if files.folder is not None:
+        check_folder(files.folder, resume=files.resume)
     if cameras is None:
         return
     if len(cameras) < 2:
