@@ -10,7 +10,7 @@ import json
 import os
 import tokenize
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,10 +19,22 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 
 from splatree.errors import FormatError, InputError, OutputError
+from splatree.io import untrusted
 from splatree.io.replacing import remove_abandoned, replacing
 from splatree.shapes import Array
 
-__all__ = ["CHECKPOINT", "KEPT_AT", "CommandName", "Identity", "check_folder", "command_of", "load", "remove", "save"]
+__all__ = [
+    "CHECKPOINT",
+    "KEPT_AT",
+    "CommandName",
+    "Identity",
+    "check_folder",
+    "check_shapes",
+    "command_of",
+    "load",
+    "remove",
+    "save",
+]
 
 CHECKPOINT = "checkpoint.npz"
 
@@ -39,6 +51,7 @@ DAMAGE = (
     KeyError,
     TypeError,
     EOFError,
+    RuntimeError,
     zipfile.BadZipFile,
     tokenize.TokenError,
 )
@@ -61,7 +74,7 @@ class Identity:
     """What these things are called."""
     has_changed: str = "has changed"
     """What is said of one whose digest is another."""
-    alike: Mapping[str, frozenset[Any]] = field(default_factory=dict)
+    alike: Mapping[str, Sequence[Any]] = field(default_factory=dict)
     """Values of an option between which a run may go over: they change no step."""
 
 
@@ -143,15 +156,30 @@ def load(folder: Path, identity: Identity, restored: Callable[[Mapping[str, Arra
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
             arrays = {name: stored[name] for name in stored.files}
-        about = json.loads(arrays.pop("about").tobytes())
-        if about["version"] != VERSION:
-            raise InputError(f"{path}: found version {about['version']}, wanted {VERSION}; begin the run again")
-        _refuse_others(path, about, identity)
-        return restored(arrays, about, str(path))
-    except InputError:
-        raise
+        about = untrusted.as_object(json.loads(arrays.pop("about").tobytes()), str(path))
+        version = about["version"]
     except DAMAGE as error:
-        raise FormatError(f"{path}: not a whole checkpoint ({error}); begin the run again") from error
+        raise _damaged(path, error) from error
+    if version != VERSION:
+        raise InputError(f"{path}: found version {version}, wanted {VERSION}; begin the run again")
+    _refuse_others(path, about, identity)
+    try:
+        return restored(arrays, about, str(path))
+    except FormatError:
+        raise
+    except DAMAGE as error:  # among them the InputError of a struct, which knows no file
+        raise _damaged(path, error) from error
+
+
+def check_shapes(arrays: Mapping[str, Array], wanted: Mapping[str, tuple[int, ...]], where: str) -> None:
+    """Refuse arrays of a checkpoint that do not belong together.
+
+    Raises:
+        FormatError: one has another shape.
+    """
+    for name, shape in wanted.items():
+        if arrays[name].shape != shape:
+            raise FormatError(f"{where}: {name}: found shape {arrays[name].shape}, wanted {shape}; begin the run again")
 
 
 def remove(folder: Path) -> None:
@@ -161,23 +189,30 @@ def remove(folder: Path) -> None:
         folder.rmdir()
 
 
+def _damaged(path: Path, error: Exception) -> FormatError:
+    return FormatError(f"{path}: not a whole checkpoint ({error}); begin the run again")
+
+
 def _refuse_others(path: Path, about: Mapping[str, Any], identity: Identity) -> None:
-    if about["command"] != identity.command:
-        raise InputError(f"{path}: found a run of {about['command']}, wanted one of {identity.command}")
-    now, then, thing = identity.options, about["options"], identity.thing
-    for name, value in now.items():
-        if then.get(name) != value and not {then.get(name), value} <= identity.alike.get(name, frozenset()):
+    command = untrusted.text(about, "command", str(path))
+    if command != identity.command:
+        raise InputError(f"{path}: found a run of {command}, wanted one of {identity.command}")
+    then, digests = (untrusted.as_object(about.get(name), f"{path}.{name}") for name in ("options", "digests"))
+    thing = identity.thing
+    for name, value in identity.options.items():
+        alike = identity.alike.get(name, ())
+        if then.get(name) != value and not (then.get(name) in alike and value in alike):
             raise InputError(
                 f"{path}: the run was begun with {name} {then.get(name)!r}, found {value!r}; go on with the same options, or "
                 "begin a run elsewhere"
             )
     for name, digest in identity.digests.items():
-        if about["digests"].get(name) != digest:
-            what = "was not there" if name not in about["digests"] else identity.has_changed
+        if digests.get(name) != digest:
+            what = "was not there" if name not in digests else identity.has_changed
             raise InputError(
                 f"{path}: {thing} {name!r} {what} since the run was begun; go on with the same {thing}s, or begin again"
             )
-    gone = [name for name in about["digests"] if name not in identity.digests]
+    gone = [name for name in digests if name not in identity.digests]
     if gone:
         raise InputError(
             f"{path}: {thing} {gone[0]!r}, with which the run was begun, is missing; put it back, or begin again"
