@@ -6,9 +6,11 @@ import signal
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 import splatree as st
+from splatree.train.checkpoint import Identity, save
 
 from .conftest import listen_to_interruptions
 
@@ -56,6 +58,35 @@ def test_a_run_is_never_overwritten_unasked_and_removed_at_its_end(splatree, tre
     assert splatree(*words, "--force")[0] == 0 and output.exists() and not folder.exists()
     code, _, err = splatree(*words, "--resume")
     assert code == 1 and "checkpoint.npz: not found; wanted the folder of a run that was begun" in err
+
+
+@pytest.mark.parametrize("more", [(), ("--force",), ("--resume",)])
+@pytest.mark.parametrize("verb", ["refine", "build"])
+def test_the_run_of_a_training_is_neither_replaced_nor_gone_on_with(
+    splatree, tree, small_ply, tmp_path, monkeypatch, verb, more
+):
+    output, folder = tmp_path / "a.splatree", tmp_path / "a.run"
+    save(folder, Identity("train", {}, {}), {"means": np.zeros(3)}, {})
+    before = (folder / "checkpoint.npz").read_bytes()
+    for module in ("build", "refine"):
+        monkeypatch.setattr(f"splatree.cli.{module}.refine", lambda *given, **named: pytest.fail("it learned"))
+    words = ("refine", tree, output) if verb == "refine" else ("build", small_ply, output, "--refine", "0.02")
+    code, _, err = splatree(*words, *more)
+    assert code == 1 and "a.run: holds a run of train, which refine neither replaces nor goes on with" in err
+    assert "--run" in err and (folder / "checkpoint.npz").read_bytes() == before and not output.exists()
+
+
+def test_runs_that_cannot_be_are_refused_before_levels_are_built(splatree, tree, small_ply, tmp_path, monkeypatch):
+    monkeypatch.setattr("splatree.cli.refine.read_scene", lambda *given: pytest.fail("a scene was read"))
+    monkeypatch.setattr("splatree.cli.build._with_levels", lambda *given: pytest.fail("levels were built"))
+    (tmp_path / "file").write_text("")
+    output = tmp_path / "a.splatree"
+    for words in (("refine", tree, output), ("build", small_ply, output, "--refine", "0.02")):
+        code, _, err = splatree(*words, "--resume")
+        assert code == 1 and "checkpoint.npz: not found; wanted the folder of a run that was begun" in err
+        for folder in (tmp_path / "none" / "a.run", tmp_path / "file", tmp_path / ("n" * 300)):
+            code, _, err = splatree(*words, "--run", folder)
+            assert code == 1 and f"{folder.name}: cannot be made a folder for the run" in err
 
 
 def interrupted(words, number, share=0.05):

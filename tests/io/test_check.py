@@ -7,6 +7,7 @@ import pytest
 import splatree
 from splatree import FormatError, Gaussians, GaussianTree, Scene
 from splatree.io.check import LOGIT_CERTAIN, LOGIT_FROM_BYTE, checked, refuse_unusable
+from splatree.io.notes import repairs_in, repairs_in_words
 
 from ..scenes import random_gaussians
 from .conftest import COLUMNS, same_bits
@@ -200,3 +201,10 @@ def test_scales_beyond_the_limits_are_clamped_to_them(found, wanted):
 def test_each_byte_of_opacity_has_the_logit_of_its_share():
     assert len(LOGIT_FROM_BYTE) == 256
     np.testing.assert_allclose(1 / (1 + np.exp(-LOGIT_FROM_BYTE.astype(np.float64))), np.arange(256) / 255, atol=1.1e-6)
+
+
+def test_repairs_are_read_from_metadata_in_one_way():
+    assert repairs_in({}) == {} and repairs_in_words({}) == ""
+    repairs = repairs_in({"repairs": '{"clamped_scales": 1, "dropped_rows": 2000}'})
+    assert repairs == {"clamped_scales": 1, "dropped_rows": 2000}
+    assert repairs_in_words(repairs) == "clamped_scales 1, dropped_rows 2,000"

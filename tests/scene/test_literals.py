@@ -1,8 +1,10 @@
 import dataclasses
 import importlib
 import inspect
+import json
 import pkgutil
 import re
+from fractions import Fraction
 from pathlib import Path
 from typing import Literal, get_type_hints
 
@@ -89,6 +91,49 @@ def test_other_values_are_named_with_what_was_wanted(fields, message):
 
 def test_a_path_may_be_a_text():
     assert Struct(file="names.txt").file == Path("names.txt")
+
+
+@pytest.mark.parametrize(
+    ("fields", "settled"),
+    [
+        ({"name": np.str_("green")}, "green"),
+        ({"size": np.float32(1.5)}, 1.5),
+        ({"size": np.longdouble(1.5)}, 1.5),
+        ({"share": np.int16(2)}, 2),
+        ({"share": Fraction(1, 4)}, 0.25),
+        ({"repair": np.True_}, True),
+        ({"count": np.uint8(3)}, 3),
+        ({"place": np.array([1, 2.5, 3], np.float32)}, (1.0, 2.5, 3.0)),
+        ({"place": [1, np.float64(2), 3]}, (1, 2.0, 3)),
+        ({"file": np.int64(3)}, 3),
+    ],
+)
+def test_numbers_and_texts_of_numpy_become_pythons_own(fields, settled):
+    [name] = fields
+    value = getattr(Struct(**fields), name)
+    assert repr(value) == repr(settled) and type(value) is type(settled)
+
+
+_NUMPYS = {bool: np.bool_, int: np.int64, float: np.float32, str: np.str_}
+
+
+@pytest.mark.parametrize(
+    "struct",
+    [
+        splatree.RefineOptions,
+        splatree.TrainOptions,
+        splatree.BuildOptions,
+        splatree.RenderOptions,
+        splatree.SelectOptions,
+        splatree.PathOptions,
+    ],
+)
+def test_options_of_numpys_numbers_can_be_written_down(struct):
+    own = dataclasses.asdict(struct())
+    given = {name: _NUMPYS[type(value)](value) for name, value in own.items() if type(value) in _NUMPYS}
+    assert given and any(type(value) in (np.int64, np.float32) for value in given.values())
+    rounded = {name: float(np.float32(value)) if type(value) is float else value for name, value in own.items()}
+    assert json.dumps(dataclasses.asdict(struct(**given))) == json.dumps(rounded)
 
 
 def _structs_that_users_build() -> list[type]:

@@ -4,10 +4,11 @@ import os
 import shutil
 from functools import partial
 
+import numpy as np
 import pytest
 
 import splatree as st
-from splatree.stream.parts import Folder, write_files
+from splatree.stream.parts import Folder, digest_of, write_files
 from splatree.stream.stream import stream
 
 from .conftest import forest
@@ -104,3 +105,9 @@ def test_a_part_that_cannot_be_written_is_told(tmp_path):
     with pytest.raises(st.OutputError, match=r"0_0-0123456789ab: could not be written \(No such file or directory\)"):
         folder.make("0_0-0123456789ab", partial(write_files, {"missing/meta.json": b"{}"}))
     assert list(folder.path.iterdir()) == []
+
+
+def test_names_of_parts_do_not_tell_numpys_texts_from_pythons(scene):
+    g = scene.gaussians
+    assert digest_of(g, np.str_("classic"), (np.int64(2),)) == digest_of(g, "classic", (2,))
+    assert digest_of(g, "classic") != digest_of(g, "antialiased")

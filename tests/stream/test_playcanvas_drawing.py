@@ -7,6 +7,7 @@ import pytest
 
 import splatree as st
 from splatree.maths.rotations import matrices_from_quats
+from splatree.stream.readers import playcanvas_drawing
 from splatree.stream.readers.playcanvas_drawing import ENGINE_DILATION_PX2, draw_playcanvas
 
 from ..scenes import random_gaussians
@@ -72,3 +73,22 @@ def test_splats_of_less_than_two_pixels_are_left_out():
 
 def test_nothing_large_enough_gives_a_black_picture():
     assert not draw_playcanvas(cloud(1e-4), VIEW).image.any()
+
+
+def test_variances_do_not_depend_on_how_many_are_found_at_once(monkeypatch):
+    """BLAS may add three products in another order for other numbers of rows: the last bits may differ, and no row."""
+    g = cloud(0.1)
+    whole = playcanvas_drawing._largest_variances(g, VIEW)
+    sizes, of_run = [], playcanvas_drawing._largest_of
+
+    def counted(means, *more):
+        sizes.append(len(means))
+        return of_run(means, *more)
+
+    monkeypatch.setattr(playcanvas_drawing, "_largest_of", counted)
+    for length in (1, 7, 299, 300):
+        sizes.clear()
+        monkeypatch.setattr(playcanvas_drawing, "_ROWS_AT_ONCE", length)
+        np.testing.assert_allclose(playcanvas_drawing._largest_variances(g, VIEW), whole, rtol=1e-12)
+        assert max(sizes) == length and sum(sizes) == len(g)
+    assert len(playcanvas_drawing._largest_variances(g.take(np.zeros(0, np.intp)), VIEW)) == 0

@@ -145,6 +145,16 @@ def test_checkpoints_of_others_are_refused(begun, tmp_path, change, said):
         begun()
 
 
+@pytest.mark.parametrize("name", ["moments", "steps", "errors", "weights", "exposures", "visits"])
+def test_checkpoints_of_other_rows_are_refused(begun, tmp_path, name):
+    path = tmp_path / "a.run" / "checkpoint.npz"
+    with np.load(path) as stored:
+        arrays = dict(stored)
+    np.savez(path, **arrays | {name: arrays[name][:-1]})
+    with pytest.raises(st.FormatError, match=rf"checkpoint.npz: {name}: found shape .*, wanted"):
+        begun()
+
+
 def test_a_run_that_cannot_be_kept_is_refused_before_the_first_step(photographs, tmp_path):
     (tmp_path / "file").write_text("")
     steps = []

@@ -3,13 +3,17 @@
 import errno
 import itertools
 import os
+from contextlib import nullcontext
 from dataclasses import fields, replace
+from importlib import import_module
 
 import numpy as np
 import pytest
 
 import splatree as st
+from splatree.kernels.devices import training_stages_of
 from splatree.train import school
+from splatree.train.checkpoint import Identity, load, save
 from splatree.train.lessons import made_views
 
 from ..scenes import surface
@@ -195,3 +199,108 @@ def test_runs_that_cannot_be_kept_or_replayed_are_refused_before_the_first_step(
     with pytest.raises(st.InputError, match="found a log to replay, wanted none"):
         refine(files=st.RunFiles(replay=tmp_path / "log.json"))
     assert not steps
+
+
+def test_no_folder_is_left_by_a_run_that_ends_before_the_first_step(refine, tmp_path, monkeypatch):
+    """As when the user interrupts twice while the teacher is drawn."""
+
+    def interrupted(*given, **named):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(import_module("splatree.train.refine"), "lessons_of", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        refine(files=st.RunFiles(tmp_path / "a.run"))
+    assert not (tmp_path / "a.run").exists()
+
+
+def test_options_and_scenes_of_numpys_values_go_on_as_pythons_own(tree, refine, tmp_path):
+    options = st.RefineOptions(
+        iterations=np.int64(4),
+        made_views=np.int32(8),
+        finest=np.float32(3),
+        rate=np.float32(1),
+        teacher=np.str_("same"),
+    )
+    record = replace(tree.tree.record, profile=np.str_(tree.tree.record.profile))
+    scene = replace(tree, tree=replace(tree.tree, record=record), mode=np.str_(tree.mode))
+    files = st.RunFiles(tmp_path / "a.run")
+    assert refine(scene, options, files=files, stop=stop_after(2)).iterations == 2
+    resumed = refine(tree, replace(OPTIONS, iterations=4), files=replace(files, resume=True))
+    assert resumed.iterations == 4
+
+
+def test_single_damaged_bytes_are_told_with_the_name_of_the_file(tmp_path):
+    """Each byte of what stands around the arrays: signatures, versions, flags, methods, sizes."""
+    identity = Identity("refine", {"a": 1}, {"scene": "x"})
+    save(tmp_path, identity, {"steps": np.zeros(1, np.uint16)}, {})
+    path, flips = tmp_path / "checkpoint.npz", (0x01, 0x80)
+    whole, refused = path.read_bytes(), 0
+    for i, flip in itertools.product(range(len(whole)), flips):
+        path.write_bytes(whole[:i] + bytes([whole[i] ^ flip]) + whole[i + 1 :])
+        try:
+            load(tmp_path, identity, lambda arrays, about, where: arrays["steps"])
+        except st.FormatError as error:
+            assert str(error).startswith(str(path))
+            refused += 1
+    assert refused > len(whole) // 2
+
+
+@pytest.mark.parametrize("name", ["means", "quats", "moments", "steps"])
+def test_checkpoints_of_other_rows_are_refused(begun, tmp_path, name):
+    path = tmp_path / "a.run" / "checkpoint.npz"
+    with np.load(path) as stored:
+        arrays = dict(stored)
+    np.savez(path, **arrays | {name: arrays[name][:-1]})
+    with pytest.raises(st.FormatError, match=rf"checkpoint.npz: {name}: found shape .*, wanted"):
+        begun()
+    np.savez(path, **arrays | {name: arrays[name].astype(np.int8)})
+    with pytest.raises(st.FormatError, match=r"checkpoint.npz: not a whole checkpoint \(.*: found dtype int8"):
+        begun()
+
+
+@pytest.mark.parametrize("change", [{"options": [1]}, {"digests": "none"}, {"command": ["train"]}])
+def test_checkpoints_that_say_other_things_are_refused(begun, tmp_path, change):
+    rewrite(tmp_path / "a.run" / "checkpoint.npz", change)
+    with pytest.raises(st.FormatError, match=rf"checkpoint.npz.{next(iter(change))}: found"):
+        begun()
+
+
+def test_options_that_are_lists_are_told_as_others(begun, tmp_path):
+    rewrite(tmp_path / "a.run" / "checkpoint.npz", {"options": {"minutes": [1.0]}})
+    with pytest.raises(st.InputError, match=r"begun with minutes \[1.0\], found 1.0"):
+        begun()
+
+
+@pytest.fixture
+def timed(tree, monkeypatch):
+    """Learn 50 steps that are timed, without drawing: what the bar was told, the steps that were kept, how it ended."""
+
+    def learn(stop=lambda: False, wanted=None, step=0):
+        told, marks = [], []
+        with monkeypatch.context() as patch:
+            patch.setattr(school, "task", lambda *given: nullcontext(told.append))
+            patch.setattr(school.School, "_step", lambda *given: None)
+            ticks = itertools.count()
+            patch.setattr(
+                school.time, "process_time", lambda: next(ticks)
+            )  # a step takes 1 s, and the clock 1 s a look
+            pupils, course = school.School(tree, training_stages_of("cpu"), 1), school.Course(wanted, step)
+            end = 2 * school.TIMED + 30.5
+            stopped = pupils.learn([None], OPTIONS, course, end, stop=stop, keep=lambda: marks.append(course.step))
+        return told, marks, stopped, course
+
+    return learn
+
+
+def test_the_bar_of_a_timed_run_ends_full_and_no_mark_is_skipped(timed):
+    told, marks, stopped, course = timed()
+    assert (course.wanted, course.step, stopped) == (50, 50, False)
+    assert sum(told) == pytest.approx(1) and not any(told[: school.TIMED])
+    assert marks == [21, 25, 38]  # 10 and 25 % have gone by when the number of steps is known
+    told, marks, _, _ = timed(wanted=50, step=10)
+    assert sum(told) == pytest.approx(1) and marks == [13, 25, 38]  # 10 % was kept by the run that stopped
+
+
+def test_a_stop_at_the_last_step_interrupts_nothing(timed):
+    assert timed(stop=stop_after(49))[2] and timed(stop=stop_after(5))[2]
+    assert not timed(stop=stop_after(50))[2] and not timed(stop=stop_after(40), wanted=40)[2]

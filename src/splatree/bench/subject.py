@@ -1,6 +1,5 @@
 """What experiments are run on: a scene with levels of detail, views of it, and photographs of these if there are any."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import as_file, files
@@ -12,6 +11,7 @@ from splatree.bench.provenance import machine, program
 from splatree.errors import InputError
 from splatree.io.cameras.files import read_cameras
 from splatree.io.cameras.split import split_views
+from splatree.io.notes import repairs_in, repairs_in_words
 from splatree.io.photos import Photos, photographed
 from splatree.io.reading import read
 from splatree.lod.blocks import with_blocks
@@ -102,8 +102,8 @@ def subject_of(options: SubjectOptions, *, levels: bool = True, trained: Scene |
 
 def _repaired(scene: Scene) -> dict[str, str]:
     """How many values or rows each rule of repair touched, if any."""
-    repairs = json.loads(scene.source.metadata.get("repairs", "{}"))
-    return {"repaired": ", ".join(f"{rule} {count:,}" for rule, count in repairs.items())} if repairs else {}
+    repairs = repairs_in(scene.source.metadata)
+    return {"repaired": repairs_in_words(repairs)} if repairs else {}
 
 
 def _comparison(photos: Photos | None) -> str:

@@ -223,7 +223,7 @@ def _in_memory(
     command: Command, inputs: Sequence[Path], output: Path, views: TrainingViews | None, short: str | None = None
 ) -> Built:
     """Read, build and write in memory; ``short`` says that there may be too little of it."""
-    folder = None if command.refine is None else command.going_on.folder(output, force=command.files.force)
+    folder = None if command.refine is None else command.going_on.folder(output, "refine", force=command.files.force)
     scene, warned = _with_levels(command, inputs)
     refined = None if folder is None else _refined(command, scene, folder)
     scene = scene if refined is None else refined.scene

@@ -1,6 +1,5 @@
 """Inputs and outputs of a verb: ``verb in.ply out.ply``, or ``verb chunk_*/ -o out.ply`` for several inputs."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,7 @@ from splatree.cli.console import UsageError
 from splatree.errors import InputError, OutputError
 from splatree.io.inputs import find_inputs
 from splatree.io.local import is_brought
-from splatree.io.notes import notes_in, sentences_in
+from splatree.io.notes import notes_in, repairs_in, repairs_in_words, sentences_in
 from splatree.io.objects import located
 from splatree.io.options import ReadOptions, WriteOptions
 from splatree.io.reading import read
@@ -78,7 +77,7 @@ def read_options(reading: Reading, *, level: int | None = None) -> ReadOptions:
 
 def repairs_of(scene: Scene) -> dict[str, int]:
     """How many values or rows each rule of repair touched when the scene was read."""
-    return dict(json.loads(scene.source.metadata.get("repairs", "{}")))
+    return repairs_in(scene.source.metadata)
 
 
 def lost_and_noted(scene: Scene, lost: Sequence[str] = ()) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -102,8 +101,7 @@ def in_mode(scene: Scene, mode: Mode | None) -> Scene:
 
 def told(repairs: Mapping[str, int], lost: Sequence[str], notes: Sequence[str] = ()) -> list[str]:
     """What reading changed and noted, and what reading and writing lost, a line each."""
-    counts = ", ".join(f"{rule} {count:,}" for rule, count in repairs.items())
-    lines = [f"repaired: {counts}"] if repairs else []
+    lines = [f"repaired: {repairs_in_words(repairs)}"] if repairs else []
     return [*lines, *(f"note: {note}" for note in notes), *(f"lost: {sentence}" for sentence in lost)]
 
 

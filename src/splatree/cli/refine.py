@@ -85,7 +85,7 @@ def run(command: Command) -> Result:
     """
     files, going_on = replace(command.files, force=command.files.force or command.going_on.resume), command.going_on
     inputs, output = inputs_and_output(files, keeps_tree=True)
-    folder = going_on.folder(output, force=files.force)
+    folder = going_on.folder(output, "refine", force=files.force)
     scene = read_scene(inputs, files.reading)
     cameras: tuple[Camera, ...] | None = None
     seen: tuple[str, ...] = ()

@@ -78,7 +78,7 @@ class Result:
 def run(command: Command) -> Result:
     """Train and write."""
     output = _output(command)
-    folder = command.going_on.folder(output, force=command.force)
+    folder = command.going_on.folder(output, "train", force=command.force)
     with interruptions() as interrupted:
         trained = train(
             command.photos,

@@ -8,7 +8,6 @@ A tree that stays one goes in runs of its rows (io/tree_runs.py).
 Memory: 20 bytes a Gaussian between the passes, and 12 bytes a row of a tree; in a file where there is no room.
 """
 
-import json
 import os
 import tempfile
 from collections import Counter
@@ -26,7 +25,7 @@ from splatree.io.joined import joined
 from splatree.io.joined_chunks import joined_chunks, opened_chunks
 from splatree.io.local import local_inputs
 from splatree.io.memory import Scratch
-from splatree.io.notes import notes_in, sentences_in
+from splatree.io.notes import notes_in, repairs_in, sentences_in
 from splatree.io.objects import located
 from splatree.io.options import ReadOptions, WriteOptions
 from splatree.io.reading import read_one
@@ -150,7 +149,7 @@ def _in_memory(
         dropped=cleaned.dropped,
         in_chunks=False,
         lost=() if target is None else tuple(dict.fromkeys((*sentences_in(metadata, "lost"), *lost))),
-        repairs=dict(json.loads(metadata.get("repairs", "{}"))),
+        repairs=repairs_in(metadata),
         notes=notes_in(metadata, scene.source.origin),
     )
 
@@ -192,7 +191,7 @@ def _in_chunks(
         write_runs(kept_runs(tree, goes, scratch), target, force=force)
     elif target is not None:
         lost = [*sentences_in(chunks.metadata, "lost"), *write_chunks(cleaned, target, force=force, options=writing)]
-    repairs: Counter[str] = Counter(json.loads(chunks.metadata.get("repairs", "{}")))
+    repairs: Counter[str] = Counter(repairs_in(chunks.metadata))
     for part in parts:
         repairs.update(part.repairs)
     return CleanedFile(

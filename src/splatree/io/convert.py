@@ -6,7 +6,6 @@ The file has the same bytes either way: a format that is written in chunks has n
 rows may be dropped, the inputs are read twice, first to count what is left.
 """
 
-import json
 import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -25,7 +24,7 @@ from splatree.io.joined import joined
 from splatree.io.joined_chunks import joined_chunks, opened_chunks
 from splatree.io.local import local_inputs
 from splatree.io.memory import Scratch
-from splatree.io.notes import notes_in, sentences_in
+from splatree.io.notes import notes_in, repairs_in, sentences_in
 from splatree.io.objects import located
 from splatree.io.options import ReadOptions, WriteOptions
 from splatree.io.reading import needed_bytes, read_one
@@ -229,7 +228,7 @@ def _converted(
 ) -> Converted:
     """``parts`` are the inputs, if they were read in chunks."""
     lost = (*sentences_in(metadata, "lost"), *lost)
-    repairs: Counter[str] = Counter(json.loads(metadata.get("repairs", "{}")))
+    repairs: Counter[str] = Counter(repairs_in(metadata))
     for part in parts:
         repairs.update(part.repairs)
     notes = notes_in(metadata, origin)

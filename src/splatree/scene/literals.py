@@ -2,7 +2,8 @@
 
 ``mode: Mode`` with ``Mode = Literal["classic", "antialiased"]`` is a promise that only type checkers hold. `check_literals` holds
 the struct to it when it is built. An annotation may also offer None or another type: ``Literal["auto"] | float | None``. Fields
-of other kinds, such as arrays, are left to `splatree.shapes.check_fields`. A path may be given as a text.
+of other kinds, such as arrays, are left to `splatree.shapes.check_fields`. A path may be given as a text. Numbers and texts of
+NumPy become Python's own, so that options can be written down (JSON has no others) and mean the same wherever they came from.
 """
 
 import dataclasses
@@ -17,7 +18,7 @@ import numpy as np
 
 from splatree.errors import InputError
 
-__all__ = ["check_literals", "in_words", "is_among", "is_of", "shown"]
+__all__ = ["as_python", "check_literals", "in_words", "is_among", "is_of", "shown"]
 
 _ABSTRACT_FROM_TYPE: Final[dict[type, Any]] = {
     float: numbers.Real,
@@ -74,10 +75,30 @@ def check_literals(struct: Any) -> None:
             continue
         if isinstance(value, str) and Path in choices.types and str not in choices.types:
             value = Path(value)
-            object.__setattr__(struct, name, value)
         if not choices.allows(value):
             hint = _did_you_mean(value, choices.values)
             raise InputError(f"{struct_type.__name__}.{name}: found {shown(value)}, wanted {choices}{hint}")
+        settled = as_python(value)
+        if settled is not getattr(struct, name):
+            object.__setattr__(struct, name, settled)
+
+
+def as_python(value: Any) -> Any:
+    """A number, flag or text as Python's own, also where several stand in a list, an array or a tuple, which becomes a tuple; any
+    other value as it is."""
+    if value is None or type(value) in (bool, int, float, str):
+        return value
+    if isinstance(value, tuple | list | np.ndarray):
+        settled = tuple(map(as_python, value))
+        is_same = type(value) is tuple and all(a is b for a, b in zip(value, settled, strict=True))
+        return value if is_same else settled
+    if isinstance(value, bool | np.bool_):
+        return bool(value)
+    if isinstance(value, numbers.Integral):
+        return int(value)
+    if isinstance(value, numbers.Real):
+        return float(value)
+    return str.__str__(value) if isinstance(value, str) else value
 
 
 def is_among(value: object, names: tuple[Any, ...]) -> bool:

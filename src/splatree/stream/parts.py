@@ -20,6 +20,7 @@ from typing import Self
 from splatree.errors import OutputError, SplatreeError
 from splatree.io.replacing import flush, name_in, replacing
 from splatree.scene.gaussians import Gaussians
+from splatree.scene.literals import as_python
 
 __all__ = ["Folder", "check_folder", "digest_of", "write_files"]
 
@@ -38,7 +39,7 @@ def digest_of(gaussians: Gaussians, *more: object) -> str:
     state = hashlib.blake2b(_REVISION, digest_size=_DIGITS // 2)
     for column in fields(gaussians):
         state.update(getattr(gaussians, column.name))
-    state.update(repr(more).encode())
+    state.update(repr(as_python(more)).encode())
     return state.hexdigest()
 
 

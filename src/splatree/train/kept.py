@@ -13,6 +13,7 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ from splatree.scene.cameras import Camera
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.gradients import Moments
 from splatree.shapes import Array
-from splatree.train.checkpoint import Identity, load, save
+from splatree.train.checkpoint import Identity, check_shapes, load, save
 from splatree.train.densify import Rows, Sightings
 from splatree.train.exposure import Exposures
 from splatree.train.lineage import Lineage
@@ -38,7 +39,7 @@ __all__ = ["identity_of", "load_state", "read_log", "save_state"]
 
 LOG, EXPOSURE = "log.json", "exposure.json"
 
-_ALIKE = {"score": frozenset((False, True)), "levels": frozenset(("none", "radius", "pairs"))}
+_ALIKE = {"score": (False, True), "levels": ("none", "radius", "pairs")}
 """Levels other than those that grow are built over the trained scene."""
 
 
@@ -94,7 +95,7 @@ def load_state(folder: Path, identity: Identity) -> State:
         InputError: there is no run, or it was begun with others.
         FormatError: the checkpoint is damaged.
     """
-    return load(folder, identity, _state)
+    return load(folder, identity, partial(_state, num_photos=len(identity.digests)))
 
 
 def read_log(path: Path) -> list[LogEntry]:
@@ -130,21 +131,26 @@ def read_log(path: Path) -> list[LogEntry]:
     return entries
 
 
-def _state(arrays: Mapping[str, Any], about: Mapping[str, Any], where: str) -> State:
+def _state(arrays: Mapping[str, Any], about: Mapping[str, Any], where: str, *, num_photos: int) -> State:
     def gaussians(prefix: str = "") -> Gaussians:
         return Gaussians(
             *(np.ascontiguousarray(arrays[prefix + field.name]) for field in dataclasses.fields(Gaussians))
         )
 
-    lineage = None
+    rows, lineage = gaussians(), None
+    n, p = len(rows), num_photos
+    moments = Moments.zeros(n, rows.sh.shape[1]).values.shape
+    wanted = {"moments": moments, **dict.fromkeys(("steps", "errors", "weights"), (n,))}
+    check_shapes(arrays, wanted | {"exposures": (p, 3, 4), "visits": (p,)}, where)
     if "of_rows" in arrays:
+        check_shapes(arrays, {"of_rows": (n,)}, where)
         lineage = Lineage(gaussians("ancestors_"), arrays["parents"], arrays["of_rows"])
     history = [
         Scored(**{**scored, "score": None if scored["score"] is None else Score(**scored["score"])})
         for scored in about["history"]
     ]
     return State(
-        Rows(gaussians(), Moments(arrays["moments"], arrays["steps"]), lineage),
+        Rows(rows, Moments(arrays["moments"], arrays["steps"]), lineage),
         Sightings(arrays["errors"], arrays["weights"]),
         Exposures(arrays["exposures"], arrays["visits"], bool(arrays["is_affine"])),
         num_start=untrusted.integer(about, "num_start", where),

@@ -34,7 +34,7 @@ from splatree.shapes import Array, Bool, Float32, Int32
 __all__ = ["Drawn", "Proxies"]
 
 RATES = {"quats": 8e-3, "log_scales": 4e-2, "logit_opacities": 0.2}
-"""At the beginning of a run, of a node that has made `RAMP_STEPS` (train/refine.py); means do not move."""
+"""At the beginning of a run, of a node that has made `RAMP_STEPS` (train/school.py); means do not move."""
 
 PAINTED = 0.3
 """Share of the way that a colour goes at the beginning of a run. With 0.7 a city gains 0.05 dB more at a tenth of its leaves, but

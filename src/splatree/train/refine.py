@@ -21,6 +21,7 @@ import math
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -35,9 +36,10 @@ from splatree.scene.cameras import Camera, several
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.given import check_threads, given
 from splatree.scene.gradients import Moments
+from splatree.scene.literals import as_python
 from splatree.scene.scene import Scene
 from splatree.shapes import Array, Float64
-from splatree.train.checkpoint import Identity, load, make_folder, save
+from splatree.train.checkpoint import Identity, check_folder, check_shapes, load, save
 from splatree.train.lessons import Lesson, lessons_of, made_views
 from splatree.train.options import RunFiles
 from splatree.train.refine_options import RefineOptions
@@ -143,9 +145,8 @@ def refine(
     if files.folder is not None:
         identity = _identity(scene, views, options)
         if files.resume:
-            learned = load(files.folder, identity, _restored)
+            learned = load(files.folder, identity, partial(_restored, wanted=school.proxies.arrays()))
             course, earlier_s = learned.course, learned.spent_s
-        make_folder(files.folder)
 
     def spent_s() -> float:
         return earlier_s + time.process_time() - began
@@ -191,6 +192,8 @@ def _check(scene: Scene, cameras: Sequence[Camera] | None, files: RunFiles) -> N
         raise InputError("refine: files: found a log to replay, wanted none; options.iterations repeats a run")
     if scene.tree.is_leaf.all():
         raise InputError("refine: found a scene without levels, wanted inner nodes that can learn; build levels first")
+    if files.folder is not None:
+        check_folder(files.folder, resume=files.resume)
     if cameras is None:
         return
     if len(cameras) < 2:
@@ -209,10 +212,10 @@ def _identity(scene: Scene, cameras: Sequence[Camera], options: RefineOptions) -
     for column in columns:
         of_scene.update(b"none" if column is None else np.ascontiguousarray(column).data)
     drawn_as = (scene.mode, scene.threshold, scene.tile_rule, None if tree.record is None else tree.record.profile)
-    of_scene.update(repr(drawn_as).encode())
+    of_scene.update(repr(as_python(drawn_as)).encode())
     for camera in cameras:
         of_cameras.update(camera.camera_from_world.tobytes() + camera.K.tobytes())
-        of_cameras.update(repr((camera.width, camera.height, camera.near)).encode())
+        of_cameras.update(repr((int(camera.width), int(camera.height), float(camera.near))).encode())
     return Identity("refine", asdict(options), {"scene": of_scene.hexdigest(), "cameras": of_cameras.hexdigest()})
 
 
@@ -230,12 +233,16 @@ class _Learned:
     """Processor seconds of the run."""
 
 
-def _restored(arrays: Mapping[str, Array], about: Mapping[str, Any], where: str) -> _Learned:
-    wanted = None if about["wanted"] is None else untrusted.integer(about, "wanted", where)
+def _restored(
+    arrays: Mapping[str, Array], about: Mapping[str, Any], where: str, *, wanted: Mapping[str, Array]
+) -> _Learned:
+    """What had been learned, as large as ``wanted``."""
+    check_shapes(arrays, {name: array.shape for name, array in wanted.items()}, where)
+    num_steps = None if about["wanted"] is None else untrusted.integer(about, "wanted", where)
     return _Learned(
         Gaussians(*(arrays[field.name] for field in fields(Gaussians))),
         Moments(arrays["moments"], arrays["steps"]),
-        Course(wanted, untrusted.integer(about, "step", where), untrusted.number(about, "timed_s", where)),
+        Course(num_steps, untrusted.integer(about, "step", where), untrusted.number(about, "timed_s", where)),
         untrusted.number(about, "spent_s", where),
     )
 

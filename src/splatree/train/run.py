@@ -22,7 +22,7 @@ from splatree.scene.arguments import checked
 from splatree.scene.given import check_threads, given
 from splatree.scene.scene import NEAR_KEY, Scene, Source
 from splatree.shapes import Array, Float64
-from splatree.train.checkpoint import KEPT_AT, make_folder
+from splatree.train.checkpoint import KEPT_AT, check_folder
 from splatree.train.densify import Rows, Sightings, densified
 from splatree.train.exposure import Exposures
 from splatree.train.kept import identity_of, load_state, read_log, save_state
@@ -114,6 +114,8 @@ def train(
     """
     options, files = given(options, TrainOptions, "train: options"), given(files, RunFiles, "train: files")
     check_threads(threads)
+    if files.folder is not None:
+        check_folder(files.folder, resume=files.resume)
     drawing = Drawing(training_stages_of(device), options.mode, 1, threads)
     work = prepare(Path(photos), options, None if cameras is None else Path(cameras))
     identity = identity_of(options, work.targets.digests(), work.targets.cameras)
@@ -123,8 +125,6 @@ def train(
         state = load_state(files.folder, identity)
     else:
         state = _beginning(work)
-    if files.folder is not None:
-        make_folder(files.folder)
     stopped = False
     with task("train", 1.0) as advance:
         advance(state.share)

@@ -89,25 +89,27 @@ class School:
             keep: called at the shares `KEPT_AT`.
 
         Returns:
-            Whether it was stopped.
+            Whether it was stopped while steps were left.
         """
         plan = itertools.islice(_plan(len(lessons), options), course.step, None)
         with task("refine inner nodes", 1.0) as advance:
-            advance(course.share)
+            told = course.share
+            advance(told)
             while course.wanted is None or course.step < course.wanted:
                 if course.wanted is None and course.step == TIMED:
                     course.wanted = TIMED + max(0, int((end - time.process_time()) / (course.timed_s / TIMED)))
                     continue
-                begin, before = time.process_time(), course.share
+                begin = time.process_time()
                 lesson, tau = next(plan)
-                progress = 0.0 if course.step < TIMED else before
+                progress = 0.0 if course.step < TIMED else course.share
                 self._step(lessons[lesson], tau, options.rate * (1 - (1 - LAST_RATE) * progress))
                 course.step += 1
                 course.timed_s += time.process_time() - begin
-                advance(course.share - before)
+                before, told = told, course.share  # of a timed run, 0 until the number of steps is known
+                advance(told - before)
                 if stop():
-                    return True
-                if any(before < mark <= course.share < 1 for mark in KEPT_AT):
+                    return course.wanted is None or course.step < course.wanted
+                if any(before < mark <= told < 1 for mark in KEPT_AT):
                     keep()
         return False
 

@@ -10,7 +10,8 @@ export const turns = position === null || query.has('turn'); // whether the page
 export const fov = Number(query.get('fov') ?? 50);
 export const lod = query.get('lod'); // error: PlayCanvas 2.22 is to choose levels by their errors
 export const mode = query.get('mode'); // how the scene was trained: classic, antialiased; null: nobody knows
-export const dilation = Number(query.get('dilation') ?? 0.3); // px², by which PlayCanvas widens splats; its own is 0.075
+const asked = Number.parseFloat(query.get('dilation'));
+export const dilation = asked >= 0 && asked < Infinity ? asked : 0.3; // px², by which PlayCanvas widens splats; its own is 0.075
 export const number = (name, otherwise) => (query.has(name) ? Number(query.get(name)) : otherwise);
 
 // What tests and curious people look at: whether all that the view needs is drawn, and how much that is.

@@ -29,7 +29,7 @@ from splatree.scene.frame import RenderResult
 from splatree.scene.gaussians import Gaussians
 from splatree.scene.options import RenderOptions, SelectOptions
 from splatree.scene.scene import Scene
-from splatree.shapes import Array, Float64
+from splatree.shapes import Array, Float32, Float64
 
 __all__ = ["ENGINE_DILATION_PX2", "draw_playcanvas"]
 
@@ -46,6 +46,10 @@ _LOG_SCALE_MIN, _LOG_SCALE_STEP = -12.0, 21 / 255
 """Steps of scales in the engine's buffer of all splats (containerCompactWrite)."""
 
 
+_ROWS_AT_ONCE = 2**18
+"""Of Gaussians that are projected: 300 bytes each, so 80 MB."""
+
+
 def draw_playcanvas(gaussians: Gaussians, camera: Camera, *, dilation_px2: float = ENGINE_DILATION_PX2) -> RenderResult:
     """The picture of Gaussians as decoded; the page of `serve` sets ``dilation_px2`` to the usual one."""
     steps = np.clip(np.round((gaussians.log_scales - _LOG_SCALE_MIN) / _LOG_SCALE_STEP), 1, 255)
@@ -59,10 +63,20 @@ def draw_playcanvas(gaussians: Gaussians, camera: Camera, *, dilation_px2: float
 
 def _largest_variances(g: Gaussians, camera: Camera) -> Float64[Array, "n"]:
     """λ of each Gaussian: the larger eigenvalue of its covariance on the image, px²."""
+    found = np.empty(len(g))
+    for first in range(0, len(g), _ROWS_AT_ONCE):
+        rows = slice(first, first + _ROWS_AT_ONCE)
+        found[rows] = _largest_of(g.means[rows], g.quats[rows], g.log_scales[rows], camera)
+    return found
+
+
+def _largest_of(
+    means: Float32[Array, "n 3"], quats: Float32[Array, "n 4"], log_scales: Float32[Array, "n 3"], camera: Camera
+) -> Float64[Array, "n"]:
     W, t = camera.camera_from_world[:3, :3], camera.camera_from_world[:3, 3]
-    points = g.means.astype(np.float64) @ W.T + t
+    points = means.astype(np.float64) @ W.T + t
     z = np.maximum(points[:, 2], camera.near)
-    axes = (W @ matrices_from_quats(g.quats)) * np.exp(g.log_scales.astype(np.float64))[:, None, :]  # [n 3 3]
+    axes = (W @ matrices_from_quats(quats)) * np.exp(log_scales.astype(np.float64))[:, None, :]  # [n 3 3]
     slopes = points[:, :2] / z[:, None]
     focal = np.array([camera.K[0, 0], camera.K[1, 1]])
     M = (axes[:, :2] - slopes[:, :, None] * axes[:, 2:]) * (focal / z[:, None])[:, :, None]  # [n 2 3]
