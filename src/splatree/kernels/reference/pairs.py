@@ -97,7 +97,8 @@ def energies(
     """What each Gaussian shows, squared: e = α² |(c, 1)|² ⟨G G⟩, world units²."""
     covariances, _, alphas, shown = _signals(gaussians, visibilities, dilation)
     at_place = np.zeros((len(gaussians), 3))
-    return alphas**2 * np.sum(shown**2, axis=1) * _overlap(covariances, covariances, at_place)
+    energy: Float64[Array, n] = alphas**2 * np.sum(shown**2, axis=1) * _overlap(covariances, covariances, at_place)
+    return energy
 
 
 def _signals(
