@@ -53,11 +53,11 @@ def test_the_loss_of_a_radius_is_that_of_the_picture_where_it_loses_most():
 
 
 def test_a_loss_far_above_40_db_is_not_hidden():
-    """The bundled city at four fifths of its leaves from afar."""
+    """The bundled city at four fifths of its leaves from afar, merged by distance alone."""
     with as_file(files("splatree") / "data" / "semarang_5_9.sog") as path:
-        trial = st.try_methods(st.read(path))
-    assert trial.radius_loss_db > 4.5  # found: 4.9
-    assert trial.pairs_db - trial.radius_db < 3.5  # the mean says less; found: 3.0
+        trial = st.try_methods(st.read(path), st.BuildOptions(visibility=False))
+    assert trial.radius_loss_db > 3.5  # found: 3.8; with pictures above 40 dB as 40: 2.4
+    assert trial.pairs_db - trial.radius_db < 1.5  # the mean says less; found: 0.8
 
 
 def test_the_default_takes_the_method_of_the_better_pictures_and_keeps_both_figures():
