@@ -184,13 +184,16 @@ def _wrong_numbers(index: StoreIndex, num_rows: int) -> Iterator[str]:
         yield f"num_roots: found {index.num_roots} in a file without parts, wanted 0"
     if index.num_rows != num_rows - index.num_roots:
         yield f"num_rows: found {index.num_rows}, wanted {num_rows - index.num_roots} as in the rows of the files"
-    fewest = min(index.num_rows, 1)
-    for name in ("num_leaves", "num_levels"):
-        if not fewest <= (found := getattr(index, name)) <= index.num_rows:
-            yield f"{name}: found {found}, wanted {fewest} to {index.num_rows}"
+    least = min(index.num_rows, 1)
+    if not least <= index.num_levels <= index.num_rows:
+        yield f"num_levels: found {index.num_levels}, wanted {least} to {index.num_rows}"
+        return
     num_above = int(np.diff(index.table.ancestor_start).max(initial=0))
     if index.num_levels <= num_above:
         yield f"num_levels: found {index.num_levels}, wanted more than the {num_above} above a page"
+    fewest = -(-index.num_rows // max(index.num_levels, 1))  # each row is a leaf or above one, at one of its levels
+    if not fewest <= index.num_leaves <= index.num_rows:
+        yield f"num_leaves: found {index.num_leaves}, wanted {fewest} to {index.num_rows}"
 
 
 def _wrong(index: StoreIndex, num_rows: Sequence[int]) -> Iterator[str]:
