@@ -221,15 +221,19 @@ void bind_thin(nb::module_& m) {
     nearest_distances(static_cast<int64_t>(means.shape(0)), means.data(), static_cast<int64_t>(queries.shape(0)), queries.data(),
                       edge, distances.data(), threads);
   });
-  m.def("best_partners", [](nb::handle gaussians, In<float> weights, std::optional<In<float>> visibilities, double dilation,
-                            Out<int32_t> partner_from_row, Out<float> costs, Out<float> opacities, int threads) {
-    PairJob job = pair_job_of(gaussians, weights.data(), visibilities ? visibilities->data() : nullptr, dilation, threads);
-    job.partner_from_row = partner_from_row.data();
-    job.costs = costs.data();
-    job.opacities = opacities.data();
-    nb::gil_scoped_release release;
-    best_partners(job);
-  });
+  m.def(
+      "best_partners",
+      [](nb::handle gaussians, In<float> weights, std::optional<In<float>> visibilities, double dilation,
+         Out<int32_t> partner_from_row, Out<float> costs, Out<float> opacities, int threads) {
+        PairJob job = pair_job_of(gaussians, weights.data(), visibilities ? visibilities->data() : nullptr, dilation, threads);
+        job.partner_from_row = partner_from_row.data();
+        job.costs = costs.data();
+        job.opacities = opacities.data();
+        nb::gil_scoped_release release;
+        best_partners(job);
+      },
+      nb::arg("gaussians"), nb::arg("weights"), nb::arg("visibilities").none(), nb::arg("dilation"), nb::arg("partner"),
+      nb::arg("costs"), nb::arg("opacities"), nb::arg("threads"));
   m.def("measure_visibilities", [](nb::handle gaussians, nb::handle sight, Out<float> visibilities, int threads) {
     VisibilityJob job = visibility_job(gaussians, sight, threads);
     job.visibilities = visibilities.data();
